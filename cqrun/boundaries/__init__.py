@@ -1,0 +1,1 @@
+"""Boundary conditions on grid nodes, one file each."""

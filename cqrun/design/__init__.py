@@ -1,0 +1,1 @@
+"""Unknowns: from key paths in a scene to engine inputs, and gradients back."""

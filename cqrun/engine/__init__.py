@@ -1,0 +1,1 @@
+"""The MLS-MPM engine: passes, step, rollout, checkpointing, and their adjoints."""

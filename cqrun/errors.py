@@ -1,0 +1,82 @@
+"""Errors are for people: each says where, what is wrong, and what would be right.
+
+The command line prints them without a traceback and ends with `exit_code`
+(0 done, 1 the run failed, 2 bad scene or usage, 75 stopped but resumable, 130 interrupted).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+class CqrunError(Exception):
+    """Base of every error that cqrun raises on purpose."""
+
+    exit_code = 1
+
+
+class UsageError(CqrunError):
+    """Bad input other than a scene: a command line, a run directory, a data file."""
+
+    exit_code = 2
+
+
+class DataError(UsageError):
+    """A recording or another data file that cannot be used as it is."""
+
+
+class MissingExtra(UsageError):
+    """An optional dependency is needed and absent; the message names the extra."""
+
+
+class Stopped(CqrunError):
+    """The run stopped early and can be resumed."""
+
+    exit_code = 75
+
+
+class RunError(CqrunError):
+    """The run itself failed."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing wrong with a scene.
+
+    `where` is `file:line:column`, or `-o key=value` when an override caused it.
+    """
+
+    where: str
+    path: str
+    message: str
+
+    def __str__(self) -> str:
+        key = f"{self.path}: " if self.path else ""
+        return f"{self.where}: {key}{self.message}"
+
+
+class SceneError(CqrunError):
+    """A scene that cannot be run; carries every problem that was found."""
+
+    exit_code = 2
+
+    def __init__(self, problems: list[Problem]) -> None:
+        self.problems = list(problems)
+        super().__init__("\n".join(str(p) for p in self.problems))
+
+
+class RolloutError(RunError):
+    """A rollout that could not go on: a non-finite value, or a particle at the edge of the grid.
+
+    Args:
+        reason: what happened, in words.
+        body: name of the body the particle belongs to.
+        particle: its index inside that body.
+        time: when [s].
+        advice: what to change.
+    """
+
+    def __init__(self, reason: str, *, body: str, particle: int, time: float, advice: str) -> None:
+        self.reason, self.body, self.particle = reason, body, particle
+        self.time, self.advice = time, advice
+        super().__init__(f"body '{body}', particle {particle}, t = {time:.6g} s: {reason}; {advice}")

@@ -1,0 +1,1 @@
+"""Jobs: simulate, sysid, gradcheck."""

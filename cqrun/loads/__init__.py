@@ -1,0 +1,1 @@
+"""Loads on particles, one file each."""

@@ -1,0 +1,1 @@
+"""What is measured on a rollout, one file each."""

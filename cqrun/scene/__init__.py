@@ -1,0 +1,1 @@
+"""Scenes: YAML in, a validated and resolved scene out."""

@@ -1,0 +1,1 @@
+"""Run directories, trajectories and recordings on disk."""
