@@ -1,0 +1,61 @@
+# Needs git, make and Python >= 3.11; everything else goes into .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+SCENE ?= scenes/sysid/beam_twin.yaml
+DEMO := scenes/sysid/beam_twin.yaml
+
+# Tests run two at a time, each on one thread, unless a test asks for more itself.
+PYTEST := NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest
+PARALLEL := -n 2 --dist loadfile
+
+.DEFAULT_GOAL := help
+.PHONY: help setup lint types test test-nojit test-slow bench profile demo clean-cache clean
+
+help: ## list these targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+
+setup: $(READY) ## make the environment in .venv, from constraints.txt
+
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "$(PYTHON) is older than 3.11; name a newer one: make setup PYTHON=python3.12" >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt hatchling
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[dev]'
+	@touch $@
+
+lint: $(READY) ## ruff
+	$(BIN)/ruff check .
+
+types: $(READY) ## mypy
+	$(BIN)/mypy
+
+test: $(READY) ## the fast tests, ruff and mypy among them
+	$(PYTEST) $(PARALLEL)
+
+test-nojit: $(READY) ## the fast tests in plain Python: slow kernels, but index errors show
+	NUMBA_DISABLE_JIT=1 $(PYTEST) $(PARALLEL)
+
+test-slow: $(READY) ## the tests that take minutes
+	$(PYTEST) $(PARALLEL) -m slow
+
+bench: $(READY) ## ns per particle and substep, pass by pass -> results/bench.json
+	$(BIN)/cqrun bench --output results/bench.json
+
+profile: $(READY) ## where a run's time goes: make profile SCENE=path/to/scene.yaml
+	@mkdir -p results
+	$(BIN)/python -m cProfile -o results/profile.pstats -m cqrun simulate $(SCENE) --fresh --out results/profile
+	$(BIN)/python -c 'import pstats; pstats.Stats("results/profile.pstats").sort_stats("cumulative").print_stats(40)'
+
+demo: $(READY) ## recover the material of a soft beam from its motion, in under five minutes
+	$(BIN)/cqrun sysid $(DEMO)
+	@echo; echo "The result: $$(ls -td results/$(basename $(notdir $(DEMO)))/*/ | head -n 1)"
+
+clean-cache: $(READY) ## forget the compiled kernels
+	$(BIN)/python -c 'import cqrun, os, shutil; shutil.rmtree(os.environ["NUMBA_CACHE_DIR"], ignore_errors=True)'
+
+clean: ## remove the environment and the tools' caches; results stay
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
