@@ -6,23 +6,62 @@ A plug-in is a pydantic model. Its fields are its YAML keys, its docstring is it
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from annotated_types import MaxLen, MinLen
+from pydantic import BaseModel, ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
+from pydantic.config import JsonDict
+from pydantic_core import ErrorDetails, InitErrorDetails
+
+from cqrun.explain import Loc, complaint, retold
 
 
 class Spec(BaseModel):
-    """A frozen part of a scene; unknown keys are errors."""
+    """A frozen part of a scene; unknown keys and text in place of numbers are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _complain_in_words(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        try:
+            return handler(data)
+        except ValidationError as error:
+            findings = [cls._retold(e) for e in error.errors(include_url=False)]
+            raise complaint(cls.__name__, findings) from None
+
+    @classmethod
+    def _retold(cls, error: ErrorDetails) -> InitErrorDetails:
+        """Tell a finding with what this model knows: its legal keys, the field's description and unit."""
+        name = str(error["loc"][0]) if error["loc"] else ""
+        if name not in cls.model_fields:
+            return retold(error, keys=cls.model_fields)
+        about = cls.model_fields[name].description or ""
+        return retold(error, about=about, unit=field_unit(cls, name))
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions, each with its place inside this part.
+
+        Vectors, the fields with 2 to 3 entries, are found here; parts inside this one are asked apart.
+        """
+        found: list[tuple[Loc, str]] = []
+        for name in type(self).model_fields:
+            value = getattr(self, name)
+            if is_vector(type(self), name) and isinstance(value, list) and len(value) != dim:
+                found.append(((name,), f"must have {dim} entries in this {dim}D world, has {len(value)}"))
+        return found
 
 
 class Plugin(Spec):
-    """A part of a scene that is chosen by name; `registry.plugin` sets `kind` and `name`."""
+    """A part of a scene that is chosen by name; `registry.plugin` sets `kind` and `name`.
+
+    `shorthand` names the field that a value which is no mapping stands for, if any.
+    """
 
     kind: ClassVar[str] = ""
     name: ClassVar[str] = ""
+    shorthand: ClassVar[str] = ""
 
 
 def quantity(unit: str, description: str, *, differentiable: bool = False, **constraints: Any) -> Any:
@@ -34,8 +73,23 @@ def quantity(unit: str, description: str, *, differentiable: bool = False, **con
         differentiable: the field may be an unknown: the engine's adjoint reaches it.
         constraints: pydantic's own (`gt`, `le`, `default`, ...).
     """
-    extra = {"unit": unit, "differentiable": differentiable}
+    extra: JsonDict = {"unit": unit, "differentiable": differentiable}
     return Field(description=f"{description} [{unit}]", json_schema_extra=extra, **constraints)
+
+
+def vector(unit: str, description: str, *, differentiable: bool = False, **constraints: Any) -> Any:
+    """Return a pydantic field for a `list[float]` with one entry a dimension of the world.
+
+    The scene checks the length against its world. Arguments as `quantity`.
+    """
+    limits = {"min_length": 2, "max_length": 3}
+    return quantity(unit, description, differentiable=differentiable, **limits, **constraints)
+
+
+def is_vector(spec: type[BaseModel], name: str) -> bool:
+    """Say whether a field holds one entry a dimension: a list of 2 to 3 entries."""
+    metadata = spec.model_fields[name].metadata
+    return MinLen(2) in metadata and MaxLen(3) in metadata
 
 
 def field_unit(spec: type[BaseModel], name: str) -> str | None:

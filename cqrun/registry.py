@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 FOLDERS = {
     "shape": "cqrun.geometry",
@@ -27,9 +27,9 @@ FOLDERS = {
 }
 """Where the plug-ins of each kind live."""
 
-_PLUGINS: dict[str, dict[str, type]] = {}
+_PLUGINS: dict[str, dict[str, type[Any]]] = {}
 
-T = TypeVar("T", bound=type)
+T = TypeVar("T", bound=type[Any])
 
 
 def plugin(kind: str, name: str) -> Callable[[T], T]:
@@ -48,7 +48,7 @@ def plugin(kind: str, name: str) -> Callable[[T], T]:
     return register
 
 
-def plugins(kind: str) -> dict[str, type]:
+def plugins(kind: str) -> dict[str, type[Any]]:
     """Return every plug-in of `kind` by name, importing its folder first."""
     package = importlib.import_module(FOLDERS[kind])
     for module in pkgutil.iter_modules(package.__path__):

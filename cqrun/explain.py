@@ -1,0 +1,120 @@
+"""What is wrong, in words: pydantic's findings retold as `what is wrong, what would be right`.
+
+Every `Spec` passes its findings through `retold`, so a scene, a plug-in and a Python call complain alike.
+The kind of finding says where to point: KEY at a key, MISSING at what lacks it, VALUE at a value.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
+
+KEY, MISSING, VALUE = "cqrun_key", "cqrun_missing", "cqrun_value"
+
+Loc = tuple[int | str, ...]
+
+_TYPES = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "list_type": "a list",
+    "dict_type": "a mapping `key: value`",
+    "model_type": "a mapping `key: value`",
+    "model_attributes_type": "a mapping `key: value`",
+    "finite_number": "a finite number",
+}
+_RANGES = {
+    "greater_than": ("gt", "greater than"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "less than"),
+    "less_than_equal": ("le", "at most"),
+}
+
+
+def suggest(name: str, legal: Iterable[str]) -> str:
+    """Return ` (did you mean 'x'?)` where a legal name is near, else an empty string."""
+    near = difflib.get_close_matches(str(name), list(legal), n=1)
+    return f" (did you mean '{near[0]}'?)" if near else ""
+
+
+def listed(names: Iterable[str], at_most: int = 20) -> str:
+    """Return names for a message: `a, b, c`."""
+    names = list(names)
+    more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
+    return ", ".join(names[:at_most]) + more if names else "none"
+
+
+def shown(value: Any) -> str:
+    """Return a value for a message, shortened."""
+    if isinstance(value, dict):
+        return "a mapping"
+    if value is None:
+        return "empty"
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def finding(
+    message: str, loc: Loc = (), *, kind: str = VALUE, involves: Iterable[str] = ()
+) -> InitErrorDetails:
+    """Return one finding for `complaint`.
+
+    Args:
+        message: what is wrong and what would be right.
+        loc: where, from the model that complains.
+        kind: KEY, MISSING or VALUE.
+        involves: keys beside `loc` that may be the cause as well.
+    """
+    context = {"message": message, "involves": tuple(involves)}
+    return InitErrorDetails(type=PydanticCustomError(kind, "{message}", context), loc=loc, input=None)
+
+
+def complaint(title: str, findings: list[InitErrorDetails]) -> ValidationError:
+    """Return the error for a validator to raise; pydantic puts the outer keys before each `loc`."""
+    return ValidationError.from_exception_data(title, findings)
+
+
+def retold(error: ErrorDetails, prefix: Loc = (), **hints: Any) -> InitErrorDetails:
+    """Return pydantic's finding in cqrun's words; one that is in them already only gains the prefix."""
+    loc, context = (*prefix, *error["loc"]), error.get("ctx", {})
+    if error["type"] in (KEY, MISSING, VALUE):
+        return finding(context["message"], loc, kind=error["type"], involves=context["involves"])
+    kind = {"missing": MISSING, "extra_forbidden": KEY}.get(error["type"], VALUE)
+    if loc and loc[-1] == "[key]":
+        kind, loc = KEY, loc[:-1]
+    return finding(_words(error, **hints), loc, kind=kind)
+
+
+def _words(error: ErrorDetails, *, keys: Iterable[str] = (), about: str = "", unit: str | None = None) -> str:
+    """Say what is wrong; `keys` are the legal ones, `about` and `unit` describe the field."""
+    kind, value, context = error["type"], error["input"], error.get("ctx", {})
+    if kind == "missing":
+        return f"is missing: {about}" if about else "is missing"
+    if kind == "extra_forbidden":
+        key = str(error["loc"][-1])
+        return f"unknown key{suggest(key, keys)}; keys here: {listed(keys)}"
+    if kind in _TYPES:
+        in_unit = f" in {unit}" if unit not in (None, "1") and kind == "float_type" else ""
+        return f"must be {_TYPES[kind]}{in_unit}, is {shown(value)}"
+    if kind in _RANGES:
+        key, relation = _RANGES[kind]
+        return f"must be {relation} {context[key]:g}, is {shown(value)}"
+    if kind in ("too_short", "too_long"):
+        short = kind == "too_short"
+        limit = f"at least {context['min_length']}" if short else f"at most {context['max_length']}"
+        return f"must have {limit} entries, has {context['actual_length']}"
+    if kind == "literal_error":
+        near = suggest(value, re.findall(r"'([^']*)'", context["expected"])) if isinstance(value, str) else ""
+        return f"must be {context['expected']}, is {shown(value)}{near}"
+    if kind in ("value_error", "assertion_error"):
+        return str(context["error"])
+    return f"{error['msg'][:1].lower()}{error['msg'][1:]}, is {shown(value)}"
