@@ -1,0 +1,75 @@
+"""The `cqrun` command: one Typer application, one file per command.
+
+Commands import what they need inside their function, so that help and completion stay quick.
+Exit codes: 0 done, 1 the run failed, 2 bad scene or usage, 75 stopped but resumable, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated, NoReturn
+
+import typer
+
+from cqrun import __version__
+from cqrun.cli.bench import bench
+from cqrun.cli.describe import describe
+from cqrun.cli.doctor import doctor
+from cqrun.cli.gradcheck import gradcheck
+from cqrun.cli.plot import plot
+from cqrun.cli.resume import resume
+from cqrun.cli.schema import schema
+from cqrun.cli.simulate import simulate
+from cqrun.cli.sysid import sysid
+from cqrun.cli.validate import validate
+from cqrun.cli.warmup import warmup
+from cqrun.errors import CqrunError, SceneError
+
+COMMANDS = (sysid, simulate, gradcheck, resume, validate, describe, schema, plot, bench, warmup, doctor)
+
+app = typer.Typer(
+    name="cqrun",
+    help="Differentiable soft-robot simulation: identify materials from motion, and check every gradient.",
+    epilog="Exit codes: 0 done, 1 failed, 2 bad scene or usage, 75 stopped but resumable, 130 interrupted.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for command in COMMANDS:
+    app.command()(command)
+
+
+def _print_version(wanted: bool) -> None:
+    if not wanted:
+        return
+    from importlib.metadata import version
+
+    others = ", ".join(f"{name} {version(name)}" for name in ("numba", "numpy", "scipy"))
+    typer.echo(f"cqrun {__version__} ({others}, Python {sys.version.split()[0]})")
+    raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", is_eager=True, callback=_print_version, help="Print versions and exit."),
+    ] = False,
+) -> None:
+    pass
+
+
+def main(arguments: list[str] | None = None) -> NoReturn:
+    """Run the command line and exit; every error that cqrun raises on purpose ends here.
+
+    Args:
+        arguments: without the program's name; those of the process if not given.
+    """
+    try:
+        app(arguments, prog_name="cqrun")
+    except CqrunError as error:
+        # a scene's problems start with file:line:column, which editors follow
+        prefix = "" if isinstance(error, SceneError) else "error: "
+        print(f"{prefix}{error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    raise AssertionError("typer ends the process itself")

@@ -1,0 +1,173 @@
+"""`cqrun describe`: the page of any part of a scene, from its own docstring and fields."""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from collections.abc import Iterator
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cqrun.errors import UsageError
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+    from pydantic.fields import FieldInfo
+
+LIMITS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
+
+
+def describe(
+    kind: Annotated[
+        str | None, typer.Argument(help="Such as elastic, or material for all of its kinds.")
+    ] = None,
+    name: Annotated[str | None, typer.Argument(help="Such as fixed_corotated.")] = None,
+) -> None:
+    """Show fields, units, defaults and formula of a part of a scene; with fewer words, a list."""
+    for line in _lines(kind, name):
+        typer.echo(line)
+
+
+def _lines(kind: str | None, name: str | None) -> Iterator[str]:
+    if kind is None:
+        yield "kinds (cqrun describe KIND [NAME]):"
+        yield from (f"  {k:14} {', '.join(_plugins(k))}" for k in _kinds())
+        return
+    found = [(k, n, cls) for k in _kinds_called(kind, name) for n, cls in _plugins(k).items()]
+    if name is None and not any(kind == n for _, n, _ in found):
+        yield from (f"{k} {n}: {_summary(cls)}" for k, n, cls in found)
+        return
+    wanted = name or kind
+    pages = [entry for entry in found if entry[1] == wanted]
+    if not pages:
+        from cqrun.explain import listed, suggest
+
+        names = [n for _, n, _ in found]
+        raise UsageError(
+            f"no {kind} is called '{wanted}'{suggest(wanted, names)}; there are: {listed(names)}"
+        )
+    for k, n, cls in pages:
+        yield from _page(k, n, cls)
+
+
+def _kinds() -> list[str]:
+    """Return the kinds whose folder exists."""
+    from cqrun.registry import FOLDERS
+
+    return [kind for kind, folder in FOLDERS.items() if find_spec(folder) is not None]
+
+
+def _plugins(kind: str) -> dict[str, Any]:
+    from cqrun.registry import plugins
+
+    return plugins(kind)
+
+
+def _kinds_called(word: str, name: str | None) -> list[str]:
+    """Return the kinds a word stands for: itself, its folder's, or those with a plug-in of that name."""
+    from cqrun.explain import listed, suggest
+    from cqrun.registry import FOLDERS
+
+    kinds = _kinds()
+    if word in kinds:
+        return [word]
+    in_folder = [k for k in kinds if FOLDERS[k].rpartition(".")[2] in (word, f"{word}s")]
+    if in_folder:
+        return in_folder
+    everything = {k: list(_plugins(k)) for k in kinds}
+    named = [k for k, names in everything.items() if word in names]
+    if named and name is None:
+        return named
+    near = suggest(word, [*kinds, *(n for names in everything.values() for n in names)])
+    raise UsageError(f"nothing is called '{word}'{near}; kinds: {listed(kinds)}")
+
+
+def _summary(cls: type) -> str:
+    return inspect.cleandoc(cls.__doc__ or "").partition("\n")[0]
+
+
+def _page(kind: str, name: str, cls: type[BaseModel]) -> Iterator[str]:
+    yield f"{kind}: {name}"
+    yield ""
+    yield from (f"  {line}".rstrip() for line in inspect.cleandoc(cls.__doc__ or "").splitlines())
+    yield ""
+    yield from _fields(cls, "")
+    yield ""
+
+
+def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
+    from pydantic import BaseModel
+
+    from cqrun.contract import field_unit, is_differentiable
+
+    if not cls.model_fields:
+        yield f"{indent}  no fields"
+    for name, info in cls.model_fields.items():
+        unit = field_unit(cls, name)
+        facts = [f"[{unit}]" if unit else "", _what(info), _range(info), _default(info)]
+        facts.append("differentiable" if is_differentiable(cls, name) else "")
+        yield f"{indent}  {name}: " + ", ".join(fact for fact in facts if fact)
+        text = (info.description or "").removesuffix(f" [{unit}]")
+        if text:
+            yield f"{indent}      {text}"
+        inner = [
+            part for part in _parts(info.annotation) if inspect.isclass(part) and issubclass(part, BaseModel)
+        ]
+        for spec in inner:
+            if spec is not cls:
+                yield from _fields(spec, indent + "    ")
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    """Yield an annotation and everything it is made of."""
+    yield annotation
+    for part in typing.get_args(annotation):
+        yield from _parts(part)
+
+
+def _choices(info: FieldInfo) -> list[str]:
+    """Return the kinds of plug-in a field chooses from."""
+    from cqrun.choice import Choice
+
+    marks = [*info.metadata, *_parts(info.annotation)]
+    marks += [mark for part in marks for mark in getattr(part, "__metadata__", ())]
+    return list(dict.fromkeys(mark.kind for mark in marks if isinstance(mark, Choice)))
+
+
+def _what(info: FieldInfo) -> str:
+    """Say what kind of value a field takes, in a scene's words."""
+    chosen = _choices(info)
+    several = any(
+        part in (list, dict) or typing.get_origin(part) in (list, dict) for part in _parts(info.annotation)
+    )
+    if chosen:
+        what = " or ".join(chosen)
+        return f"{'several of' if several else 'choice of'} {what} (cqrun describe {chosen[0]})"
+    words = [
+        str(value)
+        for part in _parts(info.annotation)
+        if typing.get_origin(part) is typing.Literal
+        for value in typing.get_args(part)
+    ]
+    names = {float: "number", int: "whole number", bool: "true or false", str: "text"}
+    words += list(dict.fromkeys(names[part] for part in _parts(info.annotation) if part in names))
+    return ("list of " if several else "") + " | ".join(words)
+
+
+def _range(info: FieldInfo) -> str:
+    limits = [
+        f"{sign} {getattr(mark, key):g}"
+        for key, sign in LIMITS
+        for mark in info.metadata
+        if hasattr(mark, key)
+    ]
+    return " and ".join(limits)
+
+
+def _default(info: FieldInfo) -> str:
+    if info.is_required():
+        return "required"
+    default = info.get_default() if info.default_factory is None else None
+    return "optional" if default is None else f"default {default}"

@@ -1,0 +1,25 @@
+"""`cqrun gradcheck`: compare a scene's gradient with differences."""
+
+from __future__ import annotations
+
+import typer
+
+from cqrun.cli.options import DEFAULT_OUT, Fresh, Out, Overrides, Quiet, Scene, Threads
+
+
+def gradcheck(
+    scene: Scene,
+    overrides: Overrides = None,
+    out: Out = DEFAULT_OUT,
+    fresh: Fresh = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare a scene's gradient with finite differences over a scan of steps; exit 1 if they disagree."""
+    from cqrun.cli.progress import reporting
+    from cqrun.jobs.gradcheck import run_gradcheck
+
+    with reporting(quiet) as reporter:
+        agrees = run_gradcheck(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
+    if not agrees:
+        raise typer.Exit(1)

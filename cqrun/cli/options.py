@@ -1,0 +1,23 @@
+"""The options that commands share, spelt once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+DEFAULT_OUT = Path("results")
+
+Scene = Annotated[Path, typer.Argument(help="Scene file (YAML).", show_default=False)]
+Run = Annotated[Path, typer.Argument(help="Run directory, as printed by the run.", show_default=False)]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("-o", "--override", metavar="KEY=VALUE", help="Replace a value of the scene (repeatable)."),
+]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where run directories are made.")]
+Fresh = Annotated[bool, typer.Option("--fresh", help="Start over, even if this run exists.")]
+Threads = Annotated[
+    int | None, typer.Option("--threads", min=1, metavar="N", help="Threads to use; all cores if not given.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; results and warnings only.")]

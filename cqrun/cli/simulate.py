@@ -1,0 +1,23 @@
+"""`cqrun simulate`: run a scene forward."""
+
+from __future__ import annotations
+
+from cqrun.cli.options import DEFAULT_OUT, Fresh, Out, Overrides, Quiet, Scene, Threads
+
+
+def simulate(
+    scene: Scene,
+    overrides: Overrides = None,
+    out: Out = DEFAULT_OUT,
+    fresh: Fresh = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Run a scene forward and keep its trajectory (HDF5; ParaView opens it)."""
+    from cqrun.cli.progress import reporting
+    from cqrun.cli.results import print_run
+    from cqrun.jobs.simulate import run_simulate
+
+    with reporting(quiet) as reporter:
+        run = run_simulate(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
+    print_run(run)

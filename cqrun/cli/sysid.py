@@ -1,0 +1,26 @@
+"""`cqrun sysid`: find a scene's unknowns from data."""
+
+from __future__ import annotations
+
+from cqrun.cli.options import DEFAULT_OUT, Fresh, Out, Overrides, Quiet, Scene, Threads
+
+
+def sysid(
+    scene: Scene,
+    overrides: Overrides = None,
+    out: Out = DEFAULT_OUT,
+    fresh: Fresh = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Identify a scene's unknowns from its data, with intervals.
+
+    The same command again continues the run, or says that it is finished.
+    """
+    from cqrun.cli.progress import reporting
+    from cqrun.cli.results import print_run
+    from cqrun.jobs.sysid import run_sysid
+
+    with reporting(quiet) as reporter:
+        run = run_sysid(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
+    print_run(run)
