@@ -1,0 +1,30 @@
+"""A shape with others cut out of it."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.geometry.shape import ChosenShape, Shape
+from cqrun.registry import plugin
+
+
+@plugin("shape", "difference")
+class Difference(Shape):
+    """The points of the first shape that none of the others holds: `difference: [shape, hole, ...]`."""
+
+    shorthand: ClassVar[str] = "shapes"
+
+    shapes: list[ChosenShape] = Field(description="A shape, then what is cut out of it", min_length=2)
+
+    def inside(self, points: Array) -> Array:
+        first, *holes = (part.value for part in self.shapes)
+        result = first.inside(points)
+        for hole in holes:
+            result &= ~hole.inside(points)
+        return result
+
+    def bounds(self) -> tuple[Array, Array]:
+        return self.shapes[0].value.bounds()

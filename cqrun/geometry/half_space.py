@@ -1,0 +1,43 @@
+"""A half-space: everything behind a plane."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator
+
+from cqrun.contract import Array, vector
+from cqrun.geometry.shape import Shape
+from cqrun.registry import plugin
+
+
+def _unit(normal: list[float]) -> list[float]:
+    """Return the vector with length 1, unchanged to the last bit where it has that length already."""
+    length = float(np.linalg.norm(normal))
+    if length == 0:
+        raise ValueError("must not be zero: it points out of the half-space")
+    return normal if abs(length - 1) <= 1e-15 else [component / length for component in normal]
+
+
+@plugin("shape", "half_space")
+class HalfSpace(Shape):
+    """Everything behind a plane (2D: a line): (x - point) . normal <= 0; the normal points out of it."""
+
+    point: list[float] = vector("m", "A point of the plane")
+    normal: Annotated[list[float], AfterValidator(_unit)] = vector("1", "Outward normal, made unit")
+
+    def inside(self, points: Array) -> Array:
+        return (points - np.array(self.point)) @ np.array(self.normal) <= 0
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the bounds: infinite, but on the plane's side where the normal is along an axis."""
+        lower, upper = np.full(len(self.point), -np.inf), np.full(len(self.point), np.inf)
+        along = np.flatnonzero(self.normal)
+        if len(along) == 1:
+            axis = along[0]
+            (upper if self.normal[axis] > 0 else lower)[axis] = self.point[axis]
+        return lower, upper
+
+    def volume(self) -> float:
+        return float("inf")

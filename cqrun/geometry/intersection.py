@@ -1,0 +1,28 @@
+"""An intersection of shapes."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.geometry.shape import ChosenShape, Shape
+from cqrun.registry import plugin
+
+
+@plugin("shape", "intersection")
+class Intersection(Shape):
+    """The points that all of its shapes hold: `intersection: [shape, ...]`."""
+
+    shorthand: ClassVar[str] = "shapes"
+
+    shapes: list[ChosenShape] = Field(description="Shapes that must all hold a point", min_length=1)
+
+    def inside(self, points: Array) -> Array:
+        return np.all([part.value.inside(points) for part in self.shapes], axis=0)
+
+    def bounds(self) -> tuple[Array, Array]:
+        lower, upper = zip(*(part.value.bounds() for part in self.shapes), strict=True)
+        return np.max(lower, axis=0), np.min(upper, axis=0)

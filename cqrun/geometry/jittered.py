@@ -1,0 +1,26 @@
+"""Particles on a lattice, each moved at random inside its cell."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array, quantity
+from cqrun.geometry.sampling import Sampling
+from cqrun.geometry.shape import Shape, lattice_points
+from cqrun.registry import plugin
+
+
+@plugin("sampling", "jittered")
+class Jittered(Sampling):
+    """The lattice, each particle moved by up to amount/2 spacings along every axis; volume spacing^D each."""
+
+    amount: float = quantity("1", "Width of the move in spacings", ge=0, le=1, default=0.5)
+    seed: int = Field(description="Seed of the moves", ge=0, default=0)
+
+    def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:
+        assert spacing is not None
+        points = lattice_points(shape, spacing)
+        reach = 0.5 * self.amount * spacing
+        moves = np.random.default_rng(self.seed).uniform(-reach, reach, points.shape)
+        return points + moves, np.full(len(points), spacing ** points.shape[1])

@@ -1,0 +1,40 @@
+"""Particles at random places."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.geometry.sampling import Sampling
+from cqrun.geometry.shape import MAX_POINTS, Shape, finite_bounds
+from cqrun.registry import plugin
+
+_BATCH = 4096
+
+
+@plugin("sampling", "random")
+class Random(Sampling):
+    """`count` particles, uniform in the shape and independent; volume: the shape's own over count."""
+
+    needs_spacing: ClassVar[bool] = False
+
+    count: int = Field(description="How many particles", ge=1, le=MAX_POINTS)
+    seed: int = Field(description="Seed of the places", ge=0, default=0)
+
+    def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:
+        lower, upper = finite_bounds(shape)
+        rng = np.random.default_rng(self.seed)
+        kept: list[Array] = []
+        found, tried = 0, 0
+        while found < self.count:
+            trial = rng.uniform(lower, upper, (_BATCH, len(lower)))
+            kept.append(trial[shape.inside(trial)])
+            found, tried = found + len(kept[-1]), tried + _BATCH
+            if found < 1e-5 * tried and tried >= 1_000_000:
+                raise UsageError(f"the {shape.name} fills less than 1e-5 of its bounds; is it empty?")
+        points = np.concatenate(kept)[: self.count]
+        return points, np.full(self.count, shape.volume() / self.count)

@@ -1,0 +1,33 @@
+"""What every sampling is: a way to fill a shape with particles."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated, ClassVar
+
+from cqrun.choice import Choice, Chosen
+from cqrun.contract import Array, Plugin
+from cqrun.geometry.shape import Shape
+
+
+class Sampling(Plugin):
+    """A way to fill a shape with particles; the same settings give the same particles to the bit."""
+
+    needs_spacing: ClassVar[bool] = True
+    """Whether the body must say how far apart particles are."""
+
+    @abstractmethod
+    def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:
+        """Return positions (N, D) [m] and volumes (N,) [m^3; 2D: m^2].
+
+        Args:
+            shape: what to fill.
+            spacing: distance between particles [m]; None for samplings that do not need it.
+
+        Raises:
+            UsageError: the shape cannot be filled.
+        """
+
+
+ChosenSampling = Annotated[Chosen[Sampling], Choice("sampling")]
+"""Type of a field that holds any sampling."""

@@ -1,0 +1,75 @@
+"""What every shape is: a closed set of points that knows its bounds and its volume."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated
+
+import numpy as np
+
+from cqrun.choice import Choice, Chosen
+from cqrun.contract import Array, Plugin
+from cqrun.errors import UsageError
+
+_COUNTING_CELLS = 2_000_000
+"""About the number of cells that measure a shape without a formula: an error near 1e-4 of its bounds."""
+
+MAX_POINTS = 20_000_000
+"""More lattice points than this are a mistyped spacing."""
+
+
+class Shape(Plugin):
+    """A region of space, in world coordinates at the start (material coordinates)."""
+
+    @abstractmethod
+    def inside(self, points: Array) -> Array:
+        """Return which points (N, D) [m] the shape holds, its surface included: (N,) bool."""
+
+    @abstractmethod
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the lower and upper corner (D,) [m] of an axis-aligned box around the shape."""
+
+    def volume(self) -> float:
+        """Return the volume [m^3] (2D: area [m^2]), counted on a fine lattice unless a formula is known."""
+        lower, upper = finite_bounds(self)
+        size = upper - lower
+        spacing = float(np.prod(size) / _COUNTING_CELLS) ** (1 / len(size))
+        counts = 4 * np.ceil(size / (4 * spacing)).astype(int)  # fits faces on the bounds and halfway
+        return float(self.inside(_lattice(lower, size / counts, counts)).mean() * np.prod(size))
+
+
+ChosenShape = Annotated[Chosen[Shape], Choice("shape")]
+"""Type of a field that holds any shape."""
+
+
+def lattice_points(shape: Shape, spacing: float) -> Array:
+    """Return the points (N, D) [m] at (k + 1/2) * spacing from the lower corner that lie in the shape.
+
+    Raises:
+        UsageError: the shape is unbounded, or the lattice is far too fine for it.
+    """
+    lower, upper = finite_bounds(shape)
+    counts = np.ceil((upper - lower) / spacing * (1 - 1e-12))  # a last cell that is rounding's alone is none
+    if np.prod(counts) > MAX_POINTS:
+        raise UsageError(
+            f"a spacing of {spacing:g} m puts {np.prod(counts):.3g} lattice points around the {shape.name}; "
+            f"at most {MAX_POINTS:.0e} are made: check the units of spacing, dx and the shape"
+        )
+    points = _lattice(lower, np.full(len(lower), spacing), counts.astype(int))
+    return points[shape.inside(points)]
+
+
+def _lattice(lower: Array, spacing: Array, counts: Array) -> Array:
+    """Return centres (prod(counts), D) [m] of `counts` (D,) cells of size `spacing` (D,) from a corner."""
+    axes = [low + (np.arange(n) + 0.5) * h for low, h, n in zip(lower, spacing, counts, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(lower))
+
+
+def finite_bounds(shape: Shape) -> tuple[Array, Array]:
+    """Return the bounds of a shape that can be filled; UsageError where it has no end or no content."""
+    lower, upper = shape.bounds()
+    if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
+        raise UsageError(f"the {shape.name} has no end; intersect it with a box to fill it with particles")
+    if (upper <= lower).any():
+        raise UsageError(f"the {shape.name} is empty: its parts do not meet")
+    return lower, upper

@@ -1,0 +1,39 @@
+"""A union of shapes, optionally scaled and moved as one."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array, quantity, vector
+from cqrun.geometry.shape import ChosenShape, Shape
+from cqrun.registry import plugin
+
+
+@plugin("shape", "union")
+class Union(Shape):
+    """All points of any of its shapes: `union: [shape, ...]`.
+
+    `union: {shapes: [...], scale: 0.2, offset: [...]}` describes the parts in units of their own:
+    world = scale * local + offset. Parts that overlap are filled once: one lattice goes through all.
+    """
+
+    shorthand: ClassVar[str] = "shapes"
+
+    shapes: list[ChosenShape] = Field(description="Shapes, in local coordinates", min_length=1)
+    scale: float = quantity("1", "World lengths for one of local length", gt=0, default=1.0)
+    offset: list[float] | None = vector("m", "World position of the local origin", default=None)
+
+    def inside(self, points: Array) -> Array:
+        local = (points - self._origin()) / self.scale
+        return np.any([part.value.inside(local) for part in self.shapes], axis=0)
+
+    def bounds(self) -> tuple[Array, Array]:
+        lower, upper = zip(*(part.value.bounds() for part in self.shapes), strict=True)
+        origin = self._origin()
+        return self.scale * np.min(lower, axis=0) + origin, self.scale * np.max(upper, axis=0) + origin
+
+    def _origin(self) -> Array | float:
+        return 0.0 if self.offset is None else np.array(self.offset)

@@ -1,0 +1,31 @@
+"""Units that a scene may use beside SI: lengths of recordings and amounts of memory."""
+
+from __future__ import annotations
+
+import re
+
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Metres in one of each unit that a recording may be written in."""
+
+_BYTES = {
+    "B": 1,
+    "kB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12,
+    "KiB": 2**10, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40,
+}  # fmt: skip
+_AMOUNT = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([A-Za-z]+)")
+
+
+def parse_bytes(text: str) -> int:
+    """Return the bytes in `2GiB`, `500 MB`, ...; ValueError says what is legal."""
+    match = _AMOUNT.fullmatch(text.strip())
+    if match is None or match[2] not in _BYTES:
+        raise ValueError(f"must be an amount of memory such as 2GiB or 500MB, is '{text}'")
+    return round(float(match[1]) * _BYTES[match[2]])
+
+
+def format_bytes(count: float) -> str:
+    """Return bytes for a message: `1.5 GiB`."""
+    for unit in ("TiB", "GiB", "MiB", "KiB"):
+        if count >= _BYTES[unit]:
+            return f"{count / _BYTES[unit]:.3g} {unit}"
+    return f"{count:.0f} B"

@@ -1,0 +1,96 @@
+"""Samplings: where particles lie, what they weigh, and that they repeat to the bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cqrun.errors import UsageError
+from cqrun.geometry.box import Box
+from cqrun.geometry.shape import Shape
+from cqrun.registry import plugins
+
+
+def make(kind: str, name: str, **fields: Any) -> Any:
+    return plugins(kind)[name].model_validate(fields)
+
+
+@pytest.fixture
+def box() -> Box:
+    return Box(corner=[0.1, 0.2], size=[0.4, 0.2])
+
+
+def chain() -> Shape:
+    boxes = [{"box": {"corner": [x, 0.0], "size": [1.0, 1.0]}} for x in (0.0, 0.5, 1.5)]
+    return make("shape", "union", shapes=boxes)
+
+
+def test_lattice_points_stand_at_half_spacings_from_the_corner(box: Box) -> None:
+    points, volume = make("sampling", "lattice").sample(box, 0.1)
+    assert points == pytest.approx(np.array([[x, y] for x in (0.15, 0.25, 0.35, 0.45) for y in (0.25, 0.35)]))
+    assert volume == pytest.approx(np.full(8, 0.01))
+    assert volume.sum() == pytest.approx(box.volume())
+
+
+def test_union_on_one_lattice_samples_overlaps_once() -> None:
+    points, volume = make("sampling", "lattice").sample(chain(), 0.25)
+    assert len(points) == 40
+    assert len(np.unique(points.round(9), axis=0)) == 40
+    assert volume.sum() == pytest.approx(2.5)
+
+
+def test_scaled_union_is_the_local_one_scaled() -> None:
+    local = chain()
+    parts = local.model_dump()["shapes"]
+    world = make("shape", "union", shapes=[{"union": parts}], scale=0.2, offset=[3, 4])
+    a, va = make("sampling", "lattice").sample(local, 0.25)
+    b, vb = make("sampling", "lattice").sample(world, 0.05)
+    assert b == pytest.approx(0.2 * a + [3, 4])
+    assert vb == pytest.approx(0.04 * va)
+
+
+def test_jitter_stays_in_its_cell_and_repeats(box: Box) -> None:
+    regular, _ = make("sampling", "lattice").sample(box, 0.05)
+    moved, volume = make("sampling", "jittered", amount=0.5, seed=3).sample(box, 0.05)
+    assert 0.01 < np.abs(moved - regular).max() <= 0.25 * 0.05
+    assert volume.sum() == pytest.approx(box.volume())
+    again, _ = make("sampling", "jittered", amount=0.5, seed=3).sample(box, 0.05)
+    other, _ = make("sampling", "jittered", amount=0.5, seed=4).sample(box, 0.05)
+    assert (moved == again).all()
+    assert (moved != other).any()
+    still, _ = make("sampling", "jittered", amount=0.0).sample(box, 0.05)
+    assert (still == regular).all()
+
+
+def test_random_is_uniform_in_the_shape_and_shares_its_volume() -> None:
+    ball = make("shape", "ball", center=[1, 2, 3], radius=0.5)
+    points, volume = make("sampling", "random", count=20_000, seed=1).sample(ball, None)
+    assert points.shape == (20_000, 3)
+    assert ball.inside(points).all()
+    assert volume.sum() == pytest.approx(ball.volume())
+    # uniform in a ball: the mean squared distance from the centre is 3/5 r^2
+    assert ((points - [1, 2, 3]) ** 2).sum(axis=1).mean() == pytest.approx(0.6 * 0.25, rel=0.02)
+    again, _ = make("sampling", "random", count=20_000, seed=1).sample(ball, None)
+    assert (points == again).all()
+
+
+@pytest.mark.parametrize("sampling", [make("sampling", "lattice"), make("sampling", "random", count=9)])
+def test_what_cannot_be_filled_is_refused(sampling: Any) -> None:
+    with pytest.raises(UsageError, match="half_space has no end"):
+        sampling.sample(make("shape", "half_space", point=[0, 0], normal=[0, 1]), 0.1)
+    apart = [{"ball": {"center": [x, 0], "radius": 0.4}} for x in (0, 1)]
+    with pytest.raises(UsageError, match="intersection is empty"):
+        sampling.sample(make("shape", "intersection", shapes=apart), 0.1)
+
+
+def test_a_mistyped_spacing_is_refused_before_memory_runs_out(box: Box) -> None:
+    with pytest.raises(UsageError, match="check the units"):
+        make("sampling", "lattice").sample(box, 1e-6)
+
+
+def test_a_shape_without_content_inside_its_bounds_is_refused() -> None:
+    hollow = make("shape", "difference", shapes=[{"ball": {"center": [0, 0], "radius": r}} for r in (1, 2)])
+    with pytest.raises(UsageError, match="is it empty"):
+        make("sampling", "random", count=9).sample(hollow, None)

@@ -1,0 +1,119 @@
+"""Shapes: what they hold, their bounds, their volumes against a count of random points."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from cqrun.choice import Choice, Chosen
+from cqrun.geometry.shape import Shape
+from cqrun.registry import plugins
+
+DISC = {"ball": {"center": [0, 1], "radius": 1}}
+SQUARE = {"box": {"corner": [0, 1], "size": [1, 1]}}
+SPHERE = {"ball": {"center": [0, 0, 0], "radius": 1}}
+BELOW = {"half_space": {"point": [0, 0, 0.25], "normal": [0, 0, 2]}}
+BAR = {"start": [0, 0, 0], "end": [1, 0.5, 0.2], "radius": 0.3}
+CASES: dict[str, tuple[int, dict[str, Any]]] = {
+    "box": (3, {"box": {"corner": [0.1, 0, -1], "size": [1, 2, 0.5]}}),
+    "rectangle": (2, {"box": {"corner": [0.1, 0], "size": [1, 2]}}),
+    "ball": (3, {"ball": {"center": [1, 2, 3], "radius": 0.5}}),
+    "disc": (2, {"ball": {"center": [1, 2], "radius": 0.5}}),
+    "capsule": (3, {"capsule": BAR}),
+    "stadium": (2, {"capsule": {"start": [0, 0], "end": [1, 0.5], "radius": 0.3}}),
+    "cylinder": (3, {"cylinder": BAR}),
+    "polygon": (2, {"polygon": {"points": [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]}}),
+    "union": (2, {"union": [DISC, SQUARE]}),
+    "scaled": (2, {"union": {"shapes": [DISC], "scale": 0.2, "offset": [3, 4]}}),
+    "difference": (2, {"difference": [{"box": {"corner": [-1, 0], "size": [2, 1]}}, DISC]}),
+    "intersection": (3, {"intersection": [SPHERE, BELOW]}),
+}
+EXACT = {"scaled": 0.04 * np.pi, "polygon": 3.0, "difference": 2 - np.pi / 2, "union": 1 + 0.75 * np.pi}
+
+
+def shape(data: dict[str, Any]) -> Shape:
+    value: Shape = TypeAdapter(Annotated[Chosen[Shape], Choice("shape")]).validate_python(data).value
+    return value
+
+
+def test_every_shape_has_a_case() -> None:
+    assert set(plugins("shape")) == {next(iter(data)) for _, data in CASES.values()} | {"half_space"}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bounds_hold_the_shape_tightly_and_volume_is_its_measure(name: str, rng: np.random.Generator) -> None:
+    dim, data = CASES[name]
+    body = shape(data)
+    lower, upper = body.bounds()
+    assert lower.shape == upper.shape == (dim,)
+    margin = 0.3 * (upper - lower)
+    points = rng.uniform(lower - margin, upper + margin, (200_000, dim))
+    inside = body.inside(points)
+    assert inside.shape == (200_000,)
+    assert inside.dtype == bool
+    held = points[inside]
+    assert (held >= lower).all()
+    assert (held <= upper).all()
+    # 2D shapes reach their bounds closely; in 3D few points fall near a pole
+    assert np.allclose(held.min(axis=0), lower, atol=0.06 * np.max(upper - lower))
+    assert np.allclose(held.max(axis=0), upper, atol=0.06 * np.max(upper - lower))
+    fraction = inside.mean()
+    error = np.prod(upper - lower + 2 * margin) * np.sqrt(fraction * (1 - fraction) / len(points))
+    measured = fraction * np.prod(upper - lower + 2 * margin)
+    assert body.volume() == pytest.approx(measured, abs=4 * error)
+    if name in EXACT:
+        assert body.volume() == pytest.approx(EXACT[name], rel=2e-4)
+
+
+def test_a_box_holds_nodes_on_its_faces_however_they_are_rounded() -> None:
+    box = shape({"box": {"corner": [0.0, 0.0], "size": [0.3, 1.0]}})
+    assert box.inside(np.array([[0.1 + 0.2, 0.5]])).all()
+    assert not box.inside(np.array([[0.3 + 1e-8, 0.5]])).any()
+
+
+def test_a_half_space_lies_behind_its_normal() -> None:
+    ground = shape({"half_space": {"point": [0, 1], "normal": [0, 3]}})
+    assert ground.inside(np.array([[9, 0.5], [9, 1.5]])).tolist() == [True, False]
+    assert [side.tolist() for side in ground.bounds()] == [[-np.inf, -np.inf], [np.inf, 1.0]]
+    slope = shape({"half_space": {"point": [0, 1], "normal": [1, 1]}})
+    assert np.isinf(slope.bounds()).all()
+
+
+def test_polygon_crossing_itself_follows_the_even_odd_rule() -> None:
+    bow = shape({"polygon": {"points": [[0, 0], [2, 2], [2, 0], [0, 2]]}})
+    points = np.array([[0.25, 1.0], [1.75, 1.0], [1.0, 0.5], [1.0, 1.5]])
+    assert bow.inside(points).tolist() == [True, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"box": {"corner": [0, 0], "size": [1, 0]}}, "must be greater than 0, is 0"),
+        ({"ball": {"center": [0, 0], "radius": -1}}, "must be greater than 0, is -1"),
+        ({"capsule": {"start": [0, 0], "end": [0, 0], "radius": 1}}, "must differ from start"),
+        ({"capsule": {"start": [0, 0], "end": [0, 0, 1], "radius": 1}}, "as many entries as start"),
+        ({"half_space": {"point": [0, 0], "normal": [0, 0]}}, "must not be zero"),
+        ({"polygon": {"points": [[0, 0], [1, 1]]}}, "must have at least 3 entries, has 2"),
+        ({"difference": [{"ball": {"center": [0, 0], "radius": 1}}]}, "must have at least 2 entries, has 1"),
+        ({"bal": {}}, "did you mean 'ball'?"),
+        ({}, "must name exactly one of ball, box, capsule"),
+        ("ball", "must be a mapping `name: {...}`"),
+    ],
+)
+def test_what_is_no_shape_is_refused(data: Any, message: str) -> None:
+    with pytest.raises(ValidationError) as info:
+        shape(data)
+    assert message in info.value.errors()[0]["msg"]
+
+
+def test_dimensions_are_reported_with_their_place() -> None:
+    box = shape({"box": {"corner": [0, 0], "size": [1, 1, 1]}})
+    assert box.dim_problems(3) == [(("corner",), "must have 3 entries in this 3D world, has 2")]
+    assert box.dim_problems(2)[0][0] == ("size",)
+    assert "needs a 3D world" in shape(CASES["cylinder"][1]).dim_problems(2)[0][1]
+    assert shape(CASES["cylinder"][1]).dim_problems(3) == []
+    assert "needs a 2D world" in shape(CASES["polygon"][1]).dim_problems(3)[0][1]
+    assert shape(CASES["polygon"][1]).dim_problems(2) == []
