@@ -1,0 +1,75 @@
+"""Muscle: an active stress in material space, tau = F S F^T (CQ1, P = P_el + F S).
+
+S is symmetric; an axis n with strength s [Pa] and activation a gives S = a s n n^T, and `isotropic` S = a s I.
+A positive activation is a tension: it contracts the body along the axis. The papers call F S F^T a Cauchy
+stress; since it is multiplied by the rest volume it is a Kirchhoff stress, and S a second Piola-Kirchhoff one.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from cqrun.contract import Array
+from cqrun.materials.term import register, zeros_like_rows
+from cqrun.tensor import add, mul, mul_at, mul_bt, symmetric
+
+
+class Kernel(NamedTuple):
+    """What kernels see: rows S_ij (D * (D + 1) / 2: diagonal first) [Pa], filled from the activations."""
+
+    theta: Array
+    rows: tuple[int, ...]
+
+
+def stress(term: Any, theta: Any, F: Any, C: Any) -> Any:
+    """Return tau."""
+    return mul_bt(mul(F, from_rows(theta)), F)
+
+
+def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, C_bar)."""
+    S = from_rows(theta)
+    F_bar = mul(add(mul(tau_bar, F), mul_at(tau_bar, F)), S)
+    return to_rows_vjp(symmetric(mul(mul_at(F, tau_bar), F))), F_bar, zeros_like_rows(F)
+
+
+def symmetric_rows(S: Array) -> Array:
+    """Return the rows (D (D + 1) / 2,) of a symmetric matrix (D, D): diagonal first, then 01 (02 12)."""
+    pairs = [(0, 1)] if len(S) == 2 else [(0, 1), (0, 2), (1, 2)]
+    return np.array([*np.diag(S), *(S[i, j] for i, j in pairs)])
+
+
+_FROM = {
+    3: lambda s: (s[0], s[2], s[2], s[1]),
+    6: lambda s: (s[0], s[3], s[4], s[3], s[1], s[5], s[4], s[5], s[2]),
+}
+_TO = {
+    4: lambda S: (S[0], S[3], S[1] * 2.0),
+    9: lambda S: (S[0], S[4], S[8], S[1] * 2.0, S[2] * 2.0, S[5] * 2.0),
+}
+
+
+def from_rows(s: Any) -> Any:
+    """Return the full symmetric matrix of its rows."""
+    return _FROM[len(s)](s)
+
+
+def to_rows_vjp(S_bar: Any) -> Any:
+    """Return the cotangents of the rows for a symmetric S_bar: an off-diagonal row counts twice."""
+    return _TO[len(S_bar)](S_bar)
+
+
+@overload(from_rows)
+def _from_rows(s):
+    return _FROM[len(s)]
+
+
+@overload(to_rows_vjp)
+def _to_rows_vjp(S_bar):
+    return _TO[len(S_bar)]
+
+
+register(Kernel, stress, stress_vjp)

@@ -1,0 +1,83 @@
+"""How kernels are compiled, and how threads run them side by side.
+
+Every thread runs the same compiled loop over substeps and takes its share of each pass; between passes
+they meet at a barrier of two atomic counters. Against `prange` this compiles several times faster, lets a
+kernel take nested tuples, costs nothing on one thread, and yields the core while it waits (an OpenMP
+barrier spins: on a shared machine that is ten times slower). What a thread computes does not depend on how
+many there are, so results are the same bits for any number.
+
+`fastmath` is `contract` (fused multiply-add) alone: `nnan` and `ninf` would delete the non-finite guards.
+`error_model="numpy"` leaves no hidden exception; an exception in one thread would leave the others waiting.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import njit
+from numba.core import types
+from numba.extending import intrinsic, overload
+
+kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+"""Decorator of every compiled function of the engine."""
+
+SPINS = 2000
+"""Looks at the barrier before a waiting thread offers its core to others."""
+
+
+def _cell(context: Any, builder: Any, array_type: Any, array: Any, k: Any) -> Any:
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.gep(data, [k])
+
+
+@intrinsic
+def _atomic_add(typingctx: Any, a: Any, k: Any, value: Any) -> Any:
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        pointer = _cell(context, builder, a, args[0], args[1])
+        return builder.atomic_rmw("add", pointer, args[2], "seq_cst")
+
+    return types.int64(a, types.intp, types.int64), codegen
+
+
+@intrinsic
+def _pause(typingctx: Any) -> Any:
+    """Offer the core to another thread."""
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        kind = ir.FunctionType(ir.IntType(32), [])
+        function = builder.module.globals.get("sched_yield")
+        if function is None:
+            function = ir.Function(builder.module, kind, "sched_yield")
+        builder.call(function, [])
+        return context.get_dummy_value()
+
+    return types.none(), codegen
+
+
+def barrier(counters: Any, n_threads: int) -> None:
+    """Wait until all threads have come here. `counters`: int64 zeros (2,), shared."""
+
+
+@overload(barrier)
+def _barrier(counters, n_threads):
+    def wait(counters, n_threads):
+        if n_threads > 1:
+            generation = _atomic_add(counters, 1, 0)
+            if _atomic_add(counters, 0, 1) == n_threads - 1:
+                _atomic_add(counters, 0, -n_threads)
+                _atomic_add(counters, 1, 1)
+            else:
+                looks = 0
+                while _atomic_add(counters, 1, 0) == generation:
+                    looks += 1
+                    if looks > SPINS:
+                        _pause()
+
+    return wait
+
+
+@kernel
+def share(n: int, thread: int, n_threads: int) -> tuple[int, int]:
+    """Return the range of 0 .. n that falls to one thread."""
+    return n * thread // n_threads, n * (thread + 1) // n_threads

@@ -1,0 +1,76 @@
+"""Fixed corotated elasticity: P = 2 mu (F - R) + lam (J - 1) J F^-T  (CQ2 eq 12; Stomakhin et al. 2012).
+
+tau = P F^T = 2 mu (F - R) F^T + lam (J - 1) J I, from the energy mu |F - R|^2 + lam/2 (J - 1)^2.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple
+
+from cqrun.contract import Array, quantity
+from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus
+from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
+from cqrun.polar import polar, polar_vjp
+from cqrun.registry import plugin
+from cqrun.tensor import (
+    add,
+    cofactor,
+    det,
+    inner,
+    mul,
+    mul_at,
+    mul_bt,
+    plus_diagonal,
+    scale,
+    sub,
+    trace,
+)
+
+
+class Kernel(NamedTuple):
+    """What kernels see: rows E [Pa], nu."""
+
+    theta: Array
+    rows: tuple[int, int]
+
+
+@plugin("elastic", "fixed_corotated")
+class FixedCorotated(MaterialTerm):
+    """Fixed corotated elasticity, P = 2 mu (F - R) + lam (J - 1) J F^-T (CQ2 eq 12).
+
+    Robust under large rotations and inversion; the default of both ChainQueen papers' software.
+    """
+
+    parameters: ClassVar[tuple[str, ...]] = ("youngs_modulus", "poissons_ratio")
+    youngs_modulus: float = quantity("Pa", "Young's modulus E", differentiable=True, gt=0)
+    poissons_ratio: float = quantity("1", "Poisson's ratio nu", differentiable=True, gt=-1, lt=0.5)
+
+    def kernel_term(self, theta: Array) -> Kernel:
+        return Kernel(theta, (0, 0))
+
+    wave_modulus = staticmethod(p_wave_modulus)
+
+
+def stress(term: Any, theta: Any, F: Any, C: Any) -> Any:
+    """Return tau."""
+    mu, lam = lame(theta[0], theta[1])
+    J = det(F)
+    return plus_diagonal(scale(mul_bt(sub(F, polar(F)), F), 2.0 * mu), lam * (J - 1.0) * J)
+
+
+def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, C_bar)."""
+    mu, lam = lame(theta[0], theta[1])
+    J, R = det(F), polar(F)
+    stretch, tr = sub(F, R), trace(tau_bar)
+    mu_bar = 2.0 * inner(tau_bar, mul_bt(stretch, F))
+    lam_bar = tr * (J - 1.0) * J
+    # tau = 2 mu (F F^T - R F^T) + ...: through both F, through R, and through J
+    direct = add(mul(tau_bar, F), mul_at(tau_bar, stretch))
+    through_R = polar_vjp(F, R, scale(mul(tau_bar, F), -1.0))
+    F_bar = scale(add(direct, through_R), 2.0 * mu)
+    F_bar = add(F_bar, scale(cofactor(F), lam * (2.0 * J - 1.0) * tr))
+    return lame_vjp(theta[0], theta[1], mu_bar, lam_bar), F_bar, zeros_like_rows(F)
+
+
+register(Kernel, stress, stress_vjp)

@@ -1,0 +1,83 @@
+"""Incompressibility penalty: P += E / (3 (2 - 4 nu)) p (J - 1)^(p - 1) J F^-T  (CQ2 eq 14).
+
+So tau += kappa/2 p (J - 1)^(p - 1) J I with the bulk modulus kappa = E / (3 (1 - 2 nu)), from the energy
+kappa/2 (J - 1)^p. CQ2 prints 2 - 2 nu, which is no bulk modulus; with 2 - 4 nu the power p = 2 is the
+standard kappa/2 (J - 1)^2 of Bonet and Wood, whom CQ2 cites. p must be even, or the term would push the
+same way for J < 1 and J > 1.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from cqrun.contract import Array
+from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
+from cqrun.registry import plugin
+from cqrun.tensor import cofactor, det, plus_diagonal, scale, trace
+
+
+class Kernel(NamedTuple):
+    """What kernels see: rows E [Pa], nu, shared with the elastic term; the even power."""
+
+    theta: Array
+    rows: tuple[int, int]
+    power: int
+
+
+@plugin("material_term", "incompressibility")
+class Incompressibility(MaterialTerm):
+    """Penalty on volume change with energy kappa/2 (J - 1)^power, kappa the elastic term's bulk modulus (CQ2 eq 14)."""
+
+    parameters: ClassVar[tuple[str, ...]] = ("youngs_modulus", "poissons_ratio")
+    power: int = Field(2, ge=2, description="even power p of J - 1 [1]")
+
+    @field_validator("power")
+    @classmethod
+    def _even(cls, power: int) -> int:
+        if power % 2:
+            raise ValueError(
+                f"{power} is odd: the penalty would push the same way for J < 1 and J > 1; use an even power"
+            )
+        return power
+
+    def kernel_term(self, theta: Array) -> Kernel:
+        return Kernel(theta, (0, 0), self.power)
+
+    def wave_modulus(self, theta: Array) -> Array:  # type: ignore[override]
+        """Return kappa at rest for p = 2; a higher power is flat at J = 1."""
+        return bulk_modulus(theta[0], theta[1]) * (self.power == 2)
+
+
+def bulk_modulus(E: Any, nu: Any) -> Any:
+    """Return kappa = E / (3 (1 - 2 nu)) [Pa]."""
+    return np.asarray(E / (3.0 * (1.0 - 2.0 * nu)))
+
+
+def stress(term: Any, theta: Any, F: Any, C: Any) -> Any:
+    """Return tau."""
+    J = det(F)
+    pressure = theta[0] / (6.0 - 12.0 * theta[1]) * J * term.power
+    for _ in range(term.power - 1):
+        pressure = pressure * (J - 1.0)
+    return plus_diagonal(zeros_like_rows(F), pressure)
+
+
+def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, C_bar)."""
+    J, tr, p = det(F), trace(tau_bar), term.power
+    weight = 1.0 / (6.0 - 12.0 * theta[1])
+    lower = J * 0.0 + p
+    for _ in range(p - 2):
+        lower = lower * (J - 1.0)
+    per_modulus = lower * (J - 1.0) * J * weight
+    E_bar = per_modulus * tr
+    nu_bar = theta[0] * per_modulus * weight * 12.0 * tr
+    # d/dJ of (J - 1)^(p-1) J
+    slope = lower * ((J - 1.0) + J * (p - 1.0))
+    return (E_bar, nu_bar), scale(cofactor(F), theta[0] * weight * slope * tr), zeros_like_rows(F)
+
+
+register(Kernel, stress, stress_vjp)

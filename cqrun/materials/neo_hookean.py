@@ -1,0 +1,60 @@
+"""Neo-Hookean elasticity: P = mu (F - F^-T) + lam log(J) F^-T  (CQ2 eq 13).
+
+tau = P F^T = mu (F F^T - I) + lam log(J) I, from the energy mu/2 (tr F F^T - D - 2 log J) + lam/2 log(J)^2.
+It has a pole at J = 0: an element that inverts gives a non-finite stress, which stops the rollout.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple
+
+from cqrun.contract import Array, quantity
+from cqrun.lanes import log
+from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus
+from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
+from cqrun.registry import plugin
+from cqrun.tensor import add, cofactor, det, inner, mul, mul_at, mul_bt, plus_diagonal, scale, trace
+
+
+class Kernel(NamedTuple):
+    """What kernels see: rows E [Pa], nu."""
+
+    theta: Array
+    rows: tuple[int, int]
+
+
+@plugin("elastic", "neo_hookean")
+class NeoHookean(MaterialTerm):
+    """Neo-Hookean elasticity, P = mu (F - F^-T) + lam log(J) F^-T (CQ2 eq 13).
+
+    The material of every experiment in CQ2. Stiffens without bound as the volume goes to zero.
+    """
+
+    parameters: ClassVar[tuple[str, ...]] = ("youngs_modulus", "poissons_ratio")
+    youngs_modulus: float = quantity("Pa", "Young's modulus E", differentiable=True, gt=0)
+    poissons_ratio: float = quantity("1", "Poisson's ratio nu", differentiable=True, gt=-1, lt=0.5)
+
+    def kernel_term(self, theta: Array) -> Kernel:
+        return Kernel(theta, (0, 0))
+
+    wave_modulus = staticmethod(p_wave_modulus)
+
+
+def stress(term: Any, theta: Any, F: Any, C: Any) -> Any:
+    """Return tau."""
+    mu, lam = lame(theta[0], theta[1])
+    return plus_diagonal(scale(mul_bt(F, F), mu), lam * log(det(F)) - mu)
+
+
+def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, C_bar)."""
+    mu, lam = lame(theta[0], theta[1])
+    J, tr = det(F), trace(tau_bar)
+    mu_bar = inner(tau_bar, mul_bt(F, F)) - tr
+    lam_bar = log(J) * tr
+    F_bar = scale(add(mul(tau_bar, F), mul_at(tau_bar, F)), mu)
+    F_bar = add(F_bar, scale(cofactor(F), lam * tr / J))
+    return lame_vjp(theta[0], theta[1], mu_bar, lam_bar), F_bar, zeros_like_rows(F)
+
+
+register(Kernel, stress, stress_vjp)

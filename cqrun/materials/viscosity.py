@@ -1,0 +1,59 @@
+"""Kelvin-Voigt viscosity: tau_v = J (2 eta dev(d) + zeta tr(d) I), d = sym(C).
+
+C is the affine velocity matrix, the particle's velocity gradient. dev(d) = d - tr(d)/3 I in 2D too (plane
+strain: d_zz = 0). A rigid rotation has d = 0; the dissipation tau_v : d / J is never negative.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from cqrun.contract import Array, quantity
+from cqrun.materials.term import MaterialTerm, register
+from cqrun.registry import plugin
+from cqrun.tensor import cofactor, det, inner, plus_diagonal, scale, symmetric, trace
+
+
+class Kernel(NamedTuple):
+    """What kernels see: rows eta, zeta [Pa s]."""
+
+    theta: Array
+    rows: tuple[int, int]
+
+
+@plugin("material_term", "viscosity")
+class Viscosity(MaterialTerm):
+    """Kelvin-Voigt viscosity, tau = J (2 eta dev(d) + zeta tr(d) I) with d the symmetric velocity gradient."""
+
+    parameters: ClassVar[tuple[str, ...]] = ("shear", "bulk")
+    shear: float = quantity("Pa s", "shear viscosity eta", differentiable=True, ge=0, default=0.0)
+    bulk: float = quantity("Pa s", "bulk viscosity zeta", differentiable=True, ge=0, default=0.0)
+
+    def kernel_term(self, theta: Array) -> Kernel:
+        return Kernel(theta, (0, 0))
+
+    @staticmethod
+    def wave_viscosity(theta: Array) -> Array:
+        return np.asarray(4.0 / 3.0 * theta[0] + theta[1])
+
+
+def stress(term: Any, theta: Any, F: Any, C: Any) -> Any:
+    """Return tau."""
+    J, tr = det(F), trace(C)
+    return plus_diagonal(scale(symmetric(C), 2.0 * J * theta[0]), J * (theta[1] - theta[0] * (2.0 / 3.0)) * tr)
+
+
+def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, C_bar)."""
+    J, tr, tr_bar = det(F), trace(C), trace(tau_bar)
+    pull = symmetric(tau_bar)
+    shear = 2.0 * inner(pull, symmetric(C)) - (2.0 / 3.0) * tr_bar * tr
+    bulk = tr_bar * tr
+    F_bar = scale(cofactor(F), theta[0] * shear + theta[1] * bulk)
+    C_bar = plus_diagonal(scale(pull, 2.0 * J * theta[0]), J * (theta[1] - theta[0] * (2.0 / 3.0)) * tr_bar)
+    return (J * shear, J * bulk), F_bar, C_bar
+
+
+register(Kernel, stress, stress_vjp)
