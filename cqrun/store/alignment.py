@@ -1,0 +1,192 @@
+"""From a recording's own axes to the scene's: a rigid transform, and displacements from the still frames.
+
+The mean of the frames before the release is laid onto the markers' rest positions (Kabsch). The
+transform never stretches: what it leaves over says how well the rest positions are known, and because
+of it displacements are compared, each marker from its own mean, and not positions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import DataError
+from cqrun.store.recordings import Recording
+
+LARGEST_RESIDUAL = 5e-3
+"""A marker further than this from its rest position after alignment is refused [m]."""
+
+_THINNEST = 0.02
+"""Markers whose second extent is less than this part of their first count as on one line."""
+
+_LOOKS = {
+    3: "is in millimetres: say `units: mm`",
+    2: "is in centimetres: say `units: cm`",
+    1: "is in millimetres, not centimetres: correct `units:`",
+    -1: "is in centimetres, not millimetres: correct `units:`",
+    -2: "is in metres, not centimetres: correct `units:`",
+    -3: "is in metres, not millimetres: correct `units:`",
+}
+"""What a ratio of extents says of the units, by its power of ten."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Rigid transform scene = rotation @ recording + translation.
+
+    Attributes:
+        rotation: (D, D).
+        translation: (D,) [m].
+        residuals: (M,) distance of each marker's mean still position from its rest position [m].
+    """
+
+    rotation: Array
+    translation: Array
+    residuals: Array
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A recording in the scene's frame, ready to be compared with a model.
+
+    Attributes:
+        time: (T,) the recording's own time [s].
+        names: M markers.
+        rest: (M, D) rest positions in the scene's frame [m].
+        values: (T, M, D) displacements from the still mean, or positions if `absolute` [m]; NaN where unseen.
+        absolute: whether `values` are positions in the scene's frame.
+        alignment: None if the recording was in the scene's frame already.
+        source: where it came from, as errors name it.
+    """
+
+    time: Array
+    names: tuple[str, ...]
+    rest: Array
+    values: Array
+    absolute: bool
+    alignment: Alignment | None
+    source: str
+
+
+def measure(
+    recording: Recording, markers: Mapping[str, Array], still: tuple[float, float] | None
+) -> Measured:
+    """Bring the named markers of a recording into the scene's frame.
+
+    Args:
+        markers: rest position (D,) of each marker in the scene's frame [m].
+        still: first and last time of the frames at rest before the release [s]; None says that the
+            recording is in the scene's frame already, as cqrun's own are.
+
+    Raises:
+        DataError: unknown or doubled markers, another dimension, no still frames, a marker that is never
+            seen in them, fewer than 3 or collinear markers, wrong units, or a residual above 5 mm.
+    """
+    chosen = recording.select(list(markers))
+    rest = np.array([np.asarray(x, dtype=float) for x in markers.values()]).reshape(len(markers), -1)
+    if rest.shape[1] != chosen.dim:
+        raise DataError(f"{chosen.source}: the recording is {chosen.dim}D and the scene {rest.shape[1]}D")
+    _check_seen(chosen)
+    if still is None:
+        return Measured(chosen.time, chosen.names, rest, chosen.positions, True, None, chosen.source)
+    mean = still_mean(chosen, still)
+    alignment = align(mean, rest, chosen.names, chosen.source)
+    values = (chosen.positions - mean) @ alignment.rotation.T
+    return Measured(chosen.time, chosen.names, rest, values, False, alignment, chosen.source)
+
+
+def still_mean(recording: Recording, still: tuple[float, float]) -> Array:
+    """Return each marker's mean position (M, D) over the frames with still[0] <= time <= still[1] [m]."""
+    first, last = still
+    begin, end = recording.time[0], recording.time[-1]
+    slack = 1e-6 * (end - begin) / (recording.time.size - 1)
+    if not begin - slack <= first < last <= end + slack:
+        raise DataError(
+            f"{recording.source}: the still frames, {first:g} to {last:g} s, do not lie "
+            f"inside the recording, {begin:g} to {end:g} s"
+        )
+    frames = (recording.time >= first - slack) & (recording.time <= last + slack)
+    seen = recording.seen()[frames]
+    for name, count in zip(recording.names, seen.sum(axis=0), strict=True):
+        if count == 0:
+            raise DataError(
+                f"{recording.source}: marker '{name}' is not seen in any still frame, {first:g} "
+                f"to {last:g} s; choose other still frames or leave the marker out"
+            )
+    shown = np.where(seen[..., None], recording.positions[frames], 0.0)
+    return np.asarray(shown.sum(axis=0) / seen.sum(axis=0)[:, None])
+
+
+def align(mean: Array, rest: Array, names: tuple[str, ...], source: str = "") -> Alignment:
+    """Return the rigid transform that lays `mean` onto `rest`, both (M, D), in the least-squares sense.
+
+    In 2D the rotation stays in the plane, so that no mirror image can pass for a rotation.
+
+    Raises:
+        DataError: fewer than 3 markers (2D: 2), collinear ones, wrong units, or a residual above 5 mm.
+    """
+    dim = rest.shape[1]
+    if len(rest) < dim:
+        raise DataError(
+            f"{source}: {len(rest)} alignment markers; a rigid alignment in {dim}D needs {dim} or more"
+        )
+    for points, which in ((rest, "the rest positions of the markers"), (mean, "the recorded markers")):
+        _check_spread(points, which, source)
+    _check_units(mean, rest, source)
+    rotation = _rotation(mean - mean.mean(axis=0), rest - rest.mean(axis=0))
+    translation = rest.mean(axis=0) - rotation @ mean.mean(axis=0)
+    residuals = np.linalg.norm(mean @ rotation.T + translation - rest, axis=1)
+    if residuals.max() > LARGEST_RESIDUAL:
+        listed = ", ".join(f"'{n}' {1e3 * r:.2f}" for n, r in zip(names, residuals, strict=True))
+        raise DataError(
+            f"{source}: after alignment a marker is {1e3 * residuals.max():.1f} mm from its rest position, "
+            f"more than {1e3 * LARGEST_RESIDUAL:g} mm (all, mm: {listed}); check the rest positions in "
+            "`markers:`, whether two names are swapped, and that `still:` ends before the release"
+        )
+    return Alignment(rotation, translation, residuals)
+
+
+def _rotation(recorded: Array, rest: Array) -> Array:
+    """Return the best rotation of centred points (M, D)."""
+    from scipy.spatial.transform import Rotation
+
+    dim = rest.shape[1]
+    if dim == 3:
+        return np.asarray(Rotation.align_vectors(rest, recorded)[0].as_matrix())
+    flat = [np.vstack([[0.0, 0.0, 1.0], np.pad(points, ((0, 0), (0, 1)))]) for points in (rest, recorded)]
+    axis_first = np.r_[np.inf, np.ones(len(rest))]
+    return np.asarray(Rotation.align_vectors(*flat, weights=axis_first)[0].as_matrix()[:2, :2])
+
+
+def _check_seen(recording: Recording) -> None:
+    for marker, name in enumerate(recording.names):
+        if not recording.seen()[:, marker].any():
+            raise DataError(
+                f"{recording.source}: marker '{name}' is NaN in every frame; leave it out of `markers:`"
+            )
+
+
+def _check_spread(points: Array, which: str, source: str) -> None:
+    """Refuse points that leave a rotation free: on one line in 3D, all at one place in 2D."""
+    extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if extents[0] == 0:
+        raise DataError(f"{source}: {which} are all at one place; the alignment needs them apart")
+    if points.shape[1] == 3 and extents[1] < _THINNEST * extents[0]:
+        raise DataError(
+            f"{source}: {which} lie on one line, which leaves the rotation about it open; "
+            "use 3 or more that do not"
+        )
+
+
+def _check_units(mean: Array, rest: Array, source: str) -> None:
+    """Refuse a recording whose extent is out of proportion to the body by about 10, 100 or 1000."""
+    spread = [float(np.sqrt(np.var(points, axis=0).sum())) for points in (mean, rest)]
+    power = float(np.log10(spread[0] / spread[1]))
+    if round(power) in _LOOKS and abs(power - round(power)) < 0.3:
+        raise DataError(
+            f"{source}: the recorded markers are {10**power:.3g} times as far apart as their rest "
+            f"positions; it looks as if the recording {_LOOKS[round(power)]}"
+        )

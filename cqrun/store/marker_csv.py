@@ -1,0 +1,107 @@
+"""Marker recordings as text: one line a marker and frame, `time,marker,x,y,z` (no `z` in 2D).
+
+Numbers are written by `repr`, so that a recording read back is the recording written, bit for bit.
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from cqrun.errors import DataError
+from cqrun.store.recordings import METRES, Recording
+
+COLUMNS = ("time", "marker", "x", "y", "z")
+
+
+def read_csv(path: Path, units: str | None, source: str) -> Recording:
+    """Read a CSV recording; a marker without a line at some time, or with nan there, was not seen.
+
+    Lines may be sorted by time or by marker. Empty lines, and lines that begin with `#`, are skipped.
+
+    Raises:
+        DataError: names the line that is wrong, and how.
+    """
+    tracks: dict[str, dict[float, list[float]]] = {}
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as lines:
+            rows = csv.reader(lines)
+            dim = _header(next((row for row in rows if not _blank(row)), []), source)
+            for row in rows:
+                if not _blank(row):
+                    at = f"{source}:{rows.line_num}"
+                    time, name, position = _row(row, dim, at)
+                    _append(tracks.setdefault(name, {}), time, position, name, at)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{source}: not a CSV text file ({error})") from error
+    if not tracks:
+        raise DataError(f"{source}: holds a header and no data")
+    times = sorted(set().union(*tracks.values()))
+    frame = {time: i for i, time in enumerate(times)}
+    positions = np.full((len(times), len(tracks), dim), np.nan)
+    for marker, track in enumerate(tracks.values()):
+        positions[[frame[time] for time in track], marker] = list(track.values())
+    return Recording(np.array(times), tuple(tracks), METRES[units or "m"] * positions, source)
+
+
+def write_csv(recording: Recording, path: Path) -> None:
+    """Write a recording in metres and seconds; markers that were not seen are left out."""
+    time = recording.time.tolist()
+    with path.open("w", newline="", encoding="utf-8") as lines:
+        rows = csv.writer(lines, lineterminator="\n")
+        rows.writerow(COLUMNS[: 2 + recording.dim])
+        for t, frame, seen in zip(time, recording.positions.tolist(), recording.seen().tolist(), strict=True):
+            shown = zip(recording.names, frame, seen, strict=True)
+            rows.writerows([repr(t), name, *map(repr, x)] for name, x, here in shown if here)
+
+
+def _blank(row: list[str]) -> bool:
+    return not row or row[0].lstrip().startswith("#") or not any(cell.strip() for cell in row)
+
+
+def _header(row: list[str], source: str) -> int:
+    """Return the dimension that the header line announces."""
+    names = tuple(cell.strip().lower() for cell in row)
+    if names not in (COLUMNS, COLUMNS[:4]):
+        raise DataError(
+            f"{source}: the first line must be 'time,marker,x,y,z' (2D: 'time,marker,x,y'), "
+            f"not '{','.join(row)[:80]}'"
+        )
+    return len(names) - 2
+
+
+def _row(row: list[str], dim: int, at: str) -> tuple[float, str, list[float]]:
+    """Return time, marker and position of one line."""
+    if len(row) != dim + 2:
+        raise DataError(f"{at}: {len(row)} columns where {dim + 2} belong; is the file truncated?")
+    numbers = []
+    for name, cell in zip((*COLUMNS[:1], *COLUMNS[2:]), (row[0], *row[2:]), strict=False):
+        try:
+            numbers.append(float(cell) if cell.strip() or name == "time" else np.nan)
+        except ValueError:
+            raise DataError(f"{at}: {name} is '{cell}', which is no number") from None
+    time, position = numbers[0], numbers[1:]
+    if not np.isfinite(time):
+        raise DataError(f"{at}: the time is {time}; every line needs a time")
+    missing = [bool(np.isnan(x)) for x in position]
+    if any(missing) and not all(missing):
+        raise DataError(
+            f"{at}: some coordinates of marker '{row[1].strip()}' are nan and some are not; "
+            "a marker that was not seen has none"
+        )
+    return time, row[1].strip(), position
+
+
+def _append(track: dict[float, list[float]], time: float, position: list[float], name: str, at: str) -> None:
+    """Add a line to its marker's track, which must go forward in time."""
+    if track:
+        last = next(reversed(track))
+        if time == last or time in track:
+            raise DataError(f"{at}: marker '{name}' is there twice at time {time:.9g} s; remove one line")
+        if time < last:
+            raise DataError(
+                f"{at}: time does not increase: marker '{name}' goes from {last:.9g} s back to {time:.9g} s"
+            )
+    track[time] = position

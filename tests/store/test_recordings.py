@@ -1,0 +1,242 @@
+"""Every format read, every way a recording can be wrong, and the message a person gets."""
+
+from __future__ import annotations
+
+import re
+import struct
+from pathlib import Path
+
+import ezc3d
+import h5py
+import numpy as np
+import pytest
+
+from cqrun.errors import DataError
+from cqrun.store.marker_csv import write_csv
+from cqrun.store.recordings import Recording, check_recording, read_recording, unit_of
+
+NAMES = ("Tip - 1", "Tip - 2", "Base")
+
+
+def write_c3d(path: Path, positions, *, rate=100.0, units="m", names=NAMES, residuals=None) -> Path:
+    """Write (T, M, 3) positions as a C3D file."""
+    frames, markers, _ = positions.shape
+    content = ezc3d.c3d()
+    point = content["parameters"]["POINT"]
+    point["UNITS"]["value"], point["RATE"]["value"], point["LABELS"]["value"] = [units], [rate], list(names)
+    points = np.ones((4, markers, frames))
+    points[:3] = positions.transpose(2, 1, 0)
+    content["data"]["points"] = points
+    if residuals is not None:
+        masks = np.zeros((7, markers, frames), dtype=bool)
+        content["data"]["meta_points"] = {"residuals": residuals.T[None], "camera_masks": masks}
+    content.write(str(path))
+    return path
+
+
+@pytest.fixture
+def positions(rng):
+    return rng.normal(size=(12, 3, 3)).astype(np.float32).astype(float)
+
+
+@pytest.fixture
+def text(tmp_path):
+    """Write a CSV file from its data lines."""
+
+    def write(*lines, header="time,marker,x,y,z"):
+        path = tmp_path / "r.csv"
+        path.write_text("\n".join((header, *lines)) + "\n")
+        return path
+
+    return write
+
+
+def refused(path, *words, **options):
+    """Assert that `path` is refused with a message that names the file, the key path and `words`."""
+    with pytest.raises(DataError) as caught:
+        read_recording(path, where="data.recordings.bare", **options)
+    message = str(caught.value)
+    for word in ("data.recordings.bare", Path(path).name, *words):
+        assert word in message
+
+
+# ---------------------------------------------------------------- C3D
+
+
+def test_c3d_is_read_in_metres_and_seconds(tmp_path, positions):
+    recording = read_recording(write_c3d(tmp_path / "a.c3d", positions, rate=120.0))
+    np.testing.assert_array_equal(recording.positions, positions)
+    np.testing.assert_allclose(recording.time, np.arange(12) / 120)
+    assert recording.names == NAMES
+
+
+@pytest.mark.parametrize(("units", "scale"), [("mm", 1e-3), ("cm", 1e-2), ("Millimeters", 1e-3), ("m", 1.0)])
+def test_c3d_units_of_the_file(tmp_path, positions, units, scale):
+    path = write_c3d(tmp_path / "a.c3d", positions, units=units)
+    np.testing.assert_allclose(read_recording(path).positions, scale * positions)
+    np.testing.assert_allclose(read_recording(path, units="cm").positions, 0.01 * positions)
+
+
+def test_c3d_marker_not_seen_is_masked(tmp_path, positions):
+    positions[4, 1] = np.nan
+    residuals = np.zeros((12, 3))
+    residuals[7, 2] = -1
+    recording = read_recording(write_c3d(tmp_path / "a.c3d", positions, residuals=residuals))
+    lost = np.zeros((12, 3), dtype=bool)
+    lost[4, 1] = lost[7, 2] = True
+    np.testing.assert_array_equal(recording.seen(), ~lost)
+    assert np.isnan(recording.positions[lost]).all()
+
+
+def test_c3d_without_units_asks_for_them(tmp_path, positions):
+    path = write_c3d(tmp_path / "a.c3d", positions, units="furlong")
+    refused(path, "'furlong'", "units: m | cm | mm")
+    np.testing.assert_allclose(read_recording(path, units="m").positions, positions)
+
+
+def test_c3d_without_frame_rate(tmp_path, positions):
+    path = write_c3d(tmp_path / "a.c3d", positions, rate=123.0)
+    path.write_bytes(path.read_bytes().replace(struct.pack("<f", 123.0), struct.pack("<f", 0.0)))
+    refused(path, "frame rate")
+
+
+@pytest.mark.parametrize("kept", [10, 600, -5, -100])
+def test_c3d_truncated_anywhere(tmp_path, rng, kept):
+    whole = write_c3d(tmp_path / "a.c3d", rng.normal(size=(200, 3, 3))).read_bytes()
+    short = tmp_path / "short.c3d"
+    short.write_bytes(whole.rstrip(b"\0")[:kept])
+    refused(short, "truncated")
+
+
+def test_not_c3d(tmp_path, rng):
+    path = tmp_path / "a.c3d"
+    path.write_bytes(b"time,marker,x,y,z\n" * 100)
+    refused(path, "not a C3D file")
+    path.write_bytes(b"\x02\x50" + rng.bytes(5000))
+    refused(path, "not a C3D file")
+
+
+@pytest.mark.parametrize("suffix", [".c3d", ".csv", ".h5"])
+def test_missing_and_empty(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    refused(path, "no such file")
+    path.touch()
+    refused(path, "empty")
+
+
+def test_unknown_format_and_units(tmp_path):
+    path = tmp_path / "a.xlsx"
+    path.touch()
+    refused(path, ".c3d, .csv, .h5", "'.xlsx'")
+    refused(path.with_suffix(".csv"), "'inch'", "m, cm, mm", units="inch")
+
+
+# ---------------------------------------------------------------- CSV
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_csv_round_trip_is_exact(tmp_path, rng, dim):
+    positions = rng.normal(size=(9, 3, dim))
+    positions[3, 1] = positions[8, 0] = np.nan
+    written = Recording(np.cumsum(rng.random(9)), NAMES, positions, "here")
+    write_csv(written, tmp_path / "a.csv")
+    read = read_recording(tmp_path / "a.csv")
+    np.testing.assert_array_equal(read.positions, positions)
+    np.testing.assert_array_equal(read.time, written.time)
+    assert read.names == NAMES
+
+
+def test_csv_sorted_by_marker_units_and_comments(text):
+    path = text("# camera 2", "0,a,1,2,3", "0.1,a,2,3,4", "", '0,"b, left",5,6,7', '0.1,"b, left",,,')
+    recording = read_recording(path, units="mm")
+    assert recording.names == ("a", "b, left")
+    np.testing.assert_allclose(recording.positions[:, 0], [[1e-3, 2e-3, 3e-3], [2e-3, 3e-3, 4e-3]])
+    np.testing.assert_array_equal(recording.seen(), [[True, True], [True, False]])
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        (["0,a,1,2,3", "0.1,a,1,2"], (":3:", "4 columns where 5 belong", "truncated")),
+        (["0,a,1,2,3", "0.1,a,1,two,3"], (":3:", "y is 'two'", "no number")),
+        (["0,a,1,2,3", "nan,a,1,2,3"], (":3:", "time is nan")),
+        (["0,a,1,2,3", "0.1,a,1,nan,3"], (":3:", "marker 'a'", "some coordinates")),
+        (["0,a,1,2,3", "0.1,a,1,inf,3"], ("marker 'a'", "infinity", "frame 1")),
+        (["0,a,1,2,3", "0.2,a,1,2,3", "0.1,a,1,2,3"], (":4:", "time does not increase", "0.2 s", "0.1 s")),
+        (["0,a,1,2,3", "0,a,1,2,3"], (":3:", "marker 'a' is there twice")),
+        (["0,a,1,2,3", "0.2,a,1,2,3", "0,a,1,2,3"], (":4:", "marker 'a' is there twice")),
+        (["0,a,1,2,3"], ("1 frames", "2 or more")),
+        ([], ("no data",)),
+    ],
+)
+def test_csv_refused(text, lines, words):
+    refused(text(*lines), *words)
+
+
+def test_csv_header_and_encoding(text, tmp_path):
+    refused(text("0,a,1,2,3", header="t,name,x,y,z"), "time,marker,x,y,z", "t,name,x,y,z")
+    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x81" * 50)
+    refused(tmp_path / "b.csv", "not a CSV text file")
+
+
+# ---------------------------------------------------------------- trajectories
+
+
+def test_trajectory(tmp_path, rng):
+    x = rng.normal(size=(4, 5, 2))
+    with h5py.File(tmp_path / "t.h5", "w") as file:
+        file["time"], file["particles/x"] = [0.0, 0.1, 0.2, 0.3], x
+    recording = read_recording(tmp_path / "t.h5")
+    np.testing.assert_array_equal(recording.select(["3", "0"]).positions, x[:, [3, 0]])
+
+
+def test_trajectory_refused(tmp_path, rng):
+    path = tmp_path / "t.h5"
+    path.write_bytes(b"time,marker\n")
+    refused(path, "not an HDF5 file")
+    with h5py.File(path, "w") as file:
+        file["time"] = [0.0, 0.1]
+    refused(path, "no dataset /particles/x")
+    with h5py.File(path, "a") as file:
+        file["particles/x"] = rng.normal(size=(3, 5, 2))
+    refused(path, "do not fit together")
+    with h5py.File(path, "w") as file:
+        file["time"], file["particles/x"] = [0.0, 0.1], np.full((2, 5, 2), np.nan)
+    refused(path, "particle 0", "frame 0")
+    with h5py.File(path, "w") as file:
+        file["time"], file["particles/x"] = [0.1, 0.1], np.zeros((2, 5, 2))
+    refused(path, "time does not increase", "frame 0", "frame 1")
+    path.write_bytes(path.read_bytes()[:1500])
+    refused(path, "truncated")
+
+
+# ---------------------------------------------------------------- markers
+
+
+def test_select_unknown_and_doubled_markers(positions):
+    recording = Recording(np.arange(12.0), ("Tip - 1", "Tip - 2", "Tip - 2"), positions, "beam.c3d")
+    assert recording.select(["Tip - 1"]).positions.shape == (12, 1, 3)
+    with pytest.raises(DataError, match=re.escape("beam.c3d: no marker 'Tip 1' (did you mean 'Tip - 1'?)")):
+        recording.select(["Tip 1"])
+    with pytest.raises(DataError, match="no marker 'Q'; it has 'Tip - 1', 'Tip - 2'"):
+        recording.select(["Q"])
+    with pytest.raises(DataError, match="'Tip - 2' is there 2 times"):
+        recording.select(["Tip - 2"])
+
+
+def test_time_that_is_no_number(positions):
+    time = np.arange(12.0)
+    time[5] = np.nan
+    with pytest.raises(DataError, match="time of frame 5 is nan"):
+        check_recording(Recording(time, NAMES, positions, "a"))
+
+
+def test_units_by_name():
+    assert [unit_of(u) for u in ("M", " mm", "metres", "Centimeters", "inch", "")] == [
+        "m",
+        "mm",
+        "m",
+        "cm",
+        None,
+        None,
+    ]
