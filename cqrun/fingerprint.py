@@ -1,0 +1,86 @@
+"""Which engine this is: a hash of the numeric sources and of the libraries that round for them.
+
+It names the kernel cache, because numba does not see that a helper in another file has changed,
+and it guards run directories, because another engine need not give the same bits.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import sys
+from importlib import metadata
+from pathlib import Path
+
+NUMERIC = (
+    "tensor.py",
+    "polar.py",
+    "lanes.py",
+    "state.py",
+    "compile.py",
+    "materials",
+    "actuators",
+    "boundaries",
+    "loads",
+    "engine",
+    "design",
+    "controllers",
+    "observers",
+    "objectives",
+    "constraints",
+    "optimizers",
+)
+"""Files and folders of the package whose sources can change a number; absent ones count as empty."""
+
+LIBRARIES = ("numba", "numpy", "scipy")
+CACHE_VARIABLE = "NUMBA_CACHE_DIR"
+
+
+def library_versions() -> dict[str, str]:
+    """Return the installed versions of the libraries that compute, without importing them."""
+    return {name: _version(name) for name in LIBRARIES}
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "absent"
+
+
+def source_hash(package: Path, versions: dict[str, str]) -> str:
+    """Return 12 hex digits over the numeric sources below `package` and over library versions."""
+    digest = hashlib.sha256()
+    for entry in NUMERIC:
+        path = package / entry
+        for source in sorted(path.rglob("*.py")) if path.is_dir() else [path] * path.is_file():
+            content = source.read_bytes()
+            digest.update(f"{source.relative_to(package).as_posix()}\0{len(content)}\0".encode())
+            digest.update(content)
+    for name, version in sorted(versions.items()):
+        digest.update(f"{name}=={version}\0".encode())
+    return digest.hexdigest()[:12]
+
+
+@functools.cache
+def engine_hash() -> str:
+    """Return the hash of this engine, 12 hex digits; read once a process."""
+    return source_hash(Path(__file__).parent, library_versions())
+
+
+def set_kernel_cache() -> Path:
+    """Point numba's cache at a folder of this engine's own, unless the user has set one.
+
+    Call it before numba is imported, and before any kernel is defined at the latest.
+
+    Returns:
+        The folder in use; numba makes it when it first writes there.
+    """
+    if not os.environ.get(CACHE_VARIABLE):
+        import platformdirs
+
+        os.environ[CACHE_VARIABLE] = str(Path(platformdirs.user_cache_dir("cqrun")) / engine_hash())
+        if "numba" in sys.modules:  # it has read its environment already
+            sys.modules["numba"].config.reload_config()
+    return Path(os.environ[CACHE_VARIABLE])

@@ -1,0 +1,158 @@
+"""What an optimizer is given and what it gives back.
+
+Optimizers see scaled coordinates: one flat vector x (n,) of order one, between bounds. The problem knows
+what x means; the session keeps what a later `cqrun resume` needs. Neither knows the optimizer.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from cqrun.contract import Array, Plugin
+
+Status = Literal["converged", "iteration_limit", "stalled", "failed", "stopped"]
+
+
+class TrialFailed(Exception):
+    """A trial whose rollout blew up: not an error of the run, but a point to stay away from.
+
+    Args:
+        reason: what happened, in words.
+        body: name of the body, "" where none is to blame.
+        particle: its particle, or -1.
+        time: when [s].
+        values: the trial values as text, such as `youngs_modulus = 2.1e5 Pa`.
+    """
+
+    def __init__(
+        self, reason: str, *, body: str = "", particle: int = -1, time: float = 0.0, values: str = ""
+    ) -> None:
+        self.reason, self.body, self.particle = reason, body, particle
+        self.time, self.values = time, values
+        where = f"body '{body}', particle {particle}, t = {time:.6g} s: " if body else ""
+        super().__init__(f"{where}{reason}; trial values: {values}")
+
+
+class Problem(Protocol):
+    """A function to minimise over a box.
+
+    The loss f is a float; where there are residuals r (m,), f = r.r / 2 over all parts.
+    Every evaluation gives the same bits for the same x, and raises TrialFailed where the rollout blows up.
+
+    Attributes:
+        start: initial x (n,).
+        lower: least x (n,), may be -inf.
+        upper: greatest x (n,), may be inf; above `lower` everywhere.
+        n_batches: parts the data falls into (recordings, sequences); a mini-batch names some of them.
+        term_names: names of the terms of the loss, () where it has but one.
+    """
+
+    start: Array
+    lower: Array
+    upper: Array
+    n_batches: int
+    term_names: Sequence[str]
+
+    def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
+        """Return f and its gradient (n,), over all parts or scaled up from those in `batch`."""
+
+    def residuals(self, x: Array) -> Array:
+        """Return r (m,)."""
+
+    def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
+        """Return r (m,) and J (m, n)."""
+
+    def term_values(self) -> Array:
+        """Return the terms of the loss at the last evaluation, in the order of `term_names`."""
+
+
+class Session(Protocol):
+    """What outlives the process: a replay log for scipy's optimizers, a state file for cqrun's own.
+
+    Attributes:
+        seed: of the run; an optimizer draws from nothing else.
+    """
+
+    seed: int
+
+    def evaluate(self, kind: str, x: Array, compute: Callable[[], dict[str, Array]]) -> dict[str, Array]:
+        """Return `compute()`, or what it returned (or how it failed) when this run was here before.
+
+        Raises:
+            TrialFailed: the trial blows up, now or then.
+        """
+
+    def restore(self) -> dict[str, Array] | None:
+        """Return the last saved state, or None in a new run."""
+
+    def save(self, state: dict[str, Array]) -> None:
+        """Keep `state`, which holds at least `iteration` ()."""
+
+    def report(self, iteration: int, x: Array, loss: float, grad: Array, terms: Mapping[str, float]) -> None:
+        """Record the accepted point of an iteration; 0 is the start. Repeating a row changes nothing."""
+
+    def note(self, text: str) -> None:
+        """Write a line into the run's log."""
+
+    def should_stop(self) -> bool:
+        """Say whether the run was asked to stop."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Where an optimizer ended.
+
+    Args:
+        x: the best point (n,); with mini-batches the last one.
+        loss: f there (of the last mini-batch).
+        status: why it ended.
+        message: the same in words.
+        iterations: how many it took.
+    """
+
+    x: Array
+    loss: float
+    status: Status
+    message: str
+    iterations: int
+
+
+class Optimizer(Plugin):
+    """Base of the plug-ins of kind `optimizer`."""
+
+    max_iterations: int
+
+    @abstractmethod
+    def minimise(self, problem: Problem, session: Session) -> Outcome:
+        """Minimise; what can go wrong with a trial ends in the outcome's status."""
+
+
+def terms_of(problem: Problem, values: Array) -> dict[str, float]:
+    """Return the terms of the loss by name."""
+    return {name: float(value) for name, value in zip(problem.term_names, values, strict=True)}
+
+
+def checked_value_and_grad(
+    problem: Problem, x: Array, batch: tuple[int, ...] | None = None
+) -> dict[str, Array]:
+    """Return f (), g (n,) and terms (k,) at x.
+
+    Raises:
+        TrialFailed: the trial blew up, or f or g is not finite.
+    """
+    f, g = problem.value_and_grad(x, batch)
+    require_finite(x, loss=np.asarray(f), gradient=g)
+    return {"f": np.array(f, float), "g": np.array(g, float), "terms": np.array(problem.term_values(), float)}
+
+
+def require_finite(x: Array, **arrays: Array) -> None:
+    """Raise TrialFailed if any of `arrays`, named for the message, is not finite."""
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            values = np.array2string(x, threshold=12, separator=", ")
+            raise TrialFailed(f"the {name.replace('_', ' ')} is not finite", values=f"x = {values}")

@@ -1,0 +1,208 @@
+"""What Adam and SGD share: mini-batches, bounds, half steps after a failed trial, exact resume."""
+
+from __future__ import annotations
+
+import json
+from abc import abstractmethod
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.optimizers.base import (
+    Optimizer,
+    Outcome,
+    Problem,
+    Session,
+    Status,
+    TrialFailed,
+    checked_value_and_grad,
+    terms_of,
+)
+
+HALVINGS = 5
+"""How often a failed trial halves the step before the run fails."""
+
+MEMORY = "memory."
+NOT_STARTED = -1
+
+
+@dataclass(frozen=True)
+class DescentState:
+    """Everything the next iteration depends on.
+
+    Args:
+        iteration: number of the last good point; -1 before the first.
+        x, loss, grad: that point (n,), f and gradient (n,) there.
+        step: what to subtract from x (n,), before `scale`.
+        scale: 1, halved by each failed trial.
+        failures: how many there were.
+        best_x, best_loss: the best point so far.
+        queue: parts of the data not yet drawn in this epoch.
+        rng: state of the bit generator as JSON.
+        memory: the optimizer's own (n,) vectors by name.
+    """
+
+    iteration: int
+    x: Array
+    loss: float
+    grad: Array
+    step: Array
+    scale: float
+    failures: int
+    best_x: Array
+    best_loss: float
+    queue: Array
+    rng: str
+    memory: dict[str, Array] = field(default_factory=dict)
+
+    def arrays(self) -> dict[str, Array]:
+        """Return the state as named arrays."""
+        plain = {name: np.asarray(value) for name, value in vars(self).items() if name != "memory"}
+        return plain | {MEMORY + name: value for name, value in self.memory.items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, Array]) -> DescentState:
+        """Return the state that `arrays()` gave."""
+        return cls(
+            iteration=int(arrays["iteration"]),
+            x=arrays["x"],
+            loss=float(arrays["loss"]),
+            grad=arrays["grad"],
+            step=arrays["step"],
+            scale=float(arrays["scale"]),
+            failures=int(arrays["failures"]),
+            best_x=arrays["best_x"],
+            best_loss=float(arrays["best_loss"]),
+            queue=arrays["queue"],
+            rng=str(arrays["rng"]),
+            memory={n.removeprefix(MEMORY): a for n, a in arrays.items() if n.startswith(MEMORY)},
+        )
+
+
+class Descent(Optimizer):
+    """First-order descent: x <- clip(x - step, lower, upper), one gradient an iteration."""
+
+    max_iterations: int = Field(100, ge=1, description="iterations at most")
+    learning_rate: float = Field(gt=0, description="step length in scaled coordinates")
+    decay: float = Field(0.0, ge=0, description="the learning rate of iteration k is divided by 1 + decay k")
+    batch_size: int | None = Field(
+        None, ge=1, description="parts of the data (recordings) in a mini-batch; default all of them"
+    )
+    gradient_tolerance: float = Field(
+        0.0,
+        ge=0,
+        description="converged when no component of the projected full gradient is larger; 0: never",
+    )
+
+    @abstractmethod
+    def memory_names(self) -> tuple[str, ...]:
+        """Return the names of the (n,) vectors the method remembers; they start at zero."""
+
+    @abstractmethod
+    def direction(
+        self, iteration: int, grad: Array, memory: dict[str, Array]
+    ) -> tuple[Array, dict[str, Array]]:
+        """Return what to subtract from x at learning rate 1 (n,), and the new memory."""
+
+    def minimise(self, problem: Problem, session: Session) -> Outcome:
+        """Minimise with exact resume through the session's state file."""
+        saved = session.restore()
+        state = self._begin(problem, session.seed) if saved is None else DescentState.from_arrays(saved)
+        while True:
+            if self._converged(state, problem):
+                return self._outcome(state, "converged", "the projected gradient is within its tolerance")
+            if state.iteration >= self.max_iterations:
+                return self._outcome(state, "iteration_limit", f"{self.max_iterations} iterations, the limit")
+            if session.should_stop():
+                return self._outcome(state, "stopped", f"asked to stop after iteration {state.iteration}")
+            try:
+                state, terms = self._advance(state, problem)
+            except TrialFailed as failure:
+                session.note(f"iteration {state.iteration + 1}: failed trial: {failure}")
+                if state.iteration == NOT_STARTED:
+                    return self._outcome(state, "failed", f"the start itself fails: {failure}")
+                if state.failures >= HALVINGS:
+                    return self._outcome(
+                        state, "failed", f"{failure} (after {HALVINGS} halvings of the step)"
+                    )
+                state = replace(state, scale=0.5 * state.scale, failures=state.failures + 1)
+                session.note(f"back to iteration {state.iteration}, step times {state.scale:g}")
+            else:
+                session.report(state.iteration, state.x, state.loss, state.grad, terms)
+            session.save(state.arrays())
+
+    def _begin(self, problem: Problem, seed: int) -> DescentState:
+        x = np.clip(np.asarray(problem.start, float), problem.lower, problem.upper)
+        zeros = np.zeros_like(x)
+        return DescentState(
+            iteration=NOT_STARTED,
+            x=x,
+            loss=np.inf,
+            grad=zeros,
+            step=zeros,
+            scale=1.0,
+            failures=0,
+            best_x=x,
+            best_loss=np.inf,
+            queue=np.zeros(0, np.int64),
+            rng=_rng_text(np.random.default_rng(seed)),
+            memory={name: zeros for name in self.memory_names()},
+        )
+
+    def _advance(self, state: DescentState, problem: Problem) -> tuple[DescentState, dict[str, float]]:
+        """Return the state after one good trial and the terms of its loss; TrialFailed changes nothing."""
+        x = np.clip(state.x - state.scale * state.step, problem.lower, problem.upper)
+        batch, queue, rng = self._draw(state, problem.n_batches)
+        answer = checked_value_and_grad(problem, x, batch)
+        loss, grad, iteration = float(answer["f"]), answer["g"], state.iteration + 1
+        direction, memory = self.direction(iteration, grad, state.memory)
+        better = self._mini_batches or loss < state.best_loss  # losses of mini-batches do not compare
+        advanced = replace(
+            state,
+            iteration=iteration,
+            x=x,
+            loss=loss,
+            grad=grad,
+            step=self.learning_rate / (1.0 + self.decay * iteration) * direction,
+            best_x=x if better else state.best_x,
+            best_loss=loss if better else state.best_loss,
+            queue=queue,
+            rng=rng,
+            memory=memory,
+        )
+        return advanced, terms_of(problem, answer["terms"])
+
+    def _draw(self, state: DescentState, n_batches: int) -> tuple[tuple[int, ...] | None, Array, str]:
+        """Return the next mini-batch (None: all), what is left of the epoch, and the generator after it."""
+        if self.batch_size is None:
+            return None, state.queue, state.rng
+        queue, rng = state.queue, _rng_from_text(state.rng)
+        if queue.size == 0:
+            queue = rng.permutation(n_batches)
+        drawn, left = queue[: self.batch_size], queue[self.batch_size :]
+        return tuple(int(i) for i in np.sort(drawn)), left, _rng_text(rng)
+
+    @property
+    def _mini_batches(self) -> bool:
+        return self.batch_size is not None
+
+    def _converged(self, state: DescentState, problem: Problem) -> bool:
+        if state.iteration == NOT_STARTED or self._mini_batches or self.gradient_tolerance == 0:
+            return False
+        projected = state.x - np.clip(state.x - state.grad, problem.lower, problem.upper)
+        return bool(np.max(np.abs(projected)) <= self.gradient_tolerance)
+
+    def _outcome(self, state: DescentState, status: Status, message: str) -> Outcome:
+        return Outcome(state.best_x.copy(), state.best_loss, status, message, max(state.iteration, 0))
+
+
+def _rng_text(rng: np.random.Generator) -> str:
+    return json.dumps(rng.bit_generator.state)
+
+
+def _rng_from_text(text: str) -> np.random.Generator:
+    rng = np.random.default_rng(0)
+    rng.bit_generator.state = json.loads(text)
+    return rng

@@ -1,0 +1,58 @@
+"""L-BFGS-B: quasi-Newton with bounds, for many unknowns and exact gradients."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, Status
+from cqrun.optimizers.replayed import Trials, minimise_with_restarts
+from cqrun.registry import plugin
+
+
+@plugin("optimizer", "lbfgs")
+class Lbfgs(Optimizer):
+    """L-BFGS-B: x <- x - alpha H g inside the bounds, H from the last `memory` pairs (s, y).
+
+    For smooth losses of any number of unknowns. A line search finds alpha (strong Wolfe conditions).
+    R. H. Byrd, P. Lu, J. Nocedal, C. Zhu: A limited memory algorithm for bound constrained
+    optimization, SIAM J. Sci. Comput. 16 (1995); scipy's implementation.
+    """
+
+    max_iterations: int = Field(100, ge=1, description="iterations at most")
+    memory: int = Field(10, ge=1, description="pairs (s, y) kept for the inverse Hessian")
+    function_tolerance: float = Field(
+        1e-10, ge=0, description="converged when an iteration lowers the loss by less than this part of it"
+    )
+    gradient_tolerance: float = Field(
+        1e-8, ge=0, description="converged when no component of the projected gradient is larger"
+    )
+    line_search_steps: int = Field(20, ge=1, description="trials of one line search at most")
+
+    def minimise(self, problem: Problem, session: Session) -> Outcome:
+        """Minimise with exact resume through the session's log."""
+        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
+
+        return minimise_with_restarts(self._attempt, problem, session, self.max_iterations)
+
+    def _attempt(self, trials: Trials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
+        from scipy.optimize import Bounds, minimize
+
+        unlimited = 2**31 - 1  # the callback counts, over restarts too
+        result = minimize(
+            trials.value_and_grad,
+            x,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=Bounds(lower, upper),
+            callback=trials.accept,
+            options={
+                "maxcor": self.memory,
+                "ftol": self.function_tolerance,
+                "gtol": self.gradient_tolerance,
+                "maxls": self.line_search_steps,
+                "maxiter": unlimited,
+                "maxfun": unlimited,
+            },
+        )
+        return ("converged" if result.status == 0 else "stalled"), str(result.message)

@@ -1,0 +1,100 @@
+"""Files that are either there whole or not at all, and disk trouble told in words."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from cqrun.errors import CqrunError, RunError, UsageError
+
+FULL = {errno.ENOSPC, errno.EDQUOT}
+REFUSED = {errno.EACCES, errno.EPERM, errno.EROFS}
+MISPLACED = {errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.ENOENT, errno.ENAMETOOLONG}
+
+
+def disk_error(error: OSError, path: Path) -> CqrunError:
+    """Return the error that tells a person what `error` on `path` means and what to do."""
+    if error.errno in FULL:
+        return RunError(
+            f"{path}: the disk is full; nothing written before is lost. "
+            "Free some space, then `cqrun resume` the run, or choose another disk with --out DIR"
+        )
+    if error.errno in REFUSED:
+        return UsageError(
+            f"{path}: cannot be written ({error.strerror}); choose another directory with --out DIR"
+        )
+    if error.errno in MISPLACED:
+        return UsageError(f"{path}: cannot be made ({error.strerror}); choose another place with --out DIR")
+    return RunError(f"{path}: cannot be written ({error.strerror or error})")
+
+
+@contextlib.contextmanager
+def disk_errors(path: Path) -> Iterator[None]:
+    """Turn an OSError inside the block into cqrun's own error about `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise disk_error(error, path) from error
+
+
+def make_directory(path: Path) -> None:
+    """Make a directory and its parents; one that exists is fine.
+
+    Raises:
+        UsageError: it cannot be made there.
+        RunError: the disk is full.
+    """
+    with disk_errors(path):
+        path.mkdir(parents=True, exist_ok=True)
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Put `data` at `path`: a reader sees the old file or the new one, whole, also after a crash.
+
+    Raises:
+        UsageError: the directory cannot be written to.
+        RunError: the disk is full, or failed.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with disk_errors(path):
+        try:
+            with temporary.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        sync_directory(path.parent)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Put UTF-8 `text` at `path`; see `write_bytes`."""
+    write_bytes(path, text.encode())
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Put `value` at `path` as indented JSON; NaN and infinities are refused, as JSON has none.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    write_text(path, json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def sync_directory(directory: Path) -> None:
+    """Make a rename or a new file in `directory` last through a power cut."""
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a file system that cannot sync a directory does not need it
+            raise
+    finally:
+        os.close(handle)

@@ -1,0 +1,53 @@
+"""One process at a time holds a run directory."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+from pathlib import Path
+
+from cqrun.errors import UsageError
+from cqrun.store.atomic import disk_errors
+
+
+class DirectoryLock:
+    """An advisory lock (flock) on the file `lock`; it ends with the process, however that ends.
+
+    The file stays behind: to remove it would let two processes lock two files of one name.
+
+    Args:
+        directory: the run directory, which exists.
+
+    Raises:
+        UsageError: another process holds it; the message names its pid.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.path = directory / "lock"
+        with disk_errors(self.path):
+            self._handle = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            self._take(directory)
+        except BaseException:
+            os.close(self._handle)
+            raise
+
+    def _take(self, directory: Path) -> None:
+        try:
+            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            holder = os.pread(self._handle, 256, 0).decode(errors="replace").strip() or "unknown"
+            raise UsageError(
+                f"{directory}: another process works on this run (pid {holder}); "
+                "wait for it or stop it, or give --out DIR for a run of your own"
+            ) from error
+        with disk_errors(self.path):
+            os.ftruncate(self._handle, 0)
+            os.pwrite(self._handle, f"{os.getpid()} on {socket.gethostname()}\n".encode(), 0)
+
+    def release(self) -> None:
+        """Let go; a second call does nothing."""
+        if self._handle >= 0:
+            os.close(self._handle)
+            self._handle = -1

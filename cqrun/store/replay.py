@@ -1,0 +1,195 @@
+"""The replay log: every evaluation of an optimizer that cannot save its own state.
+
+A file of records, each appended with fsync and guarded by a CRC-32. A resumed run asks the same questions in
+the same order and is answered from the file while the question matches bit for bit; then it computes again.
+
+    file     "CQREPLAY" version:u4 record*
+    record   length:u4 crc32:u4 payload
+    payload  kind:16s status:u1 arrays:u1 message_length:u4 message array*      first array: x
+    array    name:16s dimensions:u1 size:u8* values:f8*                         all little-endian
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.optimizers.base import TrialFailed
+from cqrun.store.atomic import disk_error, disk_errors, sync_directory
+
+MAGIC = b"CQREPLAY" + struct.pack("<I", 1)
+FRAME = struct.Struct("<II")
+HEAD = struct.Struct("<16sBBI")
+ARRAY = struct.Struct("<16sB")
+OK, FAILED = 0, 1
+QUESTION = "x"
+
+
+class ReplayLog:
+    """Answers evaluations from a file, and appends those that it does not know.
+
+    Args:
+        path: the file; made if it does not exist.
+        note: called with a sentence where the log is cut.
+
+    Attributes:
+        replayed: evaluations answered from the file since it was opened.
+        computed: evaluations computed and appended.
+
+    Raises:
+        UsageError: the file exists and is no replay log.
+    """
+
+    def __init__(self, path: Path, note: Callable[[str], None] = lambda text: None) -> None:
+        self.path, self._note = path, note
+        self.replayed = self.computed = 0
+        with disk_errors(path):
+            fresh = not path.exists() or path.stat().st_size < len(MAGIC)
+            self._file: BinaryIO = path.open("w+b" if fresh else "r+b")
+            if fresh:
+                self._file.write(MAGIC)
+                self._sync()
+                sync_directory(path.parent)
+            self._file.seek(0)
+            magic = self._file.read(len(MAGIC))
+        if magic != MAGIC:
+            self._file.close()
+            raise UsageError(
+                f"{path}: unreadable checkpoint: not a replay log of this version of cqrun; "
+                "start the run over with --fresh"
+            )
+        self._end = len(MAGIC)
+        self._live = False
+
+    def evaluate(self, kind: str, x: Array, compute: Callable[[], dict[str, Array]]) -> dict[str, Array]:
+        """Return float64 arrays by name: from the log if its next record is this question, else computed.
+
+        Args:
+            kind: what is asked at x, at most 16 characters.
+            x: where (n,).
+            compute: what answers it; it may raise TrialFailed, which is logged and replayed.
+
+        Raises:
+            TrialFailed: the trial failed, now or when it was logged.
+            RunError: the record cannot be written.
+        """
+        if not self._live:
+            payload = self._next_payload()
+            if payload is not None and _asks(payload, kind, x):
+                self._end = self._file.tell()
+                self.replayed += 1
+                return _answer(payload)
+            if payload is not None:
+                self._note(
+                    f"{self.path.name}: evaluation {self.replayed + 1} ({kind}) is at another point than the "
+                    "logged one; the rest of the log is dropped and computed again"
+                )
+            self._go_live()
+        return self._compute(kind, x, compute)
+
+    def close(self) -> None:
+        """Close the file; what is logged stays."""
+        self._file.close()
+
+    def _compute(self, kind: str, x: Array, compute: Callable[[], dict[str, Array]]) -> dict[str, Array]:
+        question = np.array(x, dtype=np.float64)  # compute may change x
+        try:
+            answer = {name: np.array(value, dtype=np.float64) for name, value in compute().items()}
+        except TrialFailed as failure:
+            self._append(_pack(kind, FAILED, _failure_text(failure), {QUESTION: question}))
+            raise
+        self._append(_pack(kind, OK, "", {QUESTION: question} | answer))
+        return answer
+
+    def _next_payload(self) -> bytes | None:
+        """Return the record at the cursor, or None at the end or where the file is torn."""
+        self._file.seek(self._end)
+        frame = self._file.read(FRAME.size)
+        if not frame:
+            return None
+        if len(frame) == FRAME.size:
+            length, crc = FRAME.unpack(frame)
+            available = self.path.stat().st_size - self._file.tell()
+            payload = self._file.read(length) if length <= available else b""
+            if len(payload) == length >= HEAD.size and zlib.crc32(payload) == crc:
+                return payload
+        self._note(f"{self.path.name}: record {self.replayed + 1} is torn; it is computed again")
+        return None
+
+    def _go_live(self) -> None:
+        with disk_errors(self.path):
+            self._file.truncate(self._end)
+            self._sync()
+        self._live = True
+
+    def _append(self, payload: bytes) -> None:
+        try:
+            self._file.seek(self._end)
+            self._file.write(FRAME.pack(len(payload), zlib.crc32(payload)) + payload)
+            self._sync()
+        except OSError as error:
+            raise disk_error(error, self.path) from error
+        self._end = self._file.tell()
+        self.computed += 1
+
+    def _sync(self) -> None:
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+
+def _label(text: str) -> bytes:
+    data = text.encode()
+    if len(data) > 16:
+        raise ValueError(f"'{text}' is longer than the 16 bytes of a record's label")
+    return data.ljust(16, b"\0")
+
+
+def _pack(kind: str, status: int, message: str, arrays: dict[str, Array]) -> bytes:
+    text = message.encode()
+    parts = [HEAD.pack(_label(kind), status, len(arrays), len(text)), text]
+    for name, array in arrays.items():
+        parts.append(ARRAY.pack(_label(name), array.ndim) + struct.pack(f"<{array.ndim}Q", *array.shape))
+        parts.append(array.astype("<f8").tobytes())
+    return b"".join(parts)
+
+
+def _unpack(payload: bytes) -> tuple[str, int, str, dict[str, Array]]:
+    label, status, count, length = HEAD.unpack_from(payload)
+    at = HEAD.size + length
+    message = payload[HEAD.size : at].decode()
+    arrays: dict[str, Array] = {}
+    for _ in range(count):
+        name, ndim = ARRAY.unpack_from(payload, at)
+        at += ARRAY.size
+        shape = struct.unpack_from(f"<{ndim}Q", payload, at)
+        at += 8 * ndim
+        size = int(np.prod(shape, dtype=np.int64))
+        values = np.frombuffer(payload, dtype="<f8", count=size, offset=at)
+        at += 8 * size
+        arrays[name.rstrip(b"\0").decode()] = values.astype(np.float64).reshape(shape)
+    return label.rstrip(b"\0").decode(), status, message, arrays
+
+
+def _asks(payload: bytes, kind: str, x: Array) -> bool:
+    logged_kind, _, _, arrays = _unpack(payload)
+    return logged_kind == kind and arrays[QUESTION].tobytes() == np.asarray(x, np.float64).tobytes()
+
+
+def _answer(payload: bytes) -> dict[str, Array]:
+    _, status, message, arrays = _unpack(payload)
+    if status == FAILED:
+        raise TrialFailed(**json.loads(message))
+    return {name: array for name, array in arrays.items() if name != QUESTION}
+
+
+def _failure_text(failure: TrialFailed) -> str:
+    return json.dumps(vars(failure))

@@ -1,0 +1,78 @@
+"""Two generations of a small state file: one is whole whatever happens to the other."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.store.atomic import write_bytes
+
+GENERATION = "generation"
+
+
+class Snapshots:
+    """Keeps the last two states of an optimizer as `<stem>.0.npz` and `<stem>.1.npz`, written in turn.
+
+    Args:
+        stem: path without the generation and suffix.
+        note: called with a sentence where a damaged file is passed over.
+    """
+
+    def __init__(self, stem: Path, note: Callable[[str], None] = lambda text: None) -> None:
+        self.paths = tuple(stem.with_name(f"{stem.name}.{i}.npz") for i in (0, 1))
+        self._note = note
+        self._generation: int | None = None
+
+    def save(self, state: dict[str, Array]) -> None:
+        """Put `state` in the place of the older generation, atomically.
+
+        Raises:
+            UsageError, RunError: it cannot be written.
+        """
+        if self._generation is None:
+            self.load()
+        generation = (self._generation or 0) + 1
+        buffer = io.BytesIO()
+        np.savez(buffer, allow_pickle=False, **{GENERATION: np.asarray(generation)}, **state)
+        write_bytes(self.paths[generation % 2], buffer.getvalue())
+        self._generation = generation
+
+    def load(self) -> dict[str, Array] | None:
+        """Return the newest intact state, or None when nothing was saved.
+
+        Raises:
+            UsageError: files are there and none is intact.
+        """
+        present = [path for path in self.paths if path.exists()]
+        intact = [state for path in present if (state := self._read(path)) is not None]
+        if present and not intact:
+            raise UsageError(
+                f"{present[0]}: unreadable checkpoint, and no older one is intact; "
+                "start the run over with --fresh"
+            )
+        if not intact:
+            self._generation = 0
+            return None
+        newest = max(intact, key=lambda state: int(state[GENERATION]))
+        self._generation = int(newest.pop(GENERATION))
+        return newest
+
+    def _read(self, path: Path) -> dict[str, Array] | None:
+        try:
+            data = path.read_bytes()
+            with zipfile.ZipFile(io.BytesIO(data)) as archive:  # numpy would not reach every CRC
+                damaged = archive.testzip()
+            if damaged is None:
+                with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+                    return {name: arrays[name] for name in arrays.files}
+            reason = f"checksum of {damaged} is wrong"
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            reason = str(error)
+        self._note(f"{path.name}: unreadable ({reason}); passed over for the generation before it")
+        return None
