@@ -53,8 +53,8 @@ demo: $(READY) ## recover the material of a soft beam from its motion, in under 
 	$(BIN)/cqrun sysid $(DEMO)
 	@echo; echo "The result: $$(ls -td results/$(basename $(notdir $(DEMO)))/*/ | head -n 1)"
 
-clean-cache: $(READY) ## forget the compiled kernels
-	$(BIN)/python -c 'import cqrun, os, shutil; shutil.rmtree(os.environ["NUMBA_CACHE_DIR"], ignore_errors=True)'
+clean-cache: $(READY) ## forget the compiled kernels of every version
+	$(BIN)/python -c 'import platformdirs, shutil; shutil.rmtree(platformdirs.user_cache_dir("cqrun"), True)'
 
 clean: ## remove the environment and the tools' caches; results stay
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache

@@ -98,8 +98,6 @@ def _page(kind: str, name: str, cls: type[BaseModel]) -> Iterator[str]:
 
 
 def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
-    from pydantic import BaseModel
-
     from cqrun.contract import field_unit, is_differentiable
 
     if not cls.model_fields:
@@ -112,12 +110,16 @@ def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
         text = (info.description or "").removesuffix(f" [{unit}]")
         if text:
             yield f"{indent}      {text}"
-        inner = [
-            part for part in _parts(info.annotation) if inspect.isclass(part) and issubclass(part, BaseModel)
-        ]
-        for spec in inner:
-            if spec is not cls:
+        if not _choices(info):  # a choice has pages of its own
+            for spec in _specs(info.annotation):
                 yield from _fields(spec, indent + "    ")
+
+
+def _specs(annotation: Any) -> list[type[BaseModel]]:
+    """Return the parts of a scene that an annotation nests."""
+    from cqrun.contract import Spec
+
+    return [part for part in _parts(annotation) if inspect.isclass(part) and issubclass(part, Spec)]
 
 
 def _parts(annotation: Any) -> Iterator[Any]:
@@ -157,13 +159,8 @@ def _what(info: FieldInfo) -> str:
 
 
 def _range(info: FieldInfo) -> str:
-    limits = [
-        f"{sign} {getattr(mark, key):g}"
-        for key, sign in LIMITS
-        for mark in info.metadata
-        if hasattr(mark, key)
-    ]
-    return " and ".join(limits)
+    limits = [(sign, getattr(mark, key, None)) for key, sign in LIMITS for mark in info.metadata]
+    return " and ".join(f"{sign} {limit}" for sign, limit in limits if limit is not None)
 
 
 def _default(info: FieldInfo) -> str:

@@ -1,0 +1,66 @@
+"""`cqrun describe`: lists, pages, aliases and suggestions, for every plug-in there is."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+import pytest
+
+from cqrun.cli.describe import _lines
+from cqrun.errors import UsageError
+from cqrun.registry import FOLDERS, plugins
+
+KINDS = [kind for kind, folder in FOLDERS.items() if find_spec(folder)]
+PAGES = [(kind, name) for kind in KINDS for name in plugins(kind)]
+
+
+def page(*words: str) -> str:
+    return "\n".join(_lines(*words, *[None] * (2 - len(words))))
+
+
+def test_without_words_it_lists_kinds():
+    text = page()
+    assert all(f"\n  {kind} " in text for kind in KINDS)
+
+
+@pytest.mark.parametrize(("kind", "name"), PAGES)
+def test_every_plugin_has_a_page(kind, name):
+    text = page(kind, name)
+    cls = plugins(kind)[name]
+    assert cls.__doc__, "a plug-in without a docstring has no page"
+    assert text.startswith(f"{kind}: {name}\n\n  {cls.__doc__.strip().splitlines()[0]}")
+    for field, info in cls.model_fields.items():
+        assert f"\n  {field}: " in text
+        assert info.description, f"{field} says nothing of itself"
+    assert f"{kind} {name}: " in page(kind)
+
+
+def test_a_page_shows_units_ranges_and_defaults():
+    text = page("shape", "union")
+    assert "scale: [1], number, > 0, default 1.0" in text
+    assert "shapes: several of shape (cqrun describe shape), required" in text
+
+
+def test_a_name_alone_is_enough():
+    assert page("ball") == page("shape", "ball")
+
+
+def test_a_folder_stands_for_its_kinds():
+    assert page("geometry", "ball") == page("shape", "ball")
+    listing = page("geometry")
+    assert "shape ball: " in listing
+    assert "sampling lattice: " in listing
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["shape", "bal"], "no shape is called 'bal' \\(did you mean 'ball'\\?\\)"),
+        (["shpae"], "nothing is called 'shpae' \\(did you mean 'shape'\\?\\)"),
+        (["capsul"], "did you mean 'capsule'"),
+        (["ball", "box"], "nothing is called 'ball'"),
+    ],
+)
+def test_a_slip_is_answered_with_the_nearest_name(words, message):
+    with pytest.raises(UsageError, match=message):
+        page(*words)

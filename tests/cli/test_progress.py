@@ -1,0 +1,98 @@
+"""Progress: plain lines for log files, one live line on a terminal, silence on request, and signals."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+
+import pytest
+
+from cqrun.cli.progress import Progress, clock, reporting
+from cqrun.errors import Stopped
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture(autouse=True)
+def _plain_environment(monkeypatch):
+    for name in ("NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TERM", "xterm-256color")
+
+
+def use(stream: io.StringIO, **options: object) -> str:
+    """Return what a job of three iterations writes."""
+    with Progress(stream=stream, **options) as progress:
+        progress.begin(3)
+        progress.phase("compiling kernels")
+        for k in (1, 2, 3):
+            progress.update(k, loss=1.0 / k, best=1.0 / k, step=0.5, seconds=40.0)
+        progress.warn("the step is [large]")
+    return stream.getvalue()
+
+
+def test_a_log_file_gets_plain_lines():
+    first, second, third, fourth, warning = use(io.StringIO(), plain_every=0.0).splitlines()
+    assert first == "compiling kernels"
+    assert second == "iteration 1/3  loss 1  best 1  step 0.5  40 s/iteration  1:20 left"
+    assert third.startswith("iteration 2/3  loss 0.5")
+    assert fourth.endswith("0 s left")
+    assert warning == "warning: the step is [large]"
+
+
+def test_a_log_file_is_not_flooded_but_has_the_last_iteration():
+    stream = io.StringIO()
+    with Progress(stream=stream, plain_every=1e9) as progress:
+        for k in range(1, 101):
+            progress.update(k, loss=1.0, best=1.0, step=0.0, seconds=0.0)
+    lines = stream.getvalue().splitlines()
+    assert [line.split()[1] for line in lines] == ["1", "100"]
+
+
+def test_quiet_keeps_warnings():
+    assert use(io.StringIO(), quiet=True) == "warning: the step is [large]\n"
+    assert use(Terminal(), quiet=True).count("\n") == 1
+
+
+def test_a_terminal_gets_a_live_line_that_is_gone_at_the_end():
+    text = use(Terminal())
+    assert "iteration 3/3" in text
+    assert "\x1b[?25l" in text  # the cursor is hidden while the line lives
+    assert text.rstrip().endswith("\x1b[2K")  # and the line is erased
+
+
+def test_no_color_is_honoured(monkeypatch):
+    assert "\x1b[33m" in use(Terminal())
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert "\x1b[33m" not in use(Terminal())
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
+def test_the_first_signal_asks_the_second_aborts(capsys, number, code):
+    before = signal.getsignal(number)
+
+    def job() -> None:
+        with reporting(quiet=True) as reporter:
+            assert not reporter.stop.asked
+            os.kill(os.getpid(), number)
+            assert reporter.stop.asked
+            assert "finishing this iteration" in capsys.readouterr().err
+            os.kill(os.getpid(), number)
+
+    with pytest.raises(Stopped, match="aborted") as ended:
+        job()
+    assert ended.value.exit_code == code
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.4, "0 s"), (59.4, "59 s"), (59.6, "1:00"), (187, "3:07"), (3729, "1:02:09")]
+)
+def test_clock(seconds, text):
+    assert clock(seconds) == text

@@ -1,0 +1,66 @@
+"""What the documents promise exists: commands, make targets, exit codes, links."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from cqrun.cli.app import COMMANDS
+from cqrun.cli.options import DEFAULT_OUT
+from cqrun.errors import RunError, Stopped, UsageError
+from cqrun.jobs.reporter import EXIT_INTERRUPTED
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+README = (ROOT / "README.md").read_text()
+MAKEFILE = (ROOT / "Makefile").read_text()
+NAMES = {command.__name__ for command in COMMANDS}
+TARGETS = set(re.findall(r"^([a-z-]+):", MAKEFILE, re.MULTILINE))
+
+
+def test_the_readme_has_every_command():
+    assert set(re.findall(r"^\| `cqrun (\w+)", README, re.MULTILINE)) == NAMES
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_page_names_only_what_there_is(page):
+    text = page.read_text()
+    code = "\n".join(re.findall(r"`([^`]+)`", text) + re.findall(r"^    (.*)$", text, re.MULTILINE))
+    assert set(re.findall(r"\bcqrun ([a-z]+)\b", code)) <= NAMES
+    assert set(re.findall(r"\bmake ([a-z-]+)\b", code)) <= TARGETS
+    links = [link for link in re.findall(r"\]\(([^)#]+)", text) if "://" not in link]
+    missing = [link for link in links if not (page.parent / link).exists()]
+    assert not missing
+
+
+def test_make_help_lists_every_target():
+    command = ["make", "--no-print-directory", "help"]
+    listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert set(re.findall(r"^  make ([a-z-]+) ", listing, re.MULTILINE)) == TARGETS
+    assert all(re.search(rf"^{t}:.*## \w", MAKEFILE, re.MULTILINE) for t in TARGETS)
+
+
+def test_the_readme_has_the_exit_codes():
+    table = [int(code) for code in re.findall(r"^\| (\d+) \|", README, re.MULTILINE)]
+    real = [0, RunError.exit_code, UsageError.exit_code, Stopped.exit_code, EXIT_INTERRUPTED]
+    assert table == real
+
+
+def test_the_readme_has_the_default_results_folder():
+    assert f"`--out DIR` (default `{DEFAULT_OUT}/`)" in README
+
+
+def test_the_demo_runs_a_scene_that_is_shipped():
+    demo = re.search(r"^DEMO := (.+)$", MAKEFILE, re.MULTILINE)
+    assert demo
+    assert (ROOT / demo[1]).is_file()
+    assert demo[1] in README
+
+
+def test_the_changelog_has_this_version():
+    from cqrun import __version__
+
+    assert f"\n## {__version__}" in (ROOT / "CHANGELOG.md").read_text()
