@@ -33,11 +33,14 @@ def doctor(out: Out = DEFAULT_OUT) -> None:
         problem = _unwritable(folder)
         failures += bool(problem)
         _say(name, f"{folder}: {problem or 'writable'}")
-    kernel = check_kernel()
+    threads = _cores()
+    kernel = check_kernel(threads)
     failures += not kernel.right
-    origin = "from the cache" if kernel.from_cache else "compiled"
-    _say("threads", f"{kernel.threads}, threading layer {kernel.layer}")
-    _say("test kernel", f"{'right' if kernel.right else 'WRONG RESULT'}, {origin} in {kernel.seconds:.2f} s")
+    _say("threads", f"{threads}, met by the engine's own barrier")
+    _say(
+        "test kernel",
+        f"{'right' if kernel.right else 'WRONG RESULT'}, {kernel.origin}, {kernel.seconds:.2f} s",
+    )
     if failures:
         raise typer.Exit(1)
 
@@ -52,10 +55,16 @@ def _machine() -> Iterator[tuple[str, str]]:
     memory = psutil.virtual_memory()
     yield "cqrun", __version__
     yield "Python", f"{sys.version.split()[0]} on {platform.platform()}"
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else psutil.cpu_count()
-    yield "cores", f"{usable} usable, {psutil.cpu_count(logical=False)} physical in all"
+    yield "cores", f"{_cores()} usable, {psutil.cpu_count(logical=False)} physical in all"
     yield "load", " ".join(f"{value:.1f}" for value in psutil.getloadavg()) + " (1, 5, 15 minutes)"
     yield "memory", f"{memory.available / 2**30:.1f} of {memory.total / 2**30:.1f} GiB free"
+
+
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _packages() -> Iterator[tuple[str, str]]:

@@ -1,51 +1,63 @@
-"""A kernel that takes a second: does this machine compile, cache and run in parallel?"""
+"""A kernel that takes a second: does this machine compile, cache, and thread as the engine needs it?"""
 
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numba
 import numpy as np
+from numba import config
+
+from cqrun.compile import barrier, kernel, share
+from cqrun.contract import Array
 
 SIZE = 1 << 16
 
 
 @dataclass(frozen=True)
 class KernelCheck:
-    """What the test kernel found."""
+    """What the test kernel found.
+
+    Attributes:
+        right: its answer is that of NumPy, bit for bit, on one thread and on all.
+        origin: `compiled`, `from the cache`, or `plain Python` where the JIT is off.
+        seconds: time of the first call [s].
+    """
 
     right: bool
-    """Its answer is that of NumPy, bit for bit."""
-    from_cache: bool
-    """It was loaded from the kernel cache and not compiled."""
+    origin: str
     seconds: float
-    """Time of the first call [s]."""
-    threads: int
-    """Threads that Numba would use."""
-    layer: str
-    """Numba's threading layer, known only once a parallel kernel has run."""
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-def _axpy(a, x, y):  # type: ignore[no-untyped-def]
-    out = np.empty_like(x)
-    for i in numba.prange(x.size):
-        out[i] = a * x[i] + y[i]
+@kernel
+def _mirror(x, y, out, counters, thread, n_threads):  # type: ignore[no-untyped-def]
+    low, high = share(x.size, thread, n_threads)
+    for i in range(low, high):
+        y[i] = 0.25 * x[i]
+    barrier(counters, n_threads)
+    # what another thread wrote: right only if all of them have met
+    for i in range(low, high):
+        out[i] = y[x.size - 1 - i]
+
+
+def _run(n_threads: int) -> Array:
+    x, y, out = np.arange(SIZE, dtype=np.float64), np.zeros(SIZE), np.zeros(SIZE)
+    counters = np.zeros(2, dtype=np.int64)
+    with ThreadPoolExecutor(n_threads) as pool:
+        calls = [pool.submit(_mirror, x, y, out, counters, k, n_threads) for k in range(n_threads)]
+        for call in calls:
+            call.result()
     return out
 
 
-def check_kernel() -> KernelCheck:
-    """Run the test kernel once and say what happened."""
-    x, y = np.arange(SIZE, dtype=np.float64), np.full(SIZE, 0.5)
+def check_kernel(n_threads: int) -> KernelCheck:
+    """Run the test kernel on one thread, then on `n_threads`, and say what happened."""
+    expected = 0.25 * np.arange(SIZE, dtype=np.float64)[::-1]
     start = time.perf_counter()
-    out = _axpy(0.25, x, y)
+    right = bool(np.array_equal(_run(1), expected))
     seconds = time.perf_counter() - start
-    hits = sum(_axpy.stats.cache_hits.values()) if hasattr(_axpy, "stats") else 0
-    # multiples of 1/4: exact, fused or not
-    right = bool(np.array_equal(out, 0.25 * x + y))
-    return KernelCheck(right, hits > 0, seconds, numba.get_num_threads(), _layer())
-
-
-def _layer() -> str:
-    return "none (JIT disabled)" if numba.config.DISABLE_JIT else str(numba.threading_layer())
+    if config.DISABLE_JIT:
+        return KernelCheck(right, "plain Python", seconds)
+    origin = "from the cache" if _mirror.stats.cache_hits else "compiled"
+    return KernelCheck(right and bool(np.array_equal(_run(n_threads), expected)), origin, seconds)

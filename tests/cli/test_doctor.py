@@ -7,7 +7,6 @@ from typer.testing import CliRunner
 
 from cqrun.cli.app import app
 from cqrun.cli.doctor import REQUIREMENT, _unwritable
-from cqrun.jobs.selfcheck import check_kernel
 
 
 def test_doctor_is_content_here(tmp_path):
@@ -26,10 +25,6 @@ def test_doctor_fails_where_results_cannot_be_written(tmp_path):
     assert done.exit_code == 1
     assert "NOT WRITABLE" in done.output
     assert _unwritable(tmp_path) == ""
-
-
-def test_the_test_kernel_is_right():
-    assert check_kernel().right
 
 
 @pytest.mark.parametrize(
