@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from cqrun.contract import Array
 
 
@@ -23,8 +21,3 @@ class Record(NamedTuple):
     v: Array
     C: Array
     F: Array
-
-
-def zero_cotangent(record: Record) -> Record:
-    """Return a cotangent of zeros in the shapes of `record`."""
-    return Record(*(np.zeros(np.shape(part)) for part in record))

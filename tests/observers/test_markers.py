@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from cqrun.observers.markers import Points, centroid, markers, particles
-from cqrun.observers.record import Record, zero_cotangent
+from cqrun.observers.record import Record
 
 
 def random_record(rng, dim, steps=5, count=3, strain=0.2):
@@ -77,10 +77,3 @@ def test_without_stems_the_deformation_does_not_matter(rng):
     assert not back.F.any()
     np.testing.assert_allclose(observer.rows.toarray(), [[0.25, 0.75]])
     np.testing.assert_array_equal(particles([1], 3).rows.toarray(), [[0, 1, 0]])
-
-
-def test_zero_cotangent(rng):
-    record = random_record(rng, 3)
-    for part, nought in zip(record, zero_cotangent(record), strict=True):
-        assert nought.shape == part.shape
-        assert not nought.any()

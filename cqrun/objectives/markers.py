@@ -1,0 +1,168 @@
+"""How far a model's markers are from recorded ones.
+
+Error of a marker in a frame: model displacement since the release, less the recorded displacement
+from the marker's own mean over the still frames (or positions, where the recording is in the scene's
+frame already). Loss: the mean over seen markers and frames of the squared length of the error [m^2].
+RMSE: its root, so that loss = RMSE^2, whatever the number of coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import DataError
+from cqrun.objectives.hermite import interpolant
+from cqrun.observers.markers import Points
+from cqrun.observers.record import Record
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Root mean squares of the errors' lengths [m].
+
+    Attributes:
+        total: over all seen markers and frames.
+        markers: by marker; NaN for one that is not seen in the window.
+    """
+
+    total: float
+    markers: dict[str, float]
+
+
+class MarkerObjective:
+    """The errors of one recording.
+
+    The frames that count are fixed once, from the bounds of `start`, so that the loss has no jumps in
+    it: those from the earliest release that is allowed, to the last that every release reaches. In
+    frames before the release the model rests.
+
+    Attributes:
+        times: (F,) the recording's times of the frames that count [s].
+        data: (F, M, D) recorded displacements or positions [m]; 0 where not seen.
+        seen: (F, M) of bool.
+        names: M markers.
+        count: number of seen markers and frames together.
+        weight: of this recording among others.
+    """
+
+    def __init__(
+        self,
+        observer: Points,
+        names: Sequence[str],
+        time: Array,
+        values: Array,
+        *,
+        control_step: float,
+        steps: int,
+        start: float,
+        start_bounds: tuple[float, float] | None = None,
+        absolute: bool = False,
+        weight: float = 1.0,
+        source: str = "recording",
+    ) -> None:
+        """Choose the frames.
+
+        Args:
+            observer: of the M markers.
+            time: (T,) of the recording [s].
+            values: (T, M, D) displacements [m], or positions if `absolute`; NaN where not seen.
+            control_step: of the model's record [s].
+            steps: control steps that the model runs; their time is the window's length.
+            start: time of the release in the recording [s].
+            start_bounds: where `start` may go if it is an unknown [s].
+            source: how errors name the recording.
+
+        Raises:
+            DataError: the window is not inside the recording, or no marker is seen in it.
+        """
+        self.observer, self.names, self.absolute, self.weight = observer, tuple(names), absolute, weight
+        self.control_step, self.steps = control_step, steps
+        self.start_bounds = start_bounds or (start, start)
+        frames = _frames(time, start, self.start_bounds, steps * control_step, source)
+        self.times = np.asarray(time, dtype=float)[frames]
+        self.seen = ~np.isnan(values[frames]).any(axis=2)
+        self.data = np.where(self.seen[..., None], values[frames], 0.0)
+        self.count = int(self.seen.sum())
+        if self.count == 0:
+            raise DataError(
+                f"{source}: no marker is seen between {self.times[0]:g} and {self.times[-1]:g} s; "
+                "choose another start or length"
+            )
+
+    def tracks(self, record: Record, start: float) -> Array:
+        """Return the model's displacements or positions at `times`, (F, M, D) [m]."""
+        y, w = self.observer.observe(record)
+        model = interpolant(self.times - start, self.control_step, self.steps)(y, w)
+        return model if self.absolute else model - y[0]
+
+    def residuals(self, record: Record, start: float) -> Array:
+        """Return the errors of the seen markers, frame by frame, (count * D,) [m]."""
+        return np.asarray((self.tracks(record, start) - self.data)[self.seen].ravel())
+
+    def residuals_vjp(self, record: Record, start: float, r_bar: Array) -> tuple[Record, float]:
+        """Return the cotangents of the record and of `start` from that of the residuals."""
+        y, w = self.observer.observe(record)
+        at = interpolant(self.times - start, self.control_step, self.steps)
+        out_bar = np.zeros_like(self.data)
+        out_bar[self.seen] = r_bar.reshape(self.count, -1)
+        y_bar, w_bar = at.vjp(out_bar)
+        if not self.absolute:
+            y_bar[0] -= out_bar.sum(axis=0)
+        return self.observer.observe_vjp(record, y_bar, w_bar), -float(np.sum(out_bar * at.slope(y, w)))
+
+    def loss(self, record: Record, start: float) -> float:
+        """Return the mean squared length of the errors [m^2]."""
+        return float(np.sum(self.residuals(record, start) ** 2) / self.count)
+
+    def loss_vjp(self, record: Record, start: float, loss_bar: float = 1.0) -> tuple[Record, float]:
+        """Return the cotangents of the record and of `start` from that of the loss."""
+        return self.residuals_vjp(
+            record, start, (2.0 * loss_bar / self.count) * self.residuals(record, start)
+        )
+
+    def misfit(self, record: Record, start: float) -> Misfit:
+        """Return the root mean square errors, in all and by marker."""
+        squared = ((self.tracks(record, start) - self.data) ** 2).sum(axis=2) * self.seen
+        frames = self.seen.sum(axis=0)
+        by_marker = [
+            float(np.sqrt(s / n)) if n else float("nan") for s, n in zip(squared.sum(0), frames, strict=True)
+        ]
+        return Misfit(
+            float(np.sqrt(squared.sum() / self.count)), dict(zip(self.names, by_marker, strict=True))
+        )
+
+    def series(self) -> list[Array]:
+        """Return where each marker's coordinates stand among the residuals, each in order of time."""
+        dim = self.data.shape[2]
+        place = np.full(self.seen.shape, -1)
+        place[self.seen] = np.arange(self.count)
+        tracks = [column[column >= 0] for column in place.T]
+        return [dim * track + axis for track in tracks if track.size for axis in range(dim)]
+
+
+def residual_scales(objectives: Sequence[MarkerObjective]) -> list[float]:
+    """Return a factor for the residuals of each recording.
+
+    The sum of squares of all scaled residuals is then the mean of the recordings' losses by weight.
+    """
+    total = sum(objective.weight for objective in objectives)
+    return [float(np.sqrt(o.weight / (total * o.count))) for o in objectives]
+
+
+def _frames(time: Array, start: float, bounds: tuple[float, float], length: float, source: str) -> Array:
+    """Return the indices of the frames that count, whatever start inside `bounds` is tried."""
+    first, last = float(time[0]), float(time[-1])
+    slack = 1e-6 * (last - first) / (len(time) - 1)
+    if start < first - slack or start + length > last + slack:
+        raise DataError(
+            f"{source}: the window, {start:g} to {start + length:g} s (start + length), does not lie inside "
+            f"the recording, {first:g} to {last:g} s"
+        )
+    frames = np.flatnonzero((time >= bounds[0] - slack) & (time <= bounds[0] + length + slack))
+    if frames.size == 0:
+        raise DataError(f"{source}: no frame lies between {bounds[0]:g} and {bounds[0] + length:g} s")
+    return frames
