@@ -7,6 +7,7 @@ The registry is read when a value is validated, so a plug-in file added later is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -53,7 +54,8 @@ class Choice:
             message = f"must be a mapping `name: {{...}}` with one of {listed(legal)}, is {shown(data)}{near}"
             raise self._complaint(message)
         if len(data) != 1:
-            raise self._complaint(f"must name exactly one of {listed(legal)}; has {listed(map(str, data))}")
+            named = [str(name) for name in data]
+            raise self._complaint(f"must name exactly one of {listed(legal)}; has {listed(named)}", named)
         ((name, value),) = data.items()
         if name not in legal:
             message = f"no {self.kind} has this name{suggest(name, legal)}; legal names: {listed(legal)}"
@@ -69,8 +71,8 @@ class Choice:
             findings = [retold(e, (name,)) for e in error.errors(include_url=False)]
             raise complaint(self.kind, findings) from None
 
-    def _complaint(self, message: str) -> ValidationError:
-        return complaint(self.kind, [finding(message)])
+    def _complaint(self, message: str, involves: Sequence[str] = ()) -> ValidationError:
+        return complaint(self.kind, [finding(message, involves=involves)])
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         dump = core_schema.plain_serializer_function_ser_schema(_dump, info_arg=True)

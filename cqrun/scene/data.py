@@ -1,0 +1,127 @@
+"""What a run is fitted to: recordings, a target, or data that the scene makes itself."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from cqrun.contract import Spec, quantity, vector
+from cqrun.explain import Loc, complaint, finding, listed
+from cqrun.scene.fields import Interval, Name, Seed, Vector
+
+
+def exactly_one(part: Spec, names: tuple[str, ...]) -> None:
+    """Raise unless exactly one of the fields is given."""
+    given = [name for name in names if getattr(part, name) is not None]
+    if len(given) != 1:
+        message = f"must have exactly one of {listed(names)}; has {listed(given)}"
+        raise complaint(type(part).__name__, [finding(message, involves=names)])
+
+
+def _marker_problems(markers: dict[str, list[float]], dim: int) -> list[tuple[Loc, str]]:
+    told = f"must have {dim} entries in this {dim}D world, has "
+    return [(("markers", name), f"{told}{len(x)}") for name, x in markers.items() if len(x) != dim]
+
+
+class Recording(Spec):
+    """Measured motion of markers on a body.
+
+    `overrides` are key paths with what this recording changes in the scene, such as `loads.weight`.
+    """
+
+    file: str = Field(min_length=1, description="C3D, CSV or trajectory file, relative to the scene")
+    start: float = quantity("s", "Time in the file when the run begins", differentiable=True, default=0.0)
+    length: float | None = quantity(
+        "s", "How long to compare; the scene's duration if absent", gt=0, default=None
+    )
+    holdout: bool = Field(description="Predict it, but do not fit it", default=False)
+    body: Name = Field(description="Body that carries the markers; may be left out where there is one body")
+    units: Literal["m", "cm", "mm"] | None = Field(
+        description="Of the file, if it does not say", default=None
+    )
+    still: Interval | None = quantity("s", "Time in the file when the body rests", default=None)
+    markers: dict[str, Vector] = quantity("m", "Rest position of each marker used", default_factory=dict)
+    overrides: dict[str, Any] = Field(
+        description="Key path -> value for this recording", default_factory=dict
+    )
+    weight: float = quantity("1", "Weight in the loss", gt=0, default=1.0)
+
+    @model_validator(mode="after")
+    def _still_is_ordered(self) -> Self:
+        if self.still is not None and not self.still[0] < self.still[1]:
+            raise complaint("Recording", [finding("must begin before it ends", ("still",))])
+        return self
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        return super().dim_problems(dim) + _marker_problems(self.markers, dim)
+
+
+class Target(Spec):
+    """Where a body's centroid shall be at a time."""
+
+    body: Name = Field(description="Body whose centroid counts")
+    position: list[float] = vector("m", "Wanted position")
+    time: float = quantity("s", "When; the end of the run if absent", gt=0)
+
+
+class Synthetic(Spec):
+    """Data that the scene makes with known values of its unknowns, plus noise."""
+
+    truth: dict[str, float] = Field(description="Key path -> true value", min_length=1)
+    noise: float = quantity("m", "Standard deviation of each coordinate", ge=0, default=0.0)
+    copies: int = Field(description="Noisy copies of each sequence", ge=1, default=1)
+    seed: Seed = Field(description="Seed of the noise and of tracked particles", default=0)
+    body: Name = Field(description="Body that carries the markers; may be left out where there is one body")
+    markers: dict[str, Vector] | None = quantity("m", "Rest position of each marker", default=None)
+    tracked: int | None = Field(description="How many random particles to track", ge=1, default=None)
+    every: int | None = Field(description="Control steps between two frames", ge=1, default=None)
+    key_frames: int | None = Field(description="Frames, spread evenly over the run", ge=1, default=None)
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> Self:
+        exactly_one(self, ("markers", "tracked"))
+        exactly_one(self, ("every", "key_frames"))
+        return self
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        return super().dim_problems(dim) + _marker_problems(self.markers or {}, dim)
+
+
+class Data(Spec):
+    """What a run is fitted to: exactly one of `recordings`, `target` and `synthetic`."""
+
+    recordings: dict[Name, Recording] | None = Field(
+        description="Measured motion", min_length=1, default=None
+    )
+    target: Target | None = Field(description="A wanted centroid", default=None)
+    synthetic: Synthetic | None = Field(description="Data made by the scene itself", default=None)
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        exactly_one(self, ("recordings", "target", "synthetic"))
+        return self
+
+
+class Unknown(Spec):
+    """A leaf of the scene that an optimizer may change."""
+
+    bounds: Interval = Field(description="Least and greatest value, in the leaf's unit")
+    scale: Literal["linear", "log"] = Field(description="What the optimizer sees", default="linear")
+    per: Literal["body", "group", "particle"] = Field(
+        description="One value a body, a group or a particle", default="body"
+    )
+    initial: float | None = Field(description="Start; the scene's own value if absent", default=None)
+
+    @model_validator(mode="after")
+    def _bounds_are_ordered(self) -> Self:
+        lower, upper = self.bounds
+        if not lower < upper:
+            message = f"the lower bound {lower:g} must be less than the upper bound {upper:g}"
+            raise complaint("Unknown", [finding(message, ("bounds",))])
+        if self.scale == "log" and lower <= 0:
+            message = f"a log scale needs bounds greater than 0, is {lower:g}"
+            raise complaint("Unknown", [finding(message, ("bounds", 0), involves=("scale",))])
+        return self

@@ -1,0 +1,67 @@
+"""Key paths on plain data: `bodies.beam.material.density`, `world.gravity.2`.
+
+Keys may hold dots themselves (the keys of `unknowns` are paths), so a path is split by what is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from cqrun.explain import Loc
+
+KEYED_BY_PATHS = {"unknowns", "truth", "overrides"}
+"""Mappings whose keys are key paths: a new key is all that remains of the path."""
+
+
+def joined(loc: Iterable[int | str]) -> str:
+    """Return the path of keys and indices."""
+    return ".".join(map(str, loc))
+
+
+def first_key(keys: Iterable[int | str], path: str) -> int | str | None:
+    """Return the longest key that the path begins with; None if there is none."""
+    matching = [key for key in keys if path == str(key) or path.startswith(f"{key}.")]
+    return max(matching, key=lambda key: len(str(key)), default=None)
+
+
+def locate(data: Any, path: str) -> Loc:
+    """Return the keys and indices of a path in plain data; what is not there is split at its dots."""
+    loc: list[int | str] = []
+    rest = path
+    while rest:
+        keys: Iterable[int | str] = ()
+        if isinstance(data, dict):
+            keys = data
+        elif isinstance(data, list):
+            keys = range(len(data))
+        key = first_key(keys, rest)
+        if key is not None:
+            data = data[key]
+        else:
+            key = rest if loc and loc[-1] in KEYED_BY_PATHS else rest.partition(".")[0]
+            skips = isinstance(data, list) and rest.partition(".")[2].partition(".")[0].isdigit()
+            if skips:  # `union.shapes.0` where the text has the short form `union: [...]`
+                rest = rest.partition(".")[2]
+                continue
+            data = None
+        loc.append(key)
+        rest = rest[len(str(key)) + 1 :]
+    return tuple(loc)
+
+
+def replaced(data: Any, loc: Loc, value: Any) -> Any:
+    """Return plain data with one place replaced; mappings on the way are made where there are none.
+
+    Raises:
+        KeyError: a list has no such entry; its argument says so.
+    """
+    if not loc:
+        return value
+    key, rest = loc[0], loc[1:]
+    if isinstance(data, list):
+        if not isinstance(key, int):
+            raise KeyError(f"there is no entry '{key}' in a list of {len(data)}; they count from 0")
+        return [replaced(item, rest, value) if i == key else item for i, item in enumerate(data)]
+    inside = data if isinstance(data, dict) else {}
+    return {**inside, key: replaced(inside.get(key), rest, value)}

@@ -1,0 +1,92 @@
+"""A scene from a file, text or data: everything wrong is told at once, each with its place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from cqrun.errors import Problem, SceneError
+from cqrun.explain import complaint
+from cqrun.scene.document import Document, read, write
+from cqrun.scene.keypath import locate, replaced
+from cqrun.scene.origin import Origin, Override
+from cqrun.scene.paths import plain
+from cqrun.scene.schema import Scene
+from cqrun.scene.unknowns import findings_of_paths
+
+
+def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = ()) -> Scene:
+    """Return a validated scene.
+
+    Args:
+        source: a file's path, YAML text (a str with a line break), or plain data.
+        overrides: `key.path=value` each, the value in YAML; a later one wins.
+
+    Raises:
+        SceneError: every problem that was found: `file:line:column: key.path: what is wrong`, sorted by line,
+            then `-o key=value: key.path: what is wrong`.
+    """
+    document, path, text = _document(source)
+    data, applied = _overridden(document.data, overrides)
+    origin = Origin(document, tuple(applied), path, text)
+    try:
+        scene = Scene.model_validate(data)
+        findings = findings_of_paths(scene)
+        if findings:
+            raise complaint("Scene", findings)
+    except ValidationError as error:
+        raise SceneError(origin.problems(error)) from None
+    scene._origin = origin
+    return scene
+
+
+def resolve(scene: Scene) -> dict[str, Any]:
+    """Return plain data with every default visible; what is absent (None) is left out."""
+    data: dict[str, Any] = plain(scene.model_dump(exclude_none=True))
+    return data
+
+
+def dump(data: dict[str, Any]) -> str:
+    """Return YAML text of plain data; it loads back to the same bits."""
+    return write(data)
+
+
+def _document(source: Path | str | dict[str, Any]) -> tuple[Document, Path | None, str]:
+    """Return the document, its file if it has one, and its text."""
+    if isinstance(source, dict):
+        return Document(plain(source)), None, ""
+    if isinstance(source, str) and "\n" in source:
+        return read(source), None, source
+    path = Path(source)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise SceneError([Problem(str(path), "", f"the scene cannot be read: {reason}")]) from None
+    return read(text, str(path)), path, text
+
+
+def _overridden(data: Any, overrides: Sequence[str]) -> tuple[Any, list[Override]]:
+    """Return the merged data and what was merged into it."""
+    applied: list[Override] = []
+    problems: list[Problem] = []
+    for text in overrides:
+        path, equals, value = text.partition("=")
+        path = path.strip()
+        where = f"-o {text}"
+        if not (equals and path and value.strip()):
+            problems.append(Problem(where, path, "must be key.path=value"))
+            continue
+        try:
+            data = replaced(data, locate(data, path), read(value).data)
+        except SceneError as error:
+            problems += [Problem(where, p.path or path, p.message) for p in error.problems]
+        except KeyError as error:
+            problems.append(Problem(where, path, str(error.args[0])))
+        applied.append(Override(text, path))
+    if problems:
+        raise SceneError(problems)
+    return data, applied

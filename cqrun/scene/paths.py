@@ -1,0 +1,164 @@
+"""One string for a value everywhere: read it, replace it, ask what it is.
+
+The same path serves `-o`, unknowns, error messages and results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import annotated_types
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from cqrun.choice import Chosen
+from cqrun.contract import Plugin, Spec, field_unit, is_differentiable
+from cqrun.errors import Problem, SceneError
+from cqrun.explain import Loc, listed, suggest
+from cqrun.scene.keypath import first_key, joined, locate, replaced
+from cqrun.scene.schema import Scene
+from cqrun.scene.walk import children
+
+
+@dataclass(frozen=True)
+class LeafInfo:
+    """What a number in a scene is.
+
+    `minimum` and `maximum` are the field's own range, None where it has no end; whether an end itself is
+    legal only validation says (`poissons_ratio` is less than 0.5).
+    """
+
+    path: str
+    value: float | int
+    unit: str
+    differentiable: bool
+    minimum: float | None
+    maximum: float | None
+
+
+def get(scene: Scene, path: str) -> Any:
+    """Return the value at a path: a number, text, list, mapping or part; SceneError if nothing is there."""
+    return _find(scene, path)[-1]
+
+
+def canonical(scene: Scene, path: str) -> str:
+    """Return the long spelling of a path (`union.0` is `union.shapes.0`); SceneError if nothing is there."""
+    return joined(_find(scene, path)[0])
+
+
+def leaf(scene: Scene, path: str) -> LeafInfo:
+    """Return what the number at a path is; SceneError if there is none."""
+    loc, owner, name, value = _find(scene, path)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise SceneError([Problem(scene.where(path), path, _no_number(path, value))])
+    low, high = _range(owner, name)
+    unit = field_unit(owner, name) or "1"
+    return LeafInfo(joined(loc), value, unit, is_differentiable(owner, name), low, high)
+
+
+def leaves(scene: Scene, *, differentiable: bool = False) -> Iterator[str]:
+    """Yield the path of every number in a scene, or of those that gradients reach."""
+    yield from _leaves(scene, (), False, not differentiable)
+
+
+def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
+    """Return a scene with values replaced by path, validated as a whole; the given scene stays as it is.
+
+    Args:
+        scene: any scene.
+        values: key path -> number, text, list or mapping, in plain Python or NumPy.
+
+    Raises:
+        SceneError: a path that does not exist, or a value that its field refuses.
+    """
+    data: Any = scene.model_dump(exclude_none=True)
+    problems = []
+    for path, value in values.items():
+        try:
+            data = replaced(data, locate(data, path), plain(value))
+        except KeyError as error:
+            problems.append(Problem(scene.where(path), path, str(error.args[0])))
+    if problems:
+        raise SceneError(problems)
+    try:
+        changed = Scene.model_validate(data)
+    except ValidationError as error:
+        raise SceneError(scene._origin.problems(error)) from None
+    changed._origin = scene._origin
+    return changed
+
+
+def plain(value: Any) -> Any:
+    """Return NumPy numbers and arrays inside a value as Python's own."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return value
+
+
+def _find(scene: Scene, path: str) -> tuple[Loc, type[BaseModel], str, Any]:
+    """Return place, the model and field that hold it, and the value at a path."""
+    loc: list[int | str] = []
+    node: Any = scene
+    owner: type[Spec] = type(scene)
+    name, rest = "", path
+    while rest:
+        inside = children(node)
+        key = first_key(inside, rest)
+        if key is None and isinstance(node, Plugin) and node.shorthand and rest.partition(".")[0].isdigit():
+            key, rest = node.shorthand, f"{node.shorthand}.{rest}"
+        if key is None:
+            raise SceneError([Problem(scene.where(path), path, _missing(scene, path, loc, rest, inside))])
+        if isinstance(node, Spec):
+            owner, name = type(node), str(key)
+        node = inside[key]
+        loc.append(key)
+        rest = rest[len(str(key)) + 1 :]
+    if not loc:
+        raise SceneError([Problem(scene.where(""), "", "is an empty path")])
+    return tuple(loc), owner, name, node
+
+
+def _missing(scene: Scene, path: str, loc: list[int | str], rest: str, inside: dict[int | str, Any]) -> str:
+    place = f"'{joined(loc)}'" if loc else "the scene"
+    key = rest.partition(".")[0]
+    near = suggest(path, leaves(scene)) or suggest(key, map(str, inside))
+    there = f"; there are: {listed(map(str, inside))}" if inside else ""
+    return f"{place} has no '{key}'{near}{there}"
+
+
+def _no_number(path: str, value: Any) -> str:
+    if value is None:
+        return "is not set in this scene: give it a value"
+    if isinstance(value, (list, dict, Chosen, Spec)):
+        inside = [f"{path}.{key}" for key in children(value)]
+        return f"is no number but holds others: name one of {listed(inside, 4)}"
+    return f"is no number, is {value!r}"
+
+
+def _range(owner: type[BaseModel], name: str) -> tuple[float | None, float | None]:
+    low = high = None
+    for item in owner.model_fields[name].metadata if name in owner.model_fields else ():
+        match item:
+            case annotated_types.Gt(gt=value) | annotated_types.Ge(ge=value):
+                low = value
+            case annotated_types.Lt(lt=value) | annotated_types.Le(le=value):
+                high = value
+    return low, high  # type: ignore[return-value]  # annotated_types knows only that they compare
+
+
+def _leaves(node: Any, loc: Loc, reached: bool, everything: bool) -> Iterator[str]:
+    if isinstance(node, (int, float)) and not isinstance(node, bool):
+        if reached or everything:
+            yield joined(loc)
+        return
+    for key, child in children(node).items():
+        if isinstance(node, Spec):
+            fields = type(node).model_fields
+            reached = key in fields and is_differentiable(type(node), str(key))
+        yield from _leaves(child, (*loc, key), reached, everything)

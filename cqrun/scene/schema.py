@@ -1,0 +1,205 @@
+"""Scene version 1: what a user may write, with units, ranges and defaults."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from cqrun.choice import Choice, Chosen
+from cqrun.contract import Plugin, Spec, quantity, vector
+from cqrun.explain import Loc, complaint, finding
+from cqrun.geometry.lattice import Lattice
+from cqrun.geometry.sampling import ChosenSampling
+from cqrun.geometry.shape import ChosenShape
+from cqrun.scene.data import Data, Unknown, exactly_one
+from cqrun.scene.defaults import with_defaults
+from cqrun.scene.fields import Memory, Name, Seed, Substeps
+from cqrun.scene.material import Material
+from cqrun.scene.origin import Origin
+from cqrun.scene.references import findings_between
+
+ON_CONTROL_STEP = 1e-9
+"""How far, relative, a duration may be from a whole number of control steps."""
+
+
+class World(Spec):
+    """The box that holds everything, lower corner at the origin, and its grid."""
+
+    size: list[Annotated[float, Field(gt=0)]] = vector("m", "Edge lengths; their number is the dimension")
+    dx: float = quantity("m", "Edge of a grid cell", gt=0)
+    gravity: list[float] = vector("m/s^2", "Gravity; zero if absent", differentiable=True)
+
+
+class Body(Spec):
+    """One elastic body: a shape, filled with particles of one material."""
+
+    shape: ChosenShape = Field(description="Where the body is at the start")
+    particles_per_cell: float | None = quantity(
+        "1", "Particles in a cell: spacing = dx / n^(1/D)", gt=0, default=None
+    )
+    spacing: float | None = quantity("m", "Distance between particles", gt=0, default=None)
+    sampling: ChosenSampling = Field(
+        description="How particles are placed", default_factory=lambda: Chosen("lattice", Lattice())
+    )
+    velocity: list[float] = vector("m/s", "Velocity at the start; zero if absent", differentiable=True)
+    spin: list[float] = quantity(
+        "rad/s",
+        "Rate of rotation about the centroid at the start (2D: one entry)",
+        differentiable=True, min_length=1, max_length=3,
+    )  # fmt: skip
+    unit_mass: bool = Field(description="Every particle has mass = density and volume 1", default=False)
+    groups: dict[Name, ChosenShape] = Field(description="Named regions of the body", default_factory=dict)
+    material: Material = Field(description="What it is made of")
+
+    @model_validator(mode="after")
+    def _one_spacing(self) -> Self:
+        if self.sampling.value.needs_spacing:
+            exactly_one(self, ("particles_per_cell", "spacing"))
+        elif self.particles_per_cell is not None or self.spacing is not None:
+            name = "spacing" if self.particles_per_cell is None else "particles_per_cell"
+            message = f"has no meaning with {self.sampling.name} sampling, which has a count: remove it"
+            raise complaint("Body", [finding(message, (name,), involves=("sampling",))])
+        return self
+
+    def particle_spacing(self, dx: float) -> float | None:
+        """Return the distance between particles [m] on a grid of edge dx [m]; None with a count of them."""
+        if self.particles_per_cell is not None:
+            return dx / self.particles_per_cell ** (1 / len(self.velocity))
+        return self.spacing
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        found, wanted = super().dim_problems(dim), 1 if dim == 2 else 3
+        if len(self.spin) != wanted:
+            message = f"must have {wanted} entries in this {dim}D world, has {len(self.spin)}"
+            found.append((("spin",), message))
+        return found
+
+
+class RandomActivation(Spec):
+    """Sequences of random knots, for synthetic data."""
+
+    sequences: int = Field(description="How many sequences", ge=1)
+    knots: int = Field(description="Knots in each, spread evenly over the run", ge=1)
+    low: float = quantity("1", "Least activation", default=0.0)
+    high: float = quantity("1", "Greatest activation", default=1.0)
+    seed: Seed = Field(description="Seed of the knots", default=0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.low < self.high:
+            message = f"must be greater than low, is {self.high:g}"
+            raise complaint("RandomActivation", [finding(message, ("high",), involves=("low",))])
+        return self
+
+
+Knots = Annotated[list[float], Field(min_length=1)]
+
+
+class Activation(Spec):
+    """Open-loop signals of the actuators: given knots, or random ones."""
+
+    signals: dict[Name, Knots] | None = quantity(
+        "1", "Actuator -> knots, spread evenly over the run", differentiable=True, default=None
+    )
+    random: RandomActivation | None = Field(description="Random sequences", default=None)
+    interpolate: Literal["hold", "linear"] = Field(description="Between knots", default="hold")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        exactly_one(self, ("signals", "random"))
+        return self
+
+
+class Time(Spec):
+    """How long, and in which steps."""
+
+    duration: float = quantity("s", "Length of the run, a multiple of the control step", gt=0)
+    control_step: float = quantity("s", "Time between two frames, and two values of a signal", gt=0)
+    substeps: Substeps = Field(description="Steps of the engine in a control step, or auto", default="auto")
+
+    @property
+    def control_steps(self) -> int:
+        """How many control steps the run has."""
+        return round(self.duration / self.control_step)
+
+    @model_validator(mode="after")
+    def _whole_steps(self) -> Self:
+        step, count = self.control_step, max(1, self.control_steps)
+        if abs(count * step - self.duration) > ON_CONTROL_STEP * self.duration:
+            message = (
+                f"{self.duration:.10g} s is no multiple of the control step {step:.10g} s; "
+                f"the nearest is {count * step:.10g} s"
+            )
+            raise complaint("Time", [finding(message, ("duration",), involves=("control_step",))])
+        return self
+
+
+class Scene(Spec):
+    """A world, its bodies, what acts on them, for how long, and what a job looks for."""
+
+    cqrun: Literal[1] = Field(description="Version of the scene format")
+    title: str = Field(description="One line about the scene", default="")
+    job: Literal["simulate", "sysid", "gradcheck"] | None = Field(
+        description="Command that the scene is made for", default=None
+    )
+    world: World = Field(description="Box and grid")
+    precision: Literal["float64", "float32"] = Field(description="Of the engine", default="float64")
+    memory: Memory = Field(description="Budget for states kept for gradients", default=2 * 2**30)
+    seed: Seed = Field(description="Seed of whatever names none of its own", default=0)
+    bodies: dict[Name, Body] = Field(description="Name -> body", min_length=1)
+    boundaries: dict[Name, Annotated[Chosen[Plugin], Choice("boundary")]] = Field(
+        description="Name -> boundary", default_factory=dict
+    )
+    loads: dict[Name, Annotated[Chosen[Plugin], Choice("load")]] = Field(
+        description="Name -> load", default_factory=dict
+    )
+    actuators: dict[Name, Annotated[Chosen[Plugin], Choice("actuator")]] = Field(
+        description="Name -> actuator", default_factory=dict
+    )
+    activation: Activation | None = Field(description="Open-loop signals", default=None)
+    time: Time = Field(description="Duration and steps")
+    data: Data | None = Field(description="What the run is fitted to", default=None)
+    unknowns: dict[str, Unknown] = Field(description="Key path -> what may change", default_factory=dict)
+    optimizer: Annotated[Chosen[Plugin], Choice("optimizer")] | None = Field(
+        description="How unknowns are found", default=None
+    )
+
+    _origin: Origin = PrivateAttr(default_factory=Origin)
+
+    @property
+    def dim(self) -> int:
+        """2 or 3: the dimension of the world."""
+        return len(self.world.size)
+
+    @property
+    def source(self) -> Path | None:
+        """The file the scene was read from; files it names are relative to it."""
+        return self._origin.source
+
+    @property
+    def text(self) -> str:
+        """The text the scene was read from; empty for a scene made of data."""
+        return self._origin.text
+
+    def where(self, path: str) -> str:
+        """Return `file:line:column` of a key path, or the override that set it."""
+        return self._origin.where_path(path)
+
+    def resolve_path(self, file: str) -> Path:
+        """Return the path of a file that the scene names."""
+        return (self.source.parent if self.source else Path()) / file
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, data: Any) -> Any:
+        return with_defaults(data)
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        findings = findings_between(self)
+        if findings:
+            raise complaint("Scene", findings)
+        return self

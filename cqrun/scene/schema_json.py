@@ -1,0 +1,75 @@
+"""JSON Schema of scenes, for editors: every plug-in spelt out where it can be chosen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cqrun.choice import CHOICE_MARK
+from cqrun.registry import plugins
+from cqrun.scene.defaults import FILLED
+from cqrun.scene.material import TERMS_MARK
+from cqrun.scene.schema import Scene
+
+_REF = "#/$defs/{model}"
+
+
+def scene_json_schema() -> dict[str, Any]:
+    """Return the schema of scene files: valid as draft-07, which older editors know, and as 2020-12."""
+    schema = Scene.model_json_schema(ref_template=_REF)
+    definitions: dict[str, Any] = schema.pop("$defs")
+    waiting: set[str] = set()
+    body = _spelt_out(schema, waiting)
+    done = {name: _spelt_out(part, waiting) for name, part in definitions.items()}
+    while waiting:
+        key = waiting.pop()
+        if key not in done:
+            done[key] = {}  # a shape holds shapes: known before its parts are looked at
+            done[key] = _definition(key, waiting, done)
+    head = {"$schema": "http://json-schema.org/draft-07/schema#", "title": "cqrun scene"}
+    return {**body, **head, "$defs": dict(sorted(done.items()))}
+
+
+def _definition(key: str, waiting: set[str], done: dict[str, Any]) -> dict[str, Any]:
+    """Return what `kind` (a choice) or `kind.name` (a plug-in) stands for."""
+    kind, _, name = key.partition(".")
+    if not name:
+        options = {option: _reference(f"{kind}.{option}", waiting) for option in plugins(kind)}
+        return {
+            "type": "object",
+            "properties": options,
+            "additionalProperties": False,
+            "minProperties": 1,
+            "maxProperties": 1,
+        }
+    cls = plugins(kind)[name]
+    schema = cls.model_json_schema(ref_template=_REF)
+    for inner, part in schema.pop("$defs", {}).items():
+        done.setdefault(inner, _spelt_out(part, waiting))
+    schema = _spelt_out(schema, waiting)
+    if cls.shorthand:
+        return {"anyOf": [schema, schema["properties"][cls.shorthand]]}
+    return schema
+
+
+def _reference(key: str, waiting: set[str]) -> dict[str, str]:
+    waiting.add(key)
+    return {"$ref": _REF.format(model=key)}
+
+
+def _spelt_out(node: Any, waiting: set[str]) -> Any:
+    """Return a schema with its marks replaced by what they stand for."""
+    if isinstance(node, list):
+        return [_spelt_out(item, waiting) for item in node]
+    if not isinstance(node, dict):
+        return node
+    result = {k: _spelt_out(v, waiting) for k, v in node.items() if k not in (CHOICE_MARK, TERMS_MARK)}
+    if CHOICE_MARK in node:
+        result["allOf"] = [_reference(node[CHOICE_MARK], waiting)]  # draft-07 ignores what stands beside $ref
+    if TERMS_MARK in node:
+        kind = node[TERMS_MARK]
+        terms = {name: _reference(f"{kind}.{name}", waiting) for name in plugins(kind)}
+        result |= {"properties": {**result["properties"], **terms}, "additionalProperties": False}
+    filled = FILLED.get(str(node.get("title")), set())
+    if filled and isinstance(node.get("required"), list):
+        result["required"] = [name for name in node["required"] if name not in filled]
+    return result

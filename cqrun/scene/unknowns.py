@@ -1,0 +1,124 @@
+"""Paths that a scene's job names: unknowns that can be found, truths and overrides that can be set."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pydantic_core import InitErrorDetails
+
+from cqrun.errors import SceneError
+from cqrun.explain import KEY, Loc, finding, listed, suggest
+from cqrun.scene.data import Unknown
+from cqrun.scene.paths import LeafInfo, canonical, leaf, leaves, with_values
+from cqrun.scene.schema import Scene
+
+
+def start(scene: Scene, path: str) -> float:
+    """Return where an unknown starts: its `initial`, else the scene's own value."""
+    initial = scene.unknowns[path].initial
+    return float(leaf(scene, path).value if initial is None else initial)
+
+
+def findings_of_paths(scene: Scene) -> list[InitErrorDetails]:
+    """Return what is wrong with the unknowns, the synthetic truth and the recordings' overrides."""
+    found = [item for path, unknown in scene.unknowns.items() for item in _unknown(scene, path, unknown)]
+    return [*found, *_twice(scene), *_truth(scene), *_overrides(scene)]
+
+
+def _unknown(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails]:
+    place: Loc = ("unknowns", path)
+    try:
+        info = leaf(scene, path)
+    except SceneError as error:
+        yield finding(error.problems[0].message, place, kind=KEY)
+        return
+    if not info.differentiable:
+        reached = list(leaves(scene, differentiable=True))
+        message = f"no gradient reaches it{suggest(path, reached)}; unknowns can be: {listed(reached)}"
+        yield finding(message, place, kind=KEY)
+        return
+    yield from _bounds(scene, path, unknown, info)
+    yield from _per(scene, path, unknown)
+
+
+def _bounds(scene: Scene, path: str, unknown: Unknown, info: LeafInfo) -> Iterator[InitErrorDetails]:
+    place: Loc = ("unknowns", path)
+    for i, bound in enumerate(unknown.bounds):
+        try:
+            with_values(scene, {path: bound})
+        except SceneError as error:
+            legal = error.problems[0].message
+            yield finding(f"the bounds reach {bound:g}, but the value {legal}", (*place, "bounds", i))
+    lower, upper = unknown.bounds
+    value = start(scene, path)
+    if not lower <= value <= upper:
+        key, what, advice = "bounds", "the scene's own value", "widen them or give `initial`"
+        if unknown.initial is not None:
+            key, what, advice = "initial", "the start", "move it or widen the bounds"
+        message = f"{what} {value:g} {_unit(info)}lies outside the bounds {lower:g} to {upper:g}: {advice}"
+        yield finding(message, (*place, key), involves=("bounds", "initial"))
+
+
+def _unit(info: LeafInfo) -> str:
+    return "" if info.unit == "1" else f"{info.unit} "
+
+
+def _per(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails]:
+    if unknown.per == "body":
+        return
+    keys = canonical(scene, path).split(".")
+    place: Loc = ("unknowns", path, "per")
+    if keys[0] != "bodies" or keys[2] != "material":
+        yield finding(f"only a body's material can differ by {unknown.per}; use `per: body`", place)
+    elif unknown.per == "group" and not scene.bodies[keys[1]].groups:
+        yield finding(f"the body '{keys[1]}' has no groups; name some or use `per: body`", place)
+
+
+def _twice(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield unknowns that are another one in another spelling; equal spellings are duplicate keys."""
+    first: dict[str, str] = {}
+    for path in scene.unknowns:
+        try:
+            same = first.setdefault(canonical(scene, path), path)
+        except SceneError:
+            continue  # no such path: told above
+        if same != path:
+            message = f"is the same value as the unknown '{same}': name it once"
+            yield finding(message, ("unknowns", path), kind=KEY)
+
+
+def _truth(scene: Scene) -> Iterator[InitErrorDetails]:
+    if scene.data is None or scene.data.synthetic is None:
+        return
+    for path, value in scene.data.synthetic.truth.items():
+        place: Loc = ("data", "synthetic", "truth", path)
+        try:
+            leaf(scene, path)
+        except SceneError as error:
+            yield finding(error.problems[0].message, place, kind=KEY)
+            continue
+        try:
+            with_values(scene, {path: value})
+        except SceneError as error:
+            yield finding(error.problems[0].message, place)
+
+
+def _overrides(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield overrides of recordings that their scene refuses, each tried alone, then all together."""
+    recordings = (scene.data.recordings if scene.data else None) or {}
+    for name, recording in recordings.items():
+        place: Loc = ("data", "recordings", name, "overrides")
+        refused = list(_refused(scene, place, {path: {path: v} for path, v in recording.overrides.items()}))
+        yield from refused
+        if len(recording.overrides) > 1 and not refused:
+            yield from _refused(scene, place, {"": recording.overrides})
+
+
+def _refused(scene: Scene, place: Loc, trials: dict[str, dict[str, object]]) -> Iterator[InitErrorDetails]:
+    for key, values in trials.items():
+        try:
+            with_values(scene, values)
+        except SceneError as error:
+            for problem in error.problems:
+                told = problem.message if problem.path == key else f"{problem.path}: {problem.message}"
+                yield finding(told, (*place, key) if key else place)
