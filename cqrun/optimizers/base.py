@@ -32,8 +32,8 @@ class TrialFailed(Exception):
     def __init__(
         self, reason: str, *, body: str = "", particle: int = -1, time: float = 0.0, values: str = ""
     ) -> None:
-        self.reason, self.body, self.particle = reason, body, particle
-        self.time, self.values = time, values
+        self.reason, self.body, self.particle = reason, body, int(particle)
+        self.time, self.values = float(time), values
         where = f"body '{body}', particle {particle}, t = {time:.6g} s: " if body else ""
         super().__init__(f"{where}{reason}; trial values: {values}")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import json
 import os
 from collections.abc import Iterator
@@ -86,6 +87,17 @@ def write_json(path: Path, value: Any) -> None:
         ValueError: a number is not finite.
     """
     write_text(path, json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def append_durably(file: io.FileIO, data: bytes) -> None:
+    """Write `data` at the position of an unbuffered file, all of it, and wait until the disk has it.
+
+    Unbuffered, because a buffer that met a full disk would try again when the file is closed.
+    """
+    rest = memoryview(data)
+    while rest:
+        rest = rest[file.write(rest) :]
+    os.fsync(file.fileno())
 
 
 def sync_directory(directory: Path) -> None:

@@ -17,14 +17,13 @@ import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.optimizers.base import TrialFailed
-from cqrun.store.atomic import disk_error, disk_errors, sync_directory
+from cqrun.store.atomic import append_durably, disk_errors, sync_directory
 
 MAGIC = b"CQREPLAY" + struct.pack("<I", 1)
 FRAME = struct.Struct("<II")
@@ -54,10 +53,9 @@ class ReplayLog:
         self.replayed = self.computed = 0
         with disk_errors(path):
             fresh = not path.exists() or path.stat().st_size < len(MAGIC)
-            self._file: BinaryIO = path.open("w+b" if fresh else "r+b")
+            self._file = path.open("w+b" if fresh else "r+b", buffering=0)
             if fresh:
-                self._file.write(MAGIC)
-                self._sync()
+                append_durably(self._file, MAGIC)
                 sync_directory(path.parent)
             self._file.seek(0)
             magic = self._file.read(len(MAGIC))
@@ -128,22 +126,15 @@ class ReplayLog:
     def _go_live(self) -> None:
         with disk_errors(self.path):
             self._file.truncate(self._end)
-            self._sync()
+            os.fsync(self._file.fileno())
         self._live = True
 
     def _append(self, payload: bytes) -> None:
-        try:
+        with disk_errors(self.path):
             self._file.seek(self._end)
-            self._file.write(FRAME.pack(len(payload), zlib.crc32(payload)) + payload)
-            self._sync()
-        except OSError as error:
-            raise disk_error(error, self.path) from error
+            append_durably(self._file, FRAME.pack(len(payload), zlib.crc32(payload)) + payload)
         self._end = self._file.tell()
         self.computed += 1
-
-    def _sync(self) -> None:
-        self._file.flush()
-        os.fsync(self._file.fileno())
 
 
 def _label(text: str) -> bytes:

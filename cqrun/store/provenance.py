@@ -1,0 +1,38 @@
+"""Where a result comes from: versions, commit, engine."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import cqrun
+from cqrun.fingerprint import library_versions
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of cqrun, Python and the libraries that compute."""
+    return {"cqrun": cqrun.__version__, "python": platform.python_version(), **library_versions()}
+
+
+def git_state(package: Path = Path(cqrun.__file__).parent) -> dict[str, Any] | None:
+    """Return the commit of the checkout that `package` lies in, and whether it was changed since.
+
+    Returns:
+        {"commit": 40 hex, "dirty": bool}, or None where there is no checkout or no git.
+    """
+    if not (package.parent / ".git").exists():
+        return None
+    try:
+        commit = _git(package, "rev-parse", "HEAD")
+        changes = _git(package, "status", "--porcelain", "--untracked-files=no")
+    except (OSError, subprocess.SubprocessError):  # no git, or not a repository it trusts
+        return None
+    return {"commit": commit, "dirty": bool(changes)}
+
+
+def _git(directory: Path, *command: str) -> str:
+    return subprocess.run(
+        ["git", "-C", str(directory), *command], capture_output=True, text=True, check=True, timeout=10
+    ).stdout.strip()

@@ -1,0 +1,291 @@
+"""The run directory: everything that is known of one run, under a name that its inputs determine.
+
+results/<scene's stem>/<12 hex>/
+  scene.yaml            resolved, complete       evals.*        what a resumed optimizer needs
+  scene.original.yaml   as typed                 history.csv    one row an iteration
+  run.json              status, provenance       result.json    what was found
+  log.txt               what happened, by phase  figures/       lock
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from cqrun.errors import CqrunError, UsageError
+from cqrun.fingerprint import engine_hash
+from cqrun.store.atomic import disk_errors, make_directory, write_json, write_text
+from cqrun.store.history import History
+from cqrun.store.lock import DirectoryLock
+from cqrun.store.provenance import git_state, versions
+from cqrun.store.replay import ReplayLog
+from cqrun.store.snapshots import Snapshots
+
+NEW, RUNNING, STOPPED = "new", "running", "stopped"
+FINISHED = ("done", "converged", "iteration_limit", "stalled", "infeasible", "failed")
+RECORD = "run.json"
+
+
+@dataclass(frozen=True)
+class RunScene:
+    """The inputs that name a run.
+
+    Args:
+        stem: the scene file's name without suffix.
+        resolved: the resolved scene as YAML text.
+        original: the scene as typed.
+        files: every file that the scene names, by the name it uses.
+    """
+
+    stem: str
+    resolved: str
+    original: str
+    files: Mapping[str, Path] = field(default_factory=dict)
+
+    def digest(self) -> str:
+        """Return 12 hex digits over the resolved scene and the contents of its files.
+
+        Raises:
+            UsageError: a file cannot be read.
+        """
+        digest = hashlib.sha256(self.resolved.encode())
+        for name, path in sorted(self.files.items()):
+            try:
+                content = hashlib.sha256(path.read_bytes()).digest()
+            except OSError as error:
+                raise UsageError(f"{path}: cannot be read ({error.strerror}); the scene names it") from error
+            digest.update(name.encode() + b"\0" + content)
+        return digest.hexdigest()[:12]
+
+
+class RunDirectory:
+    """A run that this process holds; a context manager that lets go of it.
+
+    Made by `open` (a scene) or `resume` (a directory). Leaving the context with an error, before `finish`,
+    marks the run as stopped: it can be resumed.
+
+    Attributes:
+        path: the directory.
+        record: what run.json holds.
+    """
+
+    def __init__(self, path: Path, lock: DirectoryLock) -> None:
+        self.path, self._lock = path, lock
+        self.record: dict[str, Any] = {"status": NEW, "seconds": 0.0}
+        self._began = time.monotonic()
+        self._files: list[History | ReplayLog] = []
+
+    @classmethod
+    def open(
+        cls,
+        scene: RunScene,
+        out: Path,
+        *,
+        job: str,
+        argv: Sequence[str],
+        seed: int,
+        threads: int,
+        fresh: bool = False,
+    ) -> RunDirectory:
+        """Make the run of `scene` below `out`, or take up the one that is there.
+
+        Args:
+            scene: its inputs.
+            out: directory of all results.
+            job: what is run, such as `sysid`.
+            argv: the command line, for the record.
+            seed: the run's.
+            threads: number of threads, for the record.
+            fresh: throw away what is there and start over.
+
+        Raises:
+            UsageError: another process holds it, another engine made it, or it cannot be written.
+            RunError: the disk is full.
+        """
+        path = out / scene.stem / scene.digest()
+        make_directory(path)
+        run = cls(path, DirectoryLock(path))
+        try:
+            if fresh or not (path / RECORD).exists():
+                run._create(scene, job=job, argv=list(argv), seed=seed, threads=threads)
+            else:
+                run._load()
+        except BaseException:
+            run.close()
+            raise
+        return run
+
+    @classmethod
+    def resume(cls, path: Path) -> RunDirectory:
+        """Take up the run in `path`.
+
+        Raises:
+            UsageError: it is no run, another process holds it, or another engine made it.
+        """
+        read_record(path)
+        run = cls(path, DirectoryLock(path))
+        try:
+            run._load()
+        except BaseException:
+            run.close()
+            raise
+        return run
+
+    @property
+    def status(self) -> str:
+        """Return new, running (also after a kill), stopped, or one of FINISHED."""
+        return str(self.record["status"])
+
+    @property
+    def finished(self) -> bool:
+        """Say whether there is nothing left to do, unless the scene is extended."""
+        return self.status in FINISHED
+
+    @property
+    def resolved(self) -> str:
+        """Return the resolved scene's text."""
+        return (self.path / "scene.yaml").read_text()
+
+    def elapsed(self) -> float:
+        """Return the seconds spent on this run, earlier processes included."""
+        return float(self.record["seconds"]) + time.monotonic() - self._began
+
+    def begin(self, threads: int | None = None) -> None:
+        """Mark the run as running."""
+        self._write({"status": RUNNING, "reason": None} | ({} if threads is None else {"threads": threads}))
+
+    def finish(self, status: str, reason: str) -> None:
+        """Mark the run as ended: `stopped` (to be resumed) or one of FINISHED."""
+        if status not in (STOPPED, *FINISHED):
+            raise ValueError(f"'{status}' is no way for a run to end")
+        self.log(f"{status}: {reason}")
+        self._spend()
+        self._write({"status": status, "reason": reason})
+
+    def extend(self, resolved: str, argv: Sequence[str]) -> None:
+        """Go on with another resolved scene, say with more iterations; the run keeps its name."""
+        write_text(self.path / "scene.yaml", resolved)
+        self.record["extended"] = [*self.record.get("extended", []), list(argv)]
+        self.log("extended: " + " ".join(argv))
+        self.begin()
+
+    def write_result(self, result: Mapping[str, Any]) -> None:
+        """Write result.json."""
+        write_json(self.path / "result.json", dict(result))
+
+    def log(self, text: str) -> None:
+        """Append a line to log.txt."""
+        path = self.path / "log.txt"
+        with disk_errors(path), path.open("a") as file:
+            file.write(f"[{self.elapsed():10.3f} s] {text}\n")
+
+    def history(self, columns: Sequence[str]) -> History:
+        """Open history.csv; `elapsed` goes on from its last row, also after a kill."""
+        history = History(self.path / "history.csv", columns)
+        self._files.append(history)
+        self.record["seconds"] = max(self.record["seconds"], history.seconds)
+        return history
+
+    def replay_log(self) -> ReplayLog:
+        """Open the log of evaluations, for an optimizer that cannot save its state."""
+        log = ReplayLog(self.path / "evals.log", self.log)
+        self._files.append(log)
+        return log
+
+    def snapshots(self) -> Snapshots:
+        """Return the state files, for an optimizer that saves its own state."""
+        return Snapshots(self.path / "evals", self.log)
+
+    def figures(self) -> Path:
+        """Return the directory of figures, which exists."""
+        make_directory(self.path / "figures")
+        return self.path / "figures"
+
+    def close(self) -> None:
+        """Let go of the run; a second call does nothing."""
+        for file in self._files:
+            file.close()
+        self._files.clear()
+        self._lock.release()
+
+    def __enter__(self) -> RunDirectory:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is not None and self.status == RUNNING:
+                self.finish(STOPPED, f"{type(error).__name__}: {error}")
+        except CqrunError as second:
+            assert error is not None
+            error.add_note(f"run.json still says 'running': {second}")
+        finally:
+            self.close()
+
+    def _create(self, scene: RunScene, **facts: Any) -> None:
+        self._clear()
+        write_text(self.path / "scene.yaml", scene.resolved)
+        write_text(self.path / "scene.original.yaml", scene.original)
+        self._write(
+            {"status": NEW, "reason": None, **facts, "engine": engine_hash(), "versions": versions()}
+            | {"git": git_state(), "seconds": 0.0}
+        )  # last: where it is, the rest is complete
+
+    def _clear(self) -> None:
+        """Remove all but the lock, run.json first: without it the rest counts for nothing."""
+        with disk_errors(self.path):
+            (self.path / RECORD).unlink(missing_ok=True)
+            for entry in self.path.iterdir():
+                if entry.is_dir() and not entry.is_symlink():
+                    shutil.rmtree(entry)
+                elif entry.name != self._lock.path.name:
+                    entry.unlink()
+
+    def _load(self) -> None:
+        self.record = read_record(self.path)
+        made_by, here = self.record.get("engine"), engine_hash()
+        if made_by != here:
+            version = self.record.get("versions", {}).get("cqrun", "unknown")
+            raise UsageError(
+                f"{self.path}: made by another engine (cqrun {version}, engine {made_by}; this is {here}), "
+                "so it cannot go on with the same bits; run the scene again with --fresh to start over, or "
+                "with --out DIR to keep both, or go on with the cqrun and libraries that run.json names"
+            )
+
+    def _spend(self) -> None:
+        self.record["seconds"] = round(self.elapsed(), 3)
+        self._began = time.monotonic()
+
+    def _write(self, changes: Mapping[str, Any]) -> None:
+        self.record.update(changes)
+        write_json(self.path / RECORD, self.record)
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """Return run.json of the run in `path`, without taking hold of it.
+
+    Raises:
+        UsageError: there is no run, or its record cannot be read.
+    """
+    file = path / RECORD
+    if not file.is_file():
+        inside = sorted(str(p.parent) for p in path.glob(f"*/{RECORD}"))[:5] if path.is_dir() else []
+        hint = f"; it holds runs: {', '.join(inside)}" if inside else ""
+        raise UsageError(
+            f"{path}: no run (it has no {RECORD}); a run is a directory results/<scene>/<12 hex digits>{hint}"
+        )
+    try:
+        record = json.loads(file.read_text())
+        if not isinstance(record, dict) or "status" not in record or "seconds" not in record:
+            raise ValueError("no status in it")
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{file}: unreadable ({error}); run the scene again with --fresh") from error
+    return record

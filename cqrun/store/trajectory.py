@@ -1,0 +1,250 @@
+"""Trajectories: one HDF5 file that h5py, MATLAB and ParaView read.
+
+    /time (T) f8   /step (T) i8   /frames () i8: how many are written
+    /particles/x (T, N, D) f8   v (T, N, D) f4   further fields (T, N, ...)   body (N) i4
+    /particles attributes: body names and where each begins and ends       / attributes: provenance
+    /VTKHDF: the same data as ParaView wants it, virtual datasets without a copy (vtkhdf.py)
+
+While it is written it is `<name>.part`: contiguous datasets of full size, made and flushed first; a frame
+is written in place, flushed, and counted last. So a kill at any moment loses at most that frame. On closing
+it is packed (gzip, shuffle) into its final name. `libver` keeps the format where VTK's own HDF5 reads it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.store.atomic import disk_errors, make_directory, sync_directory
+from cqrun.store.vtkhdf import add_vtk_view
+
+if TYPE_CHECKING:
+    import h5py
+
+LIBVER = ("earliest", "v110")
+POSITION, POSITION_TYPE, FIELD_TYPE = "x", "f8", "f4"
+CHUNK = 16384
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A trajectory in memory.
+
+    Args:
+        time: of the frames that were written (T,) [s].
+        step: number of the substep or control step of each (T,).
+        fields: x (T, N, D) [m] and the others, (T, N, ...).
+        bodies: where each body's particles stand.
+        provenance: what the writer was given.
+        complete: every frame was written and the file closed.
+    """
+
+    time: Array
+    step: Array
+    fields: dict[str, Array]
+    bodies: dict[str, slice]
+    provenance: dict[str, Any] = field(default_factory=dict)
+    complete: bool = True
+
+
+def part_path(path: Path) -> Path:
+    """Return the name a trajectory has while it is written."""
+    return path.with_name(path.name + ".part")
+
+
+class TrajectoryWriter:
+    """Writes frames one after another; a context manager that closes when all went well.
+
+    Args:
+        path: final name; what is there stays until `close`.
+        n_frames: how many frames there will be.
+        bodies: slice of the particles of each body, together 0 to N.
+        dim: 2 or 3.
+        fields: shape of each further field behind (T, N), such as {"v": (dim,), "activation": ()}.
+        provenance: attributes of the file: strings, numbers, or what JSON can hold.
+
+    Raises:
+        UsageError, RunError: the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        n_frames: int,
+        bodies: Mapping[str, slice],
+        dim: int,
+        fields: Mapping[str, Sequence[int]],
+        provenance: Mapping[str, Any],
+    ) -> None:
+        self.path, self.part = path, part_path(path)
+        self.n_frames, self.written = n_frames, 0
+        self._shapes = {POSITION: (dim,)} | {name: tuple(shape) for name, shape in fields.items()}
+        make_directory(path.parent)
+        beginning = path.with_name(path.name + ".new")  # renamed when readable: a `.part` always is
+        with disk_errors(self.part):
+            with _open_for_writing(beginning, "w") as file:
+                self._lay_out(file, dict(bodies), dict(provenance))
+            beginning.replace(self.part)
+            self._file = _open_for_writing(self.part, "r+")
+
+    def write(self, frame_index: int, time: float, **arrays: Array) -> None:
+        """Write a frame and count it; it is on disk, for a killed process, when this returns.
+
+        Args:
+            frame_index: the next frame, from 0 (a resumed rollout begins with 0 again).
+            time: [s].
+            arrays: every field (N, ...) by name, x included; `step` (an int) if it is not the frame.
+
+        Raises:
+            ValueError: a frame out of order, or fields missing or unknown.
+            UsageError, RunError: it cannot be written.
+        """
+        step = arrays.pop("step", frame_index)
+        if frame_index != self.written or frame_index >= self.n_frames:
+            raise ValueError(f"frame {frame_index} of {self.n_frames} after {self.written} frames")
+        if arrays.keys() != self._shapes.keys():
+            raise ValueError(f"fields {sorted(arrays)}, but the file has {sorted(self._shapes)}")
+        with disk_errors(self.part):
+            self._file["time"][frame_index] = time
+            self._file["step"][frame_index] = step
+            for name, array in arrays.items():
+                self._file["particles"][name][frame_index] = array
+            self._file.flush()
+            self._file["frames"][()] = frame_index + 1
+            self._file.flush()
+        self.written += 1
+
+    def close(self) -> None:
+        """Pack the file into its final name, with the view for ParaView; a second call does nothing.
+
+        Raises:
+            UsageError, RunError: it cannot be written; the `.part` stays.
+        """
+        if not self._file:
+            return
+        packed = self.path.with_name(self.path.name + ".packing")
+        with disk_errors(self.path):
+            with _open_for_writing(packed, "w") as target:
+                _pack(self._file, target, self.written)
+            self._file.close()
+            packed.replace(self.path)
+            self.part.unlink()
+            sync_directory(self.path.parent)
+
+    def abandon(self) -> None:
+        """Close the file and leave the `.part` as it is, readable."""
+        self._file.close()
+
+    def __enter__(self) -> TrajectoryWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self.abandon()
+
+    def _lay_out(self, file: h5py.File, bodies: dict[str, slice], provenance: dict[str, Any]) -> None:
+        count = max(part.stop for part in bodies.values())
+        _make_contiguous(file, "time", (self.n_frames,), "f8")
+        _make_contiguous(file, "step", (self.n_frames,), "i8")
+        _make_contiguous(file, "frames", (), "i8")
+        for name, shape in self._shapes.items():
+            kind = POSITION_TYPE if name == POSITION else FIELD_TYPE
+            _make_contiguous(file, f"particles/{name}", (self.n_frames, count, *shape), kind)
+        body = np.zeros(count, "i4")
+        for number, part in enumerate(bodies.values()):
+            body[part] = number
+        file["particles/body"] = body
+        file["particles"].attrs["bodies"] = json.dumps({n: [p.start, p.stop] for n, p in bodies.items()})
+        file.attrs["format"] = "cqrun trajectory 1"
+        file.attrs["provenance"] = json.dumps(provenance)
+        for name, value in provenance.items():
+            file.attrs[name] = value if isinstance(value, str | int | float) else json.dumps(value)
+
+
+def _open_for_writing(path: Path, mode: str) -> h5py.File:
+    import h5py
+
+    return h5py.File(path, mode, libver=LIBVER, locking="best-effort")
+
+
+def _make_contiguous(file: h5py.File, name: str, shape: tuple[int, ...], kind: str) -> None:
+    """Make a dataset whose place on disk is taken now, so that writing it later moves no metadata."""
+    import h5py
+
+    layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    layout.set_layout(h5py.h5d.CONTIGUOUS)
+    layout.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    layout.set_fill_time(h5py.h5d.FILL_TIME_ALLOC)  # a disk too small is found out here
+    space = h5py.h5s.create_simple(shape) if shape else h5py.h5s.create(h5py.h5s.SCALAR)
+    parent, _, leaf = name.rpartition("/")
+    group = file.require_group(parent) if parent else file
+    h5py.h5d.create(group.id, leaf.encode(), h5py.h5t.py_create(np.dtype(kind)), space, dcpl=layout)
+
+
+def _pack(source: h5py.File, target: h5py.File, frames: int) -> None:
+    """Copy the frames that were written, compressed, and add the view for ParaView."""
+    target.attrs.update(source.attrs)
+    for name in ("time", "step"):
+        target[name] = source[name][:frames]
+    target["frames"] = np.int64(frames)
+    particles = target.create_group("particles")
+    particles.attrs.update(source["particles"].attrs)
+    particles["body"] = source["particles/body"][()]
+    for name, data in source["particles"].items():
+        if name == "body":
+            continue
+        packed = particles.create_dataset(
+            name,
+            shape=(frames, *data.shape[1:]),
+            dtype=data.dtype,
+            chunks=(1, min(data.shape[1], CHUNK), *data.shape[2:]) if frames else None,
+            compression="gzip" if frames else None,
+            compression_opts=1 if frames else None,
+            shuffle=bool(frames),
+        )
+        for frame in range(frames):
+            packed[frame] = data[frame]
+    if frames:
+        add_vtk_view(target)
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read a trajectory; one that another process is writing, or that was cut off, as far as it goes.
+
+    Args:
+        path: its final name, or that of its `.part`; where only the `.part` is there, that is read.
+
+    Raises:
+        UsageError: there is none, or it cannot be read.
+    """
+    import h5py
+
+    source = path if path.exists() else part_path(path)
+    if not source.exists():
+        raise UsageError(f"{path}: no such trajectory")
+    try:
+        with h5py.File(source, "r", locking=False) as file:  # also while a writer has it open
+            frames = int(file["frames"][()])
+            bodies = json.loads(file["particles"].attrs["bodies"])
+            return Trajectory(
+                time=file["time"][:frames],
+                step=file["step"][:frames],
+                fields={n: d[:frames] for n, d in file["particles"].items() if n != "body"},
+                bodies={name: slice(start, stop) for name, (start, stop) in bodies.items()},
+                provenance=json.loads(file.attrs["provenance"]),
+                complete=source.suffix != ".part",
+            )
+    except (OSError, KeyError, ValueError) as error:
+        raise UsageError(f"{source}: no trajectory of cqrun, or truncated ({error})") from error

@@ -1,0 +1,72 @@
+"""The view of a trajectory that ParaView opens: VTKHDF 2.0, temporal PolyData, one vertex a particle.
+
+Points and fields are virtual datasets over /particles, so nothing is stored twice; in 2D, z is filled with 0.
+https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/vtkhdf_specifications.html
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import h5py
+
+CELLS = ("Vertices", "Lines", "Polygons", "Strips")
+
+
+def add_vtk_view(file: h5py.File) -> None:
+    """Add /VTKHDF to a packed trajectory of at least one frame."""
+    frames, count, _ = file["particles/x"].shape
+    group = file.create_group("VTKHDF", track_order=True)
+    group.attrs["Version"] = np.array([2, 0], "i8")
+    group.attrs.create("Type", np.bytes_("PolyData"))
+    _add_view(group, "Points", file["particles/x"])
+    group["NumberOfPoints"] = np.array([count], "i8")
+    for name in CELLS:
+        _add_cells(group.create_group(name), count if name == "Vertices" else 0)
+    steps = group.create_group("Steps")
+    steps.attrs["NSteps"] = np.int64(frames)
+    steps["Values"] = file["time"][()]
+    zeros, starts = np.zeros(frames, "i8"), count * np.arange(frames, dtype="i8")
+    steps["PartOffsets"] = zeros
+    steps["NumberOfParts"] = zeros + 1
+    steps["PointOffsets"] = starts
+    for name in ("CellOffsets", "ConnectivityIdOffsets"):
+        steps[name] = np.zeros((frames, len(CELLS)), "i8")
+    data, offsets = group.create_group("PointData"), steps.create_group("PointDataOffsets")
+    for name, source in file["particles"].items():
+        if name == "x":
+            continue
+        if name == "body":
+            data[name] = source  # a hard link: the same for every step
+            offsets[name] = zeros
+        else:
+            _add_view(data, name, source)
+            offsets[name] = starts
+
+
+def _add_cells(group: h5py.Group, count: int) -> None:
+    group["NumberOfCells"] = np.array([count], "i8")
+    group["NumberOfConnectivityIds"] = np.array([count], "i8")
+    group["Connectivity"] = np.arange(count, dtype="i8")
+    group["Offsets"] = np.arange(count + 1, dtype="i8")
+
+
+def _add_view(group: h5py.Group, name: str, source: h5py.Dataset) -> None:
+    """Add (T, N, ...) as (T N,) or (T N, components); vectors of two components get a zero third."""
+    import h5py
+
+    frames, count, *suffix = source.shape
+    width = int(np.prod(suffix, dtype=int))
+    shape: tuple[int, ...] = (frames * count,)
+    if suffix:
+        shape += (3 if width == 2 else width,)
+    layout = h5py.VirtualLayout(shape, source.dtype)
+    view = h5py.VirtualSource(".", source.name, source.shape, source.dtype)
+    if suffix:
+        layout[:, :width] = view
+    else:
+        layout[:] = view
+    group.create_virtual_dataset(name, layout, fillvalue=0)
