@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import os
 
-os.environ.setdefault("MPLBACKEND", "Agg")
-
 import numpy as np
 import pytest
 
+os.environ.setdefault("MPLBACKEND", "Agg")
 
-@pytest.fixture(autouse=True)
-def _strict_floats():
-    """A stray NaN, overflow or division by zero is a failure; underflow is not."""
-    with np.errstate(all="raise", under="ignore"):
-        yield
+# a stray NaN, overflow or division by zero is a failure, in fixtures of any scope too; underflow is not
+np.seterr(all="raise", under="ignore")
 
 
 @pytest.fixture
