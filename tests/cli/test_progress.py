@@ -67,6 +67,13 @@ def test_a_terminal_gets_a_live_line_that_is_gone_at_the_end():
     assert text.rstrip().endswith("\x1b[2K")  # and the line is erased
 
 
+def test_a_terminal_that_cannot_move_its_cursor_gets_plain_lines(monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    text = use(Terminal(), plain_every=0.0)
+    assert "\x1b[?25l" not in text
+    assert text.count("iteration") == 3 + 3  # three lines, each with s/iteration
+
+
 def test_no_color_is_honoured(monkeypatch):
     assert "\x1b[33m" in use(Terminal())
     monkeypatch.setenv("NO_COLOR", "1")
