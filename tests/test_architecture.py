@@ -75,7 +75,7 @@ def test_imports_go_downward():
             parts = name.split(".")
             if parts[0] != "cqrun" or parts[1:] == ["__version__"]:
                 continue
-            there = FLOOR_OF.get(parts[1], len(FLOORS))
+            there = FLOOR_OF.get(".".join(parts[1:2]), len(FLOORS))
             if there > FLOOR_OF[here]:
                 upward.append(f"{path.relative_to(ROOT)}:{line}: floor {FLOOR_OF[here]} imports {name}")
     assert not upward, "\n".join(upward)
