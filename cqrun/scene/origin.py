@@ -9,9 +9,12 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from cqrun.errors import Problem
-from cqrun.explain import KEY, MISSING, VALUE, Loc
+from cqrun.explain import KEY, Loc
 from cqrun.scene.document import Document
 from cqrun.scene.keypath import joined, locate
+
+_AFTER_THE_FILE = 10**9
+"""A line behind every line."""
 
 
 @dataclass(frozen=True)
@@ -42,27 +45,33 @@ class Origin:
 
     def where_path(self, path: str) -> str:
         """Return where a key path was set."""
-        return self._where(locate(self.document.data, path))
+        loc = locate(self.document.data, path)
+        override = self._cause([loc])
+        return override.where if override is not None else self.document.where(loc)
 
     def problems(self, error: ValidationError) -> list[Problem]:
         """Return a validation's findings with their places: the file's by line, then the overrides'."""
-        found: list[tuple[tuple[int, int, int], Problem]] = []
+        found: list[tuple[tuple[int, int], Problem]] = []
         for details in error.errors(include_url=False):
-            loc, kind = details["loc"], details["type"]
-            assert kind in (KEY, MISSING, VALUE), details
+            loc, at_key = details["loc"], details["type"] == KEY
             context = details["ctx"]
             causes = [place for name in context["involves"] for place in ((*loc[:-1], name), (*loc, name))]
-            where = self._where(loc, causes, at_key=kind == KEY)
-            by_override = where.startswith("-o ")
-            line, column = (0, 0) if by_override else self.document.position(loc, at_key=kind == KEY)
-            found.append(((by_override, line, column), Problem(where, joined(loc), context["message"])))
+            override = self._cause((loc, *causes))
+            if override is None:
+                order, where = (
+                    self.document.position(loc, at_key=at_key),
+                    self.document.where(loc, at_key=at_key),
+                )
+            else:
+                order, where = (_AFTER_THE_FILE, self.overrides.index(override)), override.where
+            found.append((order, Problem(where, joined(loc), context["message"])))
         return [problem for _, problem in sorted(found, key=lambda item: item[0])]
 
-    def _where(self, loc: Loc, causes: Iterable[Loc] = (), *, at_key: bool = False) -> str:
-        """Return the override that set a place or one of its other possible causes, else the file's place."""
+    def _cause(self, places: Iterable[Loc]) -> Override | None:
+        """Return the last override that set one of the places, or made a mapping of it on its way."""
         for override in reversed(self.overrides):
-            for place in (loc, *causes):
-                made_on_the_way = override.path.startswith(f"{joined(place)}.")
-                if override.covers(joined(place)) or made_on_the_way and not self.document.leads_on(place):
-                    return override.where
-        return self.document.where(loc, at_key=at_key)
+            for place in places:
+                on_its_way = override.path.startswith(f"{joined(place)}.")
+                if override.covers(joined(place)) or (on_its_way and not self.document.leads_on(place)):
+                    return override
+        return None

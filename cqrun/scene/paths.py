@@ -127,7 +127,8 @@ def _find(scene: Scene, path: str) -> tuple[Loc, type[BaseModel], str, Any]:
 def _missing(scene: Scene, path: str, loc: list[int | str], rest: str, inside: dict[int | str, Any]) -> str:
     place = f"'{joined(loc)}'" if loc else "the scene"
     key = rest.partition(".")[0]
-    near = suggest(path, leaves(scene)) or suggest(key, map(str, inside))
+    beside = suggest(key, map(str, inside))
+    near = beside if key == rest else suggest(path, leaves(scene)) or beside
     there = f"; there are: {listed(map(str, inside))}" if inside else ""
     return f"{place} has no '{key}'{near}{there}"
 

@@ -21,7 +21,15 @@ def findings_between(scene: Scene) -> list[InitErrorDetails]:
         for loc, part in parts(scene)
         for place, message in part.dim_problems(scene.dim)
     ]
-    return [*found, *_bodies(scene), *_signals(scene), *_target(scene)]
+    return [*found, *_faces(scene), *_bodies(scene), *_signals(scene), *_target(scene)]
+
+
+def _faces(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield every `face` that a 2D world has not."""
+    for loc, part in parts(scene):
+        face = getattr(part, "face", None)
+        if scene.dim == 2 and isinstance(face, str) and face.startswith("z_"):
+            yield finding(f"a 2D world has no face {face}", (*loc, "face"))
 
 
 def _bodies(scene: Scene) -> Iterator[InitErrorDetails]:

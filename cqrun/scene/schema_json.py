@@ -72,4 +72,6 @@ def _spelt_out(node: Any, waiting: set[str]) -> Any:
     filled = FILLED.get(str(node.get("title")), set())
     if filled and isinstance(node.get("required"), list):
         result["required"] = [name for name in node["required"] if name not in filled]
+    if "patternProperties" in result:
+        result["additionalProperties"] = False  # pydantic says which names are legal, not that others are not
     return result

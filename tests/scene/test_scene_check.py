@@ -1,0 +1,133 @@
+"""Placement: bodies in the world, apart from each other, and regions that hold particles."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from cqrun import registry
+from cqrun.contract import Plugin
+from cqrun.errors import SceneError
+from cqrun.geometry.shape import ChosenShape
+from cqrun.scene import check
+from cqrun.scene.load import load_scene
+from cqrun.scene.paths import with_values
+from cqrun.scene.schema import Scene
+
+
+def two_balls(**second: Any) -> Scene:
+    material = {"density": 1.0, "elastic": {"neo_hookean": {"youngs_modulus": 1.0, "poissons_ratio": 0.3}}}
+    common = {"particles_per_cell": 4, "material": material}
+    left = {"shape": {"ball": {"center": [0.3, 0.5], "radius": 0.1}}, **common}
+    right = {"shape": {"ball": {"center": [0.6, 0.5], "radius": 0.1}}, **common, **second}
+    return load_scene(
+        {
+            "cqrun": 1,
+            "world": {"size": [1, 1], "dx": 0.02},
+            "bodies": {"left": left, "right": right},
+            "time": {"duration": 1.0, "control_step": 0.1},
+        }
+    )
+
+
+def sampled(scene: Scene) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    points, volumes = {}, {}
+    for name, body in scene.bodies.items():
+        spacing = body.particle_spacing(scene.world.dx)
+        points[name], volumes[name] = body.sampling.value.sample(body.shape.value, spacing)
+    return points, volumes
+
+
+def told(scene: Scene, margin: float = 0.0) -> list[str]:
+    return [str(p) for p in check.geometry_problems(scene, sampled(scene)[0], margin)]
+
+
+def test_a_good_placement_has_no_problems() -> None:
+    scene = two_balls()
+    assert told(scene) == []
+    assert check.sparse_bodies(scene, sampled(scene)[1]) == []
+
+
+def test_a_body_outside_the_world_says_where_and_how_far() -> None:
+    (message,) = told(two_balls(shape={"ball": {"center": [0.95, 0.5], "radius": 0.1}}))
+    assert message.startswith("scene: bodies.right.shape: reaches x = 1.045 m, above 1 m: the world holds")
+    inside = two_balls(shape={"ball": {"center": [0.89, 0.5], "radius": 0.1}})
+    assert told(inside) == []
+    assert "above 0.96 m: the world holds particles from 0.04 to 0.96 m" in told(inside, margin=0.04)[0]
+    both = told(two_balls(shape={"ball": {"center": [0.02, 0.02], "radius": 0.1}}))
+    assert ["reaches x" in both[0], "reaches y" in both[1], len(both)] == [True, True, 2]
+
+
+def test_overlapping_bodies_say_where() -> None:
+    (message,) = told(two_balls(shape={"ball": {"center": [0.45, 0.5], "radius": 0.1}}))
+    assert message.startswith("scene: bodies.right.shape: overlaps the body 'left' in ")
+    assert "such as at (0." in message
+
+
+def test_bodies_may_touch() -> None:
+    box = {"box": {"corner": [0.4, 0.45], "size": [0.1, 0.1]}}
+    scene = two_balls(shape=box)
+    assert told(scene) == []
+
+
+def test_a_small_body_inside_another_is_found_both_ways() -> None:
+    small = {"ball": {"center": [0.3, 0.5], "radius": 0.02}}
+    assert len(told(two_balls(shape=small))) == 1
+
+
+def test_a_body_thinner_than_its_spacing_holds_nothing() -> None:
+    thin = {"polygon": {"points": [[0.6, 0.5], [0.7, 0.5], [0.7, 0.5001]]}}
+    (message,) = told(two_balls(shape=thin))
+    assert message.startswith("scene: bodies.right.shape: holds no particle")
+
+
+def test_groups_without_particles_are_named_with_where_the_body_is() -> None:
+    groups = {
+        "in": {"half_space": {"point": [0.6, 0.5], "normal": [1, 0]}},
+        "out": {"half_space": {"point": [0.2, 0.5], "normal": [1, 0]}},
+    }
+    (message,) = told(two_balls(groups=groups))
+    assert message.startswith(
+        "scene: bodies.right.groups.out: holds no particle: 'right' lies within (0.505, "
+    )
+
+
+@pytest.mark.parametrize(("per_cell", "warned"), [(4, False), (9, False), (3.9, True), (1, True)])
+def test_few_particles_a_cell_are_warned_about(per_cell: float, warned: bool) -> None:
+    scene = two_balls(particles_per_cell=per_cell)
+    warnings = [str(p) for p in check.sparse_bodies(scene, sampled(scene)[1])]
+    assert bool(warnings) == warned
+    if warned:
+        assert warnings[0].startswith(
+            f"scene: bodies.right.particles_per_cell: {per_cell:.3g} particles in a cell"
+        )
+
+
+class Pull(Plugin):
+    """A load of this test's own."""
+
+    kind: ClassVar[str] = "load"
+    name: ClassVar[str] = "pull"
+    body: str | None = None
+    region: ChosenShape
+
+
+def test_regions_of_loads_without_particles_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = registry.plugins
+    monkeypatch.setattr(registry, "plugins", lambda kind: {"pull": Pull} if kind == "load" else real(kind))
+    away = {"ball": {"center": [0.9, 0.9], "radius": 0.01}}
+    scene = with_values(two_balls(), {"loads.up": {"pull": {"body": "left", "region": away}}})
+    (message,) = told(scene)
+    assert message.startswith("scene: loads.up.pull.region: holds no particle: 'left' lies within (0.205,")
+    assert told(with_values(scene, {"loads.up.pull.region.ball.center": [0.3, 0.5]})) == []
+    # without a body, any body's particle will do
+    anywhere = with_values(scene, {"loads.up.pull": {"region": away}})
+    assert "'left' lies within" in told(anywhere)[0]
+    assert "'right' lies within" in told(anywhere)[0]
+    assert told(with_values(anywhere, {"loads.up.pull.region.ball.center": [0.6, 0.5]})) == []
+    with pytest.raises(SceneError) as info:
+        with_values(scene, {"loads.up.pull.body": "lft"})
+    expected = "loads.up.pull.body: there is no body 'lft' (did you mean 'left'?); there are: left, right"
+    assert expected in str(info.value)

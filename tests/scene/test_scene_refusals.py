@@ -1,0 +1,320 @@
+"""Every bad scene is told what is wrong, where, and what would be right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from cqrun.errors import SceneError
+from cqrun.scene.load import load_scene
+
+Refused = Callable[..., list[str]]
+
+CASES = {
+    "misspelt key": (
+        "density: 1070",
+        "densty: 1070",
+        [
+            "beam.yaml:11:5: bodies.beam.material.density: is missing: Density at rest [kg/m^3]",
+            "beam.yaml:12:7: bodies.beam.material.densty: unknown key (did you mean 'density'?); ",
+        ],
+    ),
+    "misspelt key of a plug-in": (
+        "poissons_ratio: 0.45",
+        "poisson_ratio: 0.45",
+        [
+            "beam.yaml:14:9: bodies.beam.material.elastic.fixed_corotated.poissons_ratio: is missing",
+            "beam.yaml:16:11: bodies.beam.material.elastic.fixed_corotated.poisson_ratio: unknown key (",
+        ],
+    ),
+    "misspelt plug-in": (
+        "fixed_corotated:",
+        "fixed_corrotated:",
+        [
+            "beam.yaml:14:9: bodies.beam.material.elastic.fixed_corrotated: no elastic has this name "
+            "(did you mean 'fixed_corotated'?); legal names: fixed_corotated, neo_hookean",
+        ],
+    ),
+    "misspelt term": (
+        "viscosity:",
+        "viscocity:",
+        ["beam.yaml:17:7: bodies.beam.material.viscocity: unknown key (did you mean 'viscosity'?)"],
+    ),
+    "negative density": (
+        "1070",
+        "-1070",
+        ["beam.yaml:12:16: bodies.beam.material.density: must be greater than 0, is -1070"],
+    ),
+    "wrong range": ("dx: 0.005", "dx: 0", ["beam.yaml:3:31: world.dx: must be greater than 0, is 0"]),
+    "size of zero": (
+        "size: [0.1, 0.02]",
+        "size: [0.1, 0]",
+        ["beam.yaml:7:53: bodies.beam.shape.box.size.1: must be greater than 0, is 0"],
+    ),
+    "nu of a half": (
+        "0.45",
+        "0.5",
+        [
+            "beam.yaml:16:27: bodies.beam.material.elastic.fixed_corotated.poissons_ratio: "
+            "must be less than 0.5, is 0.5"
+        ],
+    ),
+    "nan": (
+        "1070",
+        ".nan",
+        ["beam.yaml:12:16: bodies.beam.material.density: must be a finite number, is nan"],
+    ),
+    "inf": (
+        "2e5",
+        ".inf",
+        ["beam.yaml:15:27: bodies.beam.material.elastic.fixed_corotated.youngs_modulus: must be a finite"],
+    ),
+    "inf by overflow": (
+        "1070",
+        "1e999",
+        ["beam.yaml:12:16: bodies.beam.material.density: must be a finite number, is inf"],
+    ),
+    "text for a number": (
+        "1070",
+        "1070 kg",
+        ["beam.yaml:12:16: bodies.beam.material.density: must be a number in kg/m^3, is '1070 kg'"],
+    ),
+    "yes for a number": (
+        "1070",
+        "true",
+        ["beam.yaml:12:16: bodies.beam.material.density: must be a number in kg/m^3, is true"],
+    ),
+    "empty value": (
+        "1070",
+        "",
+        ["beam.yaml:12:7: bodies.beam.material.density: must be a number in kg/m^3, is empty"],
+    ),
+    "duplicate key": (
+        "  duration: 1.5",
+        "  duration: 1.5\n  duration: 1",
+        ["beam.yaml:22:3: time.duration: this key is here twice; the first stands in line 21; keep one"],
+    ),
+    "unknown named twice": (
+        "unknowns:",
+        "unknowns:\n  bodies.beam.material.viscosity.shear: {bounds: [1, 4]}",
+        ["beam.yaml:28:3: unknowns.bodies.beam.material.viscosity.shear: this key is here twice"],
+    ),
+    "odd power": (
+        "viscosity: {shear: 100}",
+        "viscosity: {shear: 100}\n      incompressibility: {power: 3}",
+        ["beam.yaml:18:34: bodies.beam.material.incompressibility.power: 3 is odd"],
+    ),
+    "duration": (
+        "1.5",
+        "1.505",
+        [
+            "beam.yaml:21:13: time.duration: 1.505 s is no multiple of the control step 0.01 s; "
+            "the nearest is 1.5 s"
+        ],
+    ),
+    "short run": (
+        "1.5",
+        "0.001",
+        ["beam.yaml:21:13: time.duration: 0.001 s is no multiple of the control step 0.01 s"],
+    ),
+    "substeps": (
+        "control_step: 0.01",
+        "control_step: 0.01\n  substeps: atuo",
+        ["beam.yaml:23:13: time.substeps: must be auto or a whole number from 1 on, is 'atuo'"],
+    ),
+    "log scale": (
+        "bounds: [1, 400]",
+        "bounds: [0, 400]",
+        [
+            "beam.yaml:27:51: unknowns.bodies.beam.material.viscosity.shear.bounds.0: "
+            "a log scale needs bounds greater than 0, is 0"
+        ],
+    ),
+    "bounds in the wrong order": (
+        "bounds: [1, 400]",
+        "bounds: [400, 1]",
+        [
+            "beam.yaml:27:42: unknowns.bodies.beam.material.viscosity.shear.bounds: "
+            "the lower bound 400 must be less than the upper bound 1"
+        ],
+    ),
+    "memory unit": ("64MiB", "64Mib", ["beam.yaml:4:9: memory: must be an amount of memory such as 2GiB"]),
+    "no memory": ("64MiB", "0", ["beam.yaml:4:9: memory: must be greater than 0, is 0"]),
+    "both spacings": (
+        "particles_per_cell: 4",
+        "particles_per_cell: 4\n    spacing: 0.001",
+        [
+            "beam.yaml:6:3: bodies.beam: must have exactly one of particles_per_cell, spacing; "
+            "has particles_per_cell, spacing"
+        ],
+    ),
+    "no spacing": (
+        "particles_per_cell: 4",
+        "unit_mass: true",
+        ["beam.yaml:6:3: bodies.beam: must have exactly one of particles_per_cell, spacing; has none"],
+    ),
+    "spacing of random particles": (
+        "particles_per_cell: 4",
+        "particles_per_cell: 4\n    sampling: {random: {count: 9}}",
+        ["beam.yaml:8:25: bodies.beam.particles_per_cell: has no meaning with random sampling"],
+    ),
+    "vector of another dimension": (
+        "gravity: [0, -9.81]",
+        "gravity: [0, 0, -9.81]",
+        ["beam.yaml:3:38: world.gravity: must have 2 entries in this 2D world, has 3"],
+    ),
+    "deep vector of another dimension": (
+        "{corner: [0, 0], size: [0.06, 0.1]}",
+        "{corner: [0, 0, 0], size: [0.06, 0.1]}",
+        ["beam.yaml:19:35: boundaries.clamp.sticky.region.box.corner: must have 2 entries in this 2D"],
+    ),
+    "spin of another dimension": (
+        "particles_per_cell: 4",
+        "particles_per_cell: 4\n    spin: [0, 0, 1]",
+        ["beam.yaml:9:5: bodies.beam.spin: must have 1 entries in this 2D world, has 3"],
+    ),
+    "shape of another dimension": (
+        "shape: {box: {corner: [0.05, 0.04], size: [0.1, 0.02]}}",
+        "shape: {cylinder: {start: [0, 0], end: [1, 0], radius: 1}}",
+        ["beam.yaml:7:13: bodies.beam.shape.cylinder: a cylinder needs a 3D world"],
+    ),
+    "face of another dimension": (
+        "boundaries:",
+        "boundaries:\n  wall: {sticky: {face: z_min}}",
+        ["beam.yaml:19:25: boundaries.wall.sticky.face: a 2D world has no face z_min"],
+    ),
+    "world of one dimension": (
+        "[0.2, 0.1]",
+        "[0.2]",
+        ["beam.yaml:3:9: world.size: must have at least 2 entries, has 1"],
+    ),
+    "name": ("  beam:", "  my-beam:", ["beam.yaml:6:3: bodies.my-beam: a name has letters, digits and _"]),
+    "version": ("cqrun: 1", "cqrun: 2", ["beam.yaml:1:8: cqrun: must be 1, is 2"]),
+    "no version": ("cqrun: 1\n", "", ["beam.yaml:1:1: cqrun: is missing: Version of the scene format"]),
+    "no bodies": (
+        "bodies:",
+        "bodis:",
+        ["beam.yaml:1:1: bodies: is missing", "beam.yaml:5:1: bodis: unknown key (did you mean 'bodies'?)"],
+    ),
+    "signal of no actuator": (
+        "time:",
+        "activation: {signals: {left: [0, 1]}}\ntime:",
+        ["beam.yaml:20:24: activation.signals.left: there is no actuator 'left'; there are: none"],
+    ),
+    "no source of activation": (
+        "time:",
+        "activation: {}\ntime:",
+        ["beam.yaml:20:1: activation: must have exactly one of signals, random; has none"],
+    ),
+    "list for a mapping": (
+        "  beam:",
+        "  other: [1]\n  beam:",
+        ["beam.yaml:6:3: bodies.other: must be a mapping `key: value`, is [1]"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bad_scene(name: str, refused: Refused) -> None:
+    old, new, messages = CASES[name]
+    told = refused(old, new)
+    assert len(told) == len(messages), told
+    for line, message in zip(told, messages, strict=True):
+        assert line.startswith(message)
+
+
+def test_more_memory_than_there_is(refused: Refused) -> None:
+    there = psutil.virtual_memory().total
+    (told,) = refused("64MiB", str(there + 1))
+    assert told.startswith("beam.yaml:4:9: memory: asks for ")
+    assert "this machine has " in told
+    assert load_scene({**_plain(), "memory": there}).memory == there
+
+
+def test_everything_is_told_at_once_by_line_then_by_override(refused: Refused) -> None:
+    told = refused(
+        "      density: 1070\n      elastic:\n        fixed_corotated:\n          youngs_modulus: 2e5",
+        "      density: -1\n      elastic:\n        fixed_corotated:\n          youngs_modulus: much",
+        "time.duration=-1",
+        "world.dx=0",
+    )
+    assert [line.split(": ")[0] for line in told] == [
+        "beam.yaml:12:16",
+        "beam.yaml:15:27",
+        "-o time.duration=-1",
+        "-o world.dx=0",
+    ]
+
+
+def test_a_missing_file_and_a_wrong_encoding_are_told(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"none.yaml: the scene cannot be read: No such file"):
+        load_scene(tmp_path / "none.yaml")
+    (tmp_path / "latin.yaml").write_bytes(b"title: \xe9\n")
+    with pytest.raises(SceneError, match="it is not UTF-8 text"):
+        load_scene(tmp_path / "latin.yaml")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({}, "data: must have exactly one of recordings, target, synthetic; has none"),
+        ({"recordings": {"a": {"file": "a.csv"}}, "target": {"position": [0, 0]}}, "has recordings, target"),
+        ({"recordings": {}}, "data.recordings: must have at least 1 entries, has 0"),
+        ({"recordings": {"a": {"file": ""}}}, "data.recordings.a.file: string should have at least 1 char"),
+        (
+            {"recordings": {"a": {"file": "a", "units": "inch"}}},
+            "units: must be 'm', 'cm' or 'mm', is 'inch'",
+        ),
+        ({"recordings": {"a": {"file": "a", "still": [1, 0]}}}, "still: must begin before it ends"),
+        (
+            {"recordings": {"a": {"file": "a", "body": "bean"}}},
+            "there is no body 'bean' (did you mean 'beam'?)",
+        ),
+        (
+            {"recordings": {"a": {"file": "a", "markers": {"M 1": [0, 0, 0]}}}},
+            "markers.M 1: must have 2 entries",
+        ),
+        (
+            {"recordings": {"a": {"file": "a", "overrides": {"world.dy": 1}}}},
+            "overrides.world.dy: unknown key",
+        ),
+        (
+            {"recordings": {"a": {"file": "a", "overrides": {"world.dx": -1}}}},
+            "world.dx: must be greater than 0",
+        ),
+        (
+            {"target": {"position": [0, 0], "time": 9}},
+            "target.time: 9 s is after the end of the run at 1.5 s",
+        ),
+        ({"target": {"position": [0, 0, 0]}}, "data.target.position: must have 2 entries"),
+        (
+            {"synthetic": {"truth": {"world.dx": 1}, "tracked": 9}},
+            "exactly one of every, key_frames; has none",
+        ),
+        ({"synthetic": {"truth": {"world.dx": 1}, "every": 9}}, "exactly one of markers, tracked; has none"),
+        (
+            {"synthetic": {"truth": {"world.dx": -1}, "every": 1, "tracked": 9}},
+            "world.dx: must be greater than",
+        ),
+        ({"synthetic": {"truth": {"world.dy": 1}, "every": 1, "tracked": 9}}, "'world' has no 'dy'"),
+    ],
+)
+def test_bad_data(data: dict[str, Any], message: str) -> None:
+    with pytest.raises(SceneError) as info:
+        load_scene({**_plain(), "data": data})
+    assert message in str(info.value)
+
+
+def _plain() -> dict[str, Any]:
+    material = {"density": 1.0, "elastic": {"neo_hookean": {"youngs_modulus": 1.0, "poissons_ratio": 0.3}}}
+    body = {"shape": {"ball": {"center": [0.5, 0.5], "radius": 0.1}}, "spacing": 0.01, "material": material}
+    return {
+        "cqrun": 1,
+        "world": {"size": [1, 1], "dx": 0.02},
+        "bodies": {"beam": body},
+        "time": {"duration": 1.5, "control_step": 0.1},
+    }
