@@ -112,8 +112,11 @@ class Trials:
         return Outcome(x.copy(), self.best_loss, status, message, self.iteration)
 
     def distance_to_last(self) -> float:
-        """Return how far the last trial was from the best point, in the largest coordinate."""
-        return 0.0 if self.best_x is None else float(np.max(np.abs(self._last_x - self.best_x)))
+        """Return how far the last trial was from the best point, in the largest coordinate.
+
+        Where it was that very point (a Jacobian that failed), 1: scaled coordinates are of order one.
+        """
+        return 1.0 if self.best_x is None else float(np.max(np.abs(self._last_x - self.best_x))) or 1.0
 
     def _ask(self, kind: str, x: Array, compute: Callable[[], dict[str, Array]]) -> dict[str, Array]:
         if self.session.should_stop():

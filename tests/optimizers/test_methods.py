@@ -1,0 +1,230 @@
+"""Each optimizer finds optima, stays within bounds, and gives up in words."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from toy_problems import Rosenbrock, run_folder, solve
+
+from cqrun.contract import Plugin
+from cqrun.optimizers.adam import Adam
+from cqrun.optimizers.base import Optimizer
+from cqrun.optimizers.lbfgs import Lbfgs
+from cqrun.optimizers.least_squares import LeastSquares
+from cqrun.optimizers.replayed import half_box
+from cqrun.optimizers.sgd import Sgd
+from cqrun.registry import plugins
+
+SCIPY = [LeastSquares(max_iterations=60), Lbfgs(max_iterations=300)]
+DESCENT = [Adam(max_iterations=40, learning_rate=0.1), Sgd(max_iterations=40, learning_rate=0.01)]
+
+
+def name_of(method: Plugin) -> str:
+    return method.name
+
+
+def test_registry_finds_all_four():
+    found = plugins("optimizer")
+    assert set(found) == {"adam", "lbfgs", "least_squares", "sgd"}
+    assert all(issubclass(cls, Optimizer) and cls.__doc__ for cls in found.values())
+    assert all(cls().max_iterations >= 1 for cls in found.values())
+
+
+def test_importing_them_imports_no_scipy():
+    import subprocess
+    import sys
+
+    code = (
+        "import sys; from cqrun.registry import plugins; plugins('optimizer');"
+        "import cqrun.store.run, cqrun.store.session, cqrun.store.trajectory;"
+        "assert not {'scipy', 'numba', 'h5py', 'matplotlib'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("method", SCIPY, ids=name_of)
+def test_scipy_converges_to_the_valley_floor(tmp_path, method):
+    outcome, _ = solve(tmp_path, method, Rosenbrock())
+    assert outcome.status == "converged"
+    np.testing.assert_allclose(outcome.x, 1.0, atol=1e-5)
+    assert outcome.loss < 1e-12
+
+
+@pytest.mark.parametrize("method", SCIPY, ids=name_of)
+def test_scipy_respects_bounds(tmp_path, method):
+    problem = Rosenbrock(bound=0.9)
+    problem.start = np.clip(problem.start, -0.8, 0.8)
+    outcome, _ = solve(tmp_path, method, problem)
+    assert outcome.status == "converged"
+    assert (np.abs(outcome.x) <= 0.9).all()
+    assert outcome.x[0] == pytest.approx(0.9, abs=1e-3)
+
+
+class Bowl(Rosenbrock):
+    """A quadratic whose minimum lies beyond the upper bound of its second unknown."""
+
+    term_names = ()
+    goal = np.array([0.3, 2.0])
+
+    def __init__(self):
+        super().__init__(n=2)
+        self.start, self.upper, self.n_batches = np.zeros(2), np.array([np.inf, 1.0]), 1
+
+    def term_values(self):
+        return np.zeros(0)
+
+    def value_and_grad(self, x, batch=None):
+        return 0.5 * np.sum((x - self.goal) ** 2), x - self.goal
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        Adam(max_iterations=2000, learning_rate=0.05, decay=0.01, gradient_tolerance=1e-6),
+        Sgd(max_iterations=500, learning_rate=0.2, momentum=0.3, gradient_tolerance=1e-6),
+    ],
+    ids=name_of,
+)
+def test_descent_converges_on_the_projected_gradient(tmp_path, method):
+    outcome, _ = solve(tmp_path, method, Bowl())
+    assert outcome.status == "converged"
+    np.testing.assert_allclose(outcome.x, [0.3, 1.0], atol=1e-5)
+    again, _ = solve(tmp_path, method, Bowl())  # a converged run stays where it is
+    assert again.x.tobytes() == outcome.x.tobytes()
+    assert again.iterations == outcome.iterations
+
+
+def test_adam_follows_the_paper(tmp_path):
+    """Three steps against algorithm 1 written out."""
+    method = Adam(max_iterations=3, learning_rate=0.1, beta1=0.8, beta2=0.95)
+    x, m, v = Bowl().start, 0.0, 0.0
+    for k in range(1, 4):
+        g = x - Bowl.goal
+        m, v = 0.8 * m + 0.2 * g, 0.95 * v + 0.05 * g * g
+        x = x - 0.1 * (m / (1 - 0.8**k)) / (np.sqrt(v / (1 - 0.95**k)) + 1e-8)
+    outcome, _ = solve(tmp_path, method, Bowl())
+    np.testing.assert_allclose(outcome.x, x, rtol=1e-14)
+
+
+def test_sgd_follows_polyak(tmp_path):
+    method = Sgd(max_iterations=3, learning_rate=0.05, momentum=0.9)
+    x, u = Bowl().start, 0.0
+    for _ in range(3):
+        u = 0.9 * u + (x - Bowl.goal)
+        x = x - 0.05 * u
+    outcome, _ = solve(tmp_path, method, Bowl())
+    np.testing.assert_allclose(outcome.x, x, rtol=1e-14)
+
+
+def test_mini_batches_visit_every_part_once_an_epoch(tmp_path):
+    class Watching(Rosenbrock):
+        batches: list[tuple[int, ...]] = []  # noqa: RUF012  one list for the test's only problem
+
+        def value_and_grad(self, x, batch=None):
+            self.batches.append(batch)
+            return super().value_and_grad(x, batch)
+
+    problem = Watching()
+    solve(tmp_path, Sgd(max_iterations=7, learning_rate=0.001, batch_size=4), problem)
+    sizes = [len(batch) for batch in problem.batches]
+    assert sizes == [4, 4, 2, 4, 4, 2, 4, 4]  # 10 parts
+    first_epoch = sorted(part for batch in problem.batches[:3] for part in batch)
+    assert first_epoch == list(range(10))
+
+
+@pytest.mark.parametrize("method", [*SCIPY, *DESCENT], ids=name_of)
+def test_a_start_that_fails_ends_the_run(tmp_path, method):
+    outcome, _ = solve(tmp_path, method, Rosenbrock(wall=-5.0))
+    assert outcome.status == "failed"
+    for part in ("body 'beam'", "particle 7", "t = 0.25 s", "trial values: a = -1.2"):
+        assert part in outcome.message
+
+
+@pytest.mark.parametrize("method", SCIPY, ids=name_of)
+def test_failed_trials_shrink_the_box(tmp_path, method):
+    problem = Rosenbrock(wall=0.5)  # the way to (1, ..., 1) is closed
+    outcome, session = solve(tmp_path, method, problem)
+    assert outcome.status in ("failed", "stalled")
+    assert outcome.x[0] <= 0.5
+    assert outcome.loss < Rosenbrock().value_and_grad(problem.start)[0]
+    log = (run_folder(tmp_path) / "log.txt").read_text()
+    assert "failed trial: body 'beam', particle 7" in log
+    assert "restart 1 of 3" in log
+    assert log.count("failed trial") <= 4
+    assert session.computed == problem.evaluations
+
+
+def test_a_minimum_held_by_the_shrunken_box_is_no_convergence(tmp_path):
+    class Cliff(Bowl):
+        """Fails in a thin band only, so that a smaller box is enough to pass it."""
+
+        def value_and_grad(self, x, batch=None):
+            self._evaluate(np.array([1.0 if x[0] > 0.25 else 0.0, 0.0]))
+            return super().value_and_grad(x)
+
+    problem = Cliff()
+    problem.wall = 0.5
+    outcome, _ = solve(tmp_path, Lbfgs(), problem)
+    assert outcome.status == "stalled"
+    assert "box" in outcome.message
+    assert outcome.x[0] <= 0.25
+
+
+@pytest.mark.parametrize("method", DESCENT, ids=name_of)
+def test_descent_halves_the_step_five_times_then_fails(tmp_path, method):
+    class Trap(Rosenbrock):
+        """Blows up everywhere but at the start."""
+
+        def _evaluate(self, x):
+            self.wall = np.inf if np.array_equal(x, self.start) else -9.0
+            return super()._evaluate(x)
+
+    problem = Trap()
+    outcome, _ = solve(tmp_path, method, problem)
+    assert outcome.status == "failed"
+    assert "after 5 halvings" in outcome.message
+    assert problem.evaluations == 1 + 6
+    assert outcome.x.tobytes() == problem.start.tobytes()
+    assert "step times 0.03125" in (run_folder(tmp_path) / "log.txt").read_text()
+
+
+@pytest.mark.parametrize("method", DESCENT, ids=name_of)
+def test_descent_goes_on_with_half_the_step(tmp_path, method):
+    class Once(Rosenbrock):
+        def _evaluate(self, x):
+            self.wall = -9.0 if self.evaluations == 3 else np.inf
+            return super()._evaluate(x)
+
+    problem = Once()
+    outcome, _ = solve(tmp_path, method, problem)
+    assert outcome.status == "iteration_limit"
+    assert problem.evaluations == method.max_iterations + 2
+    assert "back to iteration 2, step times 0.5" in (run_folder(tmp_path) / "log.txt").read_text()
+
+
+@pytest.mark.parametrize("method", [*SCIPY, *DESCENT], ids=name_of)
+def test_a_loss_that_is_not_finite_is_a_failed_trial(tmp_path, method):
+    class Broken(Rosenbrock):
+        def _evaluate(self, x):
+            r, jacobian = super()._evaluate(x)
+            return r + np.nan, jacobian
+
+    outcome, _ = solve(tmp_path, method, Broken())
+    assert outcome.status == "failed"
+    assert "not finite; trial values: x = [-1.2" in outcome.message
+
+
+def test_half_box_keeps_the_point_and_halves_the_rest():
+    x, lower, upper = np.array([0.0, 1.0, 3.0]), np.array([-1.0, 1.0, -np.inf]), np.array([2.0, 5.0, 4.0])
+    down, up = half_box(x, lower, upper, reach=8.0)
+    np.testing.assert_array_equal(down, [-0.5, 1.0, -1.0])
+    np.testing.assert_array_equal(up, [1.0, 3.0, 3.5])
+
+
+@pytest.mark.parametrize(
+    "options", [{"max_iterations": 0}, {"learning_rate": -1.0}, {"beta1": 1.0}, {"step": 1.0}]
+)
+def test_options_are_checked(options):
+    with pytest.raises(ValidationError):
+        Adam(**options)

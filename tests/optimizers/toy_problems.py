@@ -1,0 +1,106 @@
+"""Small problems for the optimizers' tests, and a run to solve them in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from cqrun.optimizers.base import Optimizer, Outcome, TrialFailed
+from cqrun.store.run import RunDirectory, RunScene
+from cqrun.store.session import RunSession
+
+
+class Killed(BaseException):
+    """Stands for a SIGKILL in the middle of an evaluation."""
+
+
+class Rosenbrock:
+    """Rosenbrock's valley in n dimensions as residuals, split into parts; it can blow up and be killed.
+
+    Args:
+        n: unknowns.
+        wall: the rollout blows up where x[0] is above it.
+        fuse: evaluations until `Killed`.
+    """
+
+    term_names = ("valley", "slope")
+
+    def __init__(self, n: int = 6, wall: float = np.inf, fuse: int | None = None, bound: float = np.inf):
+        self.start = np.linspace(-1.2, 0.3, n)
+        self.lower, self.upper = np.full(n, -bound), np.full(n, bound)
+        self.n_batches = 2 * (n - 1)
+        self.wall, self.fuse = wall, fuse
+        self.evaluations = 0
+        self._terms = np.zeros(2)
+
+    def term_values(self):
+        return self._terms
+
+    def residuals(self, x):
+        return self._evaluate(x)[0]
+
+    def residuals_and_jacobian(self, x):
+        return self._evaluate(x)
+
+    def value_and_grad(self, x, batch=None):
+        r, jacobian = self._evaluate(x)
+        part = slice(None) if batch is None else list(batch)
+        scale = 1.0 if batch is None else self.n_batches / len(batch)
+        return scale * 0.5 * np.sum(r[part] ** 2), scale * np.sum(r[part, None] * jacobian[part], axis=0)
+
+    def _evaluate(self, x):
+        self.evaluations += 1
+        if self.fuse is not None and self.evaluations > self.fuse:
+            raise Killed
+        if x[0] > self.wall:
+            raise TrialFailed(
+                "left the grid", body="beam", particle=np.int64(7), time=0.25, values=f"a = {x[0]:.4g}"
+            )
+        n = x.size
+        valley, slope = 3.0 * (x[1:] - x[:-1] ** 2), 1.0 - x[:-1]
+        jacobian = np.zeros((2 * (n - 1), n))
+        rows = np.arange(n - 1)
+        jacobian[rows, rows], jacobian[rows, rows + 1] = -6.0 * x[:-1], 3.0
+        jacobian[n - 1 + rows, rows] = -1.0
+        self._terms = np.array([0.5 * np.sum(valley**2), 0.5 * np.sum(slope**2)])
+        return np.concatenate([valley, slope]), jacobian
+
+
+def solve(
+    out: Path, optimizer: Optimizer, problem: Rosenbrock, *, stop=lambda: False, seed: int = 3, sabotage=None
+) -> tuple[Outcome, RunSession]:
+    """Start or resume the run below `out`; `sabotage(session)` may spoil the session first."""
+    scene = RunScene("toy", "cqrun: 1\n", "cqrun: 1\n")
+    with RunDirectory.open(scene, out, job="sysid", argv=["toy"], seed=seed, threads=1) as run:
+        run.begin()
+        blocks = {"a": slice(0, 1), "b": slice(1, problem.start.size)}
+        session = RunSession(
+            run,
+            seed=seed,
+            blocks=blocks,
+            physical=lambda x: 2.0 * x,
+            term_names=problem.term_names,
+            stop=stop,
+        )
+        if sabotage is not None:
+            sabotage(session)
+        outcome = optimizer.minimise(problem, session)
+        run.finish(outcome.status, outcome.message)
+        return outcome, session
+
+
+def run_folder(out: Path) -> Path:
+    """Return the only run below `out`."""
+    (folder,) = out.glob("toy/*")
+    return folder
+
+
+def history_rows(out: Path) -> list[str]:
+    """Return the history without its column of seconds."""
+    return [row.rsplit(",", 1)[0] for row in (run_folder(out) / "history.csv").read_text().splitlines()]
+
+
+def bits(outcome: Outcome) -> tuple:
+    """Return an outcome in a form whose equality is bitwise."""
+    return outcome.x.tobytes(), outcome.loss.hex(), outcome.status, outcome.message, outcome.iterations

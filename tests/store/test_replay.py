@@ -1,0 +1,156 @@
+"""The replay log: same questions, same answers, whatever happened to the file's end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cqrun.errors import UsageError
+from cqrun.optimizers.base import TrialFailed
+from cqrun.store.replay import ReplayLog
+
+
+class Oracle:
+    """Answers f, g and a matrix; fails above 2."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, x):
+        def compute():
+            self.calls += 1
+            if x[0] > 2:
+                raise TrialFailed(
+                    "too far", body="beam", particle=np.int64(3), time=np.float64(0.5), values="µ = 3"
+                )
+            return {"f": np.float64(np.sum(x**2)), "g": 2 * x, "J": np.outer(x, x)[:1]}
+
+        return compute
+
+
+def ask_all(path, points, notes=None):
+    """Return the answers at all points (None for a failed one) and the log."""
+    oracle, answers = Oracle(), []
+    log = ReplayLog(path, (notes if notes is not None else []).append)
+    for x in points:
+        try:
+            answers.append(log.evaluate("value_and_grad", x, oracle(x)))
+        except TrialFailed as failure:
+            answers.append(failure)
+    log.close()
+    return answers, log, oracle
+
+
+@pytest.fixture
+def points(rng):
+    return [*rng.normal(size=(3, 2)), np.array([3.0, 0.0]), *rng.normal(size=(2, 2))]
+
+
+def same(one, two):
+    if isinstance(one, TrialFailed):
+        return isinstance(two, TrialFailed) and str(one) == str(two) and vars(one) == vars(two)
+    return one.keys() == two.keys() and all(
+        one[k].shape == two[k].shape and one[k].tobytes() == two[k].tobytes() for k in one
+    )
+
+
+def test_replayed_answers_are_the_same_bits(tmp_path, points):
+    first, log, _ = ask_all(tmp_path / "evals.log", points)
+    assert (log.replayed, log.computed) == (0, 6)
+    second, log, oracle = ask_all(tmp_path / "evals.log", points)
+    assert (log.replayed, log.computed, oracle.calls) == (6, 0, 0)
+    assert all(same(a, b) for a, b in zip(first, second, strict=True))
+    assert first[0]["f"].shape == ()
+    assert str(second[3]) == "body 'beam', particle 3, t = 0.5 s: too far; trial values: µ = 3"
+
+
+def test_the_record_holds_the_question_asked_even_if_compute_spoils_x(tmp_path):
+    x = np.array([1.0, 2.0])
+
+    def spoil():
+        x[:] = 0.0
+        return {"f": np.float64(1.0)}
+
+    log = ReplayLog(tmp_path / "e")
+    log.evaluate("f", x, spoil)
+    log.close()
+    again = ReplayLog(tmp_path / "e")
+    again.evaluate("f", np.array([1.0, 2.0]), spoil)
+    again.close()
+    assert again.replayed == 1
+
+
+def test_cut_at_any_byte_loses_only_what_is_torn(tmp_path, points):
+    path = tmp_path / "evals.log"
+    whole_answers, _, _ = ask_all(path, points)
+    whole = path.read_bytes()
+    counts = set()
+    for size in range(0, len(whole), 37):
+        path.write_bytes(whole[:size])
+        answers, log, _ = ask_all(path, points)
+        assert all(same(a, b) for a, b in zip(answers, whole_answers, strict=True))
+        assert log.replayed + log.computed == 6
+        assert path.read_bytes() == whole
+        counts.add(log.replayed)
+    assert counts == set(range(6))
+
+
+def test_a_flipped_bit_is_found_and_told(tmp_path, points):
+    path, notes = tmp_path / "evals.log", []
+    whole_answers, _, _ = ask_all(path, points)
+    spoilt = bytearray(path.read_bytes())
+    spoilt[len(spoilt) // 2] ^= 4
+    path.write_bytes(bytes(spoilt))
+    answers, log, _ = ask_all(path, points, notes)
+    assert all(same(a, b) for a, b in zip(answers, whole_answers, strict=True))
+    assert 0 < log.replayed < 6
+    assert len(notes) == 1
+    assert "torn" in notes[0]
+
+
+@pytest.mark.parametrize("change", ["x", "last bit of x", "kind"])
+def test_another_question_truncates_and_says_so(tmp_path, points, change):
+    path, notes = tmp_path / "evals.log", []
+    ask_all(path, points)
+    size = path.stat().st_size
+    log, x, kind = ReplayLog(path, notes.append), points[1], "value_and_grad"
+    log.evaluate(kind, points[0], Oracle()(points[0]))
+    if change == "kind":
+        kind = "jacobian"
+    else:
+        x = np.nextafter(x, 9.0) if "bit" in change else x + 1.0
+    log.evaluate(kind, x, Oracle()(x))
+    log.close()
+    assert (log.replayed, log.computed) == (1, 1)
+    assert len(notes) == 1
+    assert "evaluation 2" in notes[0]
+    assert "another point" in notes[0]
+    assert path.stat().st_size < size
+
+
+def test_minus_zero_is_another_point(tmp_path):
+    log = ReplayLog(tmp_path / "e")
+    log.evaluate("f", np.array([0.0]), lambda: {"f": np.float64(1)})
+    log.close()
+    again = ReplayLog(tmp_path / "e")
+    again.evaluate("f", np.array([-0.0]), lambda: {"f": np.float64(2)})
+    again.close()
+    assert (again.replayed, again.computed) == (0, 1)
+
+
+def test_an_interrupted_computation_leaves_no_record(tmp_path):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    log = ReplayLog(tmp_path / "e")
+    with pytest.raises(KeyboardInterrupt):
+        log.evaluate("f", np.zeros(1), interrupted)
+    log.close()
+    assert (tmp_path / "e").stat().st_size == 12
+
+
+def test_what_is_no_log_is_refused(tmp_path):
+    (tmp_path / "e").write_bytes(b"something else altogether")
+    with pytest.raises(UsageError, match=r"unreadable checkpoint.*--fresh"):
+        ReplayLog(tmp_path / "e")
+    assert (tmp_path / "e").read_bytes() == b"something else altogether"

@@ -1,0 +1,76 @@
+"""The engine's hash changes with its numbers, and the kernel cache follows it."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from cqrun import fingerprint
+
+VERSIONS = {"numba": "1", "numpy": "2", "scipy": "3"}
+
+
+@pytest.fixture
+def package(tmp_path):
+    (tmp_path / "engine").mkdir()
+    (tmp_path / "cli").mkdir()
+    (tmp_path / "tensor.py").write_text("a = 1\n")
+    (tmp_path / "engine" / "step.py").write_text("b = 1\n")
+    (tmp_path / "cli" / "app.py").write_text("c = 1\n")
+    return tmp_path
+
+
+def test_twelve_hex_digits_of_this_engine():
+    assert re.fullmatch("[0-9a-f]{12}", fingerprint.engine_hash())
+    assert fingerprint.library_versions().keys() == VERSIONS.keys()
+    assert "absent" not in fingerprint.library_versions().values()
+
+
+@pytest.mark.parametrize("file", ["tensor.py", "engine/step.py"])
+def test_a_numeric_source_changes_it(package, file):
+    before = fingerprint.source_hash(package, VERSIONS)
+    (package / file).write_text("b = 2\n")
+    assert fingerprint.source_hash(package, VERSIONS) != before
+
+
+def test_a_new_and_a_renamed_source_change_it(package):
+    before = fingerprint.source_hash(package, VERSIONS)
+    (package / "engine" / "step.py").rename(package / "engine" / "stride.py")
+    renamed = fingerprint.source_hash(package, VERSIONS)
+    (package / "engine" / "more.py").write_text("")
+    assert len({before, renamed, fingerprint.source_hash(package, VERSIONS)}) == 3
+
+
+def test_the_command_line_does_not_change_it_but_a_library_does(package):
+    before = fingerprint.source_hash(package, VERSIONS)
+    (package / "cli" / "app.py").write_text("c = 2\n")
+    assert fingerprint.source_hash(package, VERSIONS) == before
+    assert fingerprint.source_hash(package, VERSIONS | {"numpy": "2.1"}) != before
+
+
+def test_the_users_own_cache_folder_wins(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert fingerprint.set_kernel_cache() == tmp_path
+
+
+@pytest.mark.parametrize("first", ["", "import numba; "], ids=["before numba", "after numba"])
+def test_numba_takes_the_folder_whenever_it_is_imported(tmp_path, first):
+    code = (
+        f"{first}import sys, cqrun.fingerprint as f; loaded = 'numba' in sys.modules;"
+        "p = f.set_kernel_cache();"
+        f"assert ('numba' in sys.modules) == loaded == {bool(first)};"
+        "import numba; assert numba.config.CACHE_DIR == str(p), numba.config.CACHE_DIR; print(p)"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != fingerprint.CACHE_VARIABLE}
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment | {"XDG_CACHE_HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert answer.stdout.strip() == str(tmp_path / "cqrun" / fingerprint.engine_hash())
