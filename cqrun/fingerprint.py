@@ -24,6 +24,7 @@ NUMERIC = (
     "boundaries",
     "loads",
     "engine",
+    "geometry",
     "design",
     "controllers",
     "observers",
