@@ -4,7 +4,7 @@ LLVM vectorises none of the engine's loops by itself (it cannot rule out aliasin
 `width` neighbouring particles as one value, and the small-tensor functions of `tensor.py` run on it
 unchanged. With the JIT off, a lane value is a NumPy array, and each function below is its own twin.
 
-    load, store, accumulate        `width` neighbours of a row of a (rows, n) array
+    load, store, accumulate        `width` neighbours in one row of a packed table of particles
     load4, store4, make4           the 4 components of a grid node: momentum (or velocity) and mass
     load_quads, store_quads        between lanes and 4-component records, n records at a time
     select, floor, sqrt, log ...   what operators cannot say
@@ -96,12 +96,6 @@ def _shuffle(builder: Any, a: Any, b: Any, picks: list[int]) -> Any:
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, offset: Any, vector: ir.Type) -> Any:
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [offset]), vector.as_pointer())
-
-
-def _offset(context: Any, builder: Any, array_type: Any, array: Any, row: Any, i: Any) -> Any:
-    """Return the flat index of [row, i] in a C-contiguous (rows, n) array."""
-    shape = cgutils.unpack_tuple(builder, context.make_array(array_type)(context, builder, array).shape)
-    return builder.add(builder.mul(row, shape[1]), i)
 
 
 def _align(array_type: Any) -> int:
@@ -301,12 +295,48 @@ def _with_lane_overload(a, k, value):
     return lambda a, k, value: value
 
 
-# --- memory: lanes of a (rows, n) array ----------------------------------------------------------------
+# --- memory: lanes of a packed array ----------------------------------------------------------------------
+#
+# A (rows, n) table of particles is packed as (n / width, rows, width): all numbers of a lane of neighbours lie
+# together, so a pass reads one stream of memory, not one a row (rows at equal distance fight for the same
+# cache sets: twice slower).
+
+
+def pack(table: np.ndarray, dtype: Any) -> np.ndarray:
+    """Return the packed (n / width, rows, width) array of a (rows, n) table; n is a multiple of the width."""
+    width = lane_width(dtype)
+    rows, n = table.shape
+    return np.ascontiguousarray(table.reshape(rows, n // width, width).transpose(1, 0, 2), dtype=dtype)
+
+
+def unpack(packed: np.ndarray) -> np.ndarray:
+    """Return the (rows, n) float64 table of a packed array."""
+    chunks, rows, width = packed.shape
+    return packed.transpose(1, 0, 2).reshape(rows, chunks * width).astype(np.float64)
 
 
 def load(a: np.ndarray, row: int, i: int) -> Any:
-    """Return the lane value a[row, i : i + width] of a C-contiguous (rows, n) array."""
-    return a[row, i : i + lane_width(a.dtype)].copy()
+    """Return the lane value of `row` for particles i .. i + width; i is a multiple of the width."""
+    return a[i // a.shape[2], row].copy()
+
+
+def store(a: np.ndarray, row: int, i: int, value: Any) -> None:
+    """Write a lane value, or one number to all its entries."""
+    a[i // a.shape[2], row] = value
+
+
+def accumulate(a: np.ndarray, row: int, i: int, value: Any) -> None:
+    """Add a lane value."""
+    a[i // a.shape[2], row] += value
+
+
+def _packed_pointer(context: Any, builder: Any, array_type: Any, args: Any, lanes: Lanes) -> Any:
+    """Return the address of [i / width, row, 0]: (i * rows + row * width) entries on."""
+    array, row, i = args
+    shape = cgutils.unpack_tuple(builder, context.make_array(array_type)(context, builder, array).shape)
+    inside = builder.mul(row, ir.Constant(row.type, lanes.width))
+    offset = builder.add(builder.mul(i, shape[1]), inside)
+    return _pointer(context, builder, array_type, array, offset, context.get_value_type(lanes))
 
 
 @intrinsic
@@ -314,21 +344,9 @@ def _load(typingctx: Any, a: Any, row: Any, i: Any) -> Any:
     lanes = Lanes(a.dtype, LANE_BYTES * 8 // a.dtype.bitwidth)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        vector = context.get_value_type(lanes)
-        offset = _offset(context, builder, a, args[0], args[1], args[2])
-        return builder.load(_pointer(context, builder, a, args[0], offset, vector), align=_align(a))
+        return builder.load(_packed_pointer(context, builder, a, args, lanes), align=_align(a))
 
     return signature(lanes, a, types.intp, types.intp), codegen
-
-
-@overload(load)
-def _load_overload(a, row, i):
-    return lambda a, row, i: _load(a, row, i)
-
-
-def store(a: np.ndarray, row: int, i: int, value: Any) -> None:
-    """Write a lane value (or one number to all) to a[row, i : i + width]."""
-    a[row, i : i + lane_width(a.dtype)] = value
 
 
 @intrinsic
@@ -336,23 +354,21 @@ def _store(typingctx: Any, a: Any, row: Any, i: Any, value: Any) -> Any:
     lanes = Lanes(a.dtype, LANE_BYTES * 8 // a.dtype.bitwidth)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        vector = context.get_value_type(lanes)
         data = _as_lanes(context, builder, args[3], value, lanes)
-        offset = _offset(context, builder, a, args[0], args[1], args[2])
-        builder.store(data, _pointer(context, builder, a, args[0], offset, vector), align=_align(a))
+        builder.store(data, _packed_pointer(context, builder, a, args[:3], lanes), align=_align(a))
         return context.get_dummy_value()
 
     return signature(types.none, a, types.intp, types.intp, value), codegen
 
 
+@overload(load)
+def _load_overload(a, row, i):
+    return lambda a, row, i: _load(a, row, i)
+
+
 @overload(store)
 def _store_overload(a, row, i, value):
     return lambda a, row, i, value: _store(a, row, i, value)
-
-
-def accumulate(a: np.ndarray, row: int, i: int, value: Any) -> None:
-    """Add a lane value to a[row, i : i + width]."""
-    a[row, i : i + lane_width(a.dtype)] += value
 
 
 @overload(accumulate)

@@ -11,7 +11,6 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
-from numba.core import types
 from numba.extending import overload, register_jitable
 
 
@@ -56,68 +55,25 @@ def contraction(subscripts: str) -> Callable[..., Any]:
     rank = len(operands[0])
     bodies = {dim: eval(_source(subscripts, dim)) for dim in (2, 3)}
 
-    if len(operands) == 1:
-
-        def function(a: Any) -> Any:
-            return bodies[_dimension(rank, len(a))](a)
-
-        @overload(function)
-        def _(a):
-            return bodies[_dimension(rank, len(a))] if isinstance(a, types.BaseTuple) else None
-
-    else:
-
-        def function(a: Any, b: Any) -> Any:  # type: ignore[misc]
-            return bodies[_dimension(rank, len(a))](a, b)
-
-        @overload(function)
-        def _(a, b):
-            return bodies[_dimension(rank, len(a))] if isinstance(a, types.BaseTuple) else None
-
-    function.__doc__ = f"Return the contraction {subscripts} of small tensors."
-    return function
+    names = ", ".join("ab"[: len(operands)])
+    scope: dict[str, Any] = {"body": lambda a: bodies[_dimension(rank, len(a))]}
+    exec(f"def function({names}):\n    return body(a)({names})", scope)
+    exec(f"def choose({names}):\n    return body(a)", scope)
+    overload(scope["function"])(scope["choose"])
+    return scope["function"]
 
 
-def elementwise(body: str) -> Callable[..., Any]:
+def elementwise(signature: str, body: str) -> Callable[..., Any]:
     """Return an entry-by-entry function, such as `a[i] + b[i]`, of tuples of any length."""
-
-    def at(length: int) -> Callable[..., Any]:
-        names = ", ".join(name for name in "abs" if f"{name}[" in body or f" {name}" in f" {body}")
-        entries = ", ".join(body.replace("[i]", f"[{i}]") for i in range(length))
-        return eval(f"lambda {names}: ({entries},)")
-
-    bodies = {length: at(length) for length in (2, 3, 4, 6, 9)}
-    one = len(bodies[2].__code__.co_varnames) == 1
-
-    if one:
-
-        def function(a: Any) -> Any:
-            return bodies[len(a)](a)
-
-        @overload(function)
-        def _(a):
-            return bodies[len(a)] if isinstance(a, types.BaseTuple) else None
-
-    elif bodies[2].__code__.co_varnames == ("a", "s"):
-
-        def function(a: Any, s: Any) -> Any:  # type: ignore[misc]
-            return bodies[len(a)](a, s)
-
-        @overload(function)
-        def _(a, s):
-            return bodies[len(a)] if isinstance(a, types.BaseTuple) else None
-
-    else:
-
-        def function(a: Any, b: Any) -> Any:  # type: ignore[misc]
-            return bodies[len(a)](a, b)
-
-        @overload(function)
-        def _(a, b):
-            return bodies[len(a)] if isinstance(a, types.BaseTuple) else None
-
-    function.__doc__ = f"Return {body} for every entry i."
-    return function
+    bodies = {}
+    for length in (2, 3, 4, 6, 9):
+        entries = "".join(body.replace("[i]", f"[{i}]") + ", " for i in range(length))
+        bodies[length] = eval(f"lambda {signature}: ({entries})")
+    scope: dict[str, Any] = {"bodies": bodies}
+    exec(f"def function({signature}):\n    return bodies[len(a)]({signature})", scope)
+    exec(f"def choose({signature}):\n    return bodies[len(a)]", scope)
+    overload(scope["function"])(scope["choose"])
+    return scope["function"]
 
 
 dot = contraction("i,i->")
@@ -130,9 +86,10 @@ mul_bt = contraction("ik,jk->ij")  # A B^T
 mul_at = contraction("ki,kj->ij")  # A^T B
 matvec = contraction("ij,j->i")  # A u
 matvec_t = contraction("ji,j->i")  # A^T u
-add = elementwise("a[i] + b[i]")
-sub = elementwise("a[i] - b[i]")
-scale = elementwise("a[i] * s")
+add = elementwise("a, b", "a[i] + b[i]")
+sub = elementwise("a, b", "a[i] - b[i]")
+scale = elementwise("a, s", "a[i] * s")
+shift = elementwise("a, s", "a[i] + s")
 
 
 def by_dimension(in_2d: Callable[..., Any], in_3d: Callable[..., Any]) -> Callable[[Any], Any]:

@@ -47,8 +47,10 @@ _FROM = {
     6: lambda s: (s[0], s[3], s[4], s[3], s[1], s[5], s[4], s[5], s[2]),
 }
 _TO = {
-    4: lambda S: (S[0], S[3], S[1] * 2.0),
-    9: lambda S: (S[0], S[4], S[8], S[1] * 2.0, S[2] * 2.0, S[5] * 2.0),
+    4: lambda S_bar: (S_bar[0], S_bar[3], S_bar[1] * 2.0),
+    9: lambda S_bar: (
+        S_bar[0], S_bar[4], S_bar[8], S_bar[1] * 2.0, S_bar[2] * 2.0, S_bar[5] * 2.0,
+    ),  # fmt: skip
 }
 
 

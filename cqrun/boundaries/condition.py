@@ -1,0 +1,163 @@
+"""What a boundary condition is: a projection of the velocity of the grid nodes that it holds.
+
+It reaches the grid pass as a `NamedTuple` of its own class with the unit `normal`, a tuple of D pointing into
+the free side, and one `coefficient`. The class picks the functions:
+
+    project(condition, v)                -> v of the node after the boundary
+    project_vjp(condition, v, out_bar)   -> v_bar, coefficient_bar
+
+At a kink the branch of H(x) = [x >= 0] is taken, as in CQ1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import numpy as np
+from numba.extending import overload, register_jitable
+from pydantic import model_validator
+
+from cqrun.choice import Choice, Chosen
+from cqrun.contract import Array, Plugin, quantity, vector
+
+FACES = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
+
+_PROJECT: dict[type, Callable[..., Any]] = {}
+_PROJECT_VJP: dict[type, Callable[..., Any]] = {}
+
+
+class BoundaryCondition(Plugin):
+    """A condition on grid nodes: on faces of the world, or in a region."""
+
+    needs_normal: ClassVar[bool] = True
+    face: Literal["x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "all"] | None = None
+    region: Annotated[Chosen[Plugin], Choice("shape")] | None = None
+    normal: list[float] | None = vector("1", "Unit normal into the free side, for a region", default=None)
+    thickness: float = quantity("m", "How far the face reaches into the world", ge=0, default=0.0)
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if (self.face is None) == (self.region is None):
+            raise ValueError("give exactly one of `face` and `region`")
+        if self.face is not None and self.normal is not None:
+            raise ValueError("`normal` belongs to a region; a face has its own")
+        if self.region is not None and self.needs_normal and self._region_normal() is None:
+            raise ValueError(f"a region other than half_space needs `normal`, a unit vector, for {self.name}")
+        if self.normal is not None and not np.isclose(np.linalg.norm(self.normal), 1.0, atol=1e-6):
+            raise ValueError("`normal` must have length 1")
+        return self
+
+    def _region_normal(self) -> list[float] | None:
+        if self.normal is not None:
+            return self.normal
+        # a half-space is solid behind its plane, and its normal points out of it
+        return getattr(self.region.value, "normal", None) if self.region is not None else None
+
+    def kernel_condition(self, normal: tuple[float, ...]) -> Any:
+        """Return the kernel's view for one unit normal."""
+        raise NotImplementedError
+
+    def places(self, nodes: Array, size: Array) -> list[tuple[Array, tuple[float, ...]]]:
+        """Return (which nodes, unit normal) for every plane of this condition.
+
+        Args:
+            nodes: node positions (n, D) [m].
+            size: of the world (D,) [m].
+        """
+        dim = len(size)
+        if self.region is not None:
+            normal = self._region_normal() or [0.0] * dim
+            inside: Any = self.region.value
+            return [(inside.inside(nodes), tuple(float(a) for a in normal))]
+        faces = FACES[: 2 * dim] if self.face == "all" else (self.face,)
+        return [self._face(str(face), nodes, size) for face in faces]
+
+    def _face(self, face: str, nodes: Array, size: Array) -> tuple[Array, tuple[float, ...]]:
+        axis, sign = "xyz".index(face[0]), 1.0 if face.endswith("min") else -1.0
+        depth = nodes[:, axis] if sign > 0 else size[axis] - nodes[:, axis]
+        normal = [0.0] * len(size)
+        normal[axis] = sign
+        return depth <= self.thickness + 1e-9 * size[axis], tuple(normal)
+
+
+def register(kernel_class: type, project_: Callable[..., Any], project_vjp_: Callable[..., Any]) -> None:
+    """Make the two functions those of a kernel class."""
+    _PROJECT[kernel_class], _PROJECT_VJP[kernel_class] = project_, project_vjp_
+
+
+def project(condition: Any, v: Any) -> Any:
+    """Return a node's velocity after one condition."""
+    return _PROJECT[type(condition)](condition, v)
+
+
+def project_vjp(condition: Any, v: Any, out_bar: Any) -> Any:
+    """Return (v_bar, coefficient_bar) of one condition."""
+    return _PROJECT_VJP[type(condition)](condition, v, out_bar)
+
+
+@overload(project)
+def _project(condition, v):
+    body = register_jitable(_PROJECT[condition.instance_class])
+    return lambda condition, v: body(condition, v)
+
+
+@overload(project_vjp)
+def _project_vjp(condition, v, out_bar):
+    body = register_jitable(_PROJECT_VJP[condition.instance_class])
+    return lambda condition, v, out_bar: body(condition, v, out_bar)
+
+
+# --- all conditions that hold a node: bit k of `held` is condition k ----------------------------------------
+
+
+def project_all(conditions: Any, held: int, v: Any) -> Any:
+    """Return a node's velocity after every condition that holds it, in order."""
+    for k, condition in enumerate(conditions):
+        if (held >> k) & 1:
+            v = project(condition, v)
+    return v
+
+
+def project_all_vjp(conditions: Any, held: int, v: Any, out_bar: Any, coefficient_bar: Array, first: int) -> Any:
+    """Return v_bar, and add to coefficient_bar[first + k] for condition k."""
+    if not conditions:
+        return out_bar
+    if not held & 1:
+        return project_all_vjp(conditions[1:], held >> 1, v, out_bar, coefficient_bar, first + 1)
+    after = project(conditions[0], v)
+    after_bar = project_all_vjp(conditions[1:], held >> 1, after, out_bar, coefficient_bar, first + 1)
+    v_bar, c_bar = project_vjp(conditions[0], v, after_bar)
+    coefficient_bar[first] += c_bar
+    return v_bar
+
+
+@overload(project_all)
+def _project_all(conditions, held, v):
+    if len(conditions) == 0:
+        return lambda conditions, held, v: v
+
+    def several(conditions, held, v):
+        if held & 1:
+            v = project(conditions[0], v)
+        return project_all(conditions[1:], held >> 1, v)
+
+    return several
+
+
+@overload(project_all_vjp)
+def _project_all_vjp(conditions, held, v, out_bar, coefficient_bar, first):
+    if len(conditions) == 0:
+        return lambda conditions, held, v, out_bar, coefficient_bar, first: out_bar
+
+    def several(conditions, held, v, out_bar, coefficient_bar, first):
+        rest, more = conditions[1:], held >> 1
+        if held & 1:
+            after = project(conditions[0], v)
+            after_bar = project_all_vjp(rest, more, after, out_bar, coefficient_bar, first + 1)
+            v_bar, c_bar = project_vjp(conditions[0], v, after_bar)
+            coefficient_bar[first] += c_bar
+            return v_bar
+        return project_all_vjp(rest, more, v, out_bar, coefficient_bar, first + 1)
+
+    return several

@@ -1,0 +1,37 @@
+"""Slip: no motion through the surface either way, free motion along it, v - (v . n) n (CQ2 3.2)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from cqrun.boundaries.condition import BoundaryCondition, register
+from cqrun.registry import plugin
+from cqrun.tensor import dot, scale, sub
+
+
+class Kernel(NamedTuple):
+    """What kernels see."""
+
+    normal: tuple[float, ...]
+    coefficient: float
+
+
+@plugin("boundary", "slip")
+class Slip(BoundaryCondition):
+    """A frictionless wall that also holds what would leave it: v - (v . n) n."""
+
+    def kernel_condition(self, normal: tuple[float, ...]) -> Kernel:
+        return Kernel(normal, 0.0)
+
+
+def slide(condition: Any, v: Any) -> Any:
+    """Return v after the boundary."""
+    return sub(v, scale(condition.normal, dot(v, condition.normal)))
+
+
+def slide_vjp(condition: Any, v: Any, out_bar: Any) -> Any:
+    """Return (v_bar, coefficient_bar): the projection is its own adjoint."""
+    return sub(out_bar, scale(condition.normal, dot(out_bar, condition.normal))), 0.0
+
+
+register(Kernel, slide, slide_vjp)

@@ -1,0 +1,39 @@
+"""Sticky: the node does not move, v = 0, also when it would leave (CQ1, boundary parameter -1)."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NamedTuple
+
+from cqrun.boundaries.condition import BoundaryCondition, register
+from cqrun.registry import plugin
+from cqrun.tensor import scale
+
+
+class Kernel(NamedTuple):
+    """What kernels see."""
+
+    normal: tuple[float, ...]
+    coefficient: float
+
+
+@plugin("boundary", "sticky")
+class Sticky(BoundaryCondition):
+    """Clamped nodes: v = 0, whichever way they would move."""
+
+    needs_normal: ClassVar[bool] = False
+
+    def kernel_condition(self, normal: tuple[float, ...]) -> Kernel:
+        return Kernel(normal, 0.0)
+
+
+def held(condition: Any, v: Any) -> Any:
+    """Return v after the boundary."""
+    return scale(v, 0.0)
+
+
+def held_vjp(condition: Any, v: Any, out_bar: Any) -> Any:
+    """Return (v_bar, coefficient_bar)."""
+    return scale(out_bar, 0.0), 0.0
+
+
+register(Kernel, held, held_vjp)

@@ -1,0 +1,105 @@
+"""Lanes of small tensors in the rows of an array, and between rows and records of four.
+
+Each function picks its body by the length of `dims`, a tuple as long as the dimension; without the JIT the
+same source runs on NumPy slices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numba.extending import overload
+
+from cqrun.lanes import accumulate, floor, load, load_quads, select, store, store_quads
+
+_NAMES = {
+    "load": load, "store": store, "accumulate": accumulate,
+    "load_quads": load_quads, "store_quads": store_quads,
+}  # fmt: skip
+
+
+def _per_dimension(signature: str, body: Callable[[int], str]) -> Any:
+    """Return a function of the named arguments, the last of which is `dims`, from its source per dimension."""
+    bodies = {dim: eval(f"lambda {signature}: {body(dim)}", dict(_NAMES)) for dim in (2, 3)}
+    scope: dict[str, Any] = {"bodies": bodies}
+    exec(f"def function({signature}):\n    return bodies[len(dims)]({signature})", scope)
+    exec(f"def choose({signature}):\n    return bodies[len(dims)]", scope)
+    overload(scope["function"])(scope["choose"])
+    return scope["function"]
+
+
+def _tuple(entries: list[str]) -> str:
+    return "(" + "".join(entry + ", " for entry in entries) + ")"
+
+
+load_vector = _per_dimension("a, r, i, dims", lambda d: _tuple([f"load(a, r + {k}, i)" for k in range(d)]))
+load_matrix = _per_dimension("a, r, i, dims", lambda d: _tuple([f"load(a, r + {k}, i)" for k in range(d * d)]))
+store_vector = _per_dimension(
+    "a, r, i, u, dims", lambda d: _tuple([f"store(a, r + {k}, i, u[{k}])" for k in range(d)])
+)
+store_matrix = _per_dimension(
+    "a, r, i, u, dims", lambda d: _tuple([f"store(a, r + {k}, i, u[{k}])" for k in range(d * d)])
+)
+add_vector = _per_dimension(
+    "a, r, i, u, dims", lambda d: _tuple([f"accumulate(a, r + {k}, i, u[{k}])" for k in range(d)])
+)
+
+# records of four: vectors lie in lanes 0.. (then the extra entry in lane 3), places in the last lanes before 3
+put_vector = _per_dimension(
+    "a, i, u, extra, dims",
+    lambda d: f"store_quads(a, i, u[0], u[1], {'u[2]' if d == 3 else '0.0'}, extra)",
+)
+put_place = _per_dimension(
+    "a, i, X, dims",
+    lambda d: f"store_quads(a, i, {'X[0], X[1], X[2]' if d == 3 else '1.0, X[0], X[1]'}, 0.0)",
+)
+get_vector = _per_dimension("a, i, dims", lambda d: f"load_quads(a, i)[:{d}]")
+get_extra = _per_dimension("a, i, dims", lambda d: "load_quads(a, i)[3]")
+get_place = _per_dimension("a, i, dims", lambda d: f"load_quads(a, i)[{3 - d}:3]")
+
+
+def _put_columns(d: int) -> str:
+    stores = [
+        f"store_quads(a, {axis + 3 - d} * n + i, "
+        + ", ".join(f"A[{row * d + axis}]" if row < d else "0.0" for row in range(3))
+        + ", 0.0)"
+        for axis in range(d)
+    ]
+    return _tuple(stores)
+
+
+put_columns = _per_dimension("a, n, i, A, dims", _put_columns)
+
+
+def _get_columns(d: int) -> str:
+    return _tuple(
+        [f"load_quads(a, {axis + 3 - d} * n + i)[{row}]" for row in range(d) for axis in range(d)]
+    )
+
+
+get_columns = _per_dimension("a, n, i, dims", _get_columns)
+
+
+def _over_entries(signature: str, body: Callable[[int], str]) -> Any:
+    """As `_per_dimension`, for the length of the last argument, a vector."""
+    last = signature.split(", ")[-1]
+    scope_names = _NAMES | {"floor": floor, "select": select}
+    bodies = {dim: eval(f"lambda {signature}: {body(dim)}", dict(scope_names)) for dim in (2, 3)}
+    scope: dict[str, Any] = {"bodies": bodies}
+    exec(f"def function({signature}):\n    return bodies[len({last})]({signature})", scope)
+    exec(f"def choose({signature}):\n    return bodies[len({last})]", scope)
+    overload(scope["function"])(scope["choose"])
+    return scope["function"]
+
+
+fraction = _over_entries("X", lambda d: _tuple([f"X[{k}] - floor(X[{k}] - 0.5)" for k in range(d)]))
+within = _over_entries(
+    "X, upper",
+    lambda d: " & ".join(f"(X[{k}] > 1.0) & (X[{k}] < upper[{k}])" for k in range(d)),
+)
+
+
+_square = {d: " + ".join(f"v[{k}] * v[{k}]" for k in range(d)) for d in (2, 3)}
+larger = _over_entries("a, v", lambda d: f"select(a > {_square[d]}, a, {_square[d]})")
+"""The larger of a and |v|^2."""

@@ -1,0 +1,118 @@
+"""Passes over the nodes that may hold mass: clear, velocity and boundaries, and their adjoint.
+
+    v_n = mv_n / m_n,   v_n <- every boundary condition that holds the node, in order
+
+Gravity and other forces have come with the particles' momentum. Each thread takes whole blocks of nodes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba.extending import overload
+
+from cqrun.boundaries.condition import project_all, project_all_vjp
+from cqrun.compile import kernel, share
+from cqrun.contract import Array
+from cqrun.engine.blocks import BLOCK, first_node
+from cqrun.engine.setting import Setting, Work
+from cqrun.lanes import lane, load4, make4, store4
+
+
+def components(a: Any, dims: Any) -> Any:
+    """Return the first D entries of a record as a tuple of numbers."""
+    return tuple(a[k] for k in range(len(dims)))
+
+
+def record(u: Any, extra: Any, like: Array) -> Any:
+    """Return the record of a vector and a fourth entry."""
+    return make4(u[0], u[1], u[2] if len(u) == 3 else 0.0, extra, like)
+
+
+@overload(components)
+def _components(a, dims):
+    if len(dims) == 2:
+        return lambda a, dims: (lane(a, 0), lane(a, 1))
+    return lambda a, dims: (lane(a, 0), lane(a, 1), lane(a, 2))
+
+
+@overload(record)
+def _record(u, extra, like):
+    if len(u) == 2:
+        return lambda u, extra, like: make4(u[0], u[1], 0.0, extra, like)
+    return lambda u, extra, like: make4(u[0], u[1], u[2], extra, like)
+
+
+@kernel
+def clear(grid: Array, setting: Setting, work: Work, thread: int, n_threads: int) -> None:
+    """Set the listed nodes of a grid to zero."""
+    lo, hi = share(work.blocks.n_nodes[0], thread, n_threads)
+    strides = setting.strides
+    for index in range(lo, hi):
+        first = first_node(work.blocks, work.blocks.nodes[index], strides)
+        for i in range(BLOCK if len(setting.dims) == 3 else 1):
+            for j in range(BLOCK):
+                for k in range(BLOCK):
+                    store4(grid, first + i * strides[0] + j * strides[1] + k, 0.0)
+
+
+@kernel
+def update_grid(setting: Setting, conditions: Any, work: Work, thread: int, n_threads: int) -> None:
+    """Write grid_v from the momentum and mass of grid."""
+    lo, hi = share(work.blocks.n_nodes[0], thread, n_threads)
+    strides = setting.strides
+    for index in range(lo, hi):
+        first = first_node(work.blocks, work.blocks.nodes[index], strides)
+        for i in range(BLOCK if len(setting.dims) == 3 else 1):
+            for j in range(BLOCK):
+                for k in range(BLOCK):
+                    node = first + i * strides[0] + j * strides[1] + k
+                    mv = load4(work.grid, node)
+                    m = lane(mv, 3)
+                    if m > 0.0:
+                        v = mv / m
+                        held = work.held[node]
+                        if held != 0:
+                            after = project_all(conditions, held, components(v, setting.dims))
+                            v = record(after, 0.0, work.grid)
+                        store4(work.grid_v, node, v)
+                    else:
+                        store4(work.grid_v, node, 0.0)
+
+
+@kernel
+def update_grid_vjp(setting: Setting, conditions: Any, work: Work, thread: int, n_threads: int) -> None:
+    """Turn grid_bar from the cotangent of grid_v into that of (momentum, mass)."""
+    lo, hi = share(work.blocks.n_nodes[0], thread, n_threads)
+    strides = setting.strides
+    for index in range(lo, hi):
+        first = first_node(work.blocks, work.blocks.nodes[index], strides)
+        partial = work.friction_bar[index]
+        partial[:] = 0.0
+        for i in range(BLOCK if len(setting.dims) == 3 else 1):
+            for j in range(BLOCK):
+                for k in range(BLOCK):
+                    node = first + i * strides[0] + j * strides[1] + k
+                    mv = load4(work.grid, node)
+                    m = lane(mv, 3)
+                    if m > 0.0:
+                        v = components(mv / m, setting.dims)
+                        v_bar = components(load4(work.grid_bar, node), setting.dims)
+                        held = work.held[node]
+                        if held != 0:
+                            v_bar = project_all_vjp(conditions, held, v, v_bar, partial, 0)
+                        mv_bar = record(v_bar, 0.0, work.grid) / m
+                        flow = mv_bar * mv / m
+                        m_bar = -(lane(flow, 0) + lane(flow, 1) + lane(flow, 2))
+                        mv_bar = mv_bar + make4(0.0, 0.0, 0.0, m_bar, work.grid)
+                        store4(work.grid_bar, node, mv_bar)
+                    else:
+                        store4(work.grid_bar, node, 0.0)
+
+
+@kernel
+def add_friction_bar(coefficient_bar: Array, work: Work) -> None:
+    """Add the blocks' partial sums (one thread, in block order)."""
+    for index in range(work.blocks.n_nodes[0]):
+        for k in range(len(coefficient_bar)):
+            coefficient_bar[k] += work.friction_bar[index, k]

@@ -1,0 +1,188 @@
+"""Model and inputs: what a rollout is built from. Nothing here changes during a rollout.
+
+`Model` is frozen: the grid, the bodies' layout, the terms of each body's stress, boundaries, actuators, time.
+`Inputs` are the numbers that gradients reach, in user order and float64; a cotangent is another `Inputs`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from cqrun.boundaries.condition import BoundaryCondition
+from cqrun.contract import Array
+from cqrun.engine.setting import Muscles, Probe, grid_shape, node_positions
+from cqrun.lanes import pack
+from cqrun.state import Layout, ParticleFields, State
+
+
+@dataclass(frozen=True)
+class GroupModel:
+    """Consecutive bodies with the same terms of stress.
+
+    `kernel_terms` make each term's kernel view from its packed parameters theta; `muscles` says whether the
+    active stress is one of the terms.
+    """
+
+    bodies: tuple[int, ...]
+    kernel_terms: tuple[Callable[[Array], Any], ...]
+    muscles: bool = False
+
+
+@dataclass(frozen=True)
+class ActuatorModel:
+    """Particles of one actuator (user order) and the rows of its material-space direction, `symmetric_rows`."""
+
+    name: str
+    particles: Array
+    direction: Array
+
+
+@dataclass(frozen=True)
+class ConditionModel:
+    """One plane of a boundary condition: which nodes it holds, and where it comes from."""
+
+    name: str
+    spec: BoundaryCondition
+    normal: tuple[float, ...]
+    nodes: Array
+
+
+@dataclass(frozen=True)
+class Model:
+    """Everything fixed about a rollout."""
+
+    size: Array  # of the world (D,) [m]
+    dx: float
+    dt: float
+    substeps: int  # in a control step
+    n_controls: int
+    body_names: tuple[str, ...]
+    layout: Layout
+    groups: tuple[GroupModel, ...]
+    conditions: tuple[ConditionModel, ...] = ()
+    actuators: tuple[ActuatorModel, ...] = ()
+    probe: sparse.csr_array | None = None  # (K, N) weighted sums to record
+    real: Any = np.float64
+    memory_budget: int = 2 * 2**30  # bytes for states kept for gradients
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the world."""
+        return len(self.size)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of substeps."""
+        return self.substeps * self.n_controls
+
+    @property
+    def grid_shape(self) -> tuple[int, ...]:
+        """Number of nodes along each axis."""
+        return grid_shape(self.size, self.dx)
+
+    def group_slices(self) -> list[slice]:
+        """Return each group's slice of the user arrays."""
+        bodies = self.layout.slices()
+        return [slice(bodies[g.bodies[0]].start, bodies[g.bodies[-1]].stop) for g in self.groups]
+
+    def held(self) -> Array:
+        """Return the bits of the conditions that hold each node (nodes,)."""
+        held = np.zeros(int(np.prod(self.grid_shape)), np.int64)
+        for k, condition in enumerate(self.conditions):
+            held |= condition.nodes.astype(np.int64) << k
+        return held
+
+    def kernel_probe(self) -> Probe:
+        """Return the probe over kernel columns."""
+        if self.probe is None:
+            return Probe(np.zeros(1, np.int64), np.zeros(0, np.int64), np.zeros(0))
+        columns = self.layout.columns()[self.probe.indices]
+        return Probe(self.probe.indptr.astype(np.int64), columns, self.probe.data.astype(np.float64))
+
+    def kernel_muscles(self, tension: Array) -> Muscles:
+        """Return the muscles over kernel columns for tensions (T, A)."""
+        rows = self.dim * (self.dim + 1) // 2
+        columns = self.layout.columns()
+        pieces = [columns[a.particles] for a in self.actuators]
+        start = np.cumsum([0, *(len(piece) for piece in pieces)]).astype(np.int64)
+        n = self.layout.n if any(g.muscles for g in self.groups) else 0
+        return Muscles(
+            pack(np.zeros((rows, n)), self.real),
+            start,
+            np.concatenate([np.zeros(0, np.int64), *pieces]),
+            np.array([a.direction for a in self.actuators]).reshape(-1, rows),
+            np.ascontiguousarray(tension, dtype=np.float64),
+        )
+
+
+@dataclass
+class Inputs:
+    """What a rollout depends on; as a cotangent, the derivative of the loss by each of them.
+
+    `terms[g][k]` (rows, N_g) are the parameters of term k of group g, `tension` (T, A) [Pa] one row a control step,
+    `coefficients` one a plane of a boundary condition.
+    """
+
+    state: State
+    fields: ParticleFields
+    terms: list[list[Array]]
+    tension: Array
+    coefficients: Array = field(default_factory=lambda: np.zeros(0))
+
+    @classmethod
+    def zeros_like(cls, other: Inputs) -> Inputs:
+        """Return a zero cotangent."""
+        s, n, dim = other.state, *other.state.x.shape
+        return cls(
+            State(*(np.zeros_like(a) for a in (s.x, s.v, s.C, s.F)), np.zeros_like(s.memory)),
+            ParticleFields.zeros(n, dim),
+            [[np.zeros_like(theta) for theta in group] for group in other.terms],
+            np.zeros_like(other.tension),
+            np.zeros_like(other.coefficients),
+        )
+
+
+@dataclass
+class Records:
+    """Rows of the probe at control steps 0 .. T: x, v (T + 1, K, D), C, F (T + 1, K, D, D); or cotangents."""
+
+    x: Array
+    v: Array
+    C: Array
+    F: Array
+
+    @classmethod
+    def from_rows(cls, rows: Array, dim: int) -> Records:
+        """Return the records in kernel rows (T + 1, rows, K)."""
+        a = np.ascontiguousarray(rows.transpose(0, 2, 1))
+        shape = (*a.shape[:2], dim, dim)
+        d = dim
+        return cls(
+            a[..., :d],
+            a[..., d : 2 * d],
+            a[..., 2 * d : 2 * d + d * d].reshape(shape),
+            a[..., 2 * d + d * d :].reshape(shape),
+        )
+
+    def to_rows(self) -> Array:
+        """Return kernel rows (T + 1, rows, K)."""
+        lead = self.x.shape[:2]
+        parts = [self.x, self.v, self.C.reshape(*lead, -1), self.F.reshape(*lead, -1)]
+        return np.ascontiguousarray(np.concatenate(parts, axis=2).transpose(0, 2, 1))
+
+    @classmethod
+    def zeros(cls, n_controls: int, k: int, dim: int) -> Records:
+        """Return zero records, as a cotangent to fill."""
+        return cls.from_rows(np.zeros((n_controls + 1, 2 * dim + 2 * dim * dim, k)), dim)
+
+
+def conditions_of(name: str, spec: BoundaryCondition, size: Array, dx: float) -> list[ConditionModel]:
+    """Return the planes of one boundary condition on the grid of a world."""
+    size = np.asarray(size, float)
+    nodes = node_positions(grid_shape(size, dx), dx)
+    return [ConditionModel(name, spec, normal, inside) for inside, normal in spec.places(nodes, size)]

@@ -1,0 +1,311 @@
+"""A rollout: the model's equations run over all substeps, and its adjoint in bounded memory."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from checkpoint_schedules import (
+    Copy,
+    EndForward,
+    EndReverse,
+    Forward,
+    Move,
+    MultistageCheckpointSchedule,
+    Reverse,
+)
+
+from cqrun.contract import Array
+from cqrun.engine.checkpoint import Plan, make_plan
+from cqrun.engine.model import Inputs, Model, Records
+from cqrun.engine.setting import DECAY, FORCE, MARGIN, MASS, VOLUME, Group, Setting, make_work, node_strides
+from cqrun.engine.step import advance, reverse
+from cqrun.errors import RolloutError
+from cqrun.lanes import pack, unpack
+from cqrun.state import ParticleFields, State
+
+SLICE = 0.2
+"""Seconds of compiled code between looks at `should_stop` and observers."""
+
+
+def run_side_by_side(n_threads: int, body: Callable[[int], Any]) -> Any:
+    """Run body(thread) on every thread and return the result of thread 0."""
+    others = [threading.Thread(target=body, args=(t,)) for t in range(1, n_threads)]
+    for other in others:
+        other.start()
+    result = body(0)
+    for other in others:
+        other.join()
+    return result
+
+
+class Rollout:
+    """One model with one set of inputs.
+
+    Args:
+        model: what is simulated.
+        inputs: the numbers it starts from.
+        threads: how many threads take part; the results do not depend on it.
+        adjoint: whether `gradient` will be called.
+
+    Raises:
+        RolloutError: (from `run`) a particle left the grid or is not finite.
+    """
+
+    def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, adjoint: bool = False) -> None:
+        self.model, self.inputs, self.threads = model, inputs, threads
+        self.adjoint = adjoint
+        self._pack()
+        self.rows = 2 * model.dim * (1 + model.dim)
+        self.records: Array = np.zeros((model.n_controls + 1, self.rows, len(self._probe.start) - 1))
+        self.plan: Plan | None = None
+        self.states_peak = 1
+
+    # --- setting up ---------------------------------------------------------------------------------
+
+    def _pack(self) -> None:
+        model, inputs = self.model, self.inputs
+        layout, real, shape = model.layout, model.real, model.grid_shape
+        self._q0 = inputs.state.pack(layout, real)
+        self._fields = self._pack_fields(inputs.fields)
+        self._muscles = model.kernel_muscles(inputs.tension)
+        self._groups = self._kernel_groups(inputs.terms, self._muscles.S)
+        self._conditions = tuple(
+            c.spec.kernel_condition(c.normal)._replace(coefficient=float(inputs.coefficients[k]))
+            for k, c in enumerate(model.conditions)
+        )
+        self._probe = model.kernel_probe()
+        self._setting = Setting(
+            (0,) * model.dim, node_strides(shape), tuple(float(n - 2) for n in shape), model.dx, model.dt,
+            model.substeps,
+        )  # fmt: skip
+        self._work = make_work(
+            shape, layout.n, model.held(), len(model.conditions), real, adjoint=self.adjoint, threads=self.threads
+        )
+        self._check_start()
+
+    def _pack_fields(self, fields: ParticleFields) -> Array:
+        """Return the kernels' 3 + D packed rows; padding has no mass, no volume and feels no force."""
+        layout = self.model.layout
+        out = np.zeros((FORCE + layout.dim, layout.n))
+        columns = layout.columns()
+        out[MASS, columns], out[VOLUME, columns] = fields.mass, fields.volume
+        out[DECAY] = 1.0
+        out[DECAY, columns] = np.exp(-fields.damping * self.model.dt)
+        out[FORCE:, columns] = fields.force.T
+        return pack(out, self.model.real)
+
+    def _kernel_groups(self, terms: list[list[Array]], S: Array) -> tuple[Group, ...]:
+        model = self.model
+        starts = np.cumsum([0, *model.layout.padded])
+        sources = model.layout.sources()
+        groups = []
+        for g, slice_, thetas in zip(model.groups, model.group_slices(), terms, strict=True):
+            lo, hi = int(starts[g.bodies[0]]), int(starts[g.bodies[-1] + 1])
+            views = []
+            for make, theta in zip(g.kernel_terms, thetas, strict=True):
+                full = np.zeros((len(theta), model.layout.n))
+                full[:, lo:hi] = theta[:, sources[lo:hi] - slice_.start]
+                views.append(make(pack(full, model.real)))
+            if g.muscles:
+                from cqrun.actuators.muscle import Kernel
+
+                views.append(Kernel(S, (0,) * S.shape[1]))
+            groups.append(Group(lo, hi, tuple(views)))
+        return tuple(groups)
+
+    def _check_start(self) -> None:
+        x = unpack(self._q0)[: self.model.dim] / self.model.dx + MARGIN
+        inside = np.all((x > 1.0) & (x < np.array(self._setting.upper)[:, None]), axis=0)
+        if not inside.all():
+            self._fail(int(np.flatnonzero(~inside)[0]), 0, self._q0)
+
+    # --- forward --------------------------------------------------------------------------------------
+
+    def run(
+        self,
+        observe: Callable[[int, State], None] | None = None,
+        should_stop: Callable[[], bool] | None = None,
+    ) -> Records:
+        """Run all substeps.
+
+        Args:
+            observe: called with (control step, state) at control steps 0 .. T.
+            should_stop: looked at between control steps; a true value ends the run early.
+
+        Returns:
+            The probe's records; unfilled past an early end.
+        """
+        states = self._q0[None].copy()
+        for control in range(self.model.n_controls):
+            if observe is not None:
+                observe(control, State.unpack(states[0], self.model.layout, self.inputs.state.memory))
+            if should_stop is not None and should_stop():
+                return Records.from_rows(self.records, self.model.dim)
+            self._advance(control * self.model.substeps, (control + 1) * self.model.substeps, states, keep=False)
+        self._record_last(states[0])
+        if observe is not None:
+            last = State.unpack(states[0], self.model.layout, self.inputs.state.memory)
+            observe(self.model.n_controls, last)
+        self.final = states[0]
+        return Records.from_rows(self.records, self.model.dim)
+
+    def _advance(self, begin: int, end: int, states: Array, *, keep: bool) -> None:
+        work = self._work
+        work.stray[:] = -1
+
+        def body(thread: int, to: int = end, n: int = self.threads) -> int:
+            return int(
+                advance(
+                    begin, to, keep, self._groups, self._conditions, states, self._fields, self._muscles,
+                    self._probe, self.records, self._setting, work, thread, n,
+                )  # fmt: skip
+            )
+
+        if self.threads > 1:
+            body(0, begin, 1)  # compiled by one thread, before the others could wait for it
+        reached = run_side_by_side(self.threads, body)
+        if work.stray.max() >= 0:
+            column = int(work.stray[work.stray >= 0].min())
+            self._fail(column, reached, states[reached - begin if keep else 0])
+
+    def _fail(self, column: int, step: int, q: Array) -> None:
+        model = self.model
+        particle = int(model.layout.sources()[column])
+        slices = model.layout.slices()
+        body = next(k for k, s in enumerate(slices) if s.start <= particle < s.stop)
+        x = unpack(q)[: model.dim, column]
+        if np.isfinite(x).all():
+            reason = f"left the grid at {np.array2string(x.astype(float), precision=4)} m"
+            advice = "enlarge the world, add a boundary at its faces, or reduce what drives the body out"
+        else:
+            reason = "its position is not finite"
+            advice = "the simulation blew up: use smaller substeps, a softer material or weaker actuation"
+        raise RolloutError(
+            reason, body=model.body_names[body], particle=particle - slices[body].start, time=step * model.dt,
+            advice=advice,
+        )  # fmt: skip
+
+    def _record_last(self, q: Array) -> None:
+        from cqrun.engine.probe import record
+
+        record(self._probe, q, self.records[self.model.n_controls])
+
+    # --- adjoint ----------------------------------------------------------------------------------------
+
+    def gradient(
+        self, loss_bar: Callable[[Records, State], tuple[Records | None, State | None]]
+    ) -> tuple[Records, Inputs]:
+        """Run forward and backward; return the records and the cotangent of the inputs.
+
+        Args:
+            loss_bar: given the records and the final state, returns their cotangents (None for zero).
+        """
+        model = self.model
+        n_steps = model.n_steps
+        state_bytes = self._q0.nbytes
+        plan = self.plan = make_plan(n_steps, state_bytes, model.memory_budget)
+        chunk_states = np.empty((min(plan.chunk, n_steps) + 1, *self._q0.shape), model.real)
+        snapshots: dict[int, Array] = {}
+        spare: list[Array] = []
+        current = self._q0[None].copy()
+        backward = _Backward(self)
+        schedule = MultistageCheckpointSchedule(plan.n_chunks, plan.snapshots, 0) if plan.n_chunks > 1 else _ONE
+
+        def ends(chunk: int) -> int:
+            return min(chunk * plan.chunk, n_steps)
+
+        for action in schedule:
+            if isinstance(action, Forward):
+                if action.write_ics:
+                    kept = spare.pop() if spare else np.empty_like(self._q0)
+                    kept[...] = current[0]
+                    snapshots[action.n0] = kept
+                last = action.n1 - 1 if action.write_adj_deps else action.n1
+                self._advance(ends(action.n0), ends(last), current, keep=False)
+                if action.write_adj_deps:
+                    chunk_states[0] = current[0]
+                    self._advance(ends(last), ends(action.n1), chunk_states, keep=True)
+            elif isinstance(action, EndForward):
+                final = chunk_states[n_steps - ends(plan.n_chunks - 1)]
+                self._record_last(final)
+                records = Records.from_rows(self.records.copy(), model.dim)
+                backward.begin(*loss_bar(records, State.unpack(final, model.layout, self.inputs.state.memory)))
+            elif isinstance(action, Reverse):
+                backward.run(ends(action.n0), ends(action.n1), chunk_states)
+            elif isinstance(action, (Copy, Move)):
+                current[0] = snapshots[action.n]
+                if isinstance(action, Move):
+                    spare.append(snapshots.pop(action.n))
+            if isinstance(action, EndReverse):
+                break
+        self.states_peak = plan.states
+        return records, backward.inputs_bar()
+
+
+class _Backward:
+    """The cotangents of one backward run, in the kernels' layout."""
+
+    def __init__(self, rollout: Rollout) -> None:
+        self.rollout = rollout
+        model = rollout.model
+        self.q_bar = np.zeros_like(rollout._q0)
+        self.fields_bar = np.zeros_like(rollout._fields)
+        muscles = rollout._muscles
+        self.muscles_bar = muscles._replace(S=np.zeros_like(muscles.S), tension=np.zeros_like(muscles.tension))
+        zeros = [[np.zeros_like(theta) for theta in group] for group in rollout.inputs.terms]
+        self.groups_bar = rollout._kernel_groups(zeros, self.muscles_bar.S)
+        self.coefficient_bar = np.zeros(len(model.conditions))
+
+    def begin(self, records_bar: Records | None, final_bar: State | None) -> None:
+        from cqrun.engine.probe import record_vjp
+
+        rollout, model = self.rollout, self.rollout.model
+        if final_bar is not None:
+            table = unpack(final_bar.pack(model.layout, model.real)) * model.layout.real()
+            self.q_bar[...] = pack(table, model.real)
+        self.memory_bar = None if final_bar is None else final_bar.memory
+        self.records_bar = np.zeros_like(rollout.records) if records_bar is None else records_bar.to_rows()
+        record_vjp(rollout._probe, self.q_bar, self.records_bar[model.n_controls])
+
+    def run(self, begin: int, end: int, states: Array) -> None:
+        r = self.rollout
+
+        def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
+            reverse(
+                from_, end, r._groups, self.groups_bar, r._conditions, self.coefficient_bar, states, self.q_bar,
+                r._fields, self.fields_bar, r._muscles, self.muscles_bar, r._probe, self.records_bar,
+                r._setting, r._work, thread, n,
+            )  # fmt: skip
+
+        if r.threads > 1:
+            body(0, end, 1)
+        run_side_by_side(r.threads, body)
+
+    def inputs_bar(self) -> Inputs:
+        r, layout = self.rollout, self.rollout.model.layout
+        columns = layout.columns()
+        bar = Inputs.zeros_like(r.inputs)
+        memory = bar.state.memory if self.memory_bar is None else self.memory_bar
+        bar.state = State.unpack(self.q_bar, layout, memory)
+        f = unpack(self.fields_bar)[:, columns]
+        bar.fields.mass[:], bar.fields.volume[:] = f[MASS], f[VOLUME]
+        bar.fields.damping[:] = -r.model.dt * np.exp(-r.inputs.fields.damping * r.model.dt) * f[DECAY]
+        bar.fields.force[:] = f[FORCE:].T
+        for g, (group, slice_) in enumerate(zip(self.groups_bar, r.model.group_slices(), strict=True)):
+            for k in range(len(bar.terms[g])):
+                bar.terms[g][k][:] = unpack(group.terms[k].theta)[:, columns[slice_]]
+        bar.tension[:] = self.muscles_bar.tension
+        bar.coefficients[:] = self.coefficient_bar
+        return bar
+
+
+_ONE = (
+    Forward(0, 1, False, True, None),
+    EndForward(),
+    Reverse(1, 0, True),
+    EndReverse(),
+)
+"""The schedule of a rollout whose states all fit."""

@@ -1,0 +1,112 @@
+"""What the kernels share: constants, work arrays, and the parameters of each body."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.engine.blocks import BLOCK, Blocks, make_blocks
+
+MARGIN = 3
+"""Grid nodes beyond each face of the world, so that stencils near a wall stay on the grid."""
+
+MASS, VOLUME, DECAY, FORCE = 0, 1, 2, 3
+"""Rows of the particle fields (3 + D, n): mass, rest volume, damping factor a substep, external force."""
+
+TILE = 512
+"""Particles gathered at a time into arrays that stay in the first cache."""
+
+
+class Setting(NamedTuple):
+    """Constants of a rollout."""
+
+    dims: tuple[int, ...]  # as long as the dimension
+    strides: tuple[int, int, int]  # of nodes along the loop axes; the first is 0 in 2D
+    upper: tuple[float, ...]  # (D,) a position must stay below this, in cells
+    dx: float
+    dt: float
+    substeps: int  # in a control step
+
+
+class Group(NamedTuple):
+    """A body's columns and the terms of its stress."""
+
+    lo: int
+    hi: int
+    terms: tuple[Any, ...]
+
+
+class Muscles(NamedTuple):
+    """Active stresses: S (rows, n) is the sum of tension * direction over the actuators of a particle."""
+
+    S: Array  # D (D + 1) / 2 rows, packed [Pa]
+    start: Array  # (A + 1,) where an actuator's columns begin
+    columns: Array  # particles of all actuators
+    direction: Array  # (A, D (D + 1) / 2)
+    tension: Array  # (T, A) [Pa], one row a control step
+
+
+class Probe(NamedTuple):
+    """Weighted sums of particles to record, a compressed sparse row matrix (K, n)."""
+
+    start: Array
+    columns: Array
+    weights: Array
+
+
+class Work(NamedTuple):
+    """Arrays that passes hand to each other."""
+
+    value: Array  # (n, 4), affine (3 n, 4), place (n, 4): what P2G scatters
+    affine: Array
+    place: Array
+    value_2: Array  # what the adjoint of G2P scatters; empty (0, 4) in a forward rollout
+    affine_2: Array
+    grid: Array  # (nodes, 4) momentum and mass
+    grid_v: Array  # (nodes, 4) velocity after the boundaries
+    grid_bar: Array  # (nodes, 4) cotangents
+    held: Array  # (nodes,) bit k: boundary condition k holds the node
+    friction_bar: Array  # (blocks, conditions) partial sums
+    speed: Array  # (threads,) fastest particle of the substep [m/s]
+    stray: Array  # (threads,) first particle that left the grid or is not finite, else -1
+    blocks: Blocks
+    barrier: Array  # (2,) thread barrier
+
+
+def grid_shape(size: Array, dx: float) -> tuple[int, ...]:
+    """Return the number of nodes along each axis, a whole number of blocks."""
+    cells = np.ceil(np.asarray(size) / dx - 1e-9).astype(int)
+    return tuple(int(-(-(c + 1 + 2 * MARGIN) // BLOCK) * BLOCK) for c in cells)
+
+
+def node_positions(shape: tuple[int, ...], dx: float) -> Array:
+    """Return every node's position (nodes, D) [m] in row-major order."""
+    axes = [(np.arange(n) - MARGIN) * dx for n in shape]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(shape))
+
+
+def make_work(
+    shape: tuple[int, ...], n: int, held: Array, n_conditions: int, real: Any, *, adjoint: bool, threads: int
+) -> Work:
+    """Return work arrays for a grid of `shape` nodes and n particle columns."""
+    loop_shape = (1, *shape) if len(shape) == 2 else shape
+    n_nodes = int(np.prod(shape))
+    blocks = (-(-loop_shape[0] // BLOCK), loop_shape[1] // BLOCK, loop_shape[2] // BLOCK)
+    n_2, nodes_2 = (n, n_nodes) if adjoint else (0, 0)
+
+    def records(rows: int) -> Array:
+        return np.zeros((rows, 4), real)
+
+    return Work(
+        records(n), records(3 * n), records(n), records(n_2), records(3 * n_2),
+        records(n_nodes), records(n_nodes), records(nodes_2), held,
+        np.zeros((int(np.prod(blocks)), max(n_conditions, 1))), np.zeros(threads), np.full(threads, -1),
+        make_blocks(blocks, n), np.zeros(2, np.int64),
+    )  # fmt: skip
+
+
+def node_strides(shape: tuple[int, ...]) -> tuple[int, int, int]:
+    """Return the node strides along the three loop axes."""
+    return (shape[1] * shape[2], shape[2], 1) if len(shape) == 3 else (0, shape[1], 1)
