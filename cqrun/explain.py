@@ -63,9 +63,7 @@ def shown(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def finding(
-    message: str, loc: Loc = (), *, kind: str = VALUE, involves: Iterable[str] = ()
-) -> InitErrorDetails:
+def finding(message: str, loc: Loc = (), *, kind: str = VALUE, involves: Iterable[str] = ()) -> InitErrorDetails:
     """Return one finding for `complaint`.
 
     Args:

@@ -206,5 +206,3 @@ def _polar_3d_vjp(F: Any, R: Any, R_bar: Any) -> Any:
     u = scale(matvec(cofactor(M), y), 1.0 / away_from_zero(det(M)))
     zero = y[0] * 0.0
     return mul(R, (zero, -u[2], u[1], u[2], zero, -u[0], -u[1], u[0], zero))
-
-

@@ -12,20 +12,22 @@
     *_bar  cotangent: derivative of the loss by *;   *_vjp   adjoint of *
 
 Kernels hold all of a particle's numbers as the rows of one table `q` (rows, n): x, v, C, F, row-major, packed
-lane by lane (`lanes.pack`), so that a lane of neighbours lies together and a checkpoint is one copy. Bodies follow each other, each padded
-to whole lanes with massless copies of its last particle, which move as it does and never leave the grid.
-`memory` is one flat float64 vector that controllers, actuators, observers and accumulators remember by; it
-is saved, replayed and differentiated like x.
+lane by lane (`packed.py`), so that a lane of neighbours lies together and a checkpoint is one copy. Bodies
+follow each other, each padded to whole lanes with massless copies of its last particle, which move as it does
+and never leave the grid. `memory` is one flat float64 vector that controllers, actuators, observers and
+accumulators remember by; it is saved, replayed and differentiated like x.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.lanes import LANE_BYTES, pack, unpack
+from cqrun.lanes import LANE_BYTES
+from cqrun.packed import pack, unpack
 
 PADDING = LANE_BYTES // 4
 """Bodies are padded to whole lanes of the shortest real, float32."""
@@ -61,7 +63,7 @@ class Layout:
     def slices(self) -> list[slice]:
         """Return each body's slice of the user arrays."""
         ends = np.cumsum([0, *self.counts])
-        return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
     def columns(self) -> Array:
         """Return the kernel column of each particle (N,)."""
@@ -94,9 +96,7 @@ class State:
     def at_rest(cls, x: Array) -> State:
         """Return undeformed particles at rest at x (N, D)."""
         n, dim = x.shape
-        return cls(
-            x.copy(), np.zeros((n, dim)), np.zeros((n, dim, dim)), np.tile(np.eye(dim), (n, 1, 1))
-        )
+        return cls(x.copy(), np.zeros((n, dim)), np.zeros((n, dim, dim)), np.tile(np.eye(dim), (n, 1, 1)))
 
     def pack(self, layout: Layout, real: type = np.float64) -> Array:
         """Return the kernels' packed q."""

@@ -41,8 +41,7 @@ def _source(subscripts: str, dim: int) -> str:
         return " + ".join(terms)
 
     entries = [
-        entry(dict(zip(output, values, strict=True)))
-        for values in itertools.product(range(dim), repeat=len(output))
+        entry(dict(zip(output, values, strict=True))) for values in itertools.product(range(dim), repeat=len(output))
     ]
     names = ", ".join("abc"[: len(operands)])
     body = "(" + ", ".join(entries) + ",)" if output else entries[0]
@@ -115,11 +114,7 @@ def _det_2d(a: Any) -> Any:
 
 def _det_3d(a: Any) -> Any:
     """Return the determinant."""
-    return (
-        a[0] * (a[4] * a[8] - a[5] * a[7])
-        - a[1] * (a[3] * a[8] - a[5] * a[6])
-        + a[2] * (a[3] * a[7] - a[4] * a[6])
-    )
+    return a[0] * (a[4] * a[8] - a[5] * a[7]) - a[1] * (a[3] * a[8] - a[5] * a[6]) + a[2] * (a[3] * a[7] - a[4] * a[6])
 
 
 def _cofactor_2d(a: Any) -> Any:

@@ -16,7 +16,7 @@ PACKAGE = ROOT / "cqrun"
 
 FLOORS = (
     {"contract", "registry", "units", "errors", "explain", "choice", "fingerprint"},
-    {"tensor", "lanes", "polar", "compile", "state"},
+    {"tensor", "lanes", "polar", "compile", "packed", "state"},
     {"materials", "actuators", "boundaries", "loads"},
     {"engine"},
     {"geometry", "observers", "controllers", "objectives", "constraints", "design", "optimizers"},
@@ -119,9 +119,7 @@ def test_commands_import_nothing_heavy_at_the_top():
 
 
 def test_no_path_of_one_machine_in_the_tree():
-    place = re.compile(
-        r"(^|[^a-zA-Z.])/(" + "|".join(("work", "tmp", "root", "farm", "home", "Users")) + r")/"
-    )
+    place = re.compile(r"(^|[^a-zA-Z.])/(" + "|".join(("work", "tmp", "root", "farm", "home", "Users")) + r")/")
     found = []
     for path in tracked():
         if path == Path(__file__):
@@ -130,9 +128,7 @@ def test_no_path_of_one_machine_in_the_tree():
         if b"\0" in text:
             continue
         lines = text.decode("utf-8").splitlines()
-        found += [
-            f"{path.relative_to(ROOT)}:{i}: {line}" for i, line in enumerate(lines, 1) if place.search(line)
-        ]
+        found += [f"{path.relative_to(ROOT)}:{i}: {line}" for i, line in enumerate(lines, 1) if place.search(line)]
     assert not found, "\n".join(found)
 
 

@@ -49,8 +49,13 @@ _FROM = {
 _TO = {
     4: lambda S_bar: (S_bar[0], S_bar[3], S_bar[1] * 2.0),
     9: lambda S_bar: (
-        S_bar[0], S_bar[4], S_bar[8], S_bar[1] * 2.0, S_bar[2] * 2.0, S_bar[5] * 2.0,
-    ),  # fmt: skip
+        S_bar[0],
+        S_bar[4],
+        S_bar[8],
+        S_bar[1] * 2.0,
+        S_bar[2] * 2.0,
+        S_bar[5] * 2.0,
+    ),
 }
 
 

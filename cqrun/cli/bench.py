@@ -16,9 +16,7 @@ def bench(
         typer.Option("--output", metavar="FILE", help="Also write JSON with the machine's facts."),
     ] = None,
     threads: Threads = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Small sizes only: does it run, not how fast.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Small sizes only: does it run, not how fast.")] = False,
 ) -> None:
     """Measure ns per particle and substep of each pass, forward and backward."""
     from cqrun.jobs.bench import run_bench

@@ -20,9 +20,7 @@ LIMITS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 
 
 def describe(
-    kind: Annotated[
-        str | None, typer.Argument(help="Such as elastic, or material for all of its kinds.")
-    ] = None,
+    kind: Annotated[str | None, typer.Argument(help="Such as elastic, or material for all of its kinds.")] = None,
     name: Annotated[str | None, typer.Argument(help="Such as fixed_corotated.")] = None,
 ) -> None:
     """Show fields, units, defaults and formula of a part of a scene; with fewer words, a list."""
@@ -45,9 +43,7 @@ def _lines(kind: str | None, name: str | None) -> Iterator[str]:
         from cqrun.explain import listed, suggest
 
         names = [n for _, n, _ in found]
-        raise UsageError(
-            f"no {kind} is called '{wanted}'{suggest(wanted, names)}; there are: {listed(names)}"
-        )
+        raise UsageError(f"no {kind} is called '{wanted}'{suggest(wanted, names)}; there are: {listed(names)}")
     for k, n, cls in pages:
         yield from _page(k, n, cls)
 
@@ -141,9 +137,7 @@ def _choices(info: FieldInfo) -> list[str]:
 def _what(info: FieldInfo) -> str:
     """Say what kind of value a field takes, in a scene's words."""
     chosen = _choices(info)
-    several = any(
-        part in (list, dict) or typing.get_origin(part) in (list, dict) for part in _parts(info.annotation)
-    )
+    several = any(part in (list, dict) or typing.get_origin(part) in (list, dict) for part in _parts(info.annotation))
     if chosen:
         what = " or ".join(chosen)
         return f"{'several of' if several else 'choice of'} {what} (cqrun describe {chosen[0]})"

@@ -9,9 +9,7 @@ import typer
 
 
 def plot(
-    runs: Annotated[
-        list[Path], typer.Argument(metavar="RUN...", help="Run directories; several are compared.")
-    ],
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run directories; several are compared.")],
 ) -> None:
     """Draw convergence and fit of one or several runs, finished or not."""
     from cqrun.figures.convergence import plot_run

@@ -48,9 +48,7 @@ class Progress:
         self._unprinted = False
         self._last_print = float("-inf")
         live = self._console.is_terminal and not self._console.is_dumb_terminal and not quiet
-        self._live = (
-            Live(console=self._console, get_renderable=self._render, transient=True) if live else None
-        )
+        self._live = Live(console=self._console, get_renderable=self._render, transient=True) if live else None
 
     def __enter__(self) -> Progress:
         if self._live is not None:

@@ -11,7 +11,8 @@ from typing import Any
 
 from numba.extending import overload
 
-from cqrun.lanes import accumulate, floor, load, load_quads, select, store, store_quads
+from cqrun.lanes import floor, select
+from cqrun.packed import accumulate, load, load_quads, store, store_quads
 
 _NAMES = {
     "load": load, "store": store, "accumulate": accumulate,
@@ -35,9 +36,7 @@ def _tuple(entries: list[str]) -> str:
 
 load_vector = _per_dimension("a, r, i, dims", lambda d: _tuple([f"load(a, r + {k}, i)" for k in range(d)]))
 load_matrix = _per_dimension("a, r, i, dims", lambda d: _tuple([f"load(a, r + {k}, i)" for k in range(d * d)]))
-store_vector = _per_dimension(
-    "a, r, i, u, dims", lambda d: _tuple([f"store(a, r + {k}, i, u[{k}])" for k in range(d)])
-)
+store_vector = _per_dimension("a, r, i, u, dims", lambda d: _tuple([f"store(a, r + {k}, i, u[{k}])" for k in range(d)]))
 store_matrix = _per_dimension(
     "a, r, i, u, dims", lambda d: _tuple([f"store(a, r + {k}, i, u[{k}])" for k in range(d * d)])
 )
@@ -73,9 +72,7 @@ put_columns = _per_dimension("a, n, i, A, dims", _put_columns)
 
 
 def _get_columns(d: int) -> str:
-    return _tuple(
-        [f"load_quads(a, {axis + 3 - d} * n + i)[{row}]" for row in range(d) for axis in range(d)]
-    )
+    return _tuple([f"load_quads(a, {axis + 3 - d} * n + i)[{row}]" for row in range(d) for axis in range(d)])
 
 
 get_columns = _per_dimension("a, n, i, dims", _get_columns)

@@ -16,7 +16,8 @@ from cqrun.compile import kernel, share
 from cqrun.contract import Array
 from cqrun.engine.blocks import BLOCK, first_node
 from cqrun.engine.setting import Setting, Work
-from cqrun.lanes import lane, load4, make4, store4
+from cqrun.lanes import lane
+from cqrun.packed import load4, make4, store4
 
 
 def components(a: Any, dims: Any) -> Any:

@@ -16,7 +16,7 @@ from scipy import sparse
 from cqrun.boundaries.condition import BoundaryCondition
 from cqrun.contract import Array
 from cqrun.engine.setting import Muscles, Probe, grid_shape, node_positions
-from cqrun.lanes import pack
+from cqrun.packed import pack
 from cqrun.state import Layout, ParticleFields, State
 
 

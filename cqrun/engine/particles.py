@@ -14,8 +14,6 @@ In cells, d = dx (o - f): P2G scatters a = p, columns dx G; G2P gathers B / dx.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from cqrun.compile import kernel, share
@@ -39,8 +37,9 @@ from cqrun.engine.arrays import (
 )
 from cqrun.engine.setting import DECAY, FORCE, MARGIN, MASS, TILE, VOLUME, Group, Setting, Work
 from cqrun.engine.transfer import gather, gather_vjp
-from cqrun.lanes import LANE_BYTES, accumulate, all_lanes, lane, load, select
+from cqrun.lanes import LANE_BYTES, all_lanes, lane, select
 from cqrun.materials.term import total_kirchhoff, total_kirchhoff_vjp
+from cqrun.packed import accumulate, load
 from cqrun.state import PADDING
 from cqrun.tensor import add, dot, inner, matvec, matvec_t, mul, mul_at, mul_bt, scale, shift, sub
 
@@ -107,7 +106,14 @@ def move(group: Group, q: Array, q_next: Array, setting: Setting, work: Work, th
 
 @kernel
 def move_vjp(
-    group: Group, q: Array, q_next: Array, q_bar: Array, setting: Setting, work: Work, thread: int, n_threads: int
+    group: Group,
+    q: Array,
+    q_next: Array,
+    q_bar: Array,
+    setting: Setting,
+    work: Work,
+    thread: int,
+    n_threads: int,
 ) -> None:
     """Write what the adjoint of G2P scatters, and begin the cotangent of q in place of that of q_next."""
     dims, dx, dt = setting.dims, setting.dx, setting.dt

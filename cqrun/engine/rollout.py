@@ -23,7 +23,7 @@ from cqrun.engine.model import Inputs, Model, Records
 from cqrun.engine.setting import DECAY, FORCE, MARGIN, MASS, VOLUME, Group, Setting, make_work, node_strides
 from cqrun.engine.step import advance, reverse
 from cqrun.errors import RolloutError
-from cqrun.lanes import pack, unpack
+from cqrun.packed import pack, unpack
 from cqrun.state import ParticleFields, State
 
 SLICE = 0.2
@@ -82,7 +82,13 @@ class Rollout:
             model.substeps,
         )  # fmt: skip
         self._work = make_work(
-            shape, layout.n, model.held(), len(model.conditions), real, adjoint=self.adjoint, threads=self.threads
+            shape,
+            layout.n,
+            model.held(),
+            len(model.conditions),
+            real,
+            adjoint=self.adjoint,
+            threads=self.threads,
         )
         self._check_start()
 
@@ -159,9 +165,21 @@ class Rollout:
         def body(thread: int, to: int = end, n: int = self.threads) -> int:
             return int(
                 advance(
-                    begin, to, keep, self._groups, self._conditions, states, self._fields, self._muscles,
-                    self._probe, self.records, self._setting, work, thread, n,
-                )  # fmt: skip
+                    begin,
+                    to,
+                    keep,
+                    self._groups,
+                    self._conditions,
+                    states,
+                    self._fields,
+                    self._muscles,
+                    self._probe,
+                    self.records,
+                    self._setting,
+                    work,
+                    thread,
+                    n,
+                )
             )
 
         if self.threads > 1:

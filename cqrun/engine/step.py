@@ -37,9 +37,7 @@ def scatter_blocks(
             for index in range(begin + lo, begin + hi):
                 block = blocks.work[index]
                 first, last = blocks.start[block], blocks.start[block + 1]
-                scatter(
-                    grid, value, affine, work.place, blocks.order, first, last, setting.strides, setting.dims
-                )
+                scatter(grid, value, affine, work.place, blocks.order, first, last, setting.strides, setting.dims)
             barrier(work.barrier, n_threads)
 
 

@@ -21,7 +21,8 @@ from typing import Any
 
 from cqrun.compile import kernel
 from cqrun.contract import Array
-from cqrun.lanes import floor, lane, load4, make4, store4
+from cqrun.lanes import floor, lane
+from cqrun.packed import load4, make4, store4
 
 
 @kernel
@@ -48,7 +49,15 @@ def stencil(place: Array, p: int, strides: Any) -> Any:
 
 @kernel
 def scatter(
-    grid: Array, value: Array, affine: Array, place: Array, order: Array, lo: int, hi: int, strides: Any, dims: Any
+    grid: Array,
+    value: Array,
+    affine: Array,
+    place: Array,
+    order: Array,
+    lo: int,
+    hi: int,
+    strides: Any,
+    dims: Any,
 ) -> None:
     """Add the affine fields of particles order[lo:hi] to the grid (nodes, 4).
 
@@ -76,9 +85,7 @@ def scatter(
 
 
 @kernel
-def gather(
-    grid: Array, place: Array, value: Array, moment: Array, lo: int, hi: int, strides: Any, dims: Any
-) -> None:
+def gather(grid: Array, place: Array, value: Array, moment: Array, lo: int, hi: int, strides: Any, dims: Any) -> None:
     """Gather particles lo:hi into tile arrays: value[p - lo] = sum w g, moment = sum w g (o - f)^T.
 
     Args:

@@ -21,7 +21,7 @@ from numba.core import types
 from numba.extending import overload, register_jitable
 
 from cqrun.contract import Array, Plugin
-from cqrun.lanes import accumulate, load
+from cqrun.packed import accumulate, load
 from cqrun.tensor import add
 
 _STRESS: dict[type, Callable[..., Any]] = {}

@@ -55,9 +55,7 @@ def interpolant(tau: Array, control_step: float, steps: int) -> Interpolant:
         ValueError: a time after the rollout's end.
     """
     if np.any(tau > (steps + _SLACK) * control_step):
-        raise ValueError(
-            f"sample at {np.max(tau):.9g} s, after the rollout's end at {steps * control_step:.9g} s"
-        )
+        raise ValueError(f"sample at {np.max(tau):.9g} s, after the rollout's end at {steps * control_step:.9g} s")
     place = np.clip(tau / control_step, 0.0, steps)
     index = np.minimum(place.astype(int), steps - 1)
     s, dt, moving = place - index, control_step, (tau >= 0).astype(float)
@@ -69,9 +67,7 @@ def interpolant(tau: Array, control_step: float, steps: int) -> Interpolant:
 
         columns = np.stack([index, index + 1], 1).ravel()
         starts = 2 * np.arange(len(index) + 1)
-        return csr_matrix(
-            (np.stack([first, second], 1).ravel(), columns, starts), shape=(len(index), steps + 1)
-        )
+        return csr_matrix((np.stack([first, second], 1).ravel(), columns, starts), shape=(len(index), steps + 1))
 
     return Interpolant(
         weights(1 - late, late),

@@ -120,20 +120,14 @@ class MarkerObjective:
 
     def loss_vjp(self, record: Record, start: float, loss_bar: float = 1.0) -> tuple[Record, float]:
         """Return the cotangents of the record and of `start` from that of the loss."""
-        return self.residuals_vjp(
-            record, start, (2.0 * loss_bar / self.count) * self.residuals(record, start)
-        )
+        return self.residuals_vjp(record, start, (2.0 * loss_bar / self.count) * self.residuals(record, start))
 
     def misfit(self, record: Record, start: float) -> Misfit:
         """Return the root mean square errors, in all and by marker."""
         squared = ((self.tracks(record, start) - self.data) ** 2).sum(axis=2) * self.seen
         frames = self.seen.sum(axis=0)
-        by_marker = [
-            float(np.sqrt(s / n)) if n else float("nan") for s, n in zip(squared.sum(0), frames, strict=True)
-        ]
-        return Misfit(
-            float(np.sqrt(squared.sum() / self.count)), dict(zip(self.names, by_marker, strict=True))
-        )
+        by_marker = [float(np.sqrt(s / n)) if n else float("nan") for s, n in zip(squared.sum(0), frames, strict=True)]
+        return Misfit(float(np.sqrt(squared.sum() / self.count)), dict(zip(self.names, by_marker, strict=True)))
 
     def series(self) -> list[Array]:
         """Return where each marker's coordinates stand among the residuals, each in order of time."""

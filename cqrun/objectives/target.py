@@ -13,9 +13,7 @@ from cqrun.observers.record import Record
 class TargetObjective:
     """Squared distance of an observed point from a goal [m^2]."""
 
-    def __init__(
-        self, observer: Points, goal: Array, *, time: float, control_step: float, steps: int
-    ) -> None:
+    def __init__(self, observer: Points, goal: Array, *, time: float, control_step: float, steps: int) -> None:
         """Fix goal and time.
 
         Args:

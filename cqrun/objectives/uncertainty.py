@@ -61,9 +61,7 @@ def central_jacobian(evaluate: Callable[[list[Array]], list[Array]], unknowns: S
     free = [i for i, u in enumerate(unknowns) if bound_reached(u) is None]
     steps = {i: _step(unknowns[i]) for i in free}
     points = [z + sign * steps[i] * np.eye(len(z))[i] for i in free for sign in (1.0, -1.0)]
-    values = [
-        np.array([u.from_coordinate(c) for u, c in zip(unknowns, point, strict=True)]) for point in points
-    ]
+    values = [np.array([u.from_coordinate(c) for u, c in zip(unknowns, point, strict=True)]) for point in points]
     found = evaluate(values)
     jacobian = np.zeros((len(found[0]) if found else 0, len(z)))
     for column, i in enumerate(free):

@@ -47,9 +47,7 @@ def rotation_vjp(F: Array, R: Array, R_bar: Array) -> Array:
 
 def axial(A: Array) -> Array:
     """Return twice the axial vector (..., 3) of the skew part of A (..., 3, 3)."""
-    return np.stack(
-        [A[..., 2, 1] - A[..., 1, 2], A[..., 0, 2] - A[..., 2, 0], A[..., 1, 0] - A[..., 0, 1]], -1
-    )
+    return np.stack([A[..., 2, 1] - A[..., 1, 2], A[..., 0, 2] - A[..., 2, 0], A[..., 1, 0] - A[..., 0, 1]], -1)
 
 
 def cross_matrix(w: Array) -> Array:

@@ -28,9 +28,7 @@ class Adam(Descent):
         """Return the two moments."""
         return ("m", "v")
 
-    def direction(
-        self, iteration: int, grad: Array, memory: dict[str, Array]
-    ) -> tuple[Array, dict[str, Array]]:
+    def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
         """Return m^ / (sqrt(v^) + epsilon) (n,) and the new moments."""
         m = self.beta1 * memory["m"] + (1 - self.beta1) * grad
         v = self.beta2 * memory["v"] + (1 - self.beta2) * grad**2

@@ -29,9 +29,7 @@ class TrialFailed(Exception):
         values: the trial values as text, such as `youngs_modulus = 2.1e5 Pa`.
     """
 
-    def __init__(
-        self, reason: str, *, body: str = "", particle: int = -1, time: float = 0.0, values: str = ""
-    ) -> None:
+    def __init__(self, reason: str, *, body: str = "", particle: int = -1, time: float = 0.0, values: str = "") -> None:
         self.reason, self.body, self.particle = reason, body, int(particle)
         self.time, self.values = float(time), values
         where = f"body '{body}', particle {particle}, t = {time:.6g} s: " if body else ""
@@ -137,9 +135,7 @@ def terms_of(problem: Problem, values: Array) -> dict[str, float]:
     return {name: float(value) for name, value in zip(problem.term_names, values, strict=True)}
 
 
-def checked_value_and_grad(
-    problem: Problem, x: Array, batch: tuple[int, ...] | None = None
-) -> dict[str, Array]:
+def checked_value_and_grad(problem: Problem, x: Array, batch: tuple[int, ...] | None = None) -> dict[str, Array]:
     """Return f (), g (n,) and terms (k,) at x.
 
     Raises:

@@ -101,9 +101,7 @@ class Descent(Optimizer):
         """Return the names of the (n,) vectors the method remembers; they start at zero."""
 
     @abstractmethod
-    def direction(
-        self, iteration: int, grad: Array, memory: dict[str, Array]
-    ) -> tuple[Array, dict[str, Array]]:
+    def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
         """Return what to subtract from x at learning rate 1 (n,), and the new memory."""
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:
@@ -124,9 +122,7 @@ class Descent(Optimizer):
                 if state.iteration == NOT_STARTED:
                     return self._outcome(state, "failed", f"the start itself fails: {failure}")
                 if state.failures >= HALVINGS:
-                    return self._outcome(
-                        state, "failed", f"{failure} (after {HALVINGS} halvings of the step)"
-                    )
+                    return self._outcome(state, "failed", f"{failure} (after {HALVINGS} halvings of the step)")
                 state = replace(state, scale=0.5 * state.scale, failures=state.failures + 1)
                 session.note(f"back to iteration {state.iteration}, step times {state.scale:g}")
             else:

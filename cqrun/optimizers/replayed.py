@@ -143,9 +143,7 @@ Attempt = Callable[[Trials, Array, Array, Array], tuple[Status, str]]
 """One call of scipy: (trials, start, lower, upper) -> status, message."""
 
 
-def minimise_with_restarts(
-    attempt: Attempt, problem: Problem, session: Session, max_iterations: int
-) -> Outcome:
+def minimise_with_restarts(attempt: Attempt, problem: Problem, session: Session, max_iterations: int) -> Outcome:
     """Run `attempt`; after a failed trial, again from the best point in a box of half the size.
 
     BLAS runs on one thread meanwhile: sums in another order would make the replay diverge.

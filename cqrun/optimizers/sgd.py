@@ -18,18 +18,14 @@ class Sgd(Descent):
     USSR Comput. Math. Math. Phys. 4 (1964).
     """
 
-    learning_rate: float = Field(
-        0.01, gt=0, description="step alpha per unit of gradient, scaled coordinates"
-    )
+    learning_rate: float = Field(0.01, gt=0, description="step alpha per unit of gradient, scaled coordinates")
     momentum: float = Field(0.0, ge=0, lt=1, description="part of the last step that is kept")
 
     def memory_names(self) -> tuple[str, ...]:
         """Return the velocity."""
         return ("u",)
 
-    def direction(
-        self, iteration: int, grad: Array, memory: dict[str, Array]
-    ) -> tuple[Array, dict[str, Array]]:
+    def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
         """Return u (n,), which is the new memory too."""
         u = self.momentum * memory["u"] + grad
         return u, {"u": u}

@@ -32,19 +32,13 @@ class Recording(Spec):
 
     file: str = Field(min_length=1, description="C3D, CSV or trajectory file, relative to the scene")
     start: float = quantity("s", "Time in the file when the run begins", differentiable=True, default=0.0)
-    length: float | None = quantity(
-        "s", "How long to compare; the scene's duration if absent", gt=0, default=None
-    )
+    length: float | None = quantity("s", "How long to compare; the scene's duration if absent", gt=0, default=None)
     holdout: bool = Field(description="Predict it, but do not fit it", default=False)
     body: Name = Field(description="Body that carries the markers; may be left out where there is one body")
-    units: Literal["m", "cm", "mm"] | None = Field(
-        description="Of the file, if it does not say", default=None
-    )
+    units: Literal["m", "cm", "mm"] | None = Field(description="Of the file, if it does not say", default=None)
     still: Interval | None = quantity("s", "Time in the file when the body rests", default=None)
     markers: dict[str, Vector] = quantity("m", "Rest position of each marker used", default_factory=dict)
-    overrides: dict[str, Any] = Field(
-        description="Key path -> value for this recording", default_factory=dict
-    )
+    overrides: dict[str, Any] = Field(description="Key path -> value for this recording", default_factory=dict)
     weight: float = quantity("1", "Weight in the loss", gt=0, default=1.0)
 
     @model_validator(mode="after")
@@ -93,9 +87,7 @@ class Synthetic(Spec):
 class Data(Spec):
     """What a run is fitted to: exactly one of `recordings`, `target` and `synthetic`."""
 
-    recordings: dict[Name, Recording] | None = Field(
-        description="Measured motion", min_length=1, default=None
-    )
+    recordings: dict[Name, Recording] | None = Field(description="Measured motion", min_length=1, default=None)
     target: Target | None = Field(description="A wanted centroid", default=None)
     synthetic: Synthetic | None = Field(description="Data made by the scene itself", default=None)
 

@@ -50,6 +50,4 @@ def _mapping(value: Any) -> dict[str, Any]:
 
 
 def _filled(part: Any, defaults: dict[str, Any]) -> Any:
-    return (
-        {**part, **{k: v for k, v in defaults.items() if k not in part}} if isinstance(part, dict) else part
-    )
+    return {**part, **{k: v for k, v in defaults.items() if k not in part}} if isinstance(part, dict) else part

@@ -242,7 +242,5 @@ _SCALARS = {"str": str, "int": _int, "float": _float, "bool": _bool, "null": lam
 
 def write(data: Any) -> str:
     """Return YAML text that `read` turns into the same plain data, floats to the bit."""
-    text = yaml.dump(
-        data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True
-    )
+    text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
     return str(text)

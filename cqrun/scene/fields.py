@@ -20,9 +20,7 @@ def _identifier(name: str) -> str:
     return name
 
 
-Name = Annotated[
-    str, AfterValidator(_identifier), WithJsonSchema({"type": "string", "pattern": f"^{_IDENTIFIER}$"})
-]
+Name = Annotated[str, AfterValidator(_identifier), WithJsonSchema({"type": "string", "pattern": f"^{_IDENTIFIER}$"})]
 """Name of a body, group, boundary, ...: an identifier, so that key paths need no quotes."""
 
 

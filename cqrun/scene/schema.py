@@ -36,9 +36,7 @@ class Body(Spec):
     """One elastic body: a shape, filled with particles of one material."""
 
     shape: ChosenShape = Field(description="Where the body is at the start")
-    particles_per_cell: float | None = quantity(
-        "1", "Particles in a cell: spacing = dx / n^(1/D)", gt=0, default=None
-    )
+    particles_per_cell: float | None = quantity("1", "Particles in a cell: spacing = dx / n^(1/D)", gt=0, default=None)
     spacing: float | None = quantity("m", "Distance between particles", gt=0, default=None)
     sampling: ChosenSampling = Field(
         description="How particles are placed", default_factory=lambda: Chosen("lattice", Lattice())

@@ -71,9 +71,7 @@ class Measured:
     source: str
 
 
-def measure(
-    recording: Recording, markers: Mapping[str, Array], still: tuple[float, float] | None
-) -> Measured:
+def measure(recording: Recording, markers: Mapping[str, Array], still: tuple[float, float] | None) -> Measured:
     """Bring the named markers of a recording into the scene's frame.
 
     Args:
@@ -130,9 +128,7 @@ def align(mean: Array, rest: Array, names: tuple[str, ...], source: str = "") ->
     """
     dim = rest.shape[1]
     if len(rest) < dim:
-        raise DataError(
-            f"{source}: {len(rest)} alignment markers; a rigid alignment in {dim}D needs {dim} or more"
-        )
+        raise DataError(f"{source}: {len(rest)} alignment markers; a rigid alignment in {dim}D needs {dim} or more")
     for points, which in ((rest, "the rest positions of the markers"), (mean, "the recorded markers")):
         _check_spread(points, which, source)
     _check_units(mean, rest, source)
@@ -164,9 +160,7 @@ def _rotation(recorded: Array, rest: Array) -> Array:
 def _check_seen(recording: Recording) -> None:
     for marker, name in enumerate(recording.names):
         if not recording.seen()[:, marker].any():
-            raise DataError(
-                f"{recording.source}: marker '{name}' is NaN in every frame; leave it out of `markers:`"
-            )
+            raise DataError(f"{recording.source}: marker '{name}' is NaN in every frame; leave it out of `markers:`")
 
 
 def _check_spread(points: Array, which: str, source: str) -> None:
@@ -176,8 +170,7 @@ def _check_spread(points: Array, which: str, source: str) -> None:
         raise DataError(f"{source}: {which} are all at one place; the alignment needs them apart")
     if points.shape[1] == 3 and extents[1] < _THINNEST * extents[0]:
         raise DataError(
-            f"{source}: {which} lie on one line, which leaves the rotation about it open; "
-            "use 3 or more that do not"
+            f"{source}: {which} lie on one line, which leaves the rotation about it open; use 3 or more that do not"
         )
 
 

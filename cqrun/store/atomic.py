@@ -26,9 +26,7 @@ def disk_error(error: OSError, path: Path) -> CqrunError:
             "Free some space, then `cqrun resume` the run, or choose another disk with --out DIR"
         )
     if error.errno in REFUSED:
-        return UsageError(
-            f"{path}: cannot be written ({error.strerror}); choose another directory with --out DIR"
-        )
+        return UsageError(f"{path}: cannot be written ({error.strerror}); choose another directory with --out DIR")
     if error.errno in MISPLACED:
         return UsageError(f"{path}: cannot be made ({error.strerror}); choose another place with --out DIR")
     return RunError(f"{path}: cannot be written ({error.strerror or error})")

@@ -37,9 +37,7 @@ class History:
         content = self._file.read()
         if not content.startswith(header.encode()):
             self._file.close()
-            raise UsageError(
-                f"{path}: its columns are not those of this run; start the run over with --fresh"
-            )
+            raise UsageError(f"{path}: its columns are not those of this run; start the run over with --fresh")
         self._rows: list[bytes] = []
         self._ends = [len(header.encode())]
         self._take_whole_rows(content[self._ends[0] :])

@@ -66,8 +66,7 @@ def _header(row: list[str], source: str) -> int:
     names = tuple(cell.strip().lower() for cell in row)
     if names not in (COLUMNS, COLUMNS[:4]):
         raise DataError(
-            f"{source}: the first line must be 'time,marker,x,y,z' (2D: 'time,marker,x,y'), "
-            f"not '{','.join(row)[:80]}'"
+            f"{source}: the first line must be 'time,marker,x,y,z' (2D: 'time,marker,x,y'), not '{','.join(row)[:80]}'"
         )
     return len(names) - 2
 

@@ -20,23 +20,14 @@ def read_trajectory(path: Path, units: str | None, source: str) -> Recording:
 
     try:
         with h5py.File(path, "r", locking=False) as file:
-            missing = [
-                name for name in ("time", "particles/x") if not isinstance(file.get(name), h5py.Dataset)
-            ]
+            missing = [name for name in ("time", "particles/x") if not isinstance(file.get(name), h5py.Dataset)]
             if missing:
-                raise DataError(
-                    f"{source}: no dataset /{missing[0]}; is it a trajectory.h5 of a finished run?"
-                )
+                raise DataError(f"{source}: no dataset /{missing[0]}; is it a trajectory.h5 of a finished run?")
             time = np.asarray(file["time"][()], dtype=float)
             positions = np.asarray(file["particles/x"][()], dtype=float)
     except OSError as error:
         raise DataError(f"{source}: not an HDF5 file, or truncated ({error})") from error
-    if (
-        time.ndim != 1
-        or positions.ndim != 3
-        or positions.shape[0] != time.size
-        or positions.shape[2] not in (2, 3)
-    ):
+    if time.ndim != 1 or positions.ndim != 3 or positions.shape[0] != time.size or positions.shape[2] not in (2, 3):
         raise DataError(
             f"{source}: /time {time.shape} and /particles/x {positions.shape} do not fit together; "
             "they should be (T,) and (T, N, D)"

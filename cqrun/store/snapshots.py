@@ -53,8 +53,7 @@ class Snapshots:
         intact = [state for path in present if (state := self._read(path)) is not None]
         if present and not intact:
             raise UsageError(
-                f"{present[0]}: unreadable checkpoint, and no older one is intact; "
-                "start the run over with --fresh"
+                f"{present[0]}: unreadable checkpoint, and no older one is intact; start the run over with --fresh"
             )
         if not intact:
             self._generation = 0

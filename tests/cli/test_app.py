@@ -74,9 +74,7 @@ def test_jobs_share_their_options(capsys, name):
         assert re.search(rf"(^|\s){option}\b", out, re.MULTILINE), option
 
 
-@pytest.mark.parametrize(
-    "words", [["sysyd"], ["sysid"], ["simulate", "a.yaml", "--threads", "0"], ["--nonsense"]]
-)
+@pytest.mark.parametrize("words", [["sysyd"], ["sysid"], ["simulate", "a.yaml", "--threads", "0"], ["--nonsense"]])
 def test_bad_usage_ends_with_2(capsys, words):
     code, out, err = run(capsys, *words)
     assert (code, out) == (2, "")
@@ -113,9 +111,7 @@ def test_a_blown_up_rollout_ends_with_1(capsys, monkeypatch):
 
 def test_a_scene_error_starts_with_its_place(capsys, monkeypatch):
     def ends(*_, **__):
-        raise SceneError(
-            [Problem("a.yaml:3:5", "world.dx", "must be greater than 0"), Problem("-o x=1", "", "no")]
-        )
+        raise SceneError([Problem("a.yaml:3:5", "world.dx", "must be greater than 0"), Problem("-o x=1", "", "no")])
 
     monkeypatch.setattr(cli, "app", ends)
     assert run(capsys) == (2, "", "a.yaml:3:5: world.dx: must be greater than 0\n-o x=1: no\n")

@@ -112,9 +112,7 @@ def test_the_frames_that_count_do_not_depend_on_start(rng):
     assert 0.25 + STEP * STEPS - 0.013 < objective.times[-1] <= 0.25 + STEP * STEPS
     starts = np.linspace(0.25, 0.35, 201)
     losses = np.array([objective.loss(record, start) for start in starts])
-    assert np.abs(np.diff(losses, 2)).max() < 1e-2 * np.ptp(losses), (
-        "no jump where a frame passes the release"
-    )
+    assert np.abs(np.diff(losses, 2)).max() < 1e-2 * np.ptp(losses), "no jump where a frame passes the release"
 
 
 def test_before_the_release_the_model_rests(rng):
@@ -133,9 +131,7 @@ def test_a_start_outside_its_bounds_is_an_error(rng):
 
 @pytest.mark.parametrize(("start", "steps"), [(-0.1, 30), (0.9, 30), (0.3, 60)])
 def test_window_outside_the_recording(rng, start, steps):
-    with pytest.raises(
-        DataError, match=r"beam: the window, .*does not lie inside the recording, 0 to 1.287 s"
-    ):
+    with pytest.raises(DataError, match=r"beam: the window, .*does not lie inside the recording, 0 to 1.287 s"):
         make(rng, start=start, steps=steps, start_bounds=None, source="beam")
 
 
@@ -145,9 +141,7 @@ def test_nothing_to_see(rng):
     with pytest.raises(DataError, match=r"no marker is seen between 0.1 and 0.5 s"):
         MarkerObjective(Points(None), NAMES, time, values, control_step=0.01, steps=40, start=0.1)
     with pytest.raises(DataError, match="no frame lies between"):
-        MarkerObjective(
-            Points(None), NAMES, 0.5 * np.arange(100), values, control_step=0.01, steps=4, start=0.1
-        )
+        MarkerObjective(Points(None), NAMES, 0.5 * np.arange(100), values, control_step=0.01, steps=4, start=0.1)
 
 
 def test_a_marker_never_seen_in_the_window_has_no_rmse(rng):
@@ -173,8 +167,7 @@ def test_scales_make_the_sum_of_squares_the_weighted_mean_loss(rng):
     record = smooth_record(rng, 3)
     objectives = [make(rng, weight=3.0), make(rng, start_bounds=None, gaps=False)]
     scaled = [
-        scale * o.residuals(record, 0.3)
-        for scale, o in zip(residual_scales(objectives), objectives, strict=True)
+        scale * o.residuals(record, 0.3) for scale, o in zip(residual_scales(objectives), objectives, strict=True)
     ]
     expected = (3 * objectives[0].loss(record, 0.3) + objectives[1].loss(record, 0.3)) / 4
     assert sum(np.sum(r**2) for r in scaled) == pytest.approx(expected)

@@ -30,9 +30,7 @@ def test_value_and_adjoint(rng, dim, time):
     assert found == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("time", "words"), [(-0.1, "must not be negative"), (0.6, "after the rollout's end")]
-)
+@pytest.mark.parametrize(("time", "words"), [(-0.1, "must not be negative"), (0.6, "after the rollout's end")])
 def test_times_outside_the_rollout(time, words):
     with pytest.raises(ValueError, match=words):
         TargetObjective(centroid(np.ones(4)), np.zeros(2), time=time, control_step=0.1, steps=5)

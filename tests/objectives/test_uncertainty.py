@@ -17,15 +17,11 @@ def swing(values):
     """Return three coordinates of a damped swing, one after the other."""
     a, b, c = values
     decay = np.exp(-b * TIME)
-    return a * np.concatenate(
-        [decay * np.cos(c * TIME), 1 - decay * np.cos(c * TIME), 0.3 * decay * np.sin(c * TIME)]
-    )
+    return a * np.concatenate([decay * np.cos(c * TIME), 1 - decay * np.cos(c * TIME), 0.3 * decay * np.sin(c * TIME)])
 
 
 def unknowns_at(values, log=True):
-    return [
-        Unknown(name, value, value / 10, value * 10, log) for name, value in zip(TRUTH, values, strict=True)
-    ]
+    return [Unknown(name, value, value / 10, value * 10, log) for name, value in zip(TRUTH, values, strict=True)]
 
 
 def jacobian_at(values, log=True):
@@ -55,9 +51,7 @@ def test_95_percent_intervals_cover_the_truth(rng, phi, log):
     for _ in range(250):
         data = swing(TRUTH.values()) + (np.array([[0.05], [0.05], [0.01]]) * noise(rng, phi)).ravel()
         values = fit(data)
-        found = intervals(
-            jacobian_at(values, log), swing(values) - data, SERIES, unknowns_at(values, log)
-        ).intervals
+        found = intervals(jacobian_at(values, log), swing(values) - data, SERIES, unknowns_at(values, log)).intervals
         covered.append([found[name][0] <= true <= found[name][1] for name, true in TRUTH.items()])
     assert np.all(np.mean(covered, axis=0) >= 0.90)
     assert np.all(np.mean(covered, axis=0) <= 0.99)
@@ -68,14 +62,10 @@ def test_a_straight_line_gives_the_textbook_interval(rng):
     design = np.stack([np.ones(400), x], 1)
     values, *_ = np.linalg.lstsq(design, 2 + 3 * x + e, rcond=None)
     r = design @ values - (2 + 3 * x + e)
-    found = intervals(
-        design, r, [np.arange(400)], [Unknown(n, v, -9, 9) for n, v in zip("ab", values, strict=True)]
-    )
+    found = intervals(design, r, [np.arange(400)], [Unknown(n, v, -9, 9) for n, v in zip("ab", values, strict=True)])
     half = 1.966 * np.sqrt(r @ r / 398 * np.diag(np.linalg.inv(design.T @ design)))
     for name, value, width in zip("ab", values, half, strict=True):
-        np.testing.assert_allclose(
-            found.intervals[name], (value - width, value + width), rtol=0.15 * width / value
-        )
+        np.testing.assert_allclose(found.intervals[name], (value - width, value + width), rtol=0.15 * width / value)
     assert found.reasons == {}
 
 
@@ -164,9 +154,7 @@ def test_too_many_unknowns_and_too_few_residuals(rng):
 
 def test_flat_unknown(rng):
     J = np.stack([rng.normal(size=360), np.zeros(360)], 1)
-    found = intervals(
-        J, rng.normal(size=360), SERIES, [Unknown("E", 2e5, 1e5, 1e6, True), Unknown("mu", 0.5, 0, 1)]
-    )
+    found = intervals(J, rng.normal(size=360), SERIES, [Unknown("E", 2e5, 1e5, 1e6, True), Unknown("mu", 0.5, 0, 1)])
     assert found.intervals["mu"] is None
     assert found.reasons == {"mu": "the data do not depend on it"}
     assert any(f.startswith("mu: the data do not depend on it; fix it") for f in found.findings)

@@ -19,10 +19,7 @@ def random_record(rng, dim, steps=5, count=3, strain=0.2):
 def observed_rows(rows, x, v, C, F):
     """Return the record of one body's particles, each (N, ...) or (T, N, ...), as the engine writes it."""
     return Record(
-        *(
-            np.stack([(rows @ a.reshape(len(a), -1)).reshape(-1, *a.shape[1:]) for a in field])
-            for field in (x, v, C, F)
-        )
+        *(np.stack([(rows @ a.reshape(len(a), -1)).reshape(-1, *a.shape[1:]) for a in field]) for field in (x, v, C, F))
     )
 
 
@@ -58,9 +55,7 @@ def test_adjoint(dim, rng, strain):
 
     h = 2e-4
     expected = (8 * (dot(h) - dot(-h)) - (dot(2 * h) - dot(-2 * h))) / (12 * h)
-    found = sum(
-        np.sum(a * d) for a, d in zip(observer.observe_vjp(record, y_bar, w_bar), direction, strict=True)
-    )
+    found = sum(np.sum(a * d) for a, d in zip(observer.observe_vjp(record, y_bar, w_bar), direction, strict=True))
     assert found == pytest.approx(expected, rel=1e-9, abs=1e-10)
 
 

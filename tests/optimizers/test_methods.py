@@ -222,9 +222,7 @@ def test_half_box_keeps_the_point_and_halves_the_rest():
     np.testing.assert_array_equal(up, [1.0, 3.0, 3.5])
 
 
-@pytest.mark.parametrize(
-    "options", [{"max_iterations": 0}, {"learning_rate": -1.0}, {"beta1": 1.0}, {"step": 1.0}]
-)
+@pytest.mark.parametrize("options", [{"max_iterations": 0}, {"learning_rate": -1.0}, {"beta1": 1.0}, {"step": 1.0}])
 def test_options_are_checked(options):
     with pytest.raises(ValidationError):
         Adam(**options)

@@ -54,9 +54,7 @@ class Rosenbrock:
         if self.fuse is not None and self.evaluations > self.fuse:
             raise Killed
         if x[0] > self.wall:
-            raise TrialFailed(
-                "left the grid", body="beam", particle=np.int64(7), time=0.25, values=f"a = {x[0]:.4g}"
-            )
+            raise TrialFailed("left the grid", body="beam", particle=np.int64(7), time=0.25, values=f"a = {x[0]:.4g}")
         n = x.size
         valley, slope = 3.0 * (x[1:] - x[:-1] ** 2), 1.0 - x[:-1]
         jacobian = np.zeros((2 * (n - 1), n))

@@ -89,9 +89,7 @@ def test_groups_without_particles_are_named_with_where_the_body_is() -> None:
         "out": {"half_space": {"point": [0.2, 0.5], "normal": [1, 0]}},
     }
     (message,) = told(two_balls(groups=groups))
-    assert message.startswith(
-        "scene: bodies.right.groups.out: holds no particle: 'right' lies within (0.505, "
-    )
+    assert message.startswith("scene: bodies.right.groups.out: holds no particle: 'right' lies within (0.505, ")
 
 
 @pytest.mark.parametrize(("per_cell", "warned"), [(4, False), (9, False), (3.9, True), (1, True)])
@@ -100,9 +98,7 @@ def test_few_particles_a_cell_are_warned_about(per_cell: float, warned: bool) ->
     warnings = [str(p) for p in check.sparse_bodies(scene, sampled(scene)[1])]
     assert bool(warnings) == warned
     if warned:
-        assert warnings[0].startswith(
-            f"scene: bodies.right.particles_per_cell: {per_cell:.3g} particles in a cell"
-        )
+        assert warnings[0].startswith(f"scene: bodies.right.particles_per_cell: {per_cell:.3g} particles in a cell")
 
 
 class Pull(Plugin):

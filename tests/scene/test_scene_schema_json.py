@@ -32,9 +32,7 @@ def accepts(schema: Any, data: Any) -> bool:
         return False
     kinds = schema.get("type", [])
     kinds = [kinds] if isinstance(kinds, str) else kinds
-    if kinds and not any(
-        isinstance(data, TYPES[k]) and not (isinstance(data, bool) and k != "boolean") for k in kinds
-    ):
+    if kinds and not any(isinstance(data, TYPES[k]) and not (isinstance(data, bool) and k != "boolean") for k in kinds):
         return False
     if "const" in schema and data != schema["const"]:
         return False

@@ -46,9 +46,7 @@ def test_displacements_come_back_in_the_scenes_frame(rng, dim):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_mirror_image_is_no_rotation(rng, dim):
     recording, _ = recorded(dim, rng)
-    mirrored = Recording(
-        recording.time, recording.names, recording.positions * ([1.0, -1.0, 1.0][:dim]), "beam.csv"
-    )
+    mirrored = Recording(recording.time, recording.names, recording.positions * ([1.0, -1.0, 1.0][:dim]), "beam.csv")
     with pytest.raises(DataError, match=r"mm from its rest position, more than 5 mm .*'b' "):
         measure(mirrored, REST[dim], (0.0, 0.9))
 

@@ -20,9 +20,7 @@ class Oracle:
         def compute():
             self.calls += 1
             if x[0] > 2:
-                raise TrialFailed(
-                    "too far", body="beam", particle=np.int64(3), time=np.float64(0.5), values="µ = 3"
-                )
+                raise TrialFailed("too far", body="beam", particle=np.int64(3), time=np.float64(0.5), values="µ = 3")
             return {"f": np.float64(np.sum(x**2)), "g": 2 * x, "J": np.outer(x, x)[:1]}
 
         return compute
