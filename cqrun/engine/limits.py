@@ -1,0 +1,55 @@
+"""The largest stable substep of each part of a model.
+
+Elastic and viscous waves: with c^2 = (lam + 2 mu + incompressibility + active stress) / rho and
+z = (4/3 eta + zeta) / (rho c dx), explicit integration is stable up to
+
+    dt_max = (dx / c) (sqrt(1 + z^2) - z),
+
+the Courant limit dx / c without viscosity and the diffusive one for z >> 1. Particles: |v| dt < dx / 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cqrun.contract import Array
+
+SAFETY = 0.6
+"""Share of the limit that `auto` takes: waves are faster in compressed material."""
+
+WARN, REFUSE = 0.7, 1.15
+"""Shares of the limit above which a given substep is warned about, and refused."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A bound on dt [s] and the part that causes it."""
+
+    part: str
+    dt: float
+
+
+def wave_limit(part: str, dx: float, density: Array, modulus: Array, viscosity: Array) -> Limit:
+    """Return the bound of a material.
+
+    Args:
+        density: (n,) mass over rest volume [kg/m^D].
+        modulus: (n,) lam + 2 mu and whatever stiffens it [Pa].
+        viscosity: (n,) 4/3 eta + zeta [Pa s].
+    """
+    c = np.sqrt(np.asarray(modulus) / density)
+    z = np.asarray(viscosity) / (density * c * dx)
+    return Limit(part, float(np.min(dx / c * (np.sqrt(1.0 + z * z) - z))))
+
+
+def motion_limit(part: str, dx: float, v: Array) -> Limit | None:
+    """Return the bound of particles that start with velocities v (N, D), or None at rest."""
+    fastest = float(np.sqrt((v * v).sum(axis=1).max(initial=0.0)))
+    return Limit(part, 0.5 * dx / fastest) if fastest > 0 else None
+
+
+def auto_substeps(control_step: float, limits: list[Limit]) -> int:
+    """Return how many substeps a control step needs."""
+    return max(1, int(np.ceil(control_step / (SAFETY * min(limit.dt for limit in limits)) - 1e-9)))

@@ -1,0 +1,293 @@
+"""From values by key path to the engine's inputs, and from their cotangent back to gradients by path.
+
+A value is one number (`per: body`), one a group or one a particle; a path without a value keeps what the scene
+says. `inputs` is the map, `gradient` its adjoint; each part of one stands beside its part of the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array, Plugin, is_differentiable
+from cqrun.engine.model import Inputs
+from cqrun.loads.gravity import Gravity
+from cqrun.loads.load import Load
+from cqrun.scene.activation import signal_weights, signals
+from cqrun.scene.particles import Particles, stress_key
+from cqrun.scene.paths import canonical
+from cqrun.scene.schema import Scene
+from cqrun.state import ParticleFields, State
+
+Values = Mapping[str, Array]
+"""Key path -> value: a scalar array (), one a group (G,), or one a particle (N,)."""
+
+
+class Assembly:
+    """The map from values to inputs for one scene.
+
+    Args:
+        scene: resolved.
+        particles: its particles.
+        sequence: which of a scene's random activations drives the actuators.
+    """
+
+    def __init__(self, scene: Scene, particles: Particles, sequence: int = 0) -> None:
+        self.scene, self.particles, self.sequence = scene, particles, sequence
+        self.loads: list[tuple[str, Load]] = [
+            (f"loads.{name}.{chosen.name}", chosen.value)  # type: ignore[misc]
+            for name, chosen in scene.loads.items()
+        ]
+        self.loads.append(("world", Gravity(gravity=list(scene.world.gravity))))
+        self.loads.sort(key=lambda item: item[1].order)
+        self.chosen = [particles.inside(load.body, load.region) for _, load in self.loads]
+
+    def with_sequence(self, sequence: int) -> Assembly:
+        """Return the same map driven by another of the random activations."""
+        return Assembly(self.scene, self.particles, sequence)
+
+    def reaches(self, path: str) -> bool:
+        """Say whether the engine's inputs depend on a path (the start of a recording is not one)."""
+        return not path.startswith("data.")
+
+    # --- values -------------------------------------------------------------------------------------------
+
+    def _labels(self, body: str) -> Array:
+        """Return the group of each of a body's particles, -1 for none (the last group that holds it)."""
+        x = self.particles.x[self.particles.of(body)]
+        labels = np.full(len(x), -1)
+        for k, shape in enumerate(self.scene.bodies[body].groups.values()):
+            labels[shape.value.inside(x)] = k
+        return labels
+
+    def _spread(self, body: str, path: str, own: float, values: Values) -> Array:
+        """Return a value for each of a body's particles (N_b,)."""
+        n = self.particles.of(body)
+        count = n.stop - n.start
+        value = np.asarray(values.get(path, own), float)
+        if value.ndim == 0 or value.size == 1:
+            return np.full(count, float(value.reshape(-1)[0]))
+        if value.size == count:
+            return value.reshape(-1)
+        labels = self._labels(body)
+        return np.where(labels >= 0, value.reshape(-1)[labels], own)
+
+    def _spread_vjp(self, body: str, path: str, per_particle_bar: Array, values: Values, out: dict[str, Array]) -> None:
+        """Add the cotangent of a value of `_spread` to out[path], if the path has a value."""
+        if path not in values:
+            return
+        value = np.asarray(values[path], float)
+        bar = out.setdefault(path, np.zeros(value.shape))
+        if value.size == 1:
+            bar += per_particle_bar.sum()
+        elif value.size == len(per_particle_bar):
+            bar += per_particle_bar.reshape(value.shape)
+        else:
+            labels = self._labels(body)
+            np.add.at(bar.reshape(-1), labels[labels >= 0], per_particle_bar[labels >= 0])
+
+    # --- inputs and gradient --------------------------------------------------------------------------------
+
+    def inputs(self, values: Values) -> Inputs:
+        """Return the engine's inputs."""
+        state = State.at_rest(self.particles.x)
+        for body in self.particles.names:
+            state.v[self.particles.of(body)] = self.velocities(body, values)
+        fields, _ = self._fields(values)
+        return Inputs(state, fields, self._terms(values), self._tension(values), self._coefficients(values))
+
+    def gradient(self, values: Values, bar: Inputs) -> dict[str, Array]:
+        """Return the gradient by path, of each value's shape, from the cotangent of the inputs."""
+        out = {path: np.zeros(np.shape(value)) for path, value in values.items()}
+        self._velocities_vjp(values, bar, out)
+        self._fields_vjp(values, bar, out)
+        self._terms_vjp(values, bar, out)
+        self._tension_vjp(values, bar, out)
+        self._coefficients_vjp(values, bar, out)
+        return out
+
+    # --- masses and loads -------------------------------------------------------------------------------------
+
+    def _fields(self, values: Values) -> tuple[ParticleFields, list[Load]]:
+        fields = ParticleFields.zeros(len(self.particles.x), self.scene.dim)
+        fields.volume[:] = self.particles.volume
+        for body in self.particles.names:
+            part = self.particles.of(body)
+            path, own = f"bodies.{body}.material.density", self.scene.bodies[body].material.density
+            fields.mass[part] = self._spread(body, path, own, values) * fields.volume[part]
+        loads = [updated(load, path, values) for path, load in self.loads]
+        for load, chosen in zip(loads, self.chosen, strict=True):
+            load.apply(fields, chosen)
+        return fields, loads
+
+    def _fields_vjp(self, values: Values, bar: Inputs, out: dict[str, Array]) -> None:
+        fields, loads = self._fields(values)
+        steps = list(zip(self.loads, loads, self.chosen, strict=True))
+        for (path, _), load, chosen in reversed(steps):
+            collect(path, load.apply_vjp(fields, bar.fields, chosen), out)
+        for body in self.particles.names:
+            part = self.particles.of(body)
+            density_bar = bar.fields.mass[part] * self.particles.volume[part]
+            self._spread_vjp(body, f"bodies.{body}.material.density", density_bar, values, out)
+
+    # --- velocities ---------------------------------------------------------------------------------------------
+
+    def velocities(self, body: str, values: Values) -> Array:
+        """Return a body's velocities at the start (N_b, D): v + spin x (x - centroid)."""
+        base, spec = f"bodies.{body}", self.scene.bodies[body]
+        v = numbers(f"{base}.velocity", spec.velocity, values)
+        spin = numbers(f"{base}.spin", spec.spin, values)
+        return np.asarray(v + self._arm(body) @ spin)
+
+    def _arm(self, body: str) -> Array:
+        """Return the velocity of each particle by each entry of the spin (N_b, D, 1 or 3)."""
+        x = self.particles.x[self.particles.of(body)]
+        r = x - x.mean(axis=0)
+        if self.scene.dim == 2:
+            return np.stack([-r[:, 1], r[:, 0]], axis=1)[:, :, None]
+        return np.cross(np.eye(3)[None, :, :], r[:, None, :]).transpose(0, 2, 1)
+
+    def _velocities_vjp(self, values: Values, bar: Inputs, out: dict[str, Array]) -> None:
+        for body in self.particles.names:
+            v_bar = bar.state.v[self.particles.of(body)]
+            spin_bar = np.einsum("nds,nd->s", self._arm(body), v_bar)
+            collect(f"bodies.{body}", {"velocity": v_bar.sum(axis=0), "spin": spin_bar}, out)
+
+    # --- material terms -------------------------------------------------------------------------------------------
+
+    def _terms_of(self, body: str) -> list[tuple[str, Any, str]]:
+        """Return (path, spec, path of the elastic term) of each term of a body's stress."""
+        material, base = self.scene.bodies[body].material, f"bodies.{body}.material"
+        elastic = f"{base}.elastic.{material.elastic.name}"
+        further = [(f"{base}.{name}", spec, elastic) for name, spec in material.terms.items()]
+        return [(elastic, material.elastic.value, elastic), *further]
+
+    def _rows(self, body: str, path: str, spec: Any, elastic: str) -> list[tuple[str, float]]:
+        """Return path and the scene's own value of each row of theta; a term may read the elastic term's."""
+        own = self.scene.bodies[body].material.elastic.value
+        return [
+            (f"{path}.{name}", getattr(spec, name))
+            if name in type(spec).model_fields
+            else (f"{elastic}.{name}", getattr(own, name))
+            for name in spec.parameters
+        ]
+
+    def _theta(self, body: str, term: tuple[str, Any, str], values: Values) -> Array:
+        return np.array([self._spread(body, path, own, values) for path, own in self._rows(body, *term)])
+
+    def _groups(self) -> list[list[str]]:
+        groups: dict[Any, list[str]] = {}
+        for body in self.particles.names:
+            groups.setdefault(stress_key(self.scene, body), []).append(body)
+        return list(groups.values())
+
+    def _terms(self, values: Values) -> list[list[Array]]:
+        groups = []
+        for bodies in self._groups():
+            thetas = [[self._theta(body, term, values) for term in self._terms_of(body)] for body in bodies]
+            groups.append([np.concatenate(parts, axis=1) for parts in zip(*thetas, strict=True)])
+        return groups
+
+    def _terms_vjp(self, values: Values, bar: Inputs, out: dict[str, Array]) -> None:
+        for g, bodies in enumerate(self._groups()):
+            begin = self.particles.of(bodies[0]).start
+            for body in bodies:
+                part = self.particles.of(body)
+                for k, term in enumerate(self._terms_of(body)):
+                    theta_bar = bar.terms[g][k][:, part.start - begin : part.stop - begin]
+                    for row, (path, _) in zip(theta_bar, self._rows(body, *term), strict=True):
+                        self._spread_vjp(body, path, row, values, out)
+
+    def stiffness(self, body: str, values: Values) -> tuple[Array, Array, Array]:
+        """Return density [kg/m^D], pressure-wave modulus [Pa] and viscosity 4/3 eta + zeta [Pa s] (N_b,)."""
+        path, own = f"bodies.{body}.material.density", self.scene.bodies[body].material.density
+        terms = [(spec, self._theta(body, (path_, spec, e), values)) for path_, spec, e in self._terms_of(body)]
+        modulus = sum(spec.wave_modulus(theta) for spec, theta in terms)
+        viscosity = sum(spec.wave_viscosity(theta) for spec, theta in terms)
+        return self._spread(body, path, own, values), np.asarray(modulus), np.asarray(viscosity)
+
+    # --- actuation --------------------------------------------------------------------------------------------------
+
+    def _strengths(self, values: Values) -> Array:
+        specs = [updated(a.value, f"actuators.{name}.{a.name}", values) for name, a in self.scene.actuators.items()]
+        return np.array([spec.strength for spec in specs])  # type: ignore[attr-defined]
+
+    def _tension(self, values: Values) -> Array:
+        return signals(self.scene, self.sequence, values) * self._strengths(values)
+
+    def _tension_vjp(self, values: Values, bar: Inputs, out: dict[str, Array]) -> None:
+        level = signals(self.scene, self.sequence, values)
+        level_bar = bar.tension * self._strengths(values)
+        for k, (name, chosen) in enumerate(self.scene.actuators.items()):
+            collect(f"actuators.{name}.{chosen.name}", {"strength": bar.tension[:, k] @ level[:, k]}, out)
+            for path, knots_bar in signal_weights(self.scene, name, level_bar[:, k]).items():
+                collect(path, {"": knots_bar}, out)
+
+    def greatest_stress(self, values: Values) -> Array:
+        """Return the greatest active stress of each particle (N,) [Pa], over all of the scene's sequences."""
+        greatest = np.zeros(len(self.particles.x))
+        if not self.scene.actuators:
+            return greatest
+        random = self.scene.activation.random if self.scene.activation else None
+        levels = [signals(self.scene, s, values) for s in range(random.sequences if random else 1)]
+        peaks = np.abs(np.concatenate(levels)).max(axis=0) * self._strengths(values)
+        for peak, chosen in zip(peaks, self.scene.actuators.values(), strict=True):
+            spec: Any = chosen.value
+            greatest[self.particles.inside(spec.body, spec.region)] += peak
+        return greatest
+
+    # --- boundaries -------------------------------------------------------------------------------------------------
+
+    def _planes(self) -> list[tuple[str, Plugin]]:
+        """Return path and condition of every plane, in the model's order."""
+        size, found = np.zeros((1, self.scene.dim)), []
+        for name, chosen in self.scene.boundaries.items():
+            spec: Any = chosen.value
+            planes = spec.places(size, np.array(self.scene.world.size))
+            found += [(f"boundaries.{name}.{chosen.name}", spec)] * len(planes)
+        return found
+
+    def _coefficients(self, values: Values) -> Array:
+        return np.array([getattr(updated(s, path, values), "coefficient", 0.0) for path, s in self._planes()])
+
+    def _coefficients_vjp(self, values: Values, bar: Inputs, out: dict[str, Array]) -> None:
+        for (path, _), coefficient_bar in zip(self._planes(), bar.coefficients, strict=True):
+            collect(path, {"coefficient": coefficient_bar}, out)
+
+
+# --- values of a plug-in's fields ---------------------------------------------------------------------------------
+
+
+def numbers(path: str, own: list[float], values: Values) -> Array:
+    """Return a list of numbers with the values that its entries have."""
+    return np.array([float(np.asarray(values.get(f"{path}.{k}", entry)).reshape(-1)[0]) for k, entry in enumerate(own)])
+
+
+def updated(spec: Any, path: str, values: Values) -> Any:
+    """Return a plug-in with the values that its differentiable fields have."""
+    changes: dict[str, Any] = {}
+    for name in type(spec).model_fields:
+        if is_differentiable(type(spec), name):
+            own = getattr(spec, name)
+            if isinstance(own, list):
+                changes[name] = numbers(f"{path}.{name}", own, values).tolist()
+            elif f"{path}.{name}" in values:
+                changes[name] = float(np.asarray(values[f"{path}.{name}"]).reshape(-1)[0])
+    return spec.model_copy(update=changes)
+
+
+def collect(path: str, cotangents: Mapping[str, Any], out: dict[str, Array]) -> None:
+    """Add the cotangents of a part's fields, numbers or lists of them, to the gradients that are wanted."""
+    for name, cotangent in cotangents.items():
+        base = f"{path}.{name}" if name else path
+        entries = {base: cotangent} if np.ndim(cotangent) == 0 else {f"{base}.{k}": c for k, c in enumerate(cotangent)}
+        for key, bar in entries.items():
+            if key in out:
+                out[key] += bar
+
+
+def canonical_values(scene: Scene, values: Mapping[str, Any]) -> dict[str, Array]:
+    """Return values under the long spelling of their paths."""
+    return {canonical(scene, path): np.asarray(value, float) for path, value in values.items()}

@@ -1,0 +1,173 @@
+"""From a scene to the engine's model: particles, stress terms, boundaries, actuators, the substep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.engine.limits import REFUSE, WARN, Limit, auto_substeps, motion_limit, wave_limit
+from cqrun.engine.model import ActuatorModel, ConditionModel, GroupModel, Model, conditions_of
+from cqrun.engine.setting import grid_shape
+from cqrun.errors import Problem, SceneError
+from cqrun.scene.assembly import Assembly
+from cqrun.scene.particles import Particles, sample, stress_key
+from cqrun.scene.paths import with_values
+from cqrun.scene.schema import Scene
+from cqrun.units import format_bytes
+
+
+@dataclass(frozen=True)
+class Built:
+    """A scene ready to run.
+
+    Attributes:
+        scene: resolved: `time.substeps` is a number.
+        model: what the engine runs.
+        assembly: from values by key path to the engine's inputs, and gradients back.
+        limits: bounds on the substep at the stiffest corner of the unknowns' bounds.
+        warnings: what a user should know before the run.
+    """
+
+    scene: Scene
+    particles: Particles
+    model: Model
+    assembly: Assembly
+    limits: tuple[Limit, ...]
+    warnings: tuple[Problem, ...]
+
+
+def build(scene: Scene) -> Built:
+    """Build a scene.
+
+    Raises:
+        SceneError: bodies or regions that cannot be, a substep that is too large, too little memory.
+    """
+    particles = sample(scene)
+    assembly = Assembly(scene, particles)
+    limits = _stiffest(scene, particles, assembly)
+    warnings = list(particles.warnings)
+    if scene.time.substeps == "auto":
+        scene = with_values(scene, {"time.substeps": auto_substeps(scene.time.control_step, limits)})
+        assembly = Assembly(scene, particles)
+    else:
+        warnings += _check_substeps(scene, _limits(scene, particles, assembly, {}))
+    _check_memory(scene, particles)
+    model = Model(
+        size=np.array(scene.world.size),
+        dx=scene.world.dx,
+        dt=scene.time.control_step / int(scene.time.substeps),
+        substeps=int(scene.time.substeps),
+        n_controls=scene.time.control_steps,
+        body_names=particles.names,
+        layout=particles.layout,
+        groups=_groups(scene, particles),
+        conditions=_conditions(scene),
+        actuators=tuple(
+            ActuatorModel(name, particles.inside(a.value.body, a.value.region), a.value.direction(scene.dim))  # type: ignore[attr-defined]
+            for name, a in scene.actuators.items()
+        ),
+        real=np.dtype(scene.precision).type,
+        memory_budget=scene.memory,
+    )
+    return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))
+
+
+def with_probe(built: Built, rows: Any) -> Built:
+    """Return the model with weighted sums of all its particles (K, N) to record."""
+    return replace(built, model=replace(built.model, probe=rows))
+
+
+def _groups(scene: Scene, particles: Particles) -> tuple[GroupModel, ...]:
+    driven = {a.value.body for a in scene.actuators.values()}  # type: ignore[attr-defined]
+    groups = []
+    for _, members in groupby(enumerate(particles.names), key=lambda item: stress_key(scene, item[1])):
+        indices, names = zip(*members, strict=True)
+        material = scene.bodies[names[0]].material
+        specs: list[Any] = [material.elastic.value, *material.terms.values()]
+        makers = tuple(spec.kernel_term for spec in specs)
+        groups.append(GroupModel(tuple(indices), makers, bool(driven & set(names))))
+    return tuple(groups)
+
+
+def _conditions(scene: Scene) -> tuple[ConditionModel, ...]:
+    conditions: list[ConditionModel] = []
+    for name, chosen in scene.boundaries.items():
+        spec: Any = chosen.value
+        planes = conditions_of(name, spec, np.array(scene.world.size), scene.world.dx)
+        if not any(plane.nodes.any() for plane in planes):
+            path = f"boundaries.{name}.{chosen.name}.region"
+            message = f"holds no grid node: it is thinner than a cell of {scene.world.dx:g} m, or outside the world"
+            raise SceneError([Problem(scene.where(path), path, message)])
+        conditions += planes
+    if len(conditions) > 60:
+        message = f"{len(conditions)} planes of boundaries; at most 60 are possible: join some"
+        raise SceneError([Problem(scene.where("boundaries"), "boundaries", message)])
+    return tuple(conditions)
+
+
+# --- the substep ------------------------------------------------------------------------------------------
+
+
+def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict[str, Array]) -> list[Limit]:
+    """Return every part's bound on the substep for some values of the unknowns."""
+    limits: list[Limit] = []
+    active = assembly.greatest_stress(values)
+    for name in particles.names:
+        part = particles.of(name)
+        density, modulus, viscosity = assembly.stiffness(name, values)
+        limit = wave_limit(f"bodies.{name}.material", scene.world.dx, density, modulus + active[part], viscosity)
+        limits.append(limit)
+        moving = motion_limit(f"bodies.{name}.velocity", scene.world.dx, assembly.velocities(name, values))
+        limits += [moving] if moving else []
+    return limits
+
+
+def _stiffest(scene: Scene, particles: Particles, assembly: Assembly) -> list[Limit]:
+    """Return the bounds at the corner of the unknowns' bounds with the least one.
+
+    Every bound is monotone in every unknown, so each is put where the bound is least, the others at their start.
+    """
+    corner: dict[str, Array] = {}
+    for path, unknown in scene.unknowns.items():
+        if assembly.reaches(path):
+            trials = [np.array(bound) for bound in unknown.bounds]
+            least = [min(limit.dt for limit in _limits(scene, particles, assembly, {path: trial})) for trial in trials]
+            corner[path] = trials[int(np.argmin(least))]
+    return _limits(scene, particles, assembly, corner)
+
+
+def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
+    """Refuse a given number of substeps that blows up, and warn about one that is near it."""
+    least = min(limits, key=lambda limit: limit.dt)
+    dt = scene.time.control_step / int(scene.time.substeps)
+    share = dt / least.dt
+    if share <= WARN:
+        return []
+    needed = auto_substeps(scene.time.control_step, limits)
+    message = (
+        f"a substep of {dt:.3g} s is {share:.2f} of the largest stable one, {least.dt:.3g} s ({least.part}); "
+        f"use {needed} substeps, or auto"
+    )
+    problem = Problem(scene.where("time.substeps"), "time.substeps", message)
+    if share > REFUSE:
+        raise SceneError([problem])
+    return [problem]
+
+
+def _check_memory(scene: Scene, particles: Particles) -> None:
+    import psutil
+
+    nodes = float(np.prod(grid_shape(np.array(scene.world.size), scene.world.dx)))
+    itemsize = np.dtype(scene.precision).itemsize
+    need = nodes * (3 * 4 * itemsize + 8) + particles.layout.n * (100 + 4 * scene.dim**2) * itemsize
+    there = psutil.virtual_memory().available
+    if need > there:
+        message = (
+            f"{nodes:.3g} grid nodes and {particles.layout.n_particles} particles need {format_bytes(int(need))}; "
+            f"{format_bytes(there)} are free: use a larger dx or a smaller world"
+        )
+        raise SceneError([Problem(scene.where("world"), "world", message)])

@@ -1,0 +1,103 @@
+"""Particles of a scene's bodies: sampled once, at rest, in material coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.engine.blocks import BLOCK
+from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.scene.check import geometry_problems, sparse_bodies
+from cqrun.scene.schema import Scene
+from cqrun.state import Layout
+
+
+@dataclass(frozen=True)
+class Particles:
+    """All particles of a scene, body after body in the order of `names`.
+
+    Attributes:
+        names: of the bodies, those with the same stress terms next to each other.
+        x: (N, D) at rest [m].
+        volume: (N,) at rest [m^D]; 1 where the body has `unit_mass`.
+        spacing: distance between particles of each body [m].
+        warnings: what a user should know.
+    """
+
+    names: tuple[str, ...]
+    layout: Layout
+    x: Array
+    volume: Array
+    spacing: dict[str, float]
+    warnings: tuple[Problem, ...]
+
+    def of(self, body: str) -> slice:
+        """Return a body's slice of the particles."""
+        return self.layout.slices()[self.names.index(body)]
+
+    def inside(self, body: str | None, region: Any) -> Array:
+        """Return the indices of the particles of a body (or of all) in a region (or everywhere)."""
+        chosen = np.zeros(len(self.x), bool)
+        chosen[self.of(body) if body is not None else slice(None)] = True
+        if region is not None:
+            chosen &= region.value.inside(self.x)
+        return np.flatnonzero(chosen)
+
+
+def stress_key(scene: Scene, body: str) -> tuple[Any, ...]:
+    """Return what bodies with the same stress terms have in common: the terms and what is not a parameter."""
+    material = scene.bodies[body].material
+    terms = {material.elastic.name: material.elastic.value, **material.terms}
+    return tuple(
+        (name, tuple((k, v) for k, v in term.model_dump().items() if k not in term.parameters))  # type: ignore[attr-defined]
+        for name, term in terms.items()
+    )
+
+
+def sample(scene: Scene) -> Particles:
+    """Sample every body.
+
+    Raises:
+        SceneError: a body is empty, outside the world or inside another; a region holds nothing.
+    """
+    keys = {body: stress_key(scene, body) for body in scene.bodies}
+    first_of = list(dict.fromkeys(keys.values()))
+    names = tuple(sorted(scene.bodies, key=lambda body: first_of.index(keys[body])))
+    points, volumes, spacing = {}, {}, {}
+    for name in names:
+        body = scene.bodies[name]
+        try:
+            x, volume = body.sampling.value.sample(body.shape.value, body.particle_spacing(scene.world.dx))
+        except UsageError as error:
+            path = f"bodies.{name}.shape"
+            raise SceneError([Problem(scene.where(path), path, str(error))]) from error
+        order = block_order(x, scene.world.dx)
+        points[name], volumes[name] = x[order], volume[order]
+    problems = geometry_problems(scene, points)
+    if problems:
+        raise SceneError(problems)
+    warnings = tuple(sparse_bodies(scene, volumes))
+    for name in names:
+        spacing[name] = float(volumes[name].mean() ** (1 / scene.dim))
+        if scene.bodies[name].unit_mass:
+            volumes[name] = np.ones(len(volumes[name]))
+    layout = Layout(scene.dim, tuple(len(points[name]) for name in names))
+    return Particles(
+        names,
+        layout,
+        np.concatenate([points[name] for name in names]),
+        np.concatenate([volumes[name] for name in names]),
+        spacing,
+        warnings,
+    )
+
+
+def block_order(x: Array, dx: float) -> Array:
+    """Return the order of particles by grid block, then by cell: neighbours in space lie together in memory."""
+    cell = np.floor(x / dx - 0.5).astype(int)
+    block = cell // BLOCK
+    keys = [*cell.T[::-1], *block.T[::-1]]
+    return np.lexsort(tuple(keys))
