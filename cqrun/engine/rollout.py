@@ -61,7 +61,11 @@ class Rollout:
         self.rows = 2 * model.dim * (1 + model.dim)
         self.records: Array = np.zeros((model.n_controls + 1, self.rows, len(self._probe.start) - 1))
         self.plan: Plan | None = None
-        self.states_peak = 1
+
+    @property
+    def state_bytes(self) -> int:
+        """Bytes of one kept state."""
+        return int(self._q0.nbytes)
 
     # --- setting up ---------------------------------------------------------------------------------
 
@@ -223,8 +227,7 @@ class Rollout:
         """
         model = self.model
         n_steps = model.n_steps
-        state_bytes = self._q0.nbytes
-        plan = self.plan = make_plan(n_steps, state_bytes, model.memory_budget)
+        plan = self.plan = make_plan(n_steps, self.state_bytes, model.memory_budget)
         chunk_states = np.empty((min(plan.chunk, n_steps) + 1, *self._q0.shape), model.real)
         snapshots: dict[int, Array] = {}
         spare: list[Array] = []
@@ -259,7 +262,6 @@ class Rollout:
                     spare.append(snapshots.pop(action.n))
             if isinstance(action, EndReverse):
                 break
-        self.states_peak = plan.states
         return records, backward.inputs_bar()
 
 

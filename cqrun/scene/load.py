@@ -18,12 +18,13 @@ from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import findings_of_paths
 
 
-def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = ()) -> Scene:
+def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = (), base: Path | None = None) -> Scene:
     """Return a validated scene.
 
     Args:
         source: a file's path, YAML text (a str with a line break), or plain data.
         overrides: `key.path=value` each, the value in YAML; a later one wins.
+        base: folder of the files that the scene names; that of the scene's own file if absent.
 
     Raises:
         SceneError: every problem that was found: `file:line:column: key.path: what is wrong`, sorted by line,
@@ -31,7 +32,7 @@ def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = (
     """
     document, path, text = _document(source)
     data, applied = _overridden(document.data, overrides)
-    origin = Origin(document, tuple(applied), path, text)
+    origin = Origin(document, tuple(applied), path, text, base)
     try:
         scene = Scene.model_validate(data)
         findings = findings_of_paths(scene)

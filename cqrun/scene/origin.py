@@ -36,12 +36,13 @@ class Override:
 
 @dataclass(frozen=True)
 class Origin:
-    """A scene's text, its file and what was overridden."""
+    """A scene's text, its file and what was overridden; `base` is where files that it names are looked for."""
 
     document: Document = field(default_factory=lambda: Document({}))
     overrides: tuple[Override, ...] = ()
     source: Path | None = None
     text: str = ""
+    base: Path | None = None
 
     def where_path(self, path: str) -> str:
         """Return where a key path was set."""

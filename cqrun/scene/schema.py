@@ -188,7 +188,7 @@ class Scene(Spec):
 
     def resolve_path(self, file: str) -> Path:
         """Return the path of a file that the scene names."""
-        return (self.source.parent if self.source else Path()) / file
+        return (self._origin.base or (self.source.parent if self.source else Path())) / file
 
     @model_validator(mode="before")
     @classmethod

@@ -42,12 +42,14 @@ class RunScene:
         resolved: the resolved scene as YAML text.
         original: the scene as typed.
         files: every file that the scene names, by the name it uses.
+        base: folder those names start from; where a resumed run looks for them.
     """
 
     stem: str
     resolved: str
     original: str
     files: Mapping[str, Path] = field(default_factory=dict)
+    base: str = ""
 
     def digest(self) -> str:
         """Return 12 hex digits over the resolved scene and the contents of its files.
@@ -235,8 +237,8 @@ class RunDirectory:
         write_text(self.path / "scene.yaml", scene.resolved)
         write_text(self.path / "scene.original.yaml", scene.original)
         self._write(
-            {"status": NEW, "reason": None, **facts, "engine": engine_hash(), "versions": versions()}
-            | {"git": git_state(), "seconds": 0.0}
+            {"status": NEW, "reason": None, **facts, "base": scene.base, "engine": engine_hash()}
+            | {"versions": versions(), "git": git_state(), "seconds": 0.0}
         )  # last: where it is, the rest is complete
 
     def _clear(self) -> None:

@@ -1,0 +1,108 @@
+"""Unknowns as one flat vector: blocks named by their key paths, with bounds and a scale.
+
+An optimizer sees x in [0, 1]: how far a value lies between its bounds, on a linear or a logarithmic scale. So
+unknowns of all units are of one size, and a step of 0.1 is a tenth of what the bounds allow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cqrun.contract import Array
+
+
+@dataclass(frozen=True)
+class Block:
+    """One unknown: `size` numbers under one key path, with common bounds.
+
+    `shape` is that of the value: () for one number, (n,) for one a group or a particle.
+    """
+
+    path: str
+    lower: float
+    upper: float
+    log: bool
+    initial: Array
+
+    @property
+    def size(self) -> int:
+        """How many numbers."""
+        return int(self.initial.size)
+
+    def to_scaled(self, value: Array) -> Array:
+        """Return x of values."""
+        value = np.asarray(value, float)
+        if self.log:
+            return np.asarray(np.log(value / self.lower) / np.log(self.upper / self.lower))
+        return np.asarray((value - self.lower) / (self.upper - self.lower))
+
+    def to_value(self, x: Array) -> Array:
+        """Return the values of x; the bounds themselves are exact."""
+        if self.log:
+            value = self.lower * np.exp(x * np.log(self.upper / self.lower))
+        else:
+            value = self.lower + x * (self.upper - self.lower)
+        return np.asarray(np.clip(value, self.lower, self.upper))
+
+    def slope(self, value: Array) -> Array:
+        """Return d value / dx."""
+        if self.log:
+            return np.asarray(value * np.log(self.upper / self.lower))
+        return np.full(np.shape(value), self.upper - self.lower)
+
+
+@dataclass(frozen=True)
+class Params:
+    """Blocks one after another in x (n,)."""
+
+    blocks: tuple[Block, ...]
+
+    @property
+    def slices(self) -> dict[str, slice]:
+        """Where each block stands in x."""
+        ends = np.cumsum([0, *(block.size for block in self.blocks)])
+        return {
+            block.path: slice(int(a), int(b)) for block, a, b in zip(self.blocks, ends[:-1], ends[1:], strict=True)
+        }
+
+    @property
+    def start(self) -> Array:
+        """The initial x (n,)."""
+        return self.pack({block.path: block.initial for block in self.blocks})
+
+    def pack(self, values: Mapping[str, Array]) -> Array:
+        """Return x of values by path."""
+        return _joined([block.to_scaled(values[block.path]).reshape(-1) for block in self.blocks])
+
+    def unpack(self, x: Array) -> dict[str, Array]:
+        """Return values by path."""
+        return {
+            block.path: block.to_value(x[part].reshape(block.initial.shape))
+            for block, part in zip(self.blocks, self.slices.values(), strict=True)
+        }
+
+    def physical(self, x: Array) -> Array:
+        """Return all values as one vector (n,), in SI units."""
+        return _joined([value.reshape(-1) for value in self.unpack(x).values()])
+
+    def gradient(self, x: Array, by_value: Mapping[str, Array]) -> Array:
+        """Return the gradient by x (n,) from that by values."""
+        values = self.unpack(x)
+        return _joined(
+            [(np.asarray(by_value[b.path]) * b.slope(values[b.path])).reshape(-1) for b in self.blocks]
+        )
+
+    def describe(self, x: Array) -> str:
+        """Return values as text, for messages."""
+        parts = []
+        for path, value in self.unpack(x).items():
+            text = f"{float(value):.6g}" if value.ndim == 0 else f"{value.min():.6g} ... {value.max():.6g}"
+            parts.append(f"{path} = {text}")
+        return ", ".join(parts)
+
+
+def _joined(parts: Sequence[Array]) -> Array:
+    return np.concatenate(parts) if parts else np.zeros(0)

@@ -1,0 +1,271 @@
+"""Cases: the rollouts that a fit compares with data, one a recording or a sequence of activations.
+
+A case is the scene with a recording's overrides and length, its model, and what its records are compared with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from cqrun.contract import Array
+from cqrun.engine.model import Inputs, Model, Records
+from cqrun.engine.rollout import Rollout
+from cqrun.errors import DataError, Problem, SceneError
+from cqrun.objectives.markers import MarkerObjective
+from cqrun.objectives.target import TargetObjective
+from cqrun.observers.markers import Points, centroid, markers, particles
+from cqrun.observers.record import Record
+from cqrun.scene.build import Built, build
+from cqrun.scene.data import Recording as RecordingSpec
+from cqrun.scene.paths import with_values
+from cqrun.store.alignment import Measured, measure
+from cqrun.store.marker_csv import write_csv
+from cqrun.store.recordings import Recording, read_recording
+from cqrun.store.synthetic import make_synthetic
+
+Objective = MarkerObjective | TargetObjective
+
+SYNTHETIC = "synthetic"
+"""Folder of a run that holds the data it made for itself."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One rollout and what its records are compared with.
+
+    Attributes:
+        name: of the recording or sequence.
+        built: the scene with this case's overrides; its model records the probe.
+        objectives: one a recording; copies of one sequence share the rollout.
+        start_path: key path of the recording's start, or None.
+        start: its value in the scene [s].
+        holdout: predicted, never fitted.
+        measured: the recordings in the scene's frame, for plots.
+    """
+
+    name: str
+    built: Built
+    objectives: tuple[Objective, ...]
+    start_path: str | None = None
+    start: float = 0.0
+    holdout: bool = False
+    measured: tuple[Measured, ...] = ()
+
+    def inputs(self, values: Mapping[str, Array]) -> Inputs:
+        """Return the engine's inputs for values by path."""
+        return self.built.assembly.inputs(values)
+
+    def start_of(self, values: Mapping[str, Array]) -> float:
+        """Return the recording's start [s]."""
+        return float(values[self.start_path]) if self.start_path in values else self.start
+
+    def run(self, values: Mapping[str, Array], threads: int = 1) -> Record:
+        """Run forward; return the records."""
+        return as_record(Rollout(self.built.model, self.inputs(values), threads=threads).run())
+
+    def residuals(self, record: Record, values: Mapping[str, Array]) -> list[Array]:
+        """Return every objective's residuals [m]."""
+        start = self.start_of(values)
+        return [
+            o.residuals(record, start) if isinstance(o, MarkerObjective) else o.residuals(record)
+            for o in self.objectives
+        ]
+
+    def gradient(
+        self, values: Mapping[str, Array], weights: Array, threads: int = 1, budget: int | None = None
+    ) -> tuple[float, dict[str, Array], Rollout]:
+        """Return sum of weights[k] * loss_k, its gradient by path, and the rollout."""
+        model = self.built.model if budget is None else replace(self.built.model, memory_budget=budget)
+        start = self.start_of(values)
+        rollout = Rollout(model, self.inputs(values), threads=threads, adjoint=True)
+        found: dict[str, float] = {"loss": 0.0, "start": 0.0}
+
+        def loss_bar(records: Records, final: Any) -> tuple[Records, None]:
+            record = as_record(records)
+            total = Records.zeros(model.n_controls, record.x.shape[1], model.dim)
+            for weight, objective in zip(weights, self.objectives, strict=True):
+                if isinstance(objective, MarkerObjective):
+                    found["loss"] += weight * objective.loss(record, start)
+                    bar, start_bar = objective.loss_vjp(record, start, weight)
+                    found["start"] += start_bar
+                else:
+                    found["loss"] += weight * objective.loss(record)
+                    bar = objective.loss_vjp(record, weight)
+                for out, part in zip((total.x, total.v, total.C, total.F), bar, strict=True):
+                    out += part
+            return total, None
+
+        _, inputs_bar = rollout.gradient(loss_bar)
+        gradient = self.built.assembly.gradient(values, inputs_bar)
+        if self.start_path in gradient:
+            gradient[str(self.start_path)] += found["start"]
+        return found["loss"], gradient, rollout
+
+
+def as_record(records: Records) -> Record:
+    """Return the engine's records as observers take them."""
+    return Record(records.x, records.v, records.C, records.F)
+
+
+def make_cases(built: Built, directory: Path | None = None) -> list[Case]:
+    """Return the cases of a scene's data.
+
+    Args:
+        built: the scene, its substeps resolved.
+        directory: where synthetic data is kept; without one it is made in memory.
+
+    Raises:
+        DataError, SceneError: data that cannot be used.
+    """
+    data = built.scene.data
+    if data is None:
+        where = built.scene.where("")
+        raise SceneError([Problem(where, "data", "there is none: give `recordings`, a `target` or `synthetic`")])
+    if data.recordings is not None:
+        return [_recorded(built, name, spec) for name, spec in data.recordings.items()]
+    if data.target is not None:
+        return [_targeted(built)]
+    return _synthetic(built, directory)
+
+
+# --- recordings ---------------------------------------------------------------------------------------------
+
+
+def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
+    scene, path = built.scene, f"data.recordings.{name}"
+    step = scene.time.control_step
+    length = scene.time.duration if spec.length is None else spec.length
+    steps = int(np.ceil(length / step - 1e-9))
+    own = build(with_values(scene, {**spec.overrides, "time.duration": steps * step}))
+    file = scene.resolve_path(spec.file)
+    where = f"{scene.where(path + '.file')}: {path}.file"
+    recording = read_recording(file, units=spec.units, where=where)
+    try:
+        measured = measure(recording, {k: np.array(v) for k, v in spec.markers.items()}, _still(spec))
+        observer = _observe_markers(own, spec.body, measured.rest)
+        start_path = f"{path}.start"
+        unknown = scene.unknowns.get(start_path)
+        objective = MarkerObjective(
+            observer, measured.names, measured.time, measured.values, control_step=step, steps=steps,
+            start=spec.start, start_bounds=None if unknown is None else (unknown.bounds[0], unknown.bounds[1]),
+            absolute=measured.absolute, weight=spec.weight, source=measured.source,
+        )  # fmt: skip
+    except DataError as error:
+        raise DataError(f"{scene.where(path)}: {path}: {error}") from error
+    return Case(
+        name, _probed(own, spec.body, observer), (objective,), start_path, spec.start, spec.holdout, (measured,)
+    )
+
+
+def _still(spec: RecordingSpec) -> tuple[float, float] | None:
+    return None if spec.still is None else (spec.still[0], spec.still[1])
+
+
+def _observe_markers(built: Built, body: str, rest: Array) -> Points:
+    part = built.particles.of(body)
+    return markers(rest, built.particles.x[part], built.particles.spacing[body])
+
+
+def _probed(built: Built, body: str, observer: Points) -> Built:
+    """Return the model that records what an observer of one body needs."""
+    part, rows = built.particles.of(body), sparse.csr_array(observer.rows)
+    n = built.particles.layout.n_particles
+    wide = sparse.csr_array((rows.data, rows.indices + part.start, rows.indptr), shape=(rows.shape[0], n))
+    return replace(built, model=replace(built.model, probe=wide))
+
+
+# --- targets ----------------------------------------------------------------------------------------------------
+
+
+def _targeted(built: Built) -> Case:
+    scene = built.scene
+    assert scene.data is not None
+    assert scene.data.target is not None
+    spec, model = scene.data.target, built.model
+    observer = centroid(built.assembly.inputs({}).fields.mass[built.particles.of(spec.body)])
+    objective = TargetObjective(
+        observer, np.array(spec.position), time=spec.time, control_step=scene.time.control_step, steps=model.n_controls
+    )
+    return Case("target", _probed(built, spec.body, observer), (objective,))
+
+
+# --- synthetic data -----------------------------------------------------------------------------------------------
+
+
+def _synthetic(built: Built, directory: Path | None) -> list[Case]:
+    scene = built.scene
+    assert scene.data is not None
+    spec = scene.data.synthetic
+    assert spec is not None
+    rng = np.random.default_rng(spec.seed)
+    part = built.particles.of(spec.body)
+    if spec.markers is not None:
+        names = tuple(spec.markers)
+        observer = _observe_markers(built, spec.body, np.array(list(spec.markers.values())))
+    else:
+        count = part.stop - part.start
+        tracked = int(spec.tracked or 0)
+        if tracked > count:
+            path = "data.synthetic.tracked"
+            message = f"tracks {tracked} particles, but the body '{spec.body}' has only {count}"
+            raise SceneError([Problem(scene.where(path), path, message)])
+        chosen = np.sort(rng.choice(count, tracked, replace=False))
+        names = tuple(f"particle {index}" for index in chosen)
+        observer = particles(chosen, count)
+    base = _probed(built, spec.body, observer)
+    random = scene.activation.random if scene.activation is not None else None
+    cases = []
+    for sequence in range(1 if random is None else random.sequences):
+        name = f"sequence_{sequence}" if random is not None else "synthetic"
+        own = replace(base, assembly=base.assembly.with_sequence(sequence))
+        recordings = _made(own, name, names, observer, rng, directory)
+        objectives = tuple(_absolute(own.model, observer, recording) for recording in recordings)
+        cases.append(Case(name, own, objectives))
+    return cases
+
+
+def _made(
+    built: Built, name: str, names: tuple[str, ...], observer: Points, rng: np.random.Generator, directory: Path | None
+) -> list[Recording]:
+    """Return the noisy copies of one sequence: read from the run, or made and written there."""
+    scene = built.scene
+    assert scene.data is not None
+    spec = scene.data.synthetic
+    assert spec is not None
+    draw = np.random.default_rng(rng.integers(2**63))  # one generator a sequence, whatever is on disk already
+    files = [(directory / SYNTHETIC / f"{name}_{copy}.csv") if directory else None for copy in range(spec.copies)]
+    if all(file is not None and file.is_file() for file in files):
+        return [read_recording(file) for file in files if file is not None]
+    model = built.model
+    truth = {path: np.asarray(value, float) for path, value in spec.truth.items()}
+    record = as_record(Rollout(model, built.assembly.inputs(truth)).run())
+    steps, step = model.n_controls, scene.time.control_step
+    if spec.every is not None:
+        time = np.arange(0, steps + 1, spec.every) * step
+    else:
+        time = np.linspace(0.0, steps * step, int(spec.key_frames or 0) + 1)[1:]
+    clean = MarkerObjective(
+        observer, names, time, np.zeros((len(time), len(names), model.dim)), control_step=step, steps=steps,
+        start=0.0, absolute=True,
+    ).tracks(record, 0.0)  # fmt: skip
+    made = make_synthetic(time, names, clean, noise=spec.noise, copies=spec.copies, rng=draw, source=name)
+    for recording, file in zip(made, files, strict=True):
+        if file is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_csv(recording, file)
+    return made
+
+
+def _absolute(model: Model, observer: Points, recording: Recording) -> MarkerObjective:
+    """Return the errors of a recording whose positions are in the scene's frame, with the run's own clock."""
+    return MarkerObjective(
+        observer, recording.names, recording.time, recording.positions,
+        control_step=model.dt * model.substeps, steps=model.n_controls, start=0.0, absolute=True,
+        source=recording.source,
+    )  # fmt: skip

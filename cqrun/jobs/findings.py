@@ -1,0 +1,198 @@
+"""What an identification found: values with intervals, errors by recording, tracks, the trajectory.
+
+result.json     values, intervals, errors, what the data leave open
+tracks.csv      recorded and modelled markers, for the plots
+trajectory.h5   the first case with the values found
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import RolloutError
+from cqrun.jobs.cases import Case
+from cqrun.jobs.problem import FitProblem
+from cqrun.jobs.trajectories import write_trajectory
+from cqrun.objectives.identifiability import Unknown
+from cqrun.objectives.markers import MarkerObjective
+from cqrun.objectives.uncertainty import MOST_UNKNOWNS, Uncertainty, central_jacobian, intervals
+from cqrun.observers.record import Record
+from cqrun.optimizers.base import Outcome, TrialFailed
+from cqrun.scene.build import Built
+from cqrun.store.atomic import write_text
+from cqrun.store.run import RunDirectory
+
+MILLI = 1e3
+
+
+def write_findings(
+    run: RunDirectory, built: Built, cases: list[Case], problem: FitProblem, outcome: Outcome
+) -> dict[str, Any]:
+    """Write result.json and, unless the run failed, tracks and trajectory; return the result."""
+    params = problem.params
+    values = params.unpack(outcome.x)
+    result: dict[str, Any] = {
+        "job": "sysid",
+        "status": outcome.status,
+        "message": outcome.message,
+        "loss": outcome.loss,
+        "iterations": outcome.iterations,
+        "unknowns": {
+            b.path: {"initial": _plain(b.initial), "value": _plain(values[b.path]), "interval": None}
+            for b in params.blocks
+        },
+        "recordings": None,
+        "findings": [],
+    }
+    if outcome.status != "failed":
+        _add_intervals(run, result, problem, outcome)
+        records = _predict(cases, values, problem)
+        result["recordings"] = _errors(cases, records, values)
+        _write_tracks(run, cases, records, values)
+        write_trajectory(run.path / "trajectory.h5", cases[0].built, values, threads=problem.threads)
+    if problem.effort.recompute:
+        result["gradient"] = {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak}
+    run.write_result(result)
+    return result
+
+
+def _plain(value: Array) -> Any:
+    return float(value) if np.ndim(value) == 0 else np.asarray(value).tolist()
+
+
+# --- intervals ----------------------------------------------------------------------------------------------
+
+
+def _add_intervals(run: RunDirectory, result: dict[str, Any], problem: FitProblem, outcome: Outcome) -> None:
+    unknowns = list_unknowns(problem, outcome.x)
+    if not all(isinstance(o, MarkerObjective) for case in problem.cases for o in case.objectives):
+        _no_intervals(result, "a target is met or missed: there is no noise to compute an interval from")
+        return
+    if len(unknowns) > MOST_UNKNOWNS:
+        _no_intervals(result, f"more than {MOST_UNKNOWNS} unknowns")
+        return
+    try:
+        found = find_intervals(problem, outcome.x, unknowns)
+    except TrialFailed as failure:
+        _no_intervals(result, f"a rollout beside the optimum failed: {failure}")
+        return
+    for block in problem.params.blocks:
+        names = _names(block.path, block.size)
+        entry = result["unknowns"][block.path]
+        entry["interval"] = (
+            [_pair(found.intervals[n]) for n in names] if block.size > 1 else _pair(found.intervals[names[0]])
+        )
+        reasons = {n: found.reasons[n] for n in names if n in found.reasons}
+        if reasons:
+            entry["reason"] = "; ".join(dict.fromkeys(reasons.values()))
+    result["findings"] = list(found.findings)
+    for sentence in found.findings:
+        run.log(sentence)
+
+
+def _no_intervals(result: dict[str, Any], reason: str) -> None:
+    for entry in result["unknowns"].values():
+        entry["reason"] = reason
+
+
+def _pair(interval: tuple[float, float] | None) -> list[float] | None:
+    return None if interval is None else [float(interval[0]), float(interval[1])]
+
+
+def _names(path: str, size: int) -> list[str]:
+    return [path] if size == 1 else [f"{path}[{k}]" for k in range(size)]
+
+
+def list_unknowns(problem: FitProblem, x: Array) -> list[Unknown]:
+    """Return every fitted number at x, as the statistics take it."""
+    values = problem.params.unpack(x)
+    return [
+        Unknown(name, float(value), block.lower, block.upper, block.log)
+        for block in problem.params.blocks
+        for name, value in zip(_names(block.path, block.size), np.reshape(values[block.path], -1), strict=True)
+    ]
+
+
+def find_intervals(problem: FitProblem, x: Array, unknowns: list[Unknown]) -> Uncertainty:
+    """Return the 95 % intervals at the optimum, by central differences of the residuals."""
+
+    def residuals_at(points: list[Array]) -> list[Array]:
+        scaled = [
+            np.concatenate(
+                [
+                    block.to_scaled(point[part]).reshape(-1)
+                    for block, part in zip(problem.params.blocks, problem.params.slices.values(), strict=True)
+                ]
+            )
+            for point in points
+        ]
+        return problem.residuals_at(scaled) if scaled else []
+
+    jacobian = central_jacobian(residuals_at, unknowns)
+    return intervals(jacobian, problem.residuals(x), problem.series(), unknowns)
+
+
+# --- errors and tracks ------------------------------------------------------------------------------------------
+
+
+def _predict(cases: list[Case], values: Mapping[str, Array], problem: FitProblem) -> list[Record | None]:
+    """Return every case's records with the values found; None where a held-out one blows up."""
+    records: list[Record | None] = []
+    for case in cases:
+        try:
+            records.append(case.run(values, problem.threads))
+        except RolloutError:
+            if not case.holdout:
+                raise
+            records.append(None)
+    return records
+
+
+def _errors(cases: list[Case], records: list[Record | None], values: Mapping[str, Array]) -> dict[str, Any] | None:
+    """Return RMSE [mm] by recording and marker; None where the data are no markers."""
+    found: dict[str, Any] = {}
+    for case, record in zip(cases, records, strict=True):
+        objectives = [o for o in case.objectives if isinstance(o, MarkerObjective)]
+        if not objectives:
+            return None
+        entry: dict[str, Any] = {"holdout": case.holdout, "rmse_mm": None}
+        if record is not None:
+            misfits = [o.misfit(record, case.start_of(values)) for o in objectives]
+            entry["rmse_mm"] = MILLI * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
+            if len(misfits) == 1:
+                entry["markers_mm"] = {
+                    name: None if np.isnan(rmse) else MILLI * rmse for name, rmse in misfits[0].markers.items()
+                }
+        found[case.name] = entry
+    return found
+
+
+def _write_tracks(
+    run: RunDirectory, cases: list[Case], records: list[Record | None], values: Mapping[str, Array]
+) -> None:
+    """Write the first copy of every case: recording, marker, time since the release, data, model [m]."""
+    text = io.StringIO()
+    table = csv.writer(text)
+    header = False
+    for case, record in zip(cases, records, strict=True):
+        objective = case.objectives[0]
+        if record is None or not isinstance(objective, MarkerObjective):
+            continue
+        axes = "xyz"[: objective.data.shape[2]]
+        if not header:
+            table.writerow(["recording", "marker", "time", *(f"data_{a}" for a in axes), *(f"model_{a}" for a in axes)])
+            header = True
+        start = case.start_of(values)
+        model = objective.tracks(record, start)
+        for m, marker in enumerate(objective.names):
+            for f, time in enumerate(objective.times):
+                data = [repr(float(d)) if objective.seen[f, m] else "nan" for d in objective.data[f, m]]
+                table.writerow([case.name, marker, repr(float(time - start)), *data, *map(repr, model[f, m].tolist())])
+    if header:
+        write_text(run.path / "tracks.csv", text.getvalue())

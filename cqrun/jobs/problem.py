@@ -1,0 +1,189 @@
+"""The fit of unknowns to cases, as an optimizer sees it.
+
+    f(x) = sum over fitted recordings of w_k loss_k / sum w_k,   loss_k = RMSE_k^2 [m^2]
+
+x are the unknowns in scaled coordinates (`design/params.py`). The residuals r are those of the markers, scaled so
+that f = r.r / 2. Rollouts of one evaluation run side by side on the cores, each on one thread; a single one takes
+all threads. Neither changes a bit of the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.design.params import Block, Params
+from cqrun.engine.rollout import Rollout
+from cqrun.errors import RolloutError
+from cqrun.jobs.cases import Case
+from cqrun.objectives.markers import MarkerObjective
+from cqrun.optimizers.base import TrialFailed
+from cqrun.scene.build import Built
+from cqrun.scene.paths import canonical
+from cqrun.scene.unknowns import start
+
+DIFFERENCE = 1e-4
+"""Step of the forward-difference Jacobian in scaled coordinates, where bounds are 1 apart."""
+
+T = TypeVar("T")
+
+
+def make_params(built: Built) -> Params:
+    """Return the unknowns of a scene, at their starts."""
+    blocks = []
+    for path, unknown in built.scene.unknowns.items():
+        lower, upper = unknown.bounds
+        initial = np.array(start(built.scene, path))
+        keys = canonical(built.scene, path).split(".")
+        if unknown.per == "particle":
+            part = built.particles.of(keys[1])
+            initial = np.full(part.stop - part.start, float(initial))
+        elif unknown.per == "group":
+            initial = np.full(len(built.scene.bodies[keys[1]].groups), float(initial))
+        blocks.append(Block(canonical(built.scene, path), lower, upper, unknown.scale == "log", initial))
+    return Params(tuple(blocks))
+
+
+def side_by_side(tasks: Sequence[Callable[[int], T]], threads: int) -> list[T]:
+    """Run tasks, each given its number of threads, and return their results in order."""
+    if len(tasks) == 1 or threads == 1:
+        return [task(threads) for task in tasks]
+    with ThreadPoolExecutor(min(threads, len(tasks))) as pool:
+        return list(pool.map(lambda task: task(1), tasks))
+
+
+@dataclass
+class Effort:
+    """What gradients cost: the greatest recompute factor, and states kept [bytes]."""
+
+    recompute: float = 0.0
+    peak: int = 0
+
+    def add(self, rollout: Rollout) -> None:
+        """Take a gradient's plan into account."""
+        if rollout.plan is not None:
+            self.recompute = max(self.recompute, rollout.plan.recompute)
+            self.peak = max(self.peak, rollout.plan.states * rollout.state_bytes)
+
+
+class FitProblem:
+    """A `Problem` (optimizers/base.py) over the cases of a scene.
+
+    Args:
+        cases: all of them; those held out are never fitted.
+        params: the unknowns.
+        threads: cores to use.
+        stop: looked at between rollouts.
+    """
+
+    def __init__(self, cases: Sequence[Case], params: Params, *, threads: int = 1) -> None:
+        self.cases = [case for case in cases if not case.holdout]
+        self.params, self.threads = params, threads
+        self.start = params.start
+        self.lower, self.upper = np.zeros(len(self.start)), np.ones(len(self.start))
+        self.n_batches = len(self.cases)
+        self.term_names: Sequence[str] = ()
+        self.effort = Effort()
+        total = sum(self._weight(o) for case in self.cases for o in case.objectives)
+        self.weights = [np.array([self._weight(o) / total for o in case.objectives]) for case in self.cases]
+
+    @staticmethod
+    def _weight(objective: Any) -> float:
+        return objective.weight if isinstance(objective, MarkerObjective) else 1.0
+
+    def values(self, x: Array) -> dict[str, Array]:
+        """Return the unknowns' values by path."""
+        return self.params.unpack(x)
+
+    def _attempt(self, x: Array, work: Callable[[], T]) -> T:
+        try:
+            return work()
+        except RolloutError as error:
+            raise TrialFailed(
+                f"{error.reason}; {error.advice}", body=error.body, particle=error.particle, time=error.time,
+                values=self.params.describe(x),
+            ) from error  # fmt: skip
+
+    # --- gradients ------------------------------------------------------------------------------------------
+
+    def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
+        """Return f and its gradient (n,), over all cases or scaled up from those in `batch`."""
+        chosen = range(self.n_batches) if batch is None else batch
+        share = 1.0 if batch is None else 1.0 / sum(self.weights[c].sum() for c in batch)
+        values = self.values(x)
+        at_once = min(self.threads, len(chosen))
+
+        def task(case: int) -> Callable[[int], tuple[float, dict[str, Array], Rollout]]:
+            budget = self.cases[case].built.model.memory_budget // at_once
+            return lambda threads: self.cases[case].gradient(values, share * self.weights[case], threads, budget)
+
+        found = self._attempt(x, lambda: side_by_side([task(c) for c in chosen], self.threads))
+        total = {path: np.zeros(np.shape(value)) for path, value in values.items()}
+        for _, gradient, rollout in found:
+            self.effort.add(rollout)
+            for path in total:
+                total[path] = total[path] + gradient[path]
+        return float(sum(loss for loss, _, _ in found)), self.params.gradient(x, total)
+
+    def term_values(self) -> Array:
+        """Return no terms: the loss has one."""
+        return np.zeros(0)
+
+    # --- residuals --------------------------------------------------------------------------------------------
+
+    def residuals(self, x: Array) -> Array:
+        """Return r (m,)."""
+        return self.residuals_at([x])[0]
+
+    def residuals_at(self, points: Sequence[Array], cases: Sequence[Case] | None = None) -> list[Array]:
+        """Return r (m,) at every point, their rollouts side by side."""
+        cases = self.cases if cases is None else cases
+        by_point = [self.values(x) for x in points]
+
+        def task(case: Case, values: dict[str, Array]) -> Callable[[int], list[Array]]:
+            return lambda threads: case.residuals(case.run(values, threads), values)
+
+        tasks = [task(case, values) for values in by_point for case in cases]
+        at = points[0] if len(points) == 1 else points[-1]
+        found = self._attempt(at, lambda: side_by_side(tasks, self.threads))
+        scales = [self._scales(case, weights) for case, weights in zip(self.cases, self.weights, strict=True)]
+        out = []
+        for p in range(len(points)):
+            parts = found[p * len(cases) : (p + 1) * len(cases)]
+            out.append(
+                np.concatenate(
+                    [s * r for rs, ss in zip(parts, scales, strict=True) for r, s in zip(rs, ss, strict=True)]
+                )
+            )
+        return out
+
+    @staticmethod
+    def _scales(case: Case, weights: Array) -> list[float]:
+        """Return the factors of a case's residuals that make f = r.r / 2."""
+        counts = [o.count if isinstance(o, MarkerObjective) else 1 for o in case.objectives]
+        return [float(np.sqrt(2.0 * w / n)) for w, n in zip(weights, counts, strict=True)]
+
+    def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
+        """Return r (m,) and J (m, n) by one-sided differences, inside the bounds."""
+        steps = np.where(x + DIFFERENCE <= self.upper, DIFFERENCE, -DIFFERENCE)
+        points = [x, *(x + step * unit for step, unit in zip(steps, np.eye(len(x)), strict=True))]
+        r, *moved = self.residuals_at(points)
+        return r, np.stack([(m - r) / step for m, step in zip(moved, steps, strict=True)], axis=1)
+
+    def series(self) -> list[Array]:
+        """Return where each marker's coordinates stand among the residuals, in order of time."""
+        out, begin = [], 0
+        for case in self.cases:
+            for objective in case.objectives:
+                if isinstance(objective, MarkerObjective):
+                    out += [part + begin for part in objective.series()]
+                    begin += objective.count * objective.data.shape[2]
+                else:
+                    out.append(begin + np.arange(len(objective.goal)))
+                    begin += len(objective.goal)
+        return out

@@ -1,0 +1,205 @@
+"""`cqrun sysid`: find a scene's unknowns from data, and say how sure the answer is."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cqrun.choice import Chosen
+from cqrun.contract import Array
+from cqrun.errors import Problem, RunError, SceneError, UsageError
+from cqrun.jobs.cases import Case, make_cases
+from cqrun.jobs.findings import write_findings
+from cqrun.jobs.problem import FitProblem, make_params
+from cqrun.jobs.reporter import Reporter, Silent
+from cqrun.optimizers.base import Optimizer, Outcome
+from cqrun.scene.build import Built, build
+from cqrun.scene.load import dump, load_scene, resolve
+from cqrun.scene.schema import Scene
+from cqrun.store.run import RunDirectory, RunScene
+from cqrun.store.session import RunSession
+
+FEW = 10
+"""Up to this many unknowns, marker data is fitted by least squares unless the scene says otherwise."""
+
+
+def cores(threads: int | None) -> int:
+    """Return how many threads to use: those asked for, or every core this process may run on."""
+    if threads is not None:
+        return threads
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_sysid(
+    scene_source: Path,
+    overrides: Sequence[str],
+    out: Path,
+    fresh: bool,
+    threads: int | None,
+    quiet: bool,
+    *,
+    reporter: Reporter | None = None,
+) -> Path:
+    """Identify a scene's unknowns; return the run's directory.
+
+    Raises:
+        SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
+    """
+    talk = reporter or Silent()
+    scene = load_scene(scene_source, overrides)
+    built = prepare(scene, talk)
+    run_scene = describe_run(scene_source, built.scene)
+    seed, n_threads = built.scene.seed, cores(threads)
+    with RunDirectory.open(
+        run_scene, out, job="sysid", argv=sys.argv, seed=seed, threads=n_threads, fresh=fresh
+    ) as run:
+        if run.finished:
+            talk.phase(f"finished already ({run.status}); --fresh starts over")
+            return raise_if_failed(run)
+        return identify(run, built, n_threads, talk)
+
+
+def prepare(scene: Scene, talk: Reporter) -> Built:
+    """Build a scene for sysid, its optimizer chosen.
+
+    Raises:
+        SceneError: it has no unknowns or no data.
+    """
+    missing = [key for key in ("unknowns", "data") if not getattr(scene, key)]
+    if missing:
+        told = {"unknowns": "name what shall be found, by key path, with bounds", "data": "say what it is fitted to"}
+        raise SceneError([Problem(scene.where(key), key, f"sysid needs it: {told[key]}") for key in missing])
+    scene = with_optimizer(scene)
+    built = build(scene)
+    for warning in built.warnings:
+        talk.warn(str(warning))
+    return built
+
+
+def with_optimizer(scene: Scene) -> Scene:
+    """Return the scene with the optimizer it names, or the one that suits it."""
+    if scene.optimizer is not None:
+        return scene
+    from cqrun.registry import plugins
+
+    assert scene.data is not None
+    per_body = all(unknown.per == "body" for unknown in scene.unknowns.values())
+    suited = scene.data.target is None and len(scene.unknowns) <= FEW and per_body
+    name = "least_squares" if suited else "lbfgs"
+    changed = scene.model_copy(update={"optimizer": Chosen(name, plugins("optimizer")[name]())})
+    changed._origin = scene._origin
+    return changed
+
+
+def describe_run(source: Path, scene: Scene) -> RunScene:
+    """Return what names the run: the resolved scene and the files in it.
+
+    Raises:
+        SceneError: a recording is missing.
+    """
+    recordings = (scene.data.recordings if scene.data is not None else None) or {}
+    files, problems = {}, []
+    for name, recording in recordings.items():
+        path = scene.resolve_path(recording.file)
+        files[recording.file] = path
+        if not path.is_file():
+            key = f"data.recordings.{name}.file"
+            message = f"there is no file '{path}'; {scene.title or 'see the head of the scene for where to get it'}"
+            problems.append(Problem(scene.where(key), key, message))
+    if problems:
+        raise SceneError(problems)
+    base = scene.resolve_path("").resolve()
+    return RunScene(Path(source).stem, dump(resolve(scene)), scene.text, files, str(base))
+
+
+def identify(run: RunDirectory, built: Built, threads: int, talk: Reporter) -> Path:
+    """Run or continue the identification in a run directory."""
+    scene = built.scene
+    run.begin(threads)
+    talk.phase("reading data")
+    cases = make_cases(built, run.path)
+    require_marker_data(scene, cases)
+    params = make_params(built)
+    problem = FitProblem(cases, params, threads=threads)
+    talk.phase("compiling kernels (once for this kind of scene, about a minute)")
+    optimizer: Any = scene.optimizer.value if scene.optimizer is not None else None
+    assert isinstance(optimizer, Optimizer)
+    talk.begin(optimizer.max_iterations)
+    session = RunSession(
+        run, seed=scene.seed, blocks=params.slices, physical=params.physical,
+        stop=lambda: talk.stop.asked, progress=_Progress(run, talk),
+    )  # fmt: skip
+    outcome = optimizer.minimise(problem, session)
+    return conclude(run, built, cases, problem, outcome, talk)
+
+
+def conclude(
+    run: RunDirectory, built: Built, cases: list[Case], problem: FitProblem, outcome: Outcome, talk: Reporter
+) -> Path:
+    """Write what was found and end the run as the outcome says."""
+    if outcome.status == "stopped":
+        run.finish("stopped", outcome.message)
+        raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
+    if outcome.status != "failed":
+        talk.phase("intervals, predictions, trajectory, figures")
+    write_findings(run, built, cases, problem, outcome)
+    run.finish(outcome.status, outcome.message)
+    return raise_if_failed(run)
+
+
+def raise_if_failed(run: RunDirectory) -> Path:
+    """Return the run's path, or raise the error that it ended with."""
+    if run.status == "failed":
+        raise RunError(f"{run.path}: {run.record['reason']}")
+    return run.path
+
+
+def require_marker_data(scene: Scene, cases: list[Case]) -> None:
+    """Refuse data of which nothing is fitted."""
+    if all(case.holdout for case in cases):
+        message = "every recording is held out: nothing is left to fit"
+        raise SceneError([Problem(scene.where("data.recordings"), "data.recordings", message)])
+
+
+def resume_sysid(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
+    """Continue a run from its directory; overrides may only extend the optimizer's iterations."""
+    for override in overrides:
+        key = override.partition("=")[0]
+        if not (key.startswith("optimizer.") and key.endswith(".max_iterations")):
+            raise UsageError(
+                f"-o {override}: a run can only be extended (optimizer.*.max_iterations); "
+                "what else changes makes another run: start it from the scene"
+            )
+    scene = load_scene(run.path / "scene.yaml", overrides, Path(run.record["base"]))
+    built = prepare(scene, talk)
+    if not run.record.get("extended"):
+        same = describe_run(run.path.parent, load_scene(run.path / "scene.yaml", (), Path(run.record["base"])))
+        if same.digest() != run.path.name:
+            raise UsageError(f"{run.path}: a recording has changed since this run began; run the scene again")
+    if overrides:
+        run.extend(dump(resolve(built.scene)), sys.argv)
+    elif run.finished:
+        talk.phase(f"finished already ({run.status})")
+        return raise_if_failed(run)
+    return identify(run, built, threads, talk)
+
+
+class _Progress:
+    """Tells the reporter of iterations, and the run of its best loss."""
+
+    def __init__(self, run: RunDirectory, talk: Reporter) -> None:
+        self._run, self._talk = run, talk
+        self._best, self._last, self._x = np.inf, run.elapsed(), np.zeros(0)
+
+    def __call__(self, iteration: int, x: Array, loss: float) -> None:
+        now = self._run.elapsed()
+        step = float(np.linalg.norm(x - self._x)) if len(self._x) == len(x) else 0.0
+        self._best, self._x = min(self._best, loss), x.copy()
+        if iteration > 0:
+            self._talk.update(iteration, loss, self._best, step, now - self._last)
+        self._last = now
