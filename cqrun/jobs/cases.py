@@ -247,9 +247,9 @@ def _made(
     record = as_record(Rollout(model, built.assembly.inputs(truth)).run())
     steps, step = model.n_controls, scene.time.control_step
     if spec.every is not None:
-        time = np.arange(0, steps + 1, spec.every) * step
+        time = np.unique([*range(0, steps, spec.every), steps]) * step
     else:
-        time = np.linspace(0.0, steps * step, int(spec.key_frames or 0) + 1)[1:]
+        time = np.linspace(0.0, steps * step, int(spec.key_frames or 0))
     clean = MarkerObjective(
         observer, names, time, np.zeros((len(time), len(names), model.dim)), control_step=step, steps=steps,
         start=0.0, absolute=True,

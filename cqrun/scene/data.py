@@ -71,7 +71,7 @@ class Synthetic(Spec):
     markers: dict[str, Vector] | None = quantity("m", "Rest position of each marker", default=None)
     tracked: int | None = Field(description="How many random particles to track", ge=1, default=None)
     every: int | None = Field(description="Control steps between two frames", ge=1, default=None)
-    key_frames: int | None = Field(description="Frames, spread evenly over the run", ge=1, default=None)
+    key_frames: int | None = Field(description="Frames, spread evenly from start to end of the run", ge=2, default=None)
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
