@@ -16,6 +16,7 @@ from checkpoint_schedules import (
     MultistageCheckpointSchedule,
     Reverse,
 )
+from numba import config
 
 from cqrun.contract import Array
 from cqrun.engine.checkpoint import Plan, make_plan
@@ -55,7 +56,8 @@ class Rollout:
     """
 
     def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, adjoint: bool = False) -> None:
-        self.model, self.inputs, self.threads = model, inputs, threads
+        # without the JIT there is no barrier for threads to meet at
+        self.model, self.inputs, self.threads = model, inputs, 1 if config.DISABLE_JIT else threads
         self.adjoint = adjoint
         self._pack()
         self.rows = 2 * model.dim * (1 + model.dim)
@@ -127,10 +129,18 @@ class Rollout:
         return tuple(groups)
 
     def _check_start(self) -> None:
-        x = unpack(self._q0)[: self.model.dim] / self.model.dx + MARGIN
-        inside = np.all((x > 1.0) & (x < np.array(self._setting.upper)[:, None]), axis=0)
-        if not inside.all():
-            self._fail(int(np.flatnonzero(~inside)[0]), 0, self._q0)
+        astray = self._astray(self._q0)
+        if astray.any():
+            self._fail(int(np.flatnonzero(astray)[0]), 0, self._q0)
+        # a node of mass NaN would count as empty, and hold its particles still without a word
+        light = np.flatnonzero(~np.isfinite(self.inputs.fields.mass))
+        if len(light):
+            self._report(int(light[0]), 0, "its mass is not finite", "check its density and attached masses")
+
+    def _astray(self, q: Array) -> Array:
+        """Return which kernel columns are off the grid or not finite (n,)."""
+        x = unpack(q)[: self.model.dim] / self.model.dx + MARGIN
+        return ~np.all((x > 1.0) & (x < np.array(self._setting.upper)[:, None]), axis=0)
 
     # --- forward --------------------------------------------------------------------------------------
 
@@ -190,21 +200,26 @@ class Rollout:
             body(0, begin, 1)  # compiled by one thread, before the others could wait for it
         reached = run_side_by_side(self.threads, body)
         if work.stray.max() >= 0:
-            column = int(work.stray[work.stray >= 0].min())
-            self._fail(column, reached, states[reached - begin if keep else 0])
+            q = states[reached - begin if keep else 0]
+            # a kernel names the first column of a lane that holds a stray
+            lane = int(work.stray[work.stray >= 0].min())
+            astray = np.flatnonzero(self._astray(q)[lane:])
+            self._fail(lane + int(astray[0]) if len(astray) else lane, reached, q)
 
     def _fail(self, column: int, step: int, q: Array) -> None:
-        model = self.model
-        particle = int(model.layout.sources()[column])
-        slices = model.layout.slices()
-        body = next(k for k, s in enumerate(slices) if s.start <= particle < s.stop)
-        x = unpack(q)[: model.dim, column]
+        x = unpack(q)[: self.model.dim, column]
         if np.isfinite(x).all():
             reason = f"left the grid at {np.array2string(x.astype(float), precision=4)} m"
             advice = "enlarge the world, add a boundary at its faces, or reduce what drives the body out"
         else:
             reason = "its position is not finite"
             advice = "the simulation blew up: use smaller substeps, a softer material or weaker actuation"
+        self._report(int(self.model.layout.sources()[column]), step, reason, advice)
+
+    def _report(self, particle: int, step: int, reason: str, advice: str) -> None:
+        model = self.model
+        slices = model.layout.slices()
+        body = next(k for k, s in enumerate(slices) if s.start <= particle < s.stop)
         raise RolloutError(
             reason, body=model.body_names[body], particle=particle - slices[body].start, time=step * model.dt,
             advice=advice,
