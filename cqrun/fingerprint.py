@@ -17,6 +17,7 @@ NUMERIC = (
     "tensor.py",
     "polar.py",
     "lanes.py",
+    "packed.py",
     "state.py",
     "compile.py",
     "materials",

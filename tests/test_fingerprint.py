@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -35,6 +36,14 @@ def test_a_numeric_source_changes_it(package, file):
     before = fingerprint.source_hash(package, VERSIONS)
     (package / file).write_text("b = 2\n")
     assert fingerprint.source_hash(package, VERSIONS) != before
+
+
+def test_no_module_with_kernels_is_forgotten():
+    """Numba does not see that a helper in another file has changed: such a file must change the cache's name."""
+    package = Path(fingerprint.__file__).parent
+    with_kernels = [p for p in package.rglob("*.py") if re.search("numba|cqrun.compile", p.read_text())]
+    rooms = {p.relative_to(package).parts[0] for p in with_kernels} - {"fingerprint.py", "__init__.py", "cli", "jobs"}
+    assert {"packed.py", "engine"} <= rooms <= set(fingerprint.NUMERIC)
 
 
 def test_a_new_and_a_renamed_source_change_it(package):
