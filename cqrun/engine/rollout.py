@@ -61,33 +61,33 @@ class Rollout:
         self.adjoint = adjoint
         self._pack()
         self.rows = 2 * model.dim * (1 + model.dim)
-        self.records: Array = np.zeros((model.n_controls + 1, self.rows, len(self._probe.start) - 1))
+        self.records: Array = np.zeros((model.n_controls + 1, self.rows, len(self.probe.start) - 1))
         self.plan: Plan | None = None
 
     @property
     def state_bytes(self) -> int:
         """Bytes of one kept state."""
-        return int(self._q0.nbytes)
+        return int(self.start.nbytes)
 
     # --- setting up ---------------------------------------------------------------------------------
 
     def _pack(self) -> None:
         model, inputs = self.model, self.inputs
         layout, real, shape = model.layout, model.real, model.grid_shape
-        self._q0 = inputs.state.pack(layout, real)
-        self._fields = self._pack_fields(inputs.fields)
-        self._muscles = model.kernel_muscles(inputs.tension)
-        self._groups = self._kernel_groups(inputs.terms, self._muscles.S)
-        self._conditions = tuple(
+        self.start = inputs.state.pack(layout, real)
+        self.fields = self._pack_fields(inputs.fields)
+        self.muscles = model.kernel_muscles(inputs.tension)
+        self.groups = self.kernel_groups(inputs.terms, self.muscles.S)
+        self.conditions = tuple(
             c.spec.kernel_condition(c.normal)._replace(coefficient=float(inputs.coefficients[k]))
             for k, c in enumerate(model.conditions)
         )
-        self._probe = model.kernel_probe()
-        self._setting = Setting(
+        self.probe = model.kernel_probe()
+        self.setting = Setting(
             (0,) * model.dim, node_strides(shape), tuple(float(n - 2) for n in shape), model.dx, model.dt,
             model.substeps,
         )  # fmt: skip
-        self._work = make_work(
+        self.work = make_work(
             shape,
             layout.n,
             model.held(),
@@ -109,7 +109,7 @@ class Rollout:
         out[FORCE:, columns] = fields.force.T
         return pack(out, self.model.real)
 
-    def _kernel_groups(self, terms: list[list[Array]], S: Array) -> tuple[Group, ...]:
+    def kernel_groups(self, terms: list[list[Array]], S: Array) -> tuple[Group, ...]:
         model = self.model
         starts = np.cumsum([0, *model.layout.padded])
         sources = model.layout.sources()
@@ -129,9 +129,9 @@ class Rollout:
         return tuple(groups)
 
     def _check_start(self) -> None:
-        astray = self._astray(self._q0)
+        astray = self._astray(self.start)
         if astray.any():
-            self._fail(int(np.flatnonzero(astray)[0]), 0, self._q0)
+            self._fail(int(np.flatnonzero(astray)[0]), 0, self.start)
         # a node of mass NaN would count as empty, and hold its particles still without a word
         light = np.flatnonzero(~np.isfinite(self.inputs.fields.mass))
         if len(light):
@@ -140,7 +140,7 @@ class Rollout:
     def _astray(self, q: Array) -> Array:
         """Return which kernel columns are off the grid or not finite (n,)."""
         x = unpack(q)[: self.model.dim] / self.model.dx + MARGIN
-        return ~np.all((x > 1.0) & (x < np.array(self._setting.upper)[:, None]), axis=0)
+        return ~np.all((x > 1.0) & (x < np.array(self.setting.upper)[:, None]), axis=0)
 
     # --- forward --------------------------------------------------------------------------------------
 
@@ -158,13 +158,13 @@ class Rollout:
         Returns:
             The probe's records; unfilled past an early end.
         """
-        states = self._q0[None].copy()
+        states = self.start[None].copy()
         for control in range(self.model.n_controls):
             if observe is not None:
                 observe(control, State.unpack(states[0], self.model.layout, self.inputs.state.memory))
             if should_stop is not None and should_stop():
                 return Records.from_rows(self.records, self.model.dim)
-            self._advance(control * self.model.substeps, (control + 1) * self.model.substeps, states, keep=False)
+            self.advance(control * self.model.substeps, (control + 1) * self.model.substeps, states, keep=False)
         self._record_last(states[0])
         if observe is not None:
             last = State.unpack(states[0], self.model.layout, self.inputs.state.memory)
@@ -172,8 +172,9 @@ class Rollout:
         self.final = states[0]
         return Records.from_rows(self.records, self.model.dim)
 
-    def _advance(self, begin: int, end: int, states: Array, *, keep: bool) -> None:
-        work = self._work
+    def advance(self, begin: int, end: int, states: Array, *, keep: bool) -> None:
+        """Run substeps begin .. end from states[0]; with `keep` states[k] becomes the state after k of them."""
+        work = self.work
         work.stray[:] = -1
 
         def body(thread: int, to: int = end, n: int = self.threads) -> int:
@@ -182,14 +183,14 @@ class Rollout:
                     begin,
                     to,
                     keep,
-                    self._groups,
-                    self._conditions,
+                    self.groups,
+                    self.conditions,
                     states,
-                    self._fields,
-                    self._muscles,
-                    self._probe,
+                    self.fields,
+                    self.muscles,
+                    self.probe,
                     self.records,
-                    self._setting,
+                    self.setting,
                     work,
                     thread,
                     n,
@@ -228,7 +229,7 @@ class Rollout:
     def _record_last(self, q: Array) -> None:
         from cqrun.engine.probe import record
 
-        record(self._probe, q, self.records[self.model.n_controls])
+        record(self.probe, q, self.records[self.model.n_controls])
 
     # --- adjoint ----------------------------------------------------------------------------------------
 
@@ -243,11 +244,11 @@ class Rollout:
         model = self.model
         n_steps = model.n_steps
         plan = self.plan = make_plan(n_steps, self.state_bytes, model.memory_budget)
-        chunk_states = np.empty((min(plan.chunk, n_steps) + 1, *self._q0.shape), model.real)
+        chunk_states = np.empty((min(plan.chunk, n_steps) + 1, *self.start.shape), model.real)
         snapshots: dict[int, Array] = {}
         spare: list[Array] = []
-        current = self._q0[None].copy()
-        backward = _Backward(self)
+        current = self.start[None].copy()
+        backward = Backward(self)
         schedule = MultistageCheckpointSchedule(plan.n_chunks, plan.snapshots, 0) if plan.n_chunks > 1 else _ONE
 
         def ends(chunk: int) -> int:
@@ -256,14 +257,14 @@ class Rollout:
         for action in schedule:
             if isinstance(action, Forward):
                 if action.write_ics:
-                    kept = spare.pop() if spare else np.empty_like(self._q0)
+                    kept = spare.pop() if spare else np.empty_like(self.start)
                     kept[...] = current[0]
                     snapshots[action.n0] = kept
                 last = action.n1 - 1 if action.write_adj_deps else action.n1
-                self._advance(ends(action.n0), ends(last), current, keep=False)
+                self.advance(ends(action.n0), ends(last), current, keep=False)
                 if action.write_adj_deps:
                     chunk_states[0] = current[0]
-                    self._advance(ends(last), ends(action.n1), chunk_states, keep=True)
+                    self.advance(ends(last), ends(action.n1), chunk_states, keep=True)
             elif isinstance(action, EndForward):
                 final = chunk_states[n_steps - ends(plan.n_chunks - 1)]
                 self._record_last(final)
@@ -280,21 +281,22 @@ class Rollout:
         return records, backward.inputs_bar()
 
 
-class _Backward:
+class Backward:
     """The cotangents of one backward run, in the kernels' layout."""
 
     def __init__(self, rollout: Rollout) -> None:
         self.rollout = rollout
         model = rollout.model
-        self.q_bar = np.zeros_like(rollout._q0)
-        self.fields_bar = np.zeros_like(rollout._fields)
-        muscles = rollout._muscles
+        self.q_bar = np.zeros_like(rollout.start)
+        self.fields_bar = np.zeros_like(rollout.fields)
+        muscles = rollout.muscles
         self.muscles_bar = muscles._replace(S=np.zeros_like(muscles.S), tension=np.zeros_like(muscles.tension))
         zeros = [[np.zeros_like(theta) for theta in group] for group in rollout.inputs.terms]
-        self.groups_bar = rollout._kernel_groups(zeros, self.muscles_bar.S)
+        self.groups_bar = rollout.kernel_groups(zeros, self.muscles_bar.S)
         self.coefficient_bar = np.zeros(len(model.conditions))
 
     def begin(self, records_bar: Records | None, final_bar: State | None) -> None:
+        """Start from the cotangents of the records and of the final state."""
         from cqrun.engine.probe import record_vjp
 
         rollout, model = self.rollout, self.rollout.model
@@ -303,16 +305,17 @@ class _Backward:
             self.q_bar[...] = pack(table, model.real)
         self.memory_bar = None if final_bar is None else final_bar.memory
         self.records_bar = np.zeros_like(rollout.records) if records_bar is None else records_bar.to_rows()
-        record_vjp(rollout._probe, self.q_bar, self.records_bar[model.n_controls])
+        record_vjp(rollout.probe, self.q_bar, self.records_bar[model.n_controls])
 
     def run(self, begin: int, end: int, states: Array) -> None:
+        """Run the adjoints of substeps end - 1 .. begin, whose states are kept in `states`."""
         r = self.rollout
 
         def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
             reverse(
-                from_, end, r._groups, self.groups_bar, r._conditions, self.coefficient_bar, states, self.q_bar,
-                r._fields, self.fields_bar, r._muscles, self.muscles_bar, r._probe, self.records_bar,
-                r._setting, r._work, thread, n,
+                from_, end, r.groups, self.groups_bar, r.conditions, self.coefficient_bar, states, self.q_bar,
+                r.fields, self.fields_bar, r.muscles, self.muscles_bar, r.probe, self.records_bar,
+                r.setting, r.work, thread, n,
             )  # fmt: skip
 
         if r.threads > 1:
@@ -320,6 +323,7 @@ class _Backward:
         run_side_by_side(r.threads, body)
 
     def inputs_bar(self) -> Inputs:
+        """Return the cotangent of the inputs."""
         r, layout = self.rollout, self.rollout.model.layout
         columns = layout.columns()
         bar = Inputs.zeros_like(r.inputs)
