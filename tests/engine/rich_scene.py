@@ -1,0 +1,125 @@
+"""Two bodies with everything switched on, each boundary at work, and random numbers wherever a gradient goes."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from little_worlds import Wall, above, below, world
+
+from cqrun.boundaries.friction import Friction
+from cqrun.boundaries.separate import Separate
+from cqrun.boundaries.slip import Slip
+from cqrun.boundaries.sticky import Sticky
+from cqrun.engine.model import Inputs, Model, Records
+from cqrun.state import State
+
+DX = 0.1
+COUNTS = (17, 30)
+"""Particles of the two bodies: neither a whole number of lanes."""
+
+
+def walls(dim: int) -> list[Wall]:
+    """Return a floor and a slope with friction, a slipping and a separating wall, and clamped nodes."""
+    up, diagonal = np.eye(dim)[-1], (np.eye(dim)[0] + np.eye(dim)[-1]) / np.sqrt(2)
+    found = [
+        Wall(Friction, tuple(up), below(dim - 1, 0.2), 0.4),
+        Wall(Friction, tuple(diagonal), lambda nodes: nodes[:, 0] + nodes[:, -1] <= 0.41, 1.5),
+        Wall(Slip, tuple(np.eye(dim)[0]), below(0, 0.1)),
+        Wall(Separate, tuple(-np.eye(dim)[0]), above(0, 0.7)),
+        Wall(Sticky, (0.0,) * dim, lambda nodes: (nodes[:, -1] >= 0.5) & (nodes[:, 0] >= 0.6)),
+    ]
+    if dim == 3:
+        found.append(Wall(Friction, (0.0, 1.0, 0.0), below(1, 0.2), 0.3))
+    return found
+
+
+def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **options: Any) -> tuple[Model, Inputs]:
+    """Return the model and its inputs; `options` go to `world`."""
+    rng = np.random.default_rng(seed)
+    low, high = np.full(dim, 0.22), np.full(dim, 0.52)
+    low[0], high[0] = 0.12, 0.4
+    bodies = [low + rng.random((COUNTS[0], dim)) * (high - low)]
+    low[0], high[0] = 0.42, 0.68
+    bodies.append(low + rng.random((COUNTS[1], dim)) * (high - low))
+    n = sum(COUNTS)
+    volume = 0.05**dim * rng.uniform(0.8, 1.2, n)
+    mass = volume * rng.uniform(0.8, 1.2, n)
+    axis, oblique = np.diag(np.eye(dim)[-1]), np.full((dim, dim), 0.3)
+    model, inputs = world(
+        bodies, size=[0.9] * dim, dx=DX, dt=4e-3, substeps=substeps, controls=controls, mass=mass, volume=volume,
+        E=rng.uniform(8, 12, n), nu=rng.uniform(0.2, 0.4, n), neo_hookean=rng.uniform(2, 3, n),
+        eta=rng.uniform(0.01, 0.02, n), zeta=rng.uniform(0.01, 0.02, n), incompressible=rng.uniform(1, 2, n),
+        damping=rng.random(n), muscles=((np.arange(0, n, 3), axis), (np.arange(0, n, 2), oblique)),
+        tension=rng.normal(size=(controls, 2)) * 0.5, walls=walls(dim), probe=rng.random((3, n)) / n, **options,
+    )  # fmt: skip
+    s = inputs.state
+    s.v = rng.normal(size=s.x.shape) * 0.3
+    s.v[:, -1] -= 1.0
+    s.v[:, 0] += np.where(np.arange(n) < COUNTS[0], -0.5, 0.5)
+    s.C, s.F = rng.normal(size=s.C.shape) * 0.2, s.F + rng.normal(size=s.F.shape) * 0.05
+    s.memory = rng.normal(size=4)
+    inputs.fields.force[:] = mass[:, None] * rng.normal(size=s.x.shape)
+    return model, inputs
+
+
+KINDS = (
+    "x", "v", "C", "F", "mass", "volume", "damping", "force", "fixed_corotated.E", "fixed_corotated.nu",
+    "neo_hookean.E", "neo_hookean.nu", "viscosity.shear", "viscosity.bulk", "incompressibility.E",
+    "incompressibility.nu", "tension", "friction",
+)  # fmt: skip
+"""What a rollout depends on, in the order of `arrays`."""
+
+
+def arrays(inputs: Inputs) -> list[np.ndarray]:
+    """Return the arrays of inputs or of a cotangent, views where they are rows, one for each of KINDS."""
+    s, f = inputs.state, inputs.fields
+    terms = [row for theta in inputs.terms[0] for row in theta]
+    return [s.x, s.v, s.C, s.F, f.mass, f.volume, f.damping, f.force, *terms, inputs.tension, inputs.coefficients]
+
+
+def direction(inputs: Inputs, kind: str, rng: np.random.Generator) -> np.ndarray:
+    """Return a random direction of one kind of input, of the size of its values, or of a cell for positions."""
+    value = arrays(inputs)[KINDS.index(kind)]
+    size = np.abs(value) if kind != "x" else 0.1 * DX
+    return rng.normal(size=value.shape) * np.maximum(size, 0.1 * np.abs(value).max() if kind != "x" else 0.0)
+
+
+def moved(inputs: Inputs, kind: str, change: np.ndarray) -> Inputs:
+    """Return inputs with one kind moved, complex where the change is."""
+    other = copy.deepcopy(inputs)
+    if np.iscomplexobj(change):
+        make_complex(other)
+    arrays(other)[KINDS.index(kind)][...] += change
+    return other
+
+
+def make_complex(inputs: Inputs) -> None:
+    """Turn every array of the inputs complex."""
+    for part in (inputs.state, inputs.fields):
+        for name, value in vars(part).items():
+            setattr(part, name, value.astype(complex))
+    inputs.terms = [[theta.astype(complex) for theta in group] for group in inputs.terms]
+    inputs.tension, inputs.coefficients = inputs.tension.astype(complex), inputs.coefficients.astype(complex)
+
+
+def random_records(records: Records, rng: np.random.Generator) -> Records:
+    """Return random cotangents of records."""
+    return Records(*(rng.normal(size=a.shape) for a in parts(records)))
+
+
+def random_state(state: State, rng: np.random.Generator) -> State:
+    """Return random cotangents of a state."""
+    return State(*(rng.normal(size=a.shape) for a in (*parts(state), state.memory)))
+
+
+def parts(a: Any) -> Iterator[np.ndarray]:
+    """Return x, v, C, F of a state, of records, or of the reference's state."""
+    return iter((a.x, a.v, a.C, a.F))
+
+
+def product(a: Any, b: Any) -> Any:
+    """Return the scalar product of two states or two records."""
+    return sum((p * q).sum() for p, q in zip(parts(a), parts(b), strict=True))

@@ -1,0 +1,146 @@
+"""The adjoint of whole rollouts: dot products against complex steps of the equations, and Taylor remainders."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import reference
+from little_worlds import TERMS
+from rich_scene import (
+    KINDS,
+    arrays,
+    direction,
+    moved,
+    parts,
+    product,
+    random_records,
+    random_state,
+    rich,
+)
+
+from cqrun.engine.model import GroupModel, Records
+from cqrun.engine.rollout import Rollout
+
+DOT_PRODUCT = 1e-9
+TINY = 1e-30
+
+
+@pytest.fixture(scope="module", params=[2, 3], ids=["2D", "3D"])
+def adjoint(request):
+    """Return a rich model, its inputs, cotangents of records and last state, and the gradient."""
+    rng = np.random.default_rng(7)
+    model, inputs = rich(request.param)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, model.dim), rng)
+    state_bar = random_state(inputs.state, rng)
+    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: (records_bar, state_bar))
+    return model, inputs, records_bar, state_bar, bar
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_dot_product(adjoint, kind, rng):
+    model, inputs, records_bar, state_bar, bar = adjoint
+    change = direction(inputs, kind, rng)
+    records, last, _ = reference.rollout(model, moved(inputs, kind, 1j * TINY * change))
+    forward = (product(records, records_bar) + product(last, state_bar)).imag / TINY
+    backward = (arrays(bar)[KINDS.index(kind)] * change).sum()
+    assert abs(forward) > 0
+    assert backward == pytest.approx(forward, rel=DOT_PRODUCT)
+
+
+def test_memory_passes_through(adjoint):
+    _, _, _, state_bar, bar = adjoint
+    np.testing.assert_array_equal(bar.state.memory, state_bar.memory)
+
+
+def test_coefficients_of_walls_without_friction_do_nothing(adjoint):
+    model, _, _, _, bar = adjoint
+    rubs = np.array([c.spec.name == "friction" and c.nodes.any() for c in model.conditions])
+    assert np.all(bar.coefficients[~rubs] == 0.0)
+    assert np.all(bar.coefficients[rubs] != 0.0)
+
+
+def test_nothing_asked_nothing_answered(adjoint):
+    """The adjoint is linear: cotangents of zero give gradients of zero."""
+    model, inputs, *_ = adjoint
+    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: (None, None))
+    assert all(not a.any() for a in arrays(bar))
+
+
+def test_dot_product_where_bodies_have_other_terms(rng):
+    """A body of one material beside a body of another, the second one alone with muscles."""
+    model, inputs = rich(2)
+    first, second = model.layout.slices()
+    fixed, neo, viscous, _ = inputs.terms[0]
+    keep = [a for a in model.actuators if a.name == "muscle 0"]
+    keep = [replace(a, particles=a.particles[a.particles >= second.start]) for a in keep]
+    groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1],), True))
+    apart = replace(model, groups=groups, actuators=tuple(keep))
+    inputs.tension = inputs.tension[:, :1]
+    one = [a.copy() for a in inputs.terms[0]]
+    one[0][0, second], one[1][0, first], one[2][:, second], one[3][0] = 0.0, 0.0, 0.0, 0.0
+    inputs.terms = [[fixed[:, first], viscous[:, first]], [neo[:, second]]]
+    records_bar = random_records(Records.zeros(model.n_controls, 3, 2), rng)
+    _, bar = Rollout(apart, inputs, adjoint=True).gradient(lambda records, state: (records_bar, None))
+    got = {
+        "x": bar.state.x, "F": bar.state.F, "tension": bar.tension,
+        "fixed_corotated.E": np.pad(bar.terms[0][0][0], (0, 30)), "viscosity.bulk": np.pad(bar.terms[0][1][1], (0, 30)),
+        "neo_hookean.nu": np.pad(bar.terms[1][0][1], (17, 0)),
+    }  # fmt: skip
+    inputs.terms = [one]
+    for kind, gradient in got.items():
+        # where the body has no such term, the equations would have one
+        change = direction(inputs, kind, rng) * (gradient != 0.0)
+        records, _, _ = reference.rollout(apart, moved(inputs, kind, 1j * TINY * change))
+        forward = product(records, records_bar).imag / TINY
+        assert (gradient * change).sum() == pytest.approx(forward, rel=DOT_PRODUCT), kind
+
+
+# --- Taylor remainders ----------------------------------------------------------------------------------
+
+STEPS = 2.0 ** -np.arange(4, 20)
+LONG = {"substeps": 8, "controls": 3, "seed": 3}
+"""24 substeps: particles cross cells, and are sorted three times."""
+
+
+def loss(records: Records) -> float:
+    """Return a loss that is curved in all that is recorded."""
+    return float(sum(np.sin(a).sum() + 0.5 * (a**2).sum() for a in parts(records)))
+
+
+def loss_bar(records: Records, state: object) -> tuple[Records, None]:
+    """Return the cotangent of the loss."""
+    return Records(*(np.cos(a) + a for a in parts(records))), None
+
+
+def branches(model, inputs) -> int:
+    """Return a hash of the side and the branch that every held node took in every substep."""
+    return hash(str(reference.rollout(model, inputs)[2]))
+
+
+@pytest.fixture(scope="module", params=[2, 3], ids=["2D", "3D"])
+def long_rollout(request):
+    """Return a model, inputs, the loss, its gradient, and the branches taken."""
+    model, inputs = rich(request.param, **LONG)
+    records, bar = Rollout(model, inputs, adjoint=True).gradient(loss_bar)
+    return model, inputs, loss(records), bar, branches(model, inputs)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_taylor_remainder_is_of_second_order(long_rollout, kind, rng):
+    """|f(p + h d) - f(p) - h <g, d>| falls by 4 as h halves, where no branch changes."""
+    model, inputs, here, bar, taken = long_rollout
+    change = direction(inputs, kind, rng)
+    slope = (arrays(bar)[KINDS.index(kind)] * change).sum()
+    remainders: list[float] = []
+    for h in STEPS:
+        there = moved(inputs, kind, h * change)
+        if branches(model, there) == taken:
+            remainders.append(abs(loss(Rollout(model, there).run()) - here - h * slope))
+        else:
+            remainders.clear()
+        if len(remainders) == 4:
+            break
+    assert len(remainders) == 4, "no four steps in a row take the branches of the point itself"
+    assert np.log2(remainders[0] / remainders[-1]) / 3 >= 1.9, remainders

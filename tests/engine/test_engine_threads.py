@@ -1,0 +1,120 @@
+"""What a result must not depend on: the number of threads, other bodies far away, padding; and float32."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from little_worlds import Wall, below, needs_jit, world
+from rich_scene import KINDS, arrays, parts, product, random_records, rich
+
+from cqrun.boundaries.friction import Friction
+from cqrun.engine.model import Records
+from cqrun.engine.rollout import Rollout
+from cqrun.state import Layout, State
+
+
+def gradient(model, inputs, threads, records_bar):
+    """Return the last state, the records and the gradient on so many threads."""
+    last: list[State] = []
+
+    def loss_bar(records, state):
+        last.append(state)
+        return records_bar, state
+
+    records, bar = Rollout(model, inputs, threads=threads, adjoint=True).gradient(loss_bar)
+    return last[0], records, bar
+
+
+def crowd(dim: int, rng: np.random.Generator):
+    """Return 600 particles of two bodies that fly apart over many blocks, onto walls with friction."""
+    x = 0.35 + 0.7 * rng.random((600, dim))
+    up = tuple(np.eye(dim)[-1])
+    model, inputs = world(
+        [x[:250], x[250:]], size=[1.4] * dim, dx=0.05, dt=4e-3, substeps=10, controls=4, mass=rng.uniform(1, 2, 600),
+        volume=1.0, E=2.0, neo_hookean=0.5, eta=0.01, damping=0.1, gravity=[0.0] * (dim - 1) + [-1.0],
+        walls=[Wall(Friction, up, below(dim - 1, 0.3), 0.3)], probe=rng.random((2, 600)),
+        muscles=((np.arange(0, 600, 3), np.eye(dim)),), tension=0.1 * rng.random((4, 1)),
+    )  # fmt: skip
+    # faces of blocks lie every .2 m: particles cross some, and are sorted before their turn
+    inputs.state.v[:] = 2.0 * (x - 0.7) + 0.3 * rng.normal(size=x.shape)
+    return model, inputs
+
+
+@needs_jit
+@pytest.mark.parametrize("dim", [2, 3])
+def test_one_thread_and_two_and_three_give_the_same_bits(dim, rng):
+    model, inputs = crowd(dim, rng)
+    records_bar = random_records(Records.zeros(model.n_controls, 2, dim), rng)
+    state, records, bar = gradient(model, inputs, 1, records_bar)
+    moved = np.floor(state.x / 0.2) != np.floor(inputs.state.x / 0.2)
+    assert moved.any(axis=1).mean() > 0.2
+    for threads in (2, 3):
+        others = gradient(model, inputs, threads, records_bar)
+        for a, b in zip(parts(others[0]), parts(state), strict=True):
+            np.testing.assert_array_equal(a, b)
+        for a, b in zip(parts(others[1]), parts(records), strict=True):
+            np.testing.assert_array_equal(a, b)
+        for kind, a, b in zip(KINDS, arrays(others[2]), arrays(bar), strict=True):
+            np.testing.assert_array_equal(a, b, err_msg=kind)
+
+
+@needs_jit
+def test_more_threads_than_work(rng):
+    """One lane of particles, four threads: three of them wait."""
+    model, inputs = rich(2)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, 2), rng)
+    bars = [gradient(model, inputs, threads, records_bar)[2] for threads in (1, 4)]
+    for kind, a, b in zip(KINDS, *map(arrays, bars), strict=True):
+        np.testing.assert_array_equal(a, b, err_msg=kind)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_body_far_away_changes_no_bit(dim, rng):
+    """A body of 17 particles, padded to 32, moves the same alone and before or after another one."""
+    near, far = 0.3 + 0.3 * rng.random((17, dim)), 1.5 + 0.3 * rng.random((23, dim))
+    v = {17: rng.normal(size=(17, dim)), 23: rng.normal(size=(23, dim))}
+    modulus = {17: rng.uniform(1, 2, 17), 23: rng.uniform(1, 2, 23)}
+    found = []
+    for bodies in ([near], [near, far], [far, near]):
+        sizes = [len(b) for b in bodies]
+        model, inputs = world(
+            bodies, size=[2.4] * dim, dx=0.1, dt=5e-3, substeps=10, controls=1, mass=1.0, volume=1.0,
+            E=np.concatenate([modulus[n] for n in sizes]), eta=0.01,
+        )  # fmt: skip
+        inputs.state.v[:] = np.concatenate([v[n] for n in sizes])
+        own = model.layout.slices()[sizes.index(17)]
+        last, _, bar = gradient(model, inputs, 1, None)
+        found.append([a[own] for a in parts(last)] + [a[own] for a in parts(bar.state)] + [bar.terms[0][0][:, own]])
+    for other in found[1:]:
+        for a, b in zip(other, found[0], strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_padding_copies_the_last_particle_and_has_no_mass():
+    layout = Layout(2, (17, 16))
+    assert (layout.padded, layout.n) == ((32, 16), 48)
+    np.testing.assert_array_equal(layout.sources()[16:32], 16)
+    np.testing.assert_array_equal(layout.columns(), [*range(17), *range(32, 48)])
+    np.testing.assert_array_equal(np.flatnonzero(~layout.real()), np.arange(17, 32))
+    state = State.at_rest(np.arange(66.0).reshape(33, 2))
+    again = State.unpack(state.pack(layout), layout, state.memory)
+    for a, b in zip(parts(again), parts(state), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@needs_jit
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_float32_is_close_to_float64(dim, rng):
+    model, inputs = rich(dim)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
+    _, records, bar = gradient(model, inputs, 1, records_bar)
+    _, records_32, bar_32 = gradient(replace(model, real=np.float32), inputs, 1, records_bar)
+    assert 0 < product(_difference(records_32, records), _difference(records_32, records)) < 1e-10
+    for kind, a, b in zip(KINDS, arrays(bar_32), arrays(bar), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=2e-4 * np.abs(b).max(), err_msg=kind)
+
+
+def _difference(a: Records, b: Records) -> Records:
+    return Records(*(p - q for p, q in zip(parts(a), parts(b), strict=True)))

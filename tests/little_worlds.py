@@ -1,0 +1,115 @@
+"""Small models for the engine's tests, all of one kind, so that few kernels are compiled.
+
+A kernel is compiled for the types it meets: the dimension, the terms of the stress, the boundary conditions, the
+precision. So every model here has the same terms and the same conditions, those that a test does not want switched
+off by their numbers: a modulus or a viscosity of zero, a condition that holds no node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from numba import config
+from scipy import sparse
+
+from cqrun.actuators.muscle import symmetric_rows
+from cqrun.boundaries.friction import Friction
+from cqrun.boundaries.separate import Separate
+from cqrun.boundaries.slip import Slip
+from cqrun.boundaries.sticky import Sticky
+from cqrun.engine.model import ActuatorModel, ConditionModel, GroupModel, Inputs, Model
+from cqrun.engine.setting import grid_shape, node_positions
+from cqrun.materials import fixed_corotated, incompressibility, neo_hookean, viscosity
+from cqrun.state import Layout, ParticleFields, State
+
+TERMS = (
+    lambda theta: fixed_corotated.Kernel(theta, (0, 0)),
+    lambda theta: neo_hookean.Kernel(theta, (0, 0)),
+    lambda theta: viscosity.Kernel(theta, (0, 0)),
+    lambda theta: incompressibility.Kernel(theta, (0, 0), 2),
+)
+"""The terms of every body, in the order of `Inputs.terms`; muscles follow."""
+
+CONDITIONS = (Friction,) * 4 + (Slip,) * 3 + (Separate, Sticky)
+"""The kinds of boundary condition of every model, in the order of `Inputs.coefficients`."""
+
+needs_jit = pytest.mark.skipif(config.DISABLE_JIT, reason="threads and speed need compiled kernels")
+"""Marks a test that is of threads, or that would take minutes in plain Python."""
+
+
+@dataclass
+class Wall:
+    """A condition to use: `kind` is one of CONDITIONS, `nodes` says which node positions (n, D) it holds."""
+
+    kind: type
+    normal: tuple[float, ...]
+    nodes: Callable[[np.ndarray], np.ndarray]
+    coefficient: float = 0.0
+
+
+def below(axis: int, level: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the nodes at or below a level along an axis."""
+    return lambda nodes: nodes[:, axis] <= level + 1e-9
+
+
+def above(axis: int, level: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the nodes at or above a level along an axis."""
+    return lambda nodes: nodes[:, axis] >= level - 1e-9
+
+
+def conditions(walls: list[Wall], size: np.ndarray, dx: float) -> tuple[tuple[ConditionModel, ...], np.ndarray]:
+    """Return one condition for each of CONDITIONS, the walls in their places, and the coefficients."""
+    nodes = node_positions(grid_shape(size, dx), dx)
+    waiting, models, coefficients = list(walls), [], []
+    for kind in CONDITIONS:
+        wall = next((w for w in waiting if w.kind is kind), None)
+        if wall is not None:
+            waiting.remove(wall)
+        normal = wall.normal if wall else (1.0,) + (0.0,) * (len(size) - 1)
+        held = wall.nodes(nodes) if wall else np.zeros(len(nodes), bool)
+        spec = kind(face="x_min", coefficient=0.0) if kind is Friction else kind(face="x_min")
+        models.append(ConditionModel(kind.name, spec, tuple(float(a) for a in normal), held))
+        coefficients.append(wall.coefficient if wall else 0.0)
+    if waiting:
+        raise ValueError(f"no place left for {waiting}")
+    return tuple(models), np.array(coefficients)
+
+
+def world(
+    x: np.ndarray | list[np.ndarray], *, size: list[float], dx: float, dt: float, substeps: int, controls: int,
+    mass: Any = 1.0, volume: Any = 1.0, E: Any = 0.0, nu: Any = 0.3, neo_hookean: Any = 0.0, eta: Any = 0.0,
+    zeta: Any = 0.0, incompressible: Any = 0.0, damping: Any = 0.0, gravity: Any = None,
+    walls: list[Wall] | None = None, muscles: tuple[tuple[np.ndarray, np.ndarray], ...] = (),
+    tension: np.ndarray | None = None, probe: Any = None, real: Any = np.float64, budget: int = 2**30,
+) -> tuple[Model, Inputs]:  # fmt: skip
+    """Return a model and its inputs: bodies at rest at x (N, D) each.
+
+    Numbers are one for all particles or one each; `neo_hookean` and `incompressible` are the Young's moduli of
+    those terms; `muscles` are (particles, direction matrix).
+    """
+    bodies = x if isinstance(x, list) else [x]
+    x = np.concatenate(bodies)
+    (n, dim), size_ = x.shape, np.asarray(size, float)
+    layout = Layout(dim, tuple(len(b) for b in bodies))
+    planes, coefficients = conditions(walls or [], size_, dx)
+    actuators = tuple(
+        ActuatorModel(f"muscle {k}", np.asarray(particles), symmetric_rows(np.asarray(direction, float)))
+        for k, (particles, direction) in enumerate(muscles)
+    )
+    model = Model(
+        size_, dx, dt, substeps, controls, tuple(f"body {k}" for k in range(len(bodies))), layout,
+        (GroupModel(tuple(range(len(bodies))), TERMS, True),), planes, actuators,
+        None if probe is None else sparse.csr_array(probe), real, budget,
+    )  # fmt: skip
+    fields = ParticleFields.zeros(n, dim)
+    fields.mass[:], fields.volume[:], fields.damping[:] = mass, volume, damping
+    if gravity is not None:
+        fields.force[:] = fields.mass[:, None] * np.asarray(gravity, float)
+    pairs = ((E, nu), (neo_hookean, nu), (eta, zeta), (incompressible, nu))
+    terms = [np.array([np.broadcast_to(np.asarray(a, float), n) for a in pair]) for pair in pairs]
+    tension = np.zeros((controls, len(actuators))) if tension is None else tension
+    return model, Inputs(State.at_rest(x), fields, [terms], tension, coefficients)
