@@ -17,9 +17,11 @@ def gradcheck(
 ) -> None:
     """Compare a scene's gradient with finite differences over a scan of steps; exit 1 if they disagree."""
     from cqrun.cli.progress import reporting
+    from cqrun.cli.results import print_run
     from cqrun.jobs.gradcheck import run_gradcheck
 
     with reporting(quiet) as reporter:
-        agrees = run_gradcheck(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
+        run, agrees = run_gradcheck(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
+    print_run(run)
     if not agrees:
         raise typer.Exit(1)

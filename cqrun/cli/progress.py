@@ -47,6 +47,7 @@ class Progress:
         self._numbers = ""
         self._unprinted = False
         self._last_print = float("-inf")
+        self._began: tuple[int, float] | None = None
         live = self._console.is_terminal and not self._console.is_dumb_terminal and not quiet
         self._live = Live(console=self._console, get_renderable=self._render, transient=True) if live else None
 
@@ -58,8 +59,7 @@ class Progress:
     def __exit__(self, *exception: object) -> None:
         if self._live is not None:
             self._live.stop()
-        if self._unprinted:
-            self._print(self._numbers)
+        self._print_the_last()
 
     def begin(self, total: int) -> None:
         """Say how many iterations are to come at most."""
@@ -67,7 +67,8 @@ class Progress:
 
     def phase(self, text: str) -> None:
         """Name what happens now."""
-        self._phase = text
+        self._print_the_last()
+        self._phase, self._numbers, self._began = text, "", None
         if self._live is None and not self._quiet:
             self._print(text)
 
@@ -81,6 +82,17 @@ class Progress:
             f"iteration {iteration}{of}  loss {loss:.6g}  best {best:.6g}  "
             f"step {step:.3g}  {seconds:.3g} s/iteration{left}"
         )
+        self._print_now_and_then()
+
+    def advance(self, done: int, total: int, text: str) -> None:
+        """Show how far the work is, and the time that is left at the pace so far; arguments as in `Reporter`."""
+        now = time.monotonic()
+        first, began = self._began = self._began or (done, now)
+        left = f"  {clock((total - done) * (now - began) / (done - first))} left" if done > first else ""
+        self._numbers = f"{text}{left}"
+        self._print_now_and_then()
+
+    def _print_now_and_then(self) -> None:
         if self._live is not None or self._quiet:
             return
         self._unprinted = time.monotonic() - self._last_print < self._plain_every
@@ -88,13 +100,18 @@ class Progress:
             self._print(self._numbers)
             self._last_print = time.monotonic()
 
+    def _print_the_last(self) -> None:
+        """Print the numbers that came too soon after others, so that the last ones are never missing."""
+        if self._unprinted:
+            self._print(self._numbers)
+            self._unprinted = False
+
     def warn(self, text: str) -> None:
         """Print a warning, also when quiet."""
         self._print(f"warning: {text}", style="yellow")
 
     def _print(self, text: str, style: str | None = None) -> None:
         self._console.print(text, style=style, markup=False)
-        self._unprinted = False
 
     def _render(self) -> Text:
         return Text(

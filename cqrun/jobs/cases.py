@@ -5,7 +5,7 @@ A case is the scene with a recording's overrides and length, its model, and what
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from scipy import sparse
 from cqrun.contract import Array
 from cqrun.engine.model import Inputs, Model, Records
 from cqrun.engine.rollout import Rollout
-from cqrun.errors import DataError, Problem, SceneError
+from cqrun.errors import DataError, Problem, RolloutError, RunError, SceneError
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.objectives.target import TargetObjective
 from cqrun.observers.markers import Points, centroid, markers, particles
@@ -24,9 +24,12 @@ from cqrun.observers.record import Record
 from cqrun.scene.build import Built, build
 from cqrun.scene.data import Recording as RecordingSpec
 from cqrun.scene.paths import with_values
+from cqrun.state import State
 from cqrun.store.alignment import Measured, measure
+from cqrun.store.atomic import disk_errors, make_directory
 from cqrun.store.marker_csv import write_csv
 from cqrun.store.recordings import Recording, read_recording
+from cqrun.store.run import RunDirectory
 from cqrun.store.synthetic import make_synthetic
 
 Objective = MarkerObjective | TargetObjective
@@ -63,11 +66,17 @@ class Case:
 
     def start_of(self, values: Mapping[str, Array]) -> float:
         """Return the recording's start [s]."""
-        return float(values[self.start_path]) if self.start_path in values else self.start
+        path = self.start_path
+        return self.start if path is None or path not in values else float(values[path])
 
-    def run(self, values: Mapping[str, Array], threads: int = 1) -> Record:
-        """Run forward; return the records."""
-        return as_record(Rollout(self.built.model, self.inputs(values), threads=threads).run())
+    def run(
+        self,
+        values: Mapping[str, Array],
+        threads: int = 1,
+        observe: Callable[[int, State], None] | None = None,
+    ) -> Record:
+        """Run forward, `observe` called with every control step and its state; return the records."""
+        return as_record(Rollout(self.built.model, self.inputs(values), threads=threads).run(observe))
 
     def residuals(self, record: Record, values: Mapping[str, Array]) -> list[Array]:
         """Return every objective's residuals [m]."""
@@ -134,6 +143,37 @@ def make_cases(built: Built, directory: Path | None = None) -> list[Case]:
     return _synthetic(built, directory)
 
 
+def given_cases(built: Built) -> list[Case] | None:
+    """Return the cases of recordings or a target, or None where the run makes its own data.
+
+    Read before there is a run: one whose data cannot be used leaves nothing behind.
+
+    Raises:
+        DataError, SceneError: data that cannot be used, or of which nothing is fitted.
+    """
+    data = built.scene.data
+    if data is None or data.synthetic is not None:
+        return None
+    cases = make_cases(built)
+    if all(case.holdout for case in cases):
+        message = "every recording is held out: nothing is left to fit"
+        raise SceneError([Problem(built.scene.where("data.recordings"), "data.recordings", message)])
+    return cases
+
+
+def made_cases(run: RunDirectory, built: Built) -> list[Case]:
+    """Return the cases of the data that a run makes with the true values.
+
+    Raises:
+        RunError: the scene blows up with them.
+    """
+    try:
+        return make_cases(built, run.path)
+    except RolloutError as error:
+        run.finish("failed", f"data.synthetic.truth: {error}")
+        raise RunError(f"{run.path}: data.synthetic.truth: {error}") from error
+
+
 # --- recordings ---------------------------------------------------------------------------------------------
 
 
@@ -154,7 +194,7 @@ def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
         objective = MarkerObjective(
             observer, measured.names, measured.time, measured.values, control_step=step, steps=steps,
             start=spec.start, start_bounds=None if unknown is None else (unknown.bounds[0], unknown.bounds[1]),
-            absolute=measured.absolute, weight=spec.weight, source=measured.source,
+            skip=spec.skip, absolute=measured.absolute, weight=spec.weight, source=measured.source,
         )  # fmt: skip
     except DataError as error:
         raise DataError(f"{scene.where(path)}: {path}: {error}") from error
@@ -257,8 +297,11 @@ def _made(
     made = make_synthetic(time, names, clean, noise=spec.noise, copies=spec.copies, rng=draw, source=name)
     for recording, file in zip(made, files, strict=True):
         if file is not None:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_csv(recording, file)
+            make_directory(file.parent)
+            beginning = file.with_suffix(".part")
+            with disk_errors(file):
+                write_csv(recording, beginning)
+                beginning.replace(file)  # a run that is killed here never reads half a file
     return made
 
 

@@ -17,16 +17,20 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.errors import RolloutError
 from cqrun.jobs.cases import Case
+from cqrun.jobs.observables import fracture_of
 from cqrun.jobs.problem import FitProblem
 from cqrun.jobs.trajectories import write_trajectory
 from cqrun.objectives.identifiability import Unknown
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.objectives.uncertainty import MOST_UNKNOWNS, Uncertainty, central_jacobian, intervals
+from cqrun.observers.fracture import Fracture
 from cqrun.observers.record import Record
 from cqrun.optimizers.base import Outcome, TrialFailed
 from cqrun.scene.build import Built
+from cqrun.state import State
 from cqrun.store.atomic import write_text
 from cqrun.store.run import RunDirectory
+from cqrun.units import format_bytes
 
 MILLI = 1e3
 
@@ -48,18 +52,31 @@ def write_findings(
             for b in params.blocks
         },
         "recordings": None,
+        "fracture": None,
         "findings": [],
     }
     if outcome.status != "failed":
-        _add_intervals(run, result, problem, outcome)
-        records = _predict(cases, values, problem)
+        _add_intervals(result, problem, outcome)
+        records = _predict(cases, values, problem, result)
         result["recordings"] = _errors(cases, records, values)
         _write_tracks(run, cases, records, values)
         write_trajectory(run.path / "trajectory.h5", cases[0].built, values, threads=problem.threads)
-    if problem.effort.recompute:
-        result["gradient"] = {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak}
+    for sentence in result["findings"]:
+        run.log(sentence)
+    _tell_effort(run, problem)
     run.write_result(result)
     return result
+
+
+def _tell_effort(run: RunDirectory, problem: FitProblem) -> None:
+    """Put what gradients cost into run.json: it depends on the number of threads, the result does not."""
+    effort = problem.effort
+    if effort.recompute:  # none were computed where all are known from before a kill
+        run.log(
+            f"gradients: {effort.recompute:.3g} forward substeps for each of the rollout, "
+            f"{format_bytes(effort.peak)} of states kept at the most"
+        )
+        run.add_facts(gradient={"recompute_factor": effort.recompute, "peak_bytes": effort.peak})
 
 
 def _plain(value: Array) -> Any:
@@ -69,7 +86,7 @@ def _plain(value: Array) -> Any:
 # --- intervals ----------------------------------------------------------------------------------------------
 
 
-def _add_intervals(run: RunDirectory, result: dict[str, Any], problem: FitProblem, outcome: Outcome) -> None:
+def _add_intervals(result: dict[str, Any], problem: FitProblem, outcome: Outcome) -> None:
     unknowns = list_unknowns(problem, outcome.x)
     if not all(isinstance(o, MarkerObjective) for case in problem.cases for o in case.objectives):
         _no_intervals(result, "a target is met or missed: there is no noise to compute an interval from")
@@ -91,9 +108,7 @@ def _add_intervals(run: RunDirectory, result: dict[str, Any], problem: FitProble
         reasons = {n: found.reasons[n] for n in names if n in found.reasons}
         if reasons:
             entry["reason"] = "; ".join(dict.fromkeys(reasons.values()))
-    result["findings"] = list(found.findings)
-    for sentence in found.findings:
-        run.log(sentence)
+    result["findings"] += found.findings
 
 
 def _no_intervals(result: dict[str, Any], reason: str) -> None:
@@ -141,16 +156,28 @@ def find_intervals(problem: FitProblem, x: Array, unknowns: list[Unknown]) -> Un
 # --- errors and tracks ------------------------------------------------------------------------------------------
 
 
-def _predict(cases: list[Case], values: Mapping[str, Array], problem: FitProblem) -> list[Record | None]:
-    """Return every case's records with the values found; None where a held-out one blows up."""
+def _predict(
+    cases: list[Case], values: Mapping[str, Array], problem: FitProblem, result: dict[str, Any]
+) -> list[Record | None]:
+    """Return every case's records with the values found, None where a held-out one blows up; note fractures."""
     records: list[Record | None] = []
+    most = dict.fromkeys(cases[0].built.particles.names, 0)
     for case in cases:
+        fracture = fracture_of(case.built)
+
+        def watch(control: int, state: State, fracture: Fracture = fracture) -> None:
+            fracture.count(state.x)
+
         try:
-            records.append(case.run(values, problem.threads))
-        except RolloutError:
+            records.append(case.run(values, problem.threads, watch))
+        except RolloutError as error:
             if not case.holdout:
                 raise
             records.append(None)
+            result["findings"].append(f"{case.name}: held out, and it blows up with the values found: {error}")
+        most = {name: max(most[name], number) for name, number in fracture.most.items()}
+        result["findings"] += [f"{case.name}: {sentence}" for sentence in fracture.findings()]
+    result["fracture"] = most
     return records
 
 

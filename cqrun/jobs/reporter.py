@@ -99,6 +99,15 @@ class Reporter(Protocol):
             seconds: how long the iteration took [s].
         """
 
+    def advance(self, done: int, total: int, text: str) -> None:
+        """Report how far a piece of work with a known end is.
+
+        Args:
+            done: parts that are done.
+            total: how many there are.
+            text: what has been reached, such as `t = 0.31 of 1.5 s`.
+        """
+
     def warn(self, text: str) -> None:
         """Tell something the user should know although the job goes on."""
 
@@ -117,6 +126,9 @@ class Silent:
 
     def update(self, iteration: int, loss: float, best: float, step: float, seconds: float) -> None:
         """Ignore the iteration."""
+
+    def advance(self, done: int, total: int, text: str) -> None:
+        """Ignore the part."""
 
     def warn(self, text: str) -> None:
         """Ignore the warning."""

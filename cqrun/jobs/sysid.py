@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,27 +11,23 @@ import numpy as np
 
 from cqrun.choice import Chosen
 from cqrun.contract import Array
-from cqrun.errors import Problem, RunError, SceneError, UsageError
-from cqrun.jobs.cases import Case, make_cases
+from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.jobs.cases import Case, given_cases, made_cases
 from cqrun.jobs.findings import write_findings
+from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.problem import FitProblem, make_params
 from cqrun.jobs.reporter import Reporter, Silent
+from cqrun.jobs.runs import build_and_warn, cores, open_run, raise_if_failed, require_same_data, saved_scene
 from cqrun.optimizers.base import Optimizer, Outcome
-from cqrun.scene.build import Built, build
+from cqrun.optimizers.least_squares import LeastSquares
+from cqrun.scene.build import Built
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
-from cqrun.store.run import RunDirectory, RunScene
+from cqrun.store.run import RunDirectory
 from cqrun.store.session import RunSession
 
 FEW = 10
 """Up to this many unknowns, marker data is fitted by least squares unless the scene says otherwise."""
-
-
-def cores(threads: int | None) -> int:
-    """Return how many threads to use: those asked for, or every core this process may run on."""
-    if threads is not None:
-        return threads
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_sysid(
@@ -51,17 +46,15 @@ def run_sysid(
         SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
     """
     talk = reporter or Silent()
-    scene = load_scene(scene_source, overrides)
-    built = prepare(scene, talk)
-    run_scene = describe_run(scene_source, built.scene)
-    seed, n_threads = built.scene.seed, cores(threads)
-    with RunDirectory.open(
-        run_scene, out, job="sysid", argv=sys.argv, seed=seed, threads=n_threads, fresh=fresh
-    ) as run:
+    built = prepare(load_scene(scene_source, overrides), talk)
+    cases, n_threads = given_cases(built), cores(threads)
+    with open_run(scene_source, built.scene, out, job="sysid", threads=n_threads, fresh=fresh) as run:
         if run.finished:
             talk.phase(f"finished already ({run.status}); --fresh starts over")
             return raise_if_failed(run)
-        return identify(run, built, n_threads, talk)
+        if run.record.get("extended"):
+            built = prepare(saved_scene(run), talk)
+        return identify(run, built, cases, n_threads, talk)
 
 
 def prepare(scene: Scene, talk: Reporter) -> Built:
@@ -74,11 +67,7 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
     if missing:
         told = {"unknowns": "name what shall be found, by key path, with bounds", "data": "say what it is fitted to"}
         raise SceneError([Problem(scene.where(key), key, f"sysid needs it: {told[key]}") for key in missing])
-    scene = with_optimizer(scene)
-    built = build(scene)
-    for warning in built.warnings:
-        talk.warn(str(warning))
-    return built
+    return build_and_warn(with_optimizer(scene), talk)
 
 
 def with_optimizer(scene: Scene) -> Scene:
@@ -96,39 +85,20 @@ def with_optimizer(scene: Scene) -> Scene:
     return changed
 
 
-def describe_run(source: Path, scene: Scene) -> RunScene:
-    """Return what names the run: the resolved scene and the files in it.
-
-    Raises:
-        SceneError: a recording is missing.
-    """
-    recordings = (scene.data.recordings if scene.data is not None else None) or {}
-    files, problems = {}, []
-    for name, recording in recordings.items():
-        path = scene.resolve_path(recording.file)
-        files[recording.file] = path
-        if not path.is_file():
-            key = f"data.recordings.{name}.file"
-            message = f"there is no file '{path}'; {scene.title or 'see the head of the scene for where to get it'}"
-            problems.append(Problem(scene.where(key), key, message))
-    if problems:
-        raise SceneError(problems)
-    base = scene.resolve_path("").resolve()
-    return RunScene(Path(source).stem, dump(resolve(scene)), scene.text, files, str(base))
-
-
-def identify(run: RunDirectory, built: Built, threads: int, talk: Reporter) -> Path:
+def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads: int, talk: Reporter) -> Path:
     """Run or continue the identification in a run directory."""
     scene = built.scene
-    run.begin(threads)
-    talk.phase("reading data")
-    cases = make_cases(built, run.path)
-    require_marker_data(scene, cases)
-    params = make_params(built)
-    problem = FitProblem(cases, params, threads=threads)
-    talk.phase("compiling kernels (once for this kind of scene, about a minute)")
     optimizer: Any = scene.optimizer.value if scene.optimizer is not None else None
     assert isinstance(optimizer, Optimizer)
+    gradients = not isinstance(optimizer, LeastSquares)  # whose Jacobian is by differences
+    run.begin(threads)
+    compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=gradients)
+    if cases is None:
+        talk.phase("making data")
+        cases = made_cases(run, built)
+    params = make_params(built)
+    problem = FitProblem(cases, params, threads=threads)
+    talk.phase(f"fitting {len(params.start)} unknowns")
     talk.begin(optimizer.max_iterations)
     session = RunSession(
         run, seed=scene.seed, blocks=params.slices, physical=params.physical,
@@ -146,24 +116,10 @@ def conclude(
         run.finish("stopped", outcome.message)
         raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
     if outcome.status != "failed":
-        talk.phase("intervals, predictions, trajectory, figures")
+        talk.phase("intervals, predictions, trajectory")
     write_findings(run, built, cases, problem, outcome)
     run.finish(outcome.status, outcome.message)
     return raise_if_failed(run)
-
-
-def raise_if_failed(run: RunDirectory) -> Path:
-    """Return the run's path, or raise the error that it ended with."""
-    if run.status == "failed":
-        raise RunError(f"{run.path}: {run.record['reason']}")
-    return run.path
-
-
-def require_marker_data(scene: Scene, cases: list[Case]) -> None:
-    """Refuse data of which nothing is fitted."""
-    if all(case.holdout for case in cases):
-        message = "every recording is held out: nothing is left to fit"
-        raise SceneError([Problem(scene.where("data.recordings"), "data.recordings", message)])
 
 
 def resume_sysid(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
@@ -175,18 +131,14 @@ def resume_sysid(run: RunDirectory, overrides: Sequence[str], threads: int, talk
                 f"-o {override}: a run can only be extended (optimizer.*.max_iterations); "
                 "what else changes makes another run: start it from the scene"
             )
-    scene = load_scene(run.path / "scene.yaml", overrides, Path(run.record["base"]))
-    built = prepare(scene, talk)
-    if not run.record.get("extended"):
-        same = describe_run(run.path.parent, load_scene(run.path / "scene.yaml", (), Path(run.record["base"])))
-        if same.digest() != run.path.name:
-            raise UsageError(f"{run.path}: a recording has changed since this run began; run the scene again")
+    require_same_data(run)
+    built = prepare(saved_scene(run, overrides), talk)
     if overrides:
         run.extend(dump(resolve(built.scene)), sys.argv)
     elif run.finished:
         talk.phase(f"finished already ({run.status})")
         return raise_if_failed(run)
-    return identify(run, built, threads, talk)
+    return identify(run, built, given_cases(built), threads, talk)
 
 
 class _Progress:

@@ -17,7 +17,7 @@ from cqrun.state import State
 from cqrun.store.trajectory import TrajectoryWriter
 
 FRAMES = 300
-"""Frames that a trajectory has at the most, spread evenly over the control steps."""
+"""Frames after the first that a trajectory has at the most, spread evenly over the control steps."""
 
 
 def write_trajectory(
@@ -41,7 +41,7 @@ def write_trajectory(
     """
     model, particles = built.model, built.particles
     every = -(-model.n_controls // FRAMES)
-    n_frames = model.n_controls // every + 1
+    n_frames = -(-model.n_controls // every) + 1
     bodies = {name: particles.of(name) for name in particles.names}
     fields = {"v": (model.dim,), "J": ()}
     provenance = {"scene": dump(resolve(built.scene)), "engine": engine_hash(), "seed": built.scene.seed}
@@ -52,12 +52,12 @@ def write_trajectory(
         def observe(control: int, state: State) -> None:
             if progress is not None:
                 progress(control, state)
-            if control % every == 0:
+            if control % every == 0 or control == model.n_controls:
                 J = np.linalg.det(state.F)
-                writer.write(control // every, control * step, x=state.x, v=state.v, J=J, step=control)
+                writer.write(writer.written, control * step, x=state.x, v=state.v, J=J, step=np.asarray(control))
 
         records = rollout.run(observe, should_stop)
-        complete = writer.written == n_frames
+        complete = writer.written == n_frames  # the last frame is that of the last control step
         if not complete:
             writer.abandon()
     return records, complete

@@ -43,6 +43,7 @@ class RunScene:
         original: the scene as typed.
         files: every file that the scene names, by the name it uses.
         base: folder those names start from; where a resumed run looks for them.
+        job: what is run, such as `sysid`: one scene has a run of each.
     """
 
     stem: str
@@ -50,14 +51,15 @@ class RunScene:
     original: str
     files: Mapping[str, Path] = field(default_factory=dict)
     base: str = ""
+    job: str = "sysid"
 
     def digest(self) -> str:
-        """Return 12 hex digits over the resolved scene and the contents of its files.
+        """Return 12 hex digits over the job, the resolved scene and the contents of its files.
 
         Raises:
             UsageError: a file cannot be read.
         """
-        digest = hashlib.sha256(self.resolved.encode())
+        digest = hashlib.sha256(f"{self.job}\0{self.resolved}".encode())
         for name, path in sorted(self.files.items()):
             try:
                 content = hashlib.sha256(path.read_bytes()).digest()
@@ -90,7 +92,6 @@ class RunDirectory:
         scene: RunScene,
         out: Path,
         *,
-        job: str,
         argv: Sequence[str],
         seed: int,
         threads: int,
@@ -101,7 +102,6 @@ class RunDirectory:
         Args:
             scene: its inputs.
             out: directory of all results.
-            job: what is run, such as `sysid`.
             argv: the command line, for the record.
             seed: the run's.
             threads: number of threads, for the record.
@@ -116,7 +116,7 @@ class RunDirectory:
         run = cls(path, DirectoryLock(path))
         try:
             if fresh or not (path / RECORD).exists():
-                run._create(scene, job=job, argv=list(argv), seed=seed, threads=threads)
+                run._create(scene, job=scene.job, argv=list(argv), seed=seed, threads=threads)
             else:
                 run._load()
         except BaseException:
@@ -170,6 +170,10 @@ class RunDirectory:
         self.log(f"{status}: {reason}")
         self._spend()
         self._write({"status": status, "reason": reason})
+
+    def add_facts(self, **facts: Any) -> None:
+        """Put facts into run.json that are not part of the result: they may differ between equal runs."""
+        self._write(facts)
 
     def extend(self, resolved: str, argv: Sequence[str]) -> None:
         """Go on with another resolved scene, say with more iterations; the run keeps its name."""

@@ -70,7 +70,7 @@ def solve(
 ) -> tuple[Outcome, RunSession]:
     """Start or resume the run below `out`; `sabotage(session)` may spoil the session first."""
     scene = RunScene("toy", "cqrun: 1\n", "cqrun: 1\n")
-    with RunDirectory.open(scene, out, job="sysid", argv=["toy"], seed=seed, threads=1) as run:
+    with RunDirectory.open(scene, out, argv=["toy"], seed=seed, threads=1) as run:
         run.begin()
         blocks = {"a": slice(0, 1), "b": slice(1, problem.start.size)}
         session = RunSession(

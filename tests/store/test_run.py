@@ -27,7 +27,7 @@ def start(scene, out, **options):
     return RunDirectory.open(
         scene,
         out,
-        **({"job": "sysid", "argv": ["cqrun", "sysid", "beam.yaml"], "seed": 5, "threads": 2} | options),
+        **({"argv": ["cqrun", "sysid", "beam.yaml"], "seed": 5, "threads": 2} | options),
     )
 
 
@@ -53,6 +53,7 @@ def test_its_name_follows_the_resolved_scene_and_the_files_contents(scene):
     assert len(name) == 12
     assert RunScene("beam", scene.resolved, "other comments", scene.files).digest() == name
     assert RunScene("beam", "cqrun: 1\nseed: 1\n", scene.original, scene.files).digest() != name
+    assert RunScene("beam", scene.resolved, scene.original, scene.files, job="simulate").digest() != name
     scene.files["data.csv"].write_text("time,marker,x\n")
     assert scene.digest() != name
     scene.files["data.csv"].unlink()

@@ -1,0 +1,129 @@
+"""What `cqrun gradcheck` differentiates: the loss of a fit, or a random linear function of the final state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.design.params import Block, Params
+from cqrun.engine.model import Records
+from cqrun.engine.rollout import Rollout
+from cqrun.jobs.cases import Case
+from cqrun.jobs.problem import FitProblem, make_params
+from cqrun.scene.build import Built
+from cqrun.scene.paths import canonical, leaf, leaves
+from cqrun.state import State
+
+INSIDE = 0.025
+"""How far the point that is checked stays from the bounds, where 1 is from bound to bound: steps go both ways."""
+
+TYPICAL = {"m/s^2": 1.0, "m/s": 0.1, "rad/s": 0.1, "Pa s": 1.0, "N": 0.1, "kg": 0.01, "1/s": 1.0}
+"""Size of a number that is 0 in the scene, by its unit; 0.1 for any other."""
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A function of scaled values x.
+
+    Attributes:
+        words: what it is.
+        params: the blocks of x.
+        x: where it is checked (n,).
+        value: f(x), from a forward run; RolloutError or TrialFailed where it blows up.
+        value_and_grad: f and its gradient (n,), by the adjoint.
+        scale: size of the terms that f sums: a small f may be a difference of large ones.
+    """
+
+    words: str
+    params: Params
+    x: Array
+    value: Callable[[Array], float]
+    value_and_grad: Callable[[Array], tuple[float, Array]]
+    scale: float
+
+
+def fit_loss(built: Built, cases: Sequence[Case], threads: int) -> Loss:
+    """Return the loss that `cqrun sysid` minimises, at the scene's start."""
+    params = make_params(built)
+    problem = FitProblem(cases, params, threads=threads)
+
+    def value(x: Array) -> float:
+        r = problem.residuals(x)
+        return 0.5 * float(r @ r)
+
+    x = np.clip(params.start, INSIDE, 1.0 - INSIDE)
+    words = "the fit's loss" + ("" if np.array_equal(x, params.start) else " (a little inside the bounds)")
+    return Loss(words, params, x, value, problem.value_and_grad, 0.0)
+
+
+def state_loss(built: Built, threads: int) -> Loss:
+    """Return a random linear function of the final x, v, C and F, by everything that gradients reach.
+
+    Each part is measured in its own root mean square, so that all of them count.
+    """
+    params = Params(tuple(_block(built, path) for path in _reached(built)))
+    rng = np.random.default_rng(built.scene.seed)
+
+    def final(x: Array, adjoint: bool) -> Rollout:
+        values = params.unpack(x)
+        return Rollout(built.model, built.assembly.inputs(values), threads=threads, adjoint=adjoint)
+
+    def last_state(x: Array) -> State:
+        seen: list[State] = []
+        final(x, adjoint=False).run(lambda control, state: seen.append(state) if control == n_controls else None)
+        return seen[0]
+
+    n_controls = built.model.n_controls
+    state = last_state(params.start)
+    weights = _weights(state, rng)
+
+    def value(x: Array) -> float:
+        return _product(last_state(x), weights)
+
+    def value_and_grad(x: Array) -> tuple[float, Array]:
+        found: list[float] = []
+
+        def loss_bar(records: Records, state: State) -> tuple[None, State]:
+            found.append(_product(state, weights))
+            return None, weights
+
+        _, bar = final(x, adjoint=True).gradient(loss_bar)
+        return found[0], params.gradient(x, built.assembly.gradient(params.unpack(x), bar))
+
+    scale = float(sum(np.abs(a * w).sum() for a, w in _pairs(state, weights)))
+    return Loss("a random function of the final state", params, params.start, value, value_and_grad, scale)
+
+
+def _reached(built: Built) -> list[str]:
+    return [
+        canonical(built.scene, path)
+        for path in leaves(built.scene, differentiable=True)
+        if built.assembly.reaches(path)
+    ]
+
+
+def _block(built: Built, path: str) -> Block:
+    """Return a number of the scene with bounds half its size to either side, so that scaled steps are relative."""
+    info = leaf(built.scene, path)
+    value = float(info.value)
+    half = 0.5 * abs(value) if value else 0.5 * TYPICAL.get(info.unit, 0.1)
+    return Block(path, value - half, value + half, False, np.array(value))
+
+
+def _weights(state: State, rng: np.random.Generator) -> State:
+    def drawn(a: Array) -> Array:
+        size = float(np.sqrt(np.mean(a**2)))
+        return rng.normal(size=a.shape) / (size if size > 0 else 1.0)
+
+    return State(drawn(state.x), drawn(state.v), drawn(state.C), drawn(state.F), np.zeros_like(state.memory))
+
+
+def _pairs(state: State, weights: State) -> list[tuple[Array, Array]]:
+    return [(state.x, weights.x), (state.v, weights.v), (state.C, weights.C), (state.F, weights.F)]
+
+
+def _product(state: State, weights: State) -> float:
+    return float(sum(np.vdot(a, w) for a, w in _pairs(state, weights)))

@@ -1,0 +1,220 @@
+"""`cqrun gradcheck`: the adjoint of a scene's own loss against differences, direction by direction.
+
+A direction d moves one block of values (one unknown; for many numbers, a random direction), or all of them. Central
+differences D(h) = (f(x + h d) - f(x - h d)) / 2h are taken over a scan of steps and extrapolated to fourth order,
+
+    E(h) = (16 D(h/4) - D(h)) / 15.
+
+Large steps err by curvature, small ones by rounding; in between lies a plateau. It is found without looking at the
+adjoint, where E changes least from one step to the next, and there the two must agree. Where a branch changes
+between the points (contact, stick and slip) the plateau begins at smaller steps.
+
+With data the loss is that of the fit, its unknowns in scaled coordinates (bounds are 1 apart). Without, it is a
+random linear function of the final state, by every number of the scene that gradients reach.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.design.params import Params
+from cqrun.errors import RolloutError, RunError
+from cqrun.jobs.cases import Case, given_cases, made_cases
+from cqrun.jobs.checked_losses import Loss, fit_loss, state_loss
+from cqrun.jobs.kernels import compile_kernels
+from cqrun.jobs.reporter import Reporter, Silent
+from cqrun.jobs.runs import build_and_warn, cores, open_run, refuse_overrides, saved_scene
+from cqrun.optimizers.base import TrialFailed
+from cqrun.scene.build import Built
+from cqrun.scene.load import load_scene
+from cqrun.store.atomic import write_json
+from cqrun.store.run import RunDirectory
+
+STEPS = 1e-2 * 4.0 ** -np.arange(11)
+"""Steps of the central differences, 1e-2 to 1e-8, in scaled coordinates."""
+
+TOLERANCE = {"float64": 1e-5, "float32": 5e-2}
+"""Largest relative difference on the plateau."""
+
+NOISE = 100.0
+"""Rounding errors of the loss that count as noise."""
+
+FILE = "gradcheck.json"
+ALL = "all together"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One direction.
+
+    Attributes:
+        block: key path that is moved, or `all together`.
+        count: how many numbers it has.
+        adjoint: directional derivative by the adjoint.
+        differences: the same by differences, on the plateau.
+        error: |adjoint - differences| / the larger of the two.
+        step: of the plateau.
+        noise: what rounding alone can make of a difference at that step; both below it: flat, nothing to compare.
+        scan: E at every step; None where a rollout failed.
+        agrees: the two agree.
+    """
+
+    block: str
+    count: int
+    adjoint: float
+    differences: float
+    error: float
+    step: float
+    noise: float
+    scan: list[float | None]
+    agrees: bool
+
+
+def run_gradcheck(
+    scene_source: Path,
+    overrides: Sequence[str],
+    out: Path,
+    fresh: bool,
+    threads: int | None,
+    quiet: bool,
+    *,
+    reporter: Reporter | None = None,
+) -> tuple[Path, bool]:
+    """Check a scene's gradient; return the run's directory and whether all directions agree.
+
+    Raises:
+        SceneError, UsageError: bad input. RunError: the scene blows up at its start. Stopped: asked to stop.
+    """
+    talk = reporter or Silent()
+    built = build_and_warn(load_scene(scene_source, overrides), talk)
+    n_threads = cores(threads)
+    with_data = has_data(built)
+    cases = given_cases(built) if with_data else None
+    with open_run(
+        scene_source, built.scene, out, job="gradcheck", threads=n_threads, fresh=fresh, with_data=with_data
+    ) as run:
+        if run.finished:
+            talk.phase(f"finished already ({run.status}); --fresh starts over")
+            return run.path, run.status == "done"
+        return check_gradient(run, built, cases, n_threads, talk)
+
+
+def resume_gradcheck(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
+    """Do a check that was stopped again, from its beginning."""
+    refuse_overrides(run, overrides)
+    if not run.finished:
+        built = build_and_warn(saved_scene(run), talk)
+        check_gradient(run, built, given_cases(built) if has_data(built) else None, threads, talk)
+    return run.path
+
+
+def has_data(built: Built) -> bool:
+    """Say whether a scene has a fit to differentiate."""
+    return built.scene.data is not None and bool(built.scene.unknowns)
+
+
+def check_gradient(
+    run: RunDirectory, built: Built, cases: list[Case] | None, threads: int, talk: Reporter
+) -> tuple[Path, bool]:
+    """Check every direction; write gradcheck.json."""
+    run.begin(threads)
+    compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=True)
+    if has_data(built):
+        loss = fit_loss(built, made_cases(run, built) if cases is None else cases, threads)
+    else:
+        loss = state_loss(built, threads)
+    talk.phase(f"checking {len(loss.params.blocks)} blocks by {2 * len(STEPS)} rollouts each")
+    try:
+        value, gradient = loss.value_and_grad(loss.x)
+    except (RolloutError, TrialFailed) as error:
+        run.finish("failed", f"at the start itself: {error}")
+        raise RunError(f"{run.path}: at the start itself: {error}") from error
+    chosen = directions(loss.params, np.random.default_rng(built.scene.seed))
+    rows: list[Row] = []
+    for number, (block, d) in enumerate(chosen.items()):
+        if talk.stop.asked:
+            run.finish("stopped", f"stopped after {number} of {len(chosen)} directions")
+            raise talk.stop.stopped(f"{run.record['reason']}; `cqrun resume {run.path}` starts again")
+        talk.advance(number, len(chosen), f"{number} of {len(chosen)} directions, now {block}")
+        rows.append(check_direction(block, loss, value, gradient, d, built.scene.precision))
+    agrees = all(row.agrees for row in rows)
+    found = {"job": "gradcheck", "agrees": agrees, "loss": value, "of": loss.words, "steps": STEPS[:-1].tolist()}
+    write_json(run.path / FILE, found | {"rows": [asdict(row) for row in rows]})
+    run.finish("done" if agrees else "failed", "adjoint and differences " + ("agree" if agrees else "disagree"))
+    return run.path, agrees
+
+
+def directions(params: Params, rng: np.random.Generator) -> dict[str, Array]:
+    """Return a direction (n,) with its largest entry 1 for each block, and one through all of them."""
+    found: dict[str, Array] = {}
+    groups: dict[str, list[slice]] = {}
+    for path, part in params.slices.items():
+        head, _, last = path.rpartition(".")
+        groups.setdefault(head if last.isdigit() else path, []).append(part)
+    for name, parts in groups.items():
+        d = np.zeros(len(params.start))
+        for part in parts:
+            d[part] = rng.uniform(-1.0, 1.0, part.stop - part.start)
+        found[name] = d / np.abs(d).max()
+    if len(found) > 1:
+        found[ALL] = rng.uniform(-1.0, 1.0, len(params.start))
+    return found
+
+
+def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Array, precision: str) -> Row:
+    """Return what differences along one direction say of the gradient (n,)."""
+    adjoint = float(gradient @ d)
+    scan = extrapolated(lambda h: _central(loss, d, h))
+    best = plateau(scan)
+    differences, step = float(scan[best]), float(STEPS[best])
+    noise = NOISE * float(np.finfo(precision).eps) * max(abs(value), loss.scale) / step
+    size = max(abs(adjoint), abs(differences))
+    error = abs(adjoint - differences) / size if size > 0 else 0.0
+    agrees = bool(np.isfinite(differences)) and (error <= TOLERANCE[precision] or size <= noise)
+    shown = [float(e) if np.isfinite(e) else None for e in scan]
+    return Row(
+        block, int(np.count_nonzero(d)), adjoint, differences if np.isfinite(differences) else 0.0, error, step,
+        noise, shown, agrees,
+    )  # fmt: skip
+
+
+def _central(loss: Loss, d: Array, h: float) -> float:
+    try:
+        return (loss.value(loss.x + h * d) - loss.value(loss.x - h * d)) / (2.0 * h)
+    except (RolloutError, TrialFailed):
+        return float("nan")  # this step is too long for the scene; a shorter one serves
+
+
+def extrapolated(central: Callable[[float], float]) -> Array:
+    """Return E(h) at every step but the last, NaN where a rollout failed."""
+    D = np.array([central(float(h)) for h in STEPS])
+    return np.asarray((16.0 * D[1:] - D[:-1]) / 15.0)
+
+
+def plateau(scan: Array) -> int:
+    """Return where a scan changes least to both its neighbours."""
+    change = np.abs(np.diff(scan))
+    both = np.maximum(change[1:], change[:-1])
+    return 1 + int(np.nanargmin(both)) if np.isfinite(both).any() else len(scan) - 1
+
+
+def lines_of(found: dict[str, Any]) -> list[str]:
+    """Return the table of a gradcheck.json."""
+    width = max(len(row["block"]) for row in found["rows"])
+    lines = [f"gradient of {found['of']} = {found['loss']:.6g}"]
+    lines.append(f"{'block':{width}}  numbers  {'adjoint':>14}  {'differences':>14}  {'error':>8}  {'step':>8}")
+    for row in found["rows"]:
+        flat = max(abs(row["adjoint"]), abs(row["differences"])) <= row["noise"]
+        verdict = "DISAGREES" if not row["agrees"] else "flat: nothing to compare" if flat else ""
+        lines.append(
+            f"{row['block']:{width}}  {row['count']:7d}  {row['adjoint']:14.7e}  {row['differences']:14.7e}  "
+            f"{row['error']:8.1e}  {row['step']:8.1e}  {verdict}".rstrip()
+        )
+    lines.append("adjoint and differences " + ("agree" if found["agrees"] else "DISAGREE"))
+    return lines

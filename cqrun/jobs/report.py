@@ -1,0 +1,146 @@
+"""What a run found, as lines for a terminal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from cqrun.errors import UsageError
+from cqrun.jobs.gradcheck import FILE as GRADCHECK
+from cqrun.jobs.gradcheck import lines_of
+from cqrun.scene.load import load_scene
+from cqrun.scene.paths import leaf
+from cqrun.scene.schema import Scene
+from cqrun.store.run import read_record
+
+MANY = 8
+"""A block of more numbers is told by its range."""
+
+
+def report_lines(run_dir: Path) -> list[str]:
+    """Return what a finished run found; for one that goes on, its status.
+
+    Raises:
+        UsageError: it is no run, or what it found cannot be read.
+    """
+    record = read_record(run_dir)
+    if record["job"] == "gradcheck":
+        found = _read(run_dir / GRADCHECK)
+        return [_status(record)] if found is None else lines_of(found)
+    result = _read(run_dir / "result.json")
+    if result is None:
+        return [_status(record)]
+    lines = _sysid(run_dir, result) if record["job"] == "sysid" else _simulate(result)
+    return [*lines, *_pictures(run_dir)]
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    if not path.exists():
+        return None
+    try:
+        found: dict[str, Any] = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path}: unreadable ({error}); run the scene again with --fresh") from error
+    return found
+
+
+def _status(record: dict[str, Any]) -> str:
+    return f"{record['job']}: {record['status']}" + (f" ({record['reason']})" if record.get("reason") else "")
+
+
+# --- sysid --------------------------------------------------------------------------------------------------
+
+
+def _sysid(run_dir: Path, result: dict[str, Any]) -> Iterator[str]:
+    scene = load_scene(run_dir / "scene.yaml", (), Path(str(read_record(run_dir).get("base", ""))))
+    yield f"{result['status']} after {result['iterations']} iterations: {result['message']}"
+    yield ""
+    yield from table(
+        ("unknown", "value", "95 % interval", "unit", "from"),
+        [row for path, entry in result["unknowns"].items() for row in _unknown(scene, path, entry)],
+    )
+    reasons = {path: entry["reason"] for path, entry in result["unknowns"].items() if entry.get("reason")}
+    if reasons:
+        yield ""
+        if len(reasons) == len(result["unknowns"]) and len(set(reasons.values())) == 1:
+            yield f"no intervals: {next(iter(reasons.values()))}"
+        else:
+            yield from (f"no interval for {path}: {reason}" for path, reason in reasons.items())
+    yield ""
+    yield from _errors(result)
+    yield from (f"note: {sentence}" for sentence in result.get("findings", []))
+
+
+def _unknown(scene: Scene, path: str, entry: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+    unit = leaf(scene, path).unit
+    value, initial, interval = entry["value"], entry["initial"], entry["interval"]
+    if not isinstance(value, list):
+        yield path, number(value), _interval(interval), unit, number(initial)
+    elif len(value) > MANY:
+        yield path, f"{number(min(value))} ... {number(max(value))}", f"{len(value)} numbers", unit, number(initial[0])
+    else:
+        pairs = interval if interval is not None else [None] * len(value)
+        for k, (v, i, pair) in enumerate(zip(value, initial, pairs, strict=True)):
+            yield f"{path}[{k}]", number(v), _interval(pair), unit, number(i)
+
+
+def _interval(pair: list[float] | None) -> str:
+    return "none" if pair is None else f"{number(pair[0])} to {number(pair[1])}"
+
+
+def _errors(result: dict[str, Any]) -> Iterator[str]:
+    if result["recordings"] is None:
+        yield f"loss {result['loss']:.6g}"
+        return
+    rows = []
+    for name, entry in result["recordings"].items():
+        rmse = "blew up" if entry["rmse_mm"] is None else f"{entry['rmse_mm']:.3f}"
+        markers = entry.get("markers_mm", {})
+        by_marker = ", ".join(f"{m} {'unseen' if e is None else f'{e:.3f}'}" for m, e in markers.items())
+        rows.append((name, "held out" if entry["holdout"] else "fitted", rmse, by_marker if len(markers) <= 12 else ""))
+    yield from table(("recording", "", "RMSE [mm]", "by marker [mm]"), rows)
+
+
+# --- simulate -----------------------------------------------------------------------------------------------
+
+
+def _simulate(result: dict[str, Any]) -> Iterator[str]:
+    yield f"{result['status']}: {result['message']}"
+    yield ""
+    rows = [
+        (
+            body,
+            ", ".join(number(c) for c in entry["centroid"]),
+            number(entry["fastest"]),
+            number(entry["least_volume_ratio"]),
+            number(entry["kinetic_energy"]),
+        )
+        for body, entry in result["bodies"].items()
+    ]
+    yield from table(("body", "centroid at the end [m]", "fastest [m/s]", "least volume ratio", "kinetic energy"), rows)
+    yield from (f"note: {sentence}" for sentence in result["findings"])
+
+
+# --- everywhere ---------------------------------------------------------------------------------------------
+
+
+def _pictures(run_dir: Path) -> Iterator[str]:
+    files = sorted((run_dir / "figures").glob("*.png"))
+    files += [file for name in ("tracks.csv", "observables.csv", "trajectory.h5") if (file := run_dir / name).exists()]
+    if files:
+        yield ""
+        yield "see " + ", ".join(str(file.relative_to(run_dir)) for file in files)
+
+
+def number(value: float) -> str:
+    """Return a number with five digits."""
+    return f"{value:.5g}"
+
+
+def table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Yield the lines of a table whose columns are as wide as they need to be."""
+    widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
+    for row in (head, *rows):
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

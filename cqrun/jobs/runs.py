@@ -1,0 +1,104 @@
+"""How every job takes up its run: threads, the run's name, the scene that a run directory keeps."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from cqrun.errors import Problem, RunError, SceneError, UsageError
+from cqrun.jobs.reporter import Reporter
+from cqrun.scene.build import Built, build
+from cqrun.scene.load import dump, load_scene, resolve
+from cqrun.scene.schema import Scene
+from cqrun.store.run import RunDirectory, RunScene
+
+
+def cores(threads: int | None) -> int:
+    """Return how many threads to use: those asked for, or every core this process may run on."""
+    if threads is not None:
+        return threads
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def build_and_warn(scene: Scene, talk: Reporter) -> Built:
+    """Return a scene ready to run; its warnings are told."""
+    built = build(scene)
+    for warning in built.warnings:
+        talk.warn(str(warning))
+    return built
+
+
+def open_run(
+    source: Path, scene: Scene, out: Path, *, job: str, threads: int, fresh: bool, with_data: bool = True
+) -> RunDirectory:
+    """Make the run of a resolved scene below `out`, or take up the one that is there.
+
+    Args:
+        with_data: whether the job reads the recordings that the scene names.
+
+    Raises:
+        SceneError: a recording is missing. UsageError, RunError: as `RunDirectory.open`.
+    """
+    files = data_files(scene) if with_data else {}
+    base = str(scene.resolve_path("").resolve())
+    run_scene = RunScene(Path(source).stem, dump(resolve(scene)), scene.text, files, base, job)
+    return RunDirectory.open(run_scene, out, argv=sys.argv, seed=scene.seed, threads=threads, fresh=fresh)
+
+
+def data_files(scene: Scene) -> dict[str, Path]:
+    """Return the recordings of a scene, by the names it uses.
+
+    Raises:
+        SceneError: all those that are missing.
+    """
+    recordings = (scene.data.recordings if scene.data is not None else None) or {}
+    problems = []
+    for name, recording in recordings.items():
+        path = scene.resolve_path(recording.file)
+        if not path.is_file():
+            key = f"data.recordings.{name}.file"
+            message = f"there is no file '{path}'; {scene.title or 'see the head of the scene for where to get it'}"
+            problems.append(Problem(scene.where(key), key, message))
+    if problems:
+        raise SceneError(problems)
+    return {recording.file: scene.resolve_path(recording.file) for recording in recordings.values()}
+
+
+def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
+    """Return the scene that a run directory keeps, which names its files from where the run began."""
+    return load_scene(run.path / "scene.yaml", overrides, Path(run.record["base"]))
+
+
+def require_same_data(run: RunDirectory) -> None:
+    """Refuse to go on with a run whose recordings have changed since it began.
+
+    Raises:
+        UsageError: they have. SceneError: one is missing.
+    """
+    if run.record.get("extended"):
+        return  # its name is that of the scene it began with
+    files = data_files(saved_scene(run))
+    if RunScene(run.path.parent.name, run.resolved, "", files, job=run.record["job"]).digest() != run.path.name:
+        raise UsageError(
+            f"{run.path}: its scene.yaml, or a recording that it names, has changed since the run began; "
+            "run the scene again"
+        )
+
+
+def refuse_overrides(run: RunDirectory, overrides: Sequence[str]) -> None:
+    """Refuse overrides of a job that cannot be extended."""
+    if overrides:
+        job = run.record["job"]
+        raise UsageError(
+            f"-o {overrides[0]}: a run of {job} cannot be extended, what changes makes another run: "
+            f"cqrun {job} SCENE -o {overrides[0]}"
+        )
+
+
+def raise_if_failed(run: RunDirectory) -> Path:
+    """Return the run's path, or raise the error that it ended with."""
+    if run.status == "failed":
+        raise RunError(f"{run.path}: {run.record['reason']}")
+    return run.path
