@@ -60,6 +60,7 @@ class MarkerObjective:
         steps: int,
         start: float,
         start_bounds: tuple[float, float] | None = None,
+        skip: float = 0.0,
         absolute: bool = False,
         weight: float = 1.0,
         source: str = "recording",
@@ -74,6 +75,7 @@ class MarkerObjective:
             steps: control steps that the model runs; their time is the window's length.
             start: time of the release in the recording [s].
             start_bounds: where `start` may go if it is an unknown [s].
+            skip: time after the release that does not count [s].
             source: how errors name the recording.
 
         Raises:
@@ -82,7 +84,7 @@ class MarkerObjective:
         self.observer, self.names, self.absolute, self.weight = observer, tuple(names), absolute, weight
         self.control_step, self.steps = control_step, steps
         self.start_bounds = start_bounds or (start, start)
-        frames = _frames(time, start, self.start_bounds, steps * control_step, source)
+        frames = _frames(time, start, self.start_bounds, steps * control_step, skip, source)
         self.times = np.asarray(time, dtype=float)[frames]
         self.seen = ~np.isnan(values[frames]).any(axis=2)
         self.data = np.where(self.seen[..., None], values[frames], 0.0)
@@ -147,7 +149,9 @@ def residual_scales(objectives: Sequence[MarkerObjective]) -> list[float]:
     return [float(np.sqrt(o.weight / (total * o.count))) for o in objectives]
 
 
-def _frames(time: Array, start: float, bounds: tuple[float, float], length: float, source: str) -> Array:
+def _frames(
+    time: Array, start: float, bounds: tuple[float, float], length: float, skip: float, source: str
+) -> Array:
     """Return the indices of the frames that count, whatever start inside `bounds` is tried."""
     first, last = float(time[0]), float(time[-1])
     slack = 1e-6 * (last - first) / (len(time) - 1)
@@ -156,7 +160,8 @@ def _frames(time: Array, start: float, bounds: tuple[float, float], length: floa
             f"{source}: the window, {start:g} to {start + length:g} s (start + length), does not lie inside "
             f"the recording, {first:g} to {last:g} s"
         )
-    frames = np.flatnonzero((time >= bounds[0] - slack) & (time <= bounds[0] + length + slack))
+    begin, end = bounds[0] + skip, bounds[0] + length
+    frames = np.flatnonzero((time >= begin - slack) & (time <= end + slack))
     if frames.size == 0:
-        raise DataError(f"{source}: no frame lies between {bounds[0]:g} and {bounds[0] + length:g} s")
+        raise DataError(f"{source}: no frame lies between {begin:g} and {end:g} s")
     return frames

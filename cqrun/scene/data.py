@@ -33,6 +33,7 @@ class Recording(Spec):
     file: str = Field(min_length=1, description="C3D, CSV or trajectory file, relative to the scene")
     start: float = quantity("s", "Time in the file when the run begins", differentiable=True, default=0.0)
     length: float | None = quantity("s", "How long to compare; the scene's duration if absent", gt=0, default=None)
+    skip: float = quantity("s", "Time after the start that is not compared", ge=0, default=0.0)
     holdout: bool = Field(description="Predict it, but do not fit it", default=False)
     body: Name = Field(description="Body that carries the markers; may be left out where there is one body")
     units: Literal["m", "cm", "mm"] | None = Field(description="Of the file, if it does not say", default=None)
@@ -40,6 +41,13 @@ class Recording(Spec):
     markers: dict[str, Vector] = quantity("m", "Rest position of each marker used", default_factory=dict)
     overrides: dict[str, Any] = Field(description="Key path -> value for this recording", default_factory=dict)
     weight: float = quantity("1", "Weight in the loss", gt=0, default=1.0)
+
+    @model_validator(mode="after")
+    def _skip_leaves_something(self) -> Self:
+        if self.length is not None and self.skip >= self.length:
+            message = f"skips {self.skip:g} s of a length of {self.length:g} s: nothing is left to compare"
+            raise complaint("Recording", [finding(message, ("skip",), involves=("length",))])
+        return self
 
     @model_validator(mode="after")
     def _still_is_ordered(self) -> Self:
