@@ -212,7 +212,7 @@ class Assembly:
 
     def _strengths(self, values: Values) -> Array:
         specs = [updated(a.value, f"actuators.{name}.{a.name}", values) for name, a in self.scene.actuators.items()]
-        return np.array([spec.strength for spec in specs])  # type: ignore[attr-defined]
+        return np.array([spec.strength for spec in specs])
 
     def _tension(self, values: Values) -> Array:
         return signals(self.scene, self.sequence, values) * self._strengths(values)
