@@ -7,12 +7,21 @@ from typing import Annotated
 
 import typer
 
+from cqrun.cli.options import DEFAULT_OUT
+
+FIGURES = DEFAULT_OUT / "figures"
+KINDS = ("png", "pdf")
+
 
 def plot(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run directories; several are compared.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Where a comparison goes; one run keeps its pictures.")
+    ] = FIGURES,
 ) -> None:
-    """Draw convergence and fit of one or several runs, finished or not."""
-    from cqrun.figures.convergence import plot_run
+    """Draw convergence and fit of a run, finished or not, into its figures/; compare several. PNG and PDF."""
+    from cqrun.figures.draw import draw_run, draw_several
 
-    for path in plot_run(runs):
+    paths = draw_run(runs[0], KINDS) if len(runs) == 1 else draw_several(runs, out, KINDS)
+    for path in paths:
         typer.echo(path)

@@ -1,4 +1,4 @@
-"""What a finished command prints: results on standard output."""
+"""What a finished command leaves: pictures in the run, results on standard output."""
 
 from __future__ import annotations
 
@@ -14,3 +14,18 @@ def print_run(run: Path) -> None:
     for line in report_lines(run):
         typer.echo(line)
     typer.echo(f"run: {run}")
+
+
+def draw_and_print_run(run: Path) -> None:
+    """Draw a run, if its job has pictures, then print it; what it found is printed even if drawing fails.
+
+    Raises:
+        UsageError, RunError: the pictures cannot be written.
+    """
+    from cqrun.figures.draw import draw_run, has_pictures
+
+    try:
+        if has_pictures(run):
+            draw_run(run)
+    finally:
+        print_run(run)

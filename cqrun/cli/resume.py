@@ -8,9 +8,9 @@ from cqrun.cli.options import Overrides, Quiet, Run, Threads
 def resume(run: Run, overrides: Overrides = None, threads: Threads = None, quiet: Quiet = False) -> None:
     """Continue a run from its directory; `-o optimizer...=` extends one that is finished."""
     from cqrun.cli.progress import reporting
-    from cqrun.cli.results import print_run
+    from cqrun.cli.results import draw_and_print_run
     from cqrun.jobs.resume import run_resume
 
     with reporting(quiet) as reporter:
         continued = run_resume(run, overrides or [], threads, quiet, reporter=reporter)
-    print_run(continued)
+    draw_and_print_run(continued)

@@ -15,9 +15,9 @@ def simulate(
 ) -> None:
     """Run a scene forward and keep its trajectory (HDF5; ParaView opens it)."""
     from cqrun.cli.progress import reporting
-    from cqrun.cli.results import print_run
+    from cqrun.cli.results import draw_and_print_run
     from cqrun.jobs.simulate import run_simulate
 
     with reporting(quiet) as reporter:
         run = run_simulate(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
-    print_run(run)
+    draw_and_print_run(run)

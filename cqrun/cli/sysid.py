@@ -18,9 +18,9 @@ def sysid(
     The same command again continues the run, or says that it is finished.
     """
     from cqrun.cli.progress import reporting
-    from cqrun.cli.results import print_run
+    from cqrun.cli.results import draw_and_print_run
     from cqrun.jobs.sysid import run_sysid
 
     with reporting(quiet) as reporter:
         run = run_sysid(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
-    print_run(run)
+    draw_and_print_run(run)

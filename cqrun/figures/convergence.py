@@ -1,0 +1,295 @@
+"""convergence.png: the loss and every unknown against the iteration, as in CQ2 Fig 5."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.figures.quantities import MILLI, Unit, capitalised, estimate, labels, millimetres, number, shown_unit
+from cqrun.figures.run_data import HISTORY, RunData
+from cqrun.figures.style import COLOURS, GREY, PALE, TRUTH, clock_ticks, log_ticks, new_figure, titled, whole_ticks
+from cqrun.scene.paths import canonical, leaf
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDE_LOG = 5.0
+"""An unknown on a log scale whose view spans at least this factor gets a logarithmic axis."""
+
+NEAR = 1.0
+"""A bound that is at most so many spans away from what happened is shown, others are only told."""
+
+
+@dataclass(frozen=True)
+class LossCurve:
+    """The loss over a run, as a length.
+
+    Attributes:
+        label: what it is, such as RMSE.
+        iteration, seconds: of each row (K,).
+        value: root of the loss (K,) [mm].
+        floor: RMSE that the noise of synthetic data alone makes [mm]; None where it is not known.
+    """
+
+    label: str
+    iteration: Array
+    seconds: Array
+    value: Array
+    floor: float | None = None
+
+
+@dataclass(frozen=True)
+class UnknownCurve:
+    """One unknown over a run, in the unit it is shown in.
+
+    Attributes:
+        path: its key path.
+        label: short name.
+        unit: what numbers are shown in.
+        log: whether the optimizer sees its logarithm.
+        bounds: least and greatest value.
+        values: (K, n), with n = 0 where the history has only the gradient.
+        names: of the n numbers; empty where n < 2.
+        gradient: norm of the gradient in scaled coordinates (K,).
+        final: value found (n,), or None while there is none.
+        intervals: 95 % interval of each number, None where there is none.
+        truth: of synthetic data, or None.
+    """
+
+    path: str
+    label: str
+    unit: Unit
+    log: bool
+    bounds: tuple[float, float]
+    values: Array
+    names: tuple[str, ...]
+    gradient: Array
+    final: Array | None
+    intervals: tuple[tuple[float, float] | None, ...]
+    truth: float | None
+
+
+# --- data ---------------------------------------------------------------------------------------------------
+
+
+def loss_curve(run: RunData) -> LossCurve:
+    """Return the loss over a run; UsageError if it has no rows yet."""
+    if not run.history:
+        raise UsageError(f"{run.path}: {HISTORY} is missing or has no rows yet, so there is no convergence to draw")
+    data = run.scene.data
+    label = "distance to the target" if data is not None and data.target is not None else "RMSE"
+    floor = None
+    if data is not None and data.synthetic is not None and data.synthetic.noise > 0:
+        floor = MILLI * data.synthetic.noise * float(np.sqrt(run.scene.dim))
+    value = MILLI * np.sqrt(np.maximum(run.history["loss"], 0.0))
+    return LossCurve(label, run.history["iteration"], run.history["seconds"], value, floor)
+
+
+def unknown_curves(run: RunData) -> list[UnknownCurve]:
+    """Return the unknowns of a run, in the order of its scene."""
+    scene = run.scene
+    paths = [canonical(scene, path) for path in scene.unknowns]
+    synthetic = scene.data.synthetic if scene.data is not None else None
+    truths = {canonical(scene, p): v for p, v in synthetic.truth.items()} if synthetic is not None else {}
+    found = (run.result or {}).get("unknowns", {})
+    curves = []
+    for path, label, unknown in zip(paths, labels(paths), scene.unknowns.values(), strict=True):
+        lower, upper = unknown.bounds
+        unit = shown_unit(leaf(scene, path).unit, max(abs(lower), abs(upper)))
+        values = _values(run, path)
+        final, intervals = _found(found.get(path), unit)
+        truth = unit.factor * truths[path] if path in truths else None
+        curves.append(
+            UnknownCurve(
+                path, label, unit, unknown.scale == "log", (unit.factor * lower, unit.factor * upper),
+                unit.factor * values, _names(run, path, unknown.per, values.shape[1]),
+                run.history[f"grad:{path}"], final, intervals, truth,
+            )
+        )  # fmt: skip
+    return curves
+
+
+def _values(run: RunData, path: str) -> Array:
+    columns = [name for name in run.history if name == f"value:{path}" or name.startswith(f"value:{path}[")]
+    return np.array([run.history[name] for name in columns]).reshape(len(columns), len(run.history["iteration"])).T
+
+
+def _names(run: RunData, path: str, per: str, count: int) -> tuple[str, ...]:
+    if count < 2:
+        return ()
+    if per == "group":
+        return tuple(run.scene.bodies[path.split(".")[1]].groups)
+    return tuple(str(i) for i in range(count))
+
+
+def _found(entry: dict[str, Any] | None, unit: Unit) -> tuple[Array | None, tuple[tuple[float, float] | None, ...]]:
+    if entry is None:
+        return None, ()
+    final = unit.factor * np.atleast_1d(np.array(entry["value"], dtype=float))
+    intervals = entry.get("interval")
+    if intervals is None or not isinstance(intervals[0], list | None):
+        intervals = [intervals]
+    scaled = [None if pair is None else (unit.factor * pair[0], unit.factor * pair[1]) for pair in intervals]
+    return final, tuple(scaled) if len(scaled) == final.size else (None,) * final.size
+
+
+# --- drawing ------------------------------------------------------------------------------------------------
+
+
+def draw_convergence(run: RunData) -> Figure:
+    """Return the picture: a panel for the loss and one for each unknown."""
+    loss, unknowns = loss_curve(run), unknown_curves(run)
+    rows, columns, first = layout(1 + len(unknowns))
+    figure = new_figure(1.0 + 3.0 * columns, 0.5 + 2.35 * rows)
+    grid = figure.add_gridspec(rows, columns)
+    figure.suptitle(f"{run.name}: {run.status}", fontsize=9, color=GREY, x=0.995, ha="right")
+    plot_loss(figure.add_subplot(grid[0, :first]), loss)
+    for place, curve in enumerate(unknowns, first):
+        axes = figure.add_subplot(grid[place // columns, place % columns])
+        plot_unknown(axes, loss.iteration, curve)
+        if place >= (rows - 1) * columns:
+            axes.set_xlabel("iteration")
+    return figure
+
+
+def layout(panels: int) -> tuple[int, int, int]:
+    """Return rows, columns, and how many columns the first panel takes so that no place is left empty."""
+    columns = min(panels, 2 if panels in (2, 4) else 3)
+    rows = -(-panels // columns)
+    return rows, columns, 1 + rows * columns - panels
+
+
+def plot_loss(axes: Axes, loss: LossCurve) -> None:
+    """Draw the loss; below the iterations stands the wall time."""
+    axes.plot(loss.iteration, loss.value, color=COLOURS[0], **_marked(len(loss.iteration)))
+    shown = [*loss.value[loss.value > 0], *([] if loss.floor is None else [loss.floor])]
+    if shown:
+        low, high = _padded_log(min(shown), max(shown))
+        axes.set_yscale("log")
+        axes.set_ylim(low, high)
+        log_ticks(axes.yaxis, low, high)
+    if loss.floor is not None:
+        text = f"noise: {millimetres(loss.floor)} mm"
+        axes.axhline(loss.floor, color=TRUTH, linestyle="--", linewidth=1.0, label=text)
+        axes.legend(loc="upper right")
+    whole_ticks(axes.xaxis)
+    _pad_iterations(axes, loss.iteration)
+    unit = clock_ticks(axes.xaxis, loss.iteration, loss.seconds)
+    axes.set_xlabel(f"iteration, wall time ({unit})")
+    final = f"{millimetres(loss.value[-1])} after {int(loss.iteration[-1])} iterations"
+    titled(axes, f"{capitalised(loss.label)} (mm)", final)
+
+
+def plot_unknown(axes: Axes, iteration: Array, curve: UnknownCurve, *, tell_bounds: bool = True) -> None:
+    """Draw one unknown: its way, its final value with interval, truth and bounds."""
+    whole_ticks(axes.xaxis)
+    _pad_iterations(axes, iteration)
+    name = curve.unit.label(curve.label)
+    if curve.values.shape[1] == 0:
+        _plot_gradient(axes, iteration, curve, name)
+        return
+    low, high = view(curve)
+    if curve.log and high / low >= WIDE_LOG:
+        axes.set_yscale("log")
+        log_ticks(axes.yaxis, low, high)
+    axes.set_ylim(low, high)
+    for bound, beyond in zip(curve.bounds, (low, high), strict=True):
+        if low < bound < high:
+            axes.axhspan(min(bound, beyond), max(bound, beyond), color=PALE, alpha=0.6, linewidth=0)
+    single = curve.values.shape[1] == 1
+    if curve.truth is not None:
+        axes.axhline(curve.truth, color=TRUTH, linestyle="--", linewidth=1.0, label="truth")
+    for k, column in enumerate(curve.values.T):
+        label = None if single else curve.names[k]
+        axes.plot(iteration, column, color=COLOURS[k % len(COLOURS)], label=label, **_marked(len(iteration)))
+    _plot_intervals(axes, iteration, curve, (low, high))
+    if len(axes.get_legend_handles_labels()[0]):
+        axes.legend(loc="best", ncols=1 if len(curve.names) <= 6 else 2, handlelength=1.6)
+    titled(axes, name, _summary(curve, tell_bounds))
+
+
+def _plot_gradient(axes: Axes, iteration: Array, curve: UnknownCurve, name: str) -> None:
+    """Draw the norm of the gradient of a block too large to be shown number by number."""
+    shown = curve.gradient > 0
+    axes.plot(iteration[shown], curve.gradient[shown], color=COLOURS[0], **_marked(len(iteration)))
+    if shown.any():
+        low, high = _padded_log(float(curve.gradient[shown].min()), float(curve.gradient[shown].max()))
+        axes.set_yscale("log")
+        axes.set_ylim(low, high)
+        log_ticks(axes.yaxis, low, high)
+    axes.set_ylabel("norm of the gradient (m²)")
+    found = ""
+    if curve.final is not None:
+        found = f"{curve.final.size} values, {number(curve.final.min())} to {number(curve.final.max())}"
+    titled(axes, name, found)
+
+
+def _plot_intervals(axes: Axes, iteration: Array, curve: UnknownCurve, shown: tuple[float, float]) -> None:
+    """Draw the 95 % interval: a band for one number, bars behind the last iteration for several."""
+    if curve.final is None or not any(curve.intervals):
+        return
+    low, high = shown
+    if len(curve.intervals) == 1 and curve.intervals[0] is not None:
+        axes.axhspan(
+            *np.clip(curve.intervals[0], max(low, curve.bounds[0]), min(high, curve.bounds[1])),
+            color=COLOURS[0], alpha=0.16, linewidth=0, label="95 % interval",
+        )  # fmt: skip
+        return
+    right = axes.get_xlim()[1]
+    last = float(iteration[-1])
+    for k, pair in enumerate(curve.intervals):
+        if pair is not None:
+            place = last + (right - last) * (k + 1) / (len(curve.intervals) + 1)
+            colour = COLOURS[k % len(COLOURS)]
+            axes.plot([place, place], np.clip(pair, low, high), color=colour, linewidth=2.5, alpha=0.6)
+
+
+def view(curve: UnknownCurve) -> tuple[float, float]:
+    """Return the part of an unknown's axis to show: all that happened, and bounds that are near it."""
+    lower, upper = curve.bounds
+    seen = [*curve.values.ravel(), *(curve.final if curve.final is not None else [])]
+    seen += [curve.truth] if curve.truth is not None else []
+    for pair in curve.intervals:
+        seen += [float(np.clip(end, lower, upper)) for end in pair] if pair is not None else []
+    scale = np.log if curve.log else np.asarray
+    low, high = float(scale(min(seen))), float(scale(max(seen)))
+    bottom, top = float(scale(lower)), float(scale(upper))
+    span = high - low or 0.1 * (top - bottom)
+    low = bottom if low - bottom <= NEAR * span else low
+    high = top if top - high <= NEAR * span else high
+    margin = 0.08 * (high - low or span)
+    ends = low - margin, high + margin
+    return (float(np.exp(ends[0])), float(np.exp(ends[1]))) if curve.log else ends
+
+
+def _summary(curve: UnknownCurve, tell_bounds: bool) -> str:
+    """Return the line below an unknown's title: value with interval, and bounds."""
+    parts = []
+    if curve.values.shape[1] == 1 and curve.final is None:
+        parts.append(f"{number(float(curve.values[-1, 0]))} so far")
+    elif curve.values.shape[1] == 1 and curve.final is not None:
+        parts.append(estimate(float(curve.final[0]), curve.intervals[0]))
+    if tell_bounds:
+        parts.append(f"bounds {number(curve.bounds[0])} to {number(curve.bounds[1])}")
+    return ", ".join(parts)
+
+
+def _marked(count: int) -> dict[str, Any]:
+    """Return how a line of so many points is drawn: each point is an iteration, as long as they are few."""
+    return {"marker": "o", "markersize": 3.2} if count <= 40 else {"linewidth": 1.2}
+
+
+def _pad_iterations(axes: Axes, iteration: Array) -> None:
+    first, last = float(iteration[0]), float(iteration[-1])
+    margin = 0.04 * (last - first) or 0.5
+    axes.set_xlim(first - margin, last + margin)
+
+
+def _padded_log(low: float, high: float) -> tuple[float, float]:
+    factor = (high / low) ** 0.1 if high > low else 1.3
+    return low / factor, high * factor

@@ -1,0 +1,105 @@
+"""Draw what a run directory holds, into its own figures/; several runs are compared elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cqrun.errors import UsageError
+from cqrun.figures.bodies import draw_bodies
+from cqrun.figures.compare import draw_comparison
+from cqrun.figures.convergence import draw_convergence
+from cqrun.figures.overview import draw_overview
+from cqrun.figures.run_data import HISTORY, RESULT, TRACKS, TRAJECTORY, RunData, read_run
+from cqrun.figures.style import save, styled
+from cqrun.figures.tracks import draw_recording
+from cqrun.store.atomic import make_directory
+from cqrun.store.run import read_record
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIGURES = "figures"
+
+DRAWN = ("sysid", "simulate")
+"""Jobs that have pictures."""
+
+INCOMPLETE = "though the run has ended well: the directory is incomplete, run its scene again with --fresh"
+
+
+def has_pictures(path: Path) -> bool:
+    """Say whether the job of a run is one that is drawn; UsageError if it is no run."""
+    return read_record(path).get("job") in DRAWN
+
+
+def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
+    """Draw all that a run has so far; return the pictures' paths.
+
+    convergence   loss and unknowns against the iteration
+    tracks_NAME   markers of a recording beside the model
+    bodies        first, middle and last frame of the trajectory
+    overview      the most of it in one wide picture
+
+    Args:
+        path: the run's directory.
+        kinds: png, pdf.
+
+    Raises:
+        UsageError: it is no run, what it should hold is missing or damaged, or nothing is there to draw yet.
+        RunError: the disk is full.
+    """
+    run = read_run(path)
+    require_files(run)
+    figures = path / FIGURES
+    make_directory(figures)
+    written: list[Path] = []
+    with styled():
+        for name, figure in _figures(run):
+            written += save(figure, figures / name, kinds)
+    return written
+
+
+def require_files(run: RunData) -> None:
+    """Raise a UsageError where a run lacks what there must be to draw it."""
+    if run.job not in DRAWN:
+        raise UsageError(f"{run.path}: a run of '{run.job}' has no pictures; those of {' and '.join(DRAWN)} have")
+    if run.job == "sysid":
+        run.require(HISTORY, "so there is no convergence to draw")
+        if not run.history:
+            raise UsageError(f"{run.path}: {HISTORY} has no rows yet: nothing to draw before the first iteration")
+        if run.succeeded:
+            run.require(RESULT, INCOMPLETE)
+            run.require(TRAJECTORY, INCOMPLETE)
+            if (run.result or {}).get("recordings"):
+                run.require(TRACKS, INCOMPLETE)
+    elif not run.has_trajectory():
+        raise UsageError(f"{run.path}: there is no {TRAJECTORY}: nothing to draw before the first frame")
+
+
+def _figures(run: RunData) -> list[tuple[str, Figure]]:
+    """Return name and picture of all that a run has."""
+    drawn: list[tuple[str, Figure]] = []
+    if run.history:
+        drawn.append(("convergence", draw_convergence(run)))
+    if run.has(TRACKS):
+        drawn += [(f"tracks_{tracks.recording}", draw_recording(tracks, run.name)) for tracks in run.tracks()]
+    if run.has_trajectory():
+        drawn.append(("bodies", draw_bodies(run)))
+    if run.history and run.succeeded:
+        drawn.append(("overview", draw_overview(run)))
+    return drawn
+
+
+def draw_several(paths: Sequence[Path], out: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
+    """Compare runs in one picture, `out`/compare_<scenes>; return its paths.
+
+    Raises:
+        UsageError: a directory is no run, has no history yet, or the runs' losses are of different kinds.
+        RunError: the disk is full.
+    """
+    runs = [read_run(path) for path in paths]
+    names = "_".join(dict.fromkeys(run.name for run in runs))
+    make_directory(out)
+    with styled():
+        return save(draw_comparison(runs), out / f"compare_{names}", kinds)

@@ -1,0 +1,76 @@
+"""overview.png: one wide picture of an identification: loss, first unknown, a track and the body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cqrun.figures.bodies import farthest_frame, plot_body, room_around, snapshot, views, window
+from cqrun.figures.convergence import loss_curve, plot_loss, plot_unknown, unknown_curves
+from cqrun.figures.quantities import MILLI, length_unit, millimetres
+from cqrun.figures.run_data import TRACKS, RunData
+from cqrun.figures.style import new_figure, titled
+from cqrun.figures.tracks import explain, main_coordinate, plot_coordinate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PANEL, HEIGHT = 2.7, 2.35
+"""Size of a panel [inch]."""
+
+
+def draw_overview(run: RunData) -> Figure:
+    """Return the picture: a panel for each thing that the run has."""
+    parts: list[Callable[[Axes, RunData], None]] = [_loss]
+    if any(curve.values.shape[1] for curve in unknown_curves(run)):
+        parts.append(_unknown)
+    if run.has(TRACKS):
+        parts.append(_tracks)
+    if run.has_trajectory():
+        parts.append(_body)
+    figure = new_figure(PANEL * len(parts), HEIGHT)
+    # each panel its own subfigure: the body's colour bar moves no axes but its own
+    for part, room in zip(parts, figure.subfigures(1, len(parts), squeeze=False)[0], strict=True):
+        part(room.add_subplot(), run)
+    return figure
+
+
+def _loss(axes: Axes, run: RunData) -> None:
+    plot_loss(axes, loss_curve(run))
+
+
+def _unknown(axes: Axes, run: RunData) -> None:
+    curve = next(curve for curve in unknown_curves(run) if curve.values.shape[1])
+    plot_unknown(axes, run.history["iteration"], curve, tell_bounds=False)
+    axes.set_xlabel("iteration")
+
+
+def _tracks(axes: Axes, run: RunData) -> None:
+    tracks = run.tracks()[0]
+    axis = main_coordinate(tracks)
+    farthest = int(np.argmax(np.ptp(tracks.model[:, :, axis], axis=0)))
+    plot_coordinate(axes, tracks, axis, [farthest])
+    explain(axes)
+    title = axes.get_ylabel()
+    axes.set_ylabel("")
+    axes.set_xlabel("time (s)")
+    titled(axes, title, f"{tracks.markers[farthest]}; RMSE of {tracks.recording} {millimetres(MILLI * tracks.rmse())} mm")
+
+
+def _body(axes: Axes, run: RunData) -> None:
+    trajectory = run.trajectory()
+    shot = snapshot(trajectory, farthest_frame(trajectory))
+    both = np.stack([trajectory.fields["x"][0], shot.x])
+    look = views(run.scene, both)[-1]
+    corners = window(both, look, room_around(run.scene, both))
+    unit = length_unit(float(np.max(np.abs(corners))))
+    dots = plot_body(axes, run.scene, shot, look, corners, unit, float(shot.moved.max()))
+    wide, tall = corners[1] - corners[0]
+    place = "bottom" if wide > 1.6 * tall else "right"
+    bar = axes.figure.colorbar(dots, ax=axes, location=place, shrink=0.85, aspect=20, pad=0.04)
+    bar.outline.set_visible(False)
+    bar.set_label(unit.label("displacement"))
+    axes.set_title(f"t = {shot.time:.3g} s")

@@ -1,0 +1,109 @@
+"""How key paths, units and numbers are written in pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+MILLI = 1e3
+
+_WORDS = {"youngs_modulus": "Young's modulus", "poissons_ratio": "Poisson's ratio", "density": "density"}
+"""Names that say what they are without the key before them."""
+
+_ORDER = {"shear": "shear viscosity", "bulk": "bulk viscosity"}
+
+_PREFIXES = {"Pa": (("GPa", 1e9), ("MPa", 1e6), ("kPa", 1e3)), "m": (("m", 1.0), ("mm", 1e-3))}
+"""Units that are shown with another prefix where the numbers ask for it, the largest first."""
+
+_RAISED = str.maketrans({"^": None, "2": "²", "3": "³"})
+
+LARGE = 0.5
+"""Lengths from here on are shown in metres [m]."""
+
+
+class Unit(NamedTuple):
+    """A unit to show numbers in: `shown = factor * SI`; no name for numbers without a unit."""
+
+    name: str
+    factor: float
+
+    def label(self, text: str) -> str:
+        """Return text with the unit behind it, for an axis."""
+        return f"{text} ({self.name})" if self.name else text
+
+
+def shown_unit(unit: str, largest: float) -> Unit:
+    """Return the unit for numbers of SI unit `unit`, the greatest of which is `largest`."""
+    if unit == "m":
+        return length_unit(largest)
+    for name, size in _PREFIXES.get(unit, ()):
+        if abs(largest) >= size:
+            return Unit(name, 1.0 / size)
+    return Unit("" if unit == "1" else unit.translate(_RAISED), 1.0)
+
+
+def length_unit(extent: float) -> Unit:
+    """Return metres or millimetres for lengths up to `extent` [m]."""
+    return Unit("m", 1.0) if abs(extent) >= LARGE else Unit("mm", MILLI)
+
+
+def labels(paths: Sequence[str]) -> list[str]:
+    """Return a short name for each key path; paths that would share one get what tells them apart."""
+    short = [capitalised(_short(path)) for path in paths]
+    out = []
+    for path, name in zip(paths, short, strict=True):
+        rivals = [rival for rival, same in zip(paths, short, strict=True) if same == name and rival != path]
+        out.append(_apart(path, rivals) + name if rivals else name)
+    return out
+
+
+def capitalised(text: str) -> str:
+    """Return text with its first letter as a capital, the others as they are."""
+    return text[:1].upper() + text[1:]
+
+
+def _short(path: str) -> str:
+    *before, last = path.split(".")
+    parent = before[-1] if before else ""
+    if last.isdigit():
+        axis = "xyz"[int(last)] if int(last) < 3 else last
+        return f"{parent} {axis}".replace("_", " ")
+    if last in _WORDS:
+        return _WORDS[last]
+    if parent == "viscosity" and last in _ORDER:
+        return _ORDER[last]
+    return f"{parent} {last}".strip().replace("_", " ")
+
+
+def _apart(path: str, rivals: Sequence[str]) -> str:
+    """Return the keys of a path in which it differs from one of its rivals, with a colon behind them."""
+    keys = path.split(".")
+    columns = [rival.split(".") for rival in rivals]
+    apart = [key for i, key in enumerate(keys) if any(len(c) <= i or c[i] != key for c in columns)]
+    return f"{' '.join(apart).replace('_', ' ')}: "
+
+
+def millimetres(value: float) -> str:
+    """Return a length [mm] with three digits."""
+    return f"{value:#.3g}".rstrip(".") if np.isfinite(value) else "not seen"
+
+
+def number(value: float, width: float | None = None) -> str:
+    """Return a number as text: four digits, or as many as an uncertainty `width` leaves meaning."""
+    if width is None or not np.isfinite(width) or width <= 0:
+        return f"{value:.4g}"
+    decimals = 1 - int(np.floor(np.log10(width)))
+    if decimals > 8 or abs(value) >= 1e7:
+        return f"{value:.6g}"
+    return f"{value:.{max(decimals, 0)}f}"
+
+
+def estimate(value: float, interval: tuple[float, float] | None) -> str:
+    """Return a value with its 95 % interval, as `264.2 (263.6 to 264.7)`; all in the unit to show."""
+    if interval is None:
+        return number(value)
+    width = min(abs(interval[1] - value), abs(value - interval[0]))
+    low, high = (number(end, width) for end in interval)
+    return f"{number(value, width)} ({low} to {high})"

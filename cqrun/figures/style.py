@@ -1,0 +1,167 @@
+"""How every picture looks, and how it reaches the disk: whole or not at all.
+
+Pictures are made without pyplot: no window, no state between two of them. Draw and save inside `styled()`.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.store.atomic import write_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#6A51A3", "#8C6D31")
+"""Told apart by colour-blind readers too (Okabe and Ito's, the yellow left out as too pale for lines)."""
+
+INK, GREY, PALE = "#222222", "#6E6E6E", "#D9D9D9"
+TRUTH = "#C00000"
+DISPLACEMENT_MAP = "viridis"
+
+STYLE: dict[str, Any] = {
+    "figure.dpi": 130,
+    "savefig.dpi": 130,
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": GREY,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#ECECEC",
+    "grid.linewidth": 0.7,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "lines.linewidth": 1.5,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "legend.title_fontsize": 8,
+    "pdf.fonttype": 42,
+    "figure.constrained_layout.h_pad": 0.06,
+    "figure.constrained_layout.w_pad": 0.06,
+}
+
+FEW_DECADES = 2.5
+"""A logarithmic axis shorter than this is labelled at 1, 2 and 5 times the powers of ten."""
+
+LONG_TITLE = 36
+"""Titles of more letters are written smaller."""
+
+NARROW = 3.0
+"""One whose ends differ by a smaller factor is labelled at round numbers, as a linear one."""
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw and save in cqrun's style, whatever the user's own settings are."""
+    import matplotlib
+    from cycler import cycler
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(STYLE)
+        matplotlib.rcParams["axes.prop_cycle"] = cycler(color=COLOURS)
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size [inch]."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def save(figure: Figure, base: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
+    """Write `base` with a suffix for each kind, png or pdf; return the paths.
+
+    Raises:
+        UsageError: the directory cannot be written to.
+        RunError: the disk is full.
+    """
+    written = []
+    for kind in kinds:
+        content = io.BytesIO()
+        stamp = {"CreationDate": None} if kind == "pdf" else {}  # equal pictures are equal files
+        figure.savefig(content, format=kind, metadata=stamp)
+        path = base.with_name(f"{base.name}.{kind}")
+        write_bytes(path, content.getvalue())
+        written.append(path)
+    return written
+
+
+def whole_ticks(axis: Axis) -> None:
+    """Put an axis' ticks on whole numbers."""
+    from matplotlib.ticker import MaxNLocator
+
+    axis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+
+
+def clock_ticks(axis: Axis, iteration: Array, seconds: Array) -> str:
+    """Write the wall time [s] below each iteration; return the unit that it is written in."""
+    from matplotlib.ticker import FuncFormatter
+
+    total = float(seconds[-1])
+    name, size = next((n, s) for n, s in (("h", 3600.0), ("min", 60.0), ("s", 1.0)) if total >= 3 * s or s == 1.0)
+    digits = 0 if (total - float(seconds[0])) / size >= 10 else 1
+
+    def text(tick: float, _: int) -> str:
+        if not iteration[0] <= tick <= iteration[-1]:
+            return ""
+        return f"{tick:g}\n{np.interp(tick, iteration, seconds) / size:.{digits}f}"
+
+    axis.set_major_formatter(FuncFormatter(text))
+    return name
+
+
+def log_ticks(axis: Axis, low: float, high: float) -> None:
+    """Give a logarithmic axis from low to high readable ticks, however short it is."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+
+    span = np.log10(high / low)
+    if high / low < NARROW:
+        axis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
+        axis.set_minor_locator(NullLocator())
+    elif span < FEW_DECADES:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if span > 1.0 else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+        axis.set_minor_locator(NullLocator())
+    else:
+        axis.set_major_locator(LogLocator(numticks=7))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def note(axes: Axes, text: str) -> None:
+    """Write a small grey line between an axes' title and the axes."""
+    line = axes.annotate(
+        text, (0, 1), xycoords="axes fraction", xytext=(0, 3), textcoords="offset points",
+        fontsize=7.5, color=GREY, va="bottom", ha="left", annotation_clip=False,
+    )  # fmt: skip
+    line.set_in_layout(False)  # a long line must not squeeze the axes
+
+
+def titled(axes: Axes, title: str, text: str = "") -> None:
+    """Give an axes a title and, below it, a small grey line."""
+    size = None if len(title) <= LONG_TITLE else 7.5
+    axes.set_title(title, pad=15 if text else 6, fontsize=size)
+    if text:
+        note(axes, text)

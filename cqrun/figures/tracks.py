@@ -1,0 +1,208 @@
+"""tracks_<recording>.png: recorded markers beside the model, and how far apart they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.figures.quantities import MILLI, Unit, length_unit, millimetres
+from cqrun.figures.run_data import Tracks
+from cqrun.figures.style import COLOURS, GREY, INK, new_figure, titled
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FEW_MARKERS = 8
+"""Up to this many markers each has its own colour and line; of more, some paths are shown in the plane."""
+
+MOVES = 0.15
+"""A coordinate that moves less than this part of the one that moves most is not drawn."""
+
+SHOWN_PATHS = 12
+"""How many paths are shown of many markers."""
+
+SHOWN_TIMES = 3
+"""How many of those are shown against time."""
+
+
+# --- data ---------------------------------------------------------------------------------------------------
+
+
+def displacements(tracks: Tracks) -> tuple[Array, Array]:
+    """Return data and model (T, M, D) [m] from where the model's markers are in the first frame."""
+    return tracks.data - tracks.model[0], tracks.model - tracks.model[0]
+
+
+def moving_axes(tracks: Tracks) -> list[int]:
+    """Return the coordinates worth drawing, in order: those that move, in the model or in the data."""
+    spans = _spans(tracks)
+    largest = spans.max()
+    return [axis for axis, span in enumerate(spans) if span >= MOVES * largest]
+
+
+def main_coordinate(tracks: Tracks) -> int:
+    """Return the coordinate that moves most, in the model: noise moves nothing there."""
+    return int(np.argmax(np.ptp(tracks.model, axis=0).max(axis=0)))
+
+
+def main_axes(tracks: Tracks) -> tuple[int, int]:
+    """Return the two coordinates that span most: the plane in which paths are shown, in order."""
+    if tracks.model.shape[2] == 2:
+        return 0, 1
+    everything = np.ptp(tracks.model.reshape(-1, tracks.model.shape[2]), axis=0)
+    first, second = sorted(np.argsort(everything)[-2:].tolist())
+    return first, second
+
+
+def _spans(tracks: Tracks) -> Array:
+    """Return how far the marker that moves most goes along each axis (D,) [m], outliers of the data left out."""
+    model = np.ptp(tracks.model, axis=0).max(axis=0)
+    seen = [m for m in range(len(tracks.markers)) if np.isfinite(tracks.data[:, m]).any()]
+    if not seen:
+        return np.asarray(model)
+    low, high = np.nanpercentile(tracks.data[:, seen], [5, 95], axis=0)
+    return np.asarray(np.maximum(model, (high - low).max(axis=0)))
+
+
+def spread(points: Array, count: int, first: int = 0) -> list[int]:
+    """Return `count` of the points (N, D) that lie far apart, beginning with `first`."""
+    chosen = [first]
+    nearest = np.sum((points - points[first]) ** 2, axis=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, np.sum((points - points[chosen[-1]]) ** 2, axis=1))
+    return chosen
+
+
+# --- drawing ------------------------------------------------------------------------------------------------
+
+
+def draw_recording(tracks: Tracks, scene: str) -> Figure:
+    """Return the picture of one recording."""
+    few = len(tracks.markers) <= FEW_MARKERS
+    figure = _draw_markers(tracks) if few else _draw_paths(tracks)
+    kind = "held out" if tracks.holdout else "fitted"
+    title = f"{scene}, {tracks.recording} ({kind}): RMSE {millimetres(MILLI * tracks.rmse())} mm"
+    figure.suptitle(title, fontsize=10, fontweight="bold", color=INK, x=0.01, ha="left")
+    return figure
+
+
+def _draw_markers(tracks: Tracks) -> Figure:
+    """Draw displacements against time: a row a coordinate, and one for the error."""
+    axes = moving_axes(tracks)
+    figure = new_figure(8.6, 0.6 + 2.0 * len(axes) + 1.5)
+    panels = figure.subplots(len(axes) + 1, 1, sharex=True, height_ratios=[2.0] * len(axes) + [1.4])
+    for panel, axis in zip(panels, axes, strict=False):
+        lines = plot_coordinate(panel, tracks, axis, range(len(tracks.markers)))
+    explain(panels[0])
+    _plot_errors(panels[-1], tracks)
+    panels[-1].set_xlabel("time (s)")
+    named = zip(tracks.markers, tracks.rmse_by_marker(), strict=True)
+    texts = [f"{name}  {millimetres(MILLI * rmse)}" for name, rmse in named]
+    figure.legend(lines, texts, title="RMSE (mm)", loc="outside right upper", alignment="left")
+    return figure
+
+
+def plot_coordinate(panel: Axes, tracks: Tracks, axis: int, markers: Sequence[int]) -> list[Artist]:
+    """Draw one coordinate of some markers against time: data as dots, the model as lines, which are returned."""
+    lines: list[Artist] = []
+    data, model = displacements(tracks)
+    unit = length_unit(float(np.ptp(tracks.model, axis=0).max()))
+    for place, m in enumerate(markers):
+        colour = COLOURS[place % len(COLOURS)]
+        panel.plot(
+            tracks.time, unit.factor * data[:, m, axis], linestyle="none", marker="o", markersize=2.6, color=colour,
+            alpha=0.45, markeredgewidth=0,
+        )  # fmt: skip
+        lines += panel.plot(tracks.time, unit.factor * model[:, m, axis], color=colour, linewidth=1.3)
+    panel.set_ylabel(unit.label(f"{'xyz'[axis]} displacement"))
+    panel.margins(x=0.01)
+    return lines
+
+
+def explain(panel: Axes) -> None:
+    """Say what dots and lines are."""
+    from matplotlib.lines import Line2D
+
+    dots = Line2D([], [], linestyle="none", marker="o", markersize=3, color=GREY)
+    line = Line2D([], [], color=GREY, linewidth=1.3)
+    panel.legend([dots, line], ["data", "model"], loc="upper right", ncols=2, handlelength=1.4, columnspacing=1.2)
+    if panel.get_aspect() == "auto":
+        _raise_top(panel, 0.15)
+
+
+def _raise_top(panel: Axes, part: float) -> None:
+    """Make room for a legend in a row along the top."""
+    low, high = panel.get_ylim()
+    panel.set_ylim(low, high + part * (high - low))
+
+
+def _plot_errors(panel: Axes, tracks: Tracks) -> None:
+    """Draw every marker's distance from the model against time, and their root mean square."""
+    for m, column in enumerate(MILLI * tracks.error.T):
+        panel.plot(tracks.time, column, color=COLOURS[m % len(COLOURS)], linewidth=0.8, alpha=0.4)
+    time, mean = rms_over_markers(tracks)
+    panel.plot(time, MILLI * mean, color=INK, linewidth=1.3, label="root mean square of the markers")
+    panel.legend(loc="upper right")
+    _finish_errors(panel)
+
+
+def rms_over_markers(tracks: Tracks) -> tuple[Array, Array]:
+    """Return the times at which a marker was seen (K,) [s], and the root mean square error then (K,) [m]."""
+    seen = np.isfinite(tracks.error).any(axis=1)
+    return tracks.time[seen], np.sqrt(np.nanmean(tracks.error[seen] ** 2, axis=1))
+
+
+def _finish_errors(panel: Axes) -> None:
+    panel.set_ylabel("error (mm)")
+    panel.set_ylim(bottom=0.0)
+    _raise_top(panel, 0.2)
+    panel.margins(x=0.01)
+
+
+def _draw_paths(tracks: Tracks) -> Figure:
+    """Draw paths of some markers in the plane, a few against time, and the error of all."""
+    first, second = main_axes(tracks)
+    unit = length_unit(float(np.abs(tracks.model).max()))
+    figure = new_figure(10.0, 5.2)
+    places = [["paths", "time"], ["paths", "error"]]
+    panels: dict[str, Axes] = figure.subplot_mosaic(places, width_ratios=[1.15, 1.0], height_ratios=[1.5, 1.0])
+    farthest = int(np.argmax(np.ptp(tracks.model, axis=0).max(axis=1)))
+    shown = spread(tracks.model[0], SHOWN_PATHS, farthest)
+    _plot_paths(panels["paths"], tracks, shown, (first, second), unit)
+    plot_coordinate(panels["time"], tracks, main_coordinate(tracks), shown[:SHOWN_TIMES])
+    titled(panels["time"], f"{min(SHOWN_TIMES, len(shown))} of them against time")
+    _plot_error_band(panels["error"], tracks)
+    panels["error"].set_xlabel("time (s)")
+    panels["time"].sharex(panels["error"])
+    panels["time"].tick_params(labelbottom=False)
+    return figure
+
+
+def _plot_paths(panel: Axes, tracks: Tracks, shown: list[int], plane: tuple[int, int], unit: Unit) -> None:
+    for place, m in enumerate(shown):
+        colour = COLOURS[place % len(COLOURS)]
+        data, model = (unit.factor * source[:, m][:, plane].T for source in (tracks.data, tracks.model))
+        panel.plot(*data, linestyle="none", marker="o", markersize=2, markeredgewidth=0, color=colour, alpha=0.35)
+        panel.plot(*model, color=colour, linewidth=1.3)
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.set_xlabel(unit.label("xyz"[plane[0]]))
+    panel.set_ylabel(unit.label("xyz"[plane[1]]))
+    titled(panel, f"Paths of {len(shown)} of {len(tracks.markers)} markers")
+    explain(panel)
+
+
+def _plot_error_band(panel: Axes, tracks: Tracks) -> None:
+    """Draw the error over all markers against time: root mean square, and where nine tenths lie."""
+    time, mean = rms_over_markers(tracks)
+    seen = np.isfinite(tracks.error).any(axis=1)
+    low, high = MILLI * np.nanpercentile(tracks.error[seen], [5, 95], axis=1)
+    panel.fill_between(time, low, high, color=COLOURS[0], alpha=0.18, linewidth=0, label="5 to 95 % of the markers")
+    panel.plot(time, MILLI * mean, color=COLOURS[0], label="root mean square")
+    panel.legend(loc="upper right", ncols=2)
+    _finish_errors(panel)
