@@ -86,6 +86,19 @@ class Case:
             for o in self.objectives
         ]
 
+    def still_losses(self) -> Array:
+        """Return every objective's loss for bodies that stay where they are (K,) [m^2]."""
+        model, probe = self.built.model, self.built.model.probe
+        assert probe is not None
+        shape = (model.n_controls + 1, probe.shape[0], model.dim)
+        zeros = np.zeros((*shape, model.dim))
+        record = Record(
+            np.broadcast_to(probe @ self.built.particles.x, shape), np.zeros(shape), zeros, zeros + np.eye(model.dim)
+        )
+        return np.array(
+            [o.loss(record, self.start) if isinstance(o, MarkerObjective) else o.loss(record) for o in self.objectives]
+        )
+
     def gradient(
         self, values: Mapping[str, Array], weights: Array, threads: int = 1, budget: int | None = None
     ) -> tuple[float, dict[str, Array], Rollout]:

@@ -55,7 +55,8 @@ def fit_loss(built: Built, cases: Sequence[Case], threads: int) -> Loss:
         return 0.5 * float(r @ r)
 
     x = np.clip(params.start, INSIDE, 1.0 - INSIDE)
-    words = "the fit's loss" + ("" if np.array_equal(x, params.start) else " (a little inside the bounds)")
+    moved = "" if np.array_equal(x, params.start) else ", a little inside the bounds"
+    words = f"the fit's loss, in units of {problem.unit:.4g} m^2{moved},"
     return Loss(words, params, x, value, problem.value_and_grad, 0.0)
 
 

@@ -45,7 +45,7 @@ def write_findings(
         "job": "sysid",
         "status": outcome.status,
         "message": outcome.message,
-        "loss": outcome.loss,
+        "loss": problem.unit * outcome.loss if np.isfinite(outcome.loss) else None,
         "iterations": outcome.iterations,
         "unknowns": {
             b.path: {"initial": _plain(b.initial), "value": _plain(values[b.path]), "interval": None}

@@ -28,6 +28,7 @@ from cqrun.errors import RolloutError, RunError
 from cqrun.jobs.cases import Case, given_cases, made_cases
 from cqrun.jobs.checked_losses import Loss, fit_loss, state_loss
 from cqrun.jobs.kernels import compile_kernels
+from cqrun.jobs.memory import gradient_plan
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import build_and_warn, cores, open_run, refuse_overrides, saved_scene
 from cqrun.optimizers.base import TrialFailed
@@ -93,6 +94,7 @@ def run_gradcheck(
     """
     talk = reporter or Silent()
     built = build_and_warn(load_scene(scene_source, overrides), talk)
+    gradient_plan(built)
     n_threads = cores(threads)
     with_data = has_data(built)
     cases = given_cases(built) if with_data else None

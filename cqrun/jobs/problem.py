@@ -1,15 +1,16 @@
 """The fit of unknowns to cases, as an optimizer sees it.
 
-    f(x) = sum over fitted recordings of w_k loss_k / sum w_k,   loss_k = RMSE_k^2 [m^2]
+    f(x) = loss / unit,   loss = sum over fitted recordings of w_k loss_k / sum w_k,   loss_k = RMSE_k^2 [m^2]
 
-x are the unknowns in scaled coordinates (`design/params.py`). The residuals r are those of the markers, scaled so
-that f = r.r / 2. Rollouts of one evaluation run side by side on the cores, each on one thread; a single one takes
-all threads. Neither changes a bit of the result.
+x are the unknowns in scaled coordinates (`design/params.py`), and `unit` is the loss of bodies that stay where they
+are: so f is of order one, and an optimizer's tolerances mean the same in millimetres and in metres. The residuals r
+are those of the markers, scaled so that f = r.r / 2. Rollouts of one evaluation run side by side on the cores, each
+on one thread; a single one takes all threads. Neither changes a bit of the result.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -21,6 +22,7 @@ from cqrun.design.params import Block, Params
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError
 from cqrun.jobs.cases import Case
+from cqrun.jobs.memory import least_budget, state_bytes
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import Built
@@ -49,11 +51,16 @@ def make_params(built: Built) -> Params:
     return Params(tuple(blocks))
 
 
-def side_by_side(tasks: Sequence[Callable[[int], T]], threads: int) -> list[T]:
-    """Run tasks, each given its number of threads, and return their results in order."""
-    if len(tasks) == 1 or threads == 1:
+def side_by_side(tasks: Sequence[Callable[[int], T]], threads: int, at_once: int | None = None) -> list[T]:
+    """Run tasks, each given its number of threads, and return their results in order.
+
+    Args:
+        at_once: how many may run side by side; as many as there are threads, if not given.
+    """
+    at_once = min(threads, len(tasks), threads if at_once is None else at_once)
+    if at_once == 1:
         return [task(threads) for task in tasks]
-    with ThreadPoolExecutor(min(threads, len(tasks))) as pool:
+    with ThreadPoolExecutor(at_once) as pool:
         return list(pool.map(lambda task: task(1), tasks))
 
 
@@ -78,7 +85,11 @@ class FitProblem:
         cases: all of them; those held out are never fitted.
         params: the unknowns.
         threads: cores to use.
-        stop: looked at between rollouts.
+
+    Attributes:
+        unit: loss of bodies that stay where they are; a cell squared where that is nought [m^2].
+        weights: of each case's objectives in the loss; all together they sum to 1.
+        effort: what gradients have cost so far.
     """
 
     def __init__(self, cases: Sequence[Case], params: Params, *, threads: int = 1) -> None:
@@ -91,6 +102,8 @@ class FitProblem:
         self.effort = Effort()
         total = sum(self._weight(o) for case in self.cases for o in case.objectives)
         self.weights = [np.array([self._weight(o) / total for o in case.objectives]) for case in self.cases]
+        still = sum(float(w @ case.still_losses()) for case, w in zip(self.cases, self.weights, strict=True))
+        self.unit = still or self.cases[0].built.model.dx ** 2
 
     @staticmethod
     def _weight(objective: Any) -> float:
@@ -113,22 +126,39 @@ class FitProblem:
 
     def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
         """Return f and its gradient (n,), over all cases or scaled up from those in `batch`."""
+        values = self.values(x)
+        parts, gradient = self._attempt(x, lambda: self.losses_and_gradient(values, batch))
+        return float(sum(parts.values())) / self.unit, self.params.gradient(x, gradient) / self.unit
+
+    def losses_and_gradient(
+        self, values: Mapping[str, Array], batch: tuple[int, ...] | None = None
+    ) -> tuple[dict[str, float], dict[str, Array]]:
+        """Return every case's part of the loss [m^2], and the loss's gradient by path, for values by path.
+
+        Raises:
+            RolloutError: a case blows up.
+        """
         chosen = range(self.n_batches) if batch is None else batch
         share = 1.0 if batch is None else 1.0 / sum(self.weights[c].sum() for c in batch)
-        values = self.values(x)
-        at_once = min(self.threads, len(chosen))
+        at_once = self._at_once(chosen)
 
         def task(case: int) -> Callable[[int], tuple[float, dict[str, Array], Rollout]]:
             budget = self.cases[case].built.model.memory_budget // at_once
             return lambda threads: self.cases[case].gradient(values, share * self.weights[case], threads, budget)
 
-        found = self._attempt(x, lambda: side_by_side([task(c) for c in chosen], self.threads))
+        found = side_by_side([task(c) for c in chosen], self.threads, at_once)
         total = {path: np.zeros(np.shape(value)) for path, value in values.items()}
         for _, gradient, rollout in found:
             self.effort.add(rollout)
             for path in total:
                 total[path] = total[path] + gradient[path]
-        return float(sum(loss for loss, _, _ in found)), self.params.gradient(x, total)
+        return {self.cases[c].name: loss for c, (loss, _, _) in zip(chosen, found, strict=True)}, total
+
+    def _at_once(self, chosen: Sequence[int]) -> int:
+        """Return how many gradients may run side by side, so that the least states of each fit the budget."""
+        least = max(least_budget(state_bytes(self.cases[c].built.model)) for c in chosen)
+        budget = min(self.cases[c].built.model.memory_budget for c in chosen)
+        return max(1, min(self.threads, len(chosen), budget // least))
 
     def term_values(self) -> Array:
         """Return no terms: the loss has one."""
@@ -162,11 +192,10 @@ class FitProblem:
             )
         return out
 
-    @staticmethod
-    def _scales(case: Case, weights: Array) -> list[float]:
+    def _scales(self, case: Case, weights: Array) -> list[float]:
         """Return the factors of a case's residuals that make f = r.r / 2."""
         counts = [o.count if isinstance(o, MarkerObjective) else 1 for o in case.objectives]
-        return [float(np.sqrt(2.0 * w / n)) for w, n in zip(weights, counts, strict=True)]
+        return [float(np.sqrt(2.0 * w / (n * self.unit))) for w, n in zip(weights, counts, strict=True)]
 
     def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
         """Return r (m,) and J (m, n) by one-sided differences, inside the bounds."""

@@ -15,6 +15,7 @@ from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.jobs.cases import Case, given_cases, made_cases
 from cqrun.jobs.findings import write_findings
 from cqrun.jobs.kernels import compile_kernels
+from cqrun.jobs.memory import gradient_plan
 from cqrun.jobs.problem import FitProblem, make_params
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import build_and_warn, cores, open_run, raise_if_failed, require_same_data, saved_scene
@@ -61,13 +62,21 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
     """Build a scene for sysid, its optimizer chosen.
 
     Raises:
-        SceneError: it has no unknowns or no data.
+        SceneError: it has no unknowns or no data, or too little memory for gradients.
     """
     missing = [key for key in ("unknowns", "data") if not getattr(scene, key)]
     if missing:
         told = {"unknowns": "name what shall be found, by key path, with bounds", "data": "say what it is fitted to"}
         raise SceneError([Problem(scene.where(key), key, f"sysid needs it: {told[key]}") for key in missing])
-    return build_and_warn(with_optimizer(scene), talk)
+    built = build_and_warn(with_optimizer(scene), talk)
+    if uses_gradients(built.scene):
+        gradient_plan(built)
+    return built
+
+
+def uses_gradients(scene: Scene) -> bool:
+    """Say whether a scene's optimizer asks for gradients; the Jacobian of least squares is by differences."""
+    return scene.optimizer is None or not isinstance(scene.optimizer.value, LeastSquares)
 
 
 def with_optimizer(scene: Scene) -> Scene:
@@ -90,9 +99,8 @@ def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads:
     scene = built.scene
     optimizer: Any = scene.optimizer.value if scene.optimizer is not None else None
     assert isinstance(optimizer, Optimizer)
-    gradients = not isinstance(optimizer, LeastSquares)  # whose Jacobian is by differences
     run.begin(threads)
-    compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=gradients)
+    compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=uses_gradients(scene))
     if cases is None:
         talk.phase("making data")
         cases = made_cases(run, built)
@@ -101,7 +109,7 @@ def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads:
     talk.phase(f"fitting {len(params.start)} unknowns")
     talk.begin(optimizer.max_iterations)
     session = RunSession(
-        run, seed=scene.seed, blocks=params.slices, physical=params.physical,
+        run, seed=scene.seed, blocks=params.slices, physical=params.physical, loss_unit=problem.unit,
         stop=lambda: talk.stop.asked, progress=_Progress(run, talk),
     )  # fmt: skip
     outcome = optimizer.minimise(problem, session)

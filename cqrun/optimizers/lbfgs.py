@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array
 from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, Status
 from cqrun.optimizers.replayed import Trials, minimise_with_restarts
 from cqrun.registry import plugin
+
+STOPPED_BY_CALLBACK = 99
+"""scipy's status where the callback raised StopIteration."""
 
 
 @plugin("optimizer", "lbfgs")
@@ -39,20 +43,32 @@ class Lbfgs(Optimizer):
         from scipy.optimize import Bounds, minimize
 
         unlimited = 2**31 - 1  # the callback counts, over restarts too
+        last = np.inf
+
+        def accept(x: Array) -> None:
+            nonlocal last
+            trials.accept(x)
+            loss = trials.loss_at(x)
+            if last - loss <= self.function_tolerance * abs(loss):  # scipy's own test is absolute below 1
+                raise StopIteration
+            last = loss
+
         result = minimize(
             trials.value_and_grad,
             x,
             jac=True,
             method="L-BFGS-B",
             bounds=Bounds(lower, upper),
-            callback=trials.accept,
+            callback=accept,
             options={
                 "maxcor": self.memory,
-                "ftol": self.function_tolerance,
+                "ftol": 0.0,
                 "gtol": self.gradient_tolerance,
                 "maxls": self.line_search_steps,
                 "maxiter": unlimited,
                 "maxfun": unlimited,
             },
         )
+        if result.status == STOPPED_BY_CALLBACK:
+            return "converged", "an iteration lowered the loss by less than its function tolerance"
         return ("converged" if result.status == 0 else "stalled"), str(result.message)

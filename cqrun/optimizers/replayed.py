@@ -106,6 +106,10 @@ class Trials:
         if self.iteration >= self.max_iterations:
             raise Halt("iteration_limit", f"{self.max_iterations} iterations, the limit")
 
+    def loss_at(self, x: Array) -> float:
+        """Return f at an accepted point."""
+        return self._seen[x.tobytes()].loss
+
     def outcome(self, status: Status, message: str) -> Outcome:
         """Return an outcome at the best point so far."""
         x = self.problem.start if self.best_x is None else self.best_x

@@ -27,6 +27,7 @@ class RunSession:
         blocks: where each unknown stands in x, by its key path.
         physical: from scaled x (n,) to values in SI units (n,).
         term_names: terms of the loss.
+        loss_unit: what the optimizer's loss of 1 is in the history's unit.
         stop: whether the run was asked to stop.
         progress: called with (iteration, x, loss) at each new or repeated row.
     """
@@ -39,12 +40,13 @@ class RunSession:
         blocks: Mapping[str, slice],
         physical: Callable[[Array], Array],
         term_names: Sequence[str] = (),
+        loss_unit: float = 1.0,
         stop: Callable[[], bool] = lambda: False,
         progress: Callable[[int, Array, float], None] = lambda iteration, x, loss: None,
     ) -> None:
         self.seed = seed
         self._run, self._blocks, self._physical = run, dict(blocks), physical
-        self._stop, self._progress = stop, progress
+        self._stop, self._progress, self._unit = stop, progress, loss_unit
         self._labels = {name: _labels(name, part) for name, part in self._blocks.items()}
         self._history = run.history(
             ["loss", *term_names]
@@ -88,14 +90,14 @@ class RunSession:
 
     def report(self, iteration: int, x: Array, loss: float, grad: Array, terms: Mapping[str, float]) -> None:
         """Record a row of history.csv; one that is there already stays as it is."""
-        row = {"loss": loss, **terms}
+        row = {"loss": self._unit * loss, **{name: self._unit * term for name, term in terms.items()}}
         values = self._physical(x)
         for name, part in self._blocks.items():
-            row[f"grad:{name}"] = float(np.sqrt(np.sum(grad[part] ** 2)))
+            row[f"grad:{name}"] = self._unit * float(np.sqrt(np.sum(grad[part] ** 2)))
             if labels := self._labels[name]:
                 row.update(zip(labels, values[part], strict=True))
         self._history.record(iteration, row, self._run.elapsed())
-        self._progress(iteration, x, loss)
+        self._progress(iteration, x, self._unit * loss)
 
     def note(self, text: str) -> None:
         """Write a line into log.txt."""

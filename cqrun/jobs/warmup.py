@@ -1,0 +1,62 @@
+"""`cqrun warmup`: compile kernels before they are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from cqrun.jobs.kernels import compile_kernels, composition
+from cqrun.jobs.reporter import Reporter, Silent
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
+from cqrun.scene.schema import Scene
+
+ELASTIC = {"youngs_modulus": 1e4, "poissons_ratio": 0.3}
+
+
+def warmup(scenes: Sequence[Path] = (), *, reporter: Reporter | None = None) -> Iterator[str]:
+    """Compile the kernels of scenes, or the common ones, forward and backward; yield what took how long.
+
+    Args:
+        scenes: files whose kernels are wanted; without any, bodies of either elastic law with and without viscosity,
+            held by a clamp or lying on a floor, in 2D and 3D.
+
+    Raises:
+        SceneError: a scene that cannot be run.
+    """
+    talk = reporter or Silent()
+    for scene in [load_scene(path) for path in scenes] if scenes else common_scenes():
+        built = build(scene)
+        seconds = compile_kernels([built], talk, adjoint=True)
+        yield f"{seconds:5.1f} s  {composition(built, adjoint=True)}"
+
+
+def common_scenes() -> Iterator[Scene]:
+    """Yield small scenes that together need the kernels of most others."""
+    for dim in (2, 3):
+        for law in ("fixed_corotated", "neo_hookean"):
+            for viscosity in ({}, {"viscosity": {"shear": 1.0}}):
+                for boundary in (_clamp(dim), {"friction": {"face": "y_min", "coefficient": 0.3}}):
+                    material = {"density": 1000.0, "elastic": {law: ELASTIC}, **viscosity}
+                    yield load_scene(_scene(dim, material, boundary))
+
+
+def _clamp(dim: int) -> dict[str, Any]:
+    return {"sticky": {"region": {"box": {"corner": [0.0] * dim, "size": [0.02] + [0.1] * (dim - 1)}}}}
+
+
+def _scene(dim: int, material: dict[str, Any], boundary: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "cqrun": 1,
+        "world": {"size": [0.1] * dim, "dx": 0.01},
+        "bodies": {
+            "block": {
+                "shape": {"box": {"corner": [0.02] * dim, "size": [0.04] * dim}},
+                "particles_per_cell": 2**dim,
+                "material": material,
+            }
+        },
+        "boundaries": {"held": boundary},
+        "time": {"duration": 0.01, "control_step": 0.01},
+    }
