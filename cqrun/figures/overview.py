@@ -57,7 +57,8 @@ def _tracks(axes: Axes, run: RunData) -> None:
     title = axes.get_ylabel()
     axes.set_ylabel("")
     axes.set_xlabel("time (s)")
-    titled(axes, title, f"{tracks.markers[farthest]}; RMSE of {tracks.recording} {millimetres(MILLI * tracks.rmse())} mm")
+    rmse = millimetres(MILLI * tracks.rmse())
+    titled(axes, title, f"{tracks.markers[farthest]}; RMSE of {tracks.recording} {rmse} mm")
 
 
 def _body(axes: Axes, run: RunData) -> None:

@@ -1,0 +1,146 @@
+"""bodies.png: frames, views, depth, and what holds the body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made_runs import DURATION, made_twin, plane_scene, write_run, write_trajectory
+
+from cqrun.errors import UsageError
+from cqrun.figures.bodies import (
+    dot_size,
+    draw_bodies,
+    farthest_frame,
+    held,
+    of_equal_width,
+    plot_body,
+    snapshots,
+    views,
+    window,
+)
+from cqrun.figures.quantities import Unit
+from cqrun.figures.run_data import read_run
+from cqrun.figures.style import new_figure, styled
+from cqrun.scene.load import load_scene
+from cqrun.store.trajectory import Trajectory
+
+
+def solid_scene(**world):
+    """Return a 3D scene of one block."""
+    material = {"density": 1000.0, "elastic": {"neo_hookean": {"youngs_modulus": 2e5, "poissons_ratio": 0.4}}}
+    cube = {"box": {"corner": [0.02] * 3, "size": [0.04] * 3}}
+    bodies = {"a": {"shape": cube, "particles_per_cell": 8, "material": material}}
+    time = {"duration": DURATION, "control_step": 0.01, "substeps": 10}
+    return load_scene({"cqrun": 1, "world": {"size": [0.1] * 3, "dx": 0.01} | world, "bodies": bodies, "time": time})
+
+
+def falling(frames: int, points: np.ndarray) -> Trajectory:
+    """Return points (N, D) that sink by 1 mm a frame."""
+    x = np.repeat(points[None], frames, axis=0)
+    x[:, :, -1] -= 1e-3 * np.arange(frames)[:, None]
+    return Trajectory(0.1 * np.arange(frames), np.arange(frames), {"x": x}, {"a": slice(0, len(points))})
+
+
+@pytest.mark.parametrize(("frames", "times"), [(1, [0.0]), (2, [0.0, 0.1]), (5, [0.0, 0.2, 0.4])])
+def test_first_middle_and_last_frame(rng, frames, times):
+    shots = snapshots(falling(frames, rng.random((4, 2))))
+    assert [shot.time for shot in shots] == pytest.approx(times)
+    np.testing.assert_allclose([shot.moved for shot in shots], np.repeat(np.array(times) / 100, 4).reshape(-1, 4))
+
+
+def test_no_frame_is_an_error(rng):
+    with pytest.raises(UsageError, match="no frame in it yet"):
+        snapshots(falling(0, rng.random((4, 2))))
+
+
+def test_the_farthest_frame_need_not_be_the_last(rng):
+    trajectory = falling(5, rng.random((4, 2)))
+    trajectory.fields["x"][4] = trajectory.fields["x"][1]
+    assert farthest_frame(trajectory) == 3
+
+
+def test_a_plane_world_is_seen_as_it_is(rng):
+    (view,) = views(load_scene(plane_scene({})), rng.random((5, 2)))
+    assert view.names == "xy"
+    np.testing.assert_array_equal(view.axes, np.eye(2))
+
+
+def test_up_is_against_gravity_and_the_side_is_the_long_one():
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+    assert views(solid_scene(), corners)[0].names == "yz"
+    assert views(solid_scene(gravity=[0, -9.81, 0]), corners)[0].names == "zy"
+
+
+def test_views_are_orthonormal_and_the_oblique_one_looks_down():
+    side, oblique = views(solid_scene(gravity=[0, 0, -9.81]), np.array([[0.0] * 3, [3.0, 1.0, 1.0]]))
+    for view in (side, oblique):
+        frame = np.vstack([view.axes, view.towards])
+        np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(side.towards, [0, -1, 0])
+    assert oblique.towards[2] > 0  # the eye is above
+
+
+def test_near_particles_cover_far_ones():
+    scene = solid_scene()
+    x = np.array([[0.05, 0.02, 0.05], [0.02, 0.08, 0.02], [0.05, 0.08, 0.05]])
+    (shot,) = snapshots(falling(1, x))
+    look = views(scene, np.array([[0.0] * 3, [0.1, 0.01, 0.01]]))[0]
+    with styled():
+        axes = new_figure(3, 3).add_subplot()
+        dots = plot_body(axes, scene, shot, look, window(x, look, 0.01), Unit("mm", 1e3), 0.0)
+    np.testing.assert_allclose(dots.get_offsets(), [[20, 20], [50, 50], [50, 50]])
+    order = np.argsort(x @ look.towards, kind="stable")
+    assert order[-1] == 0  # the eye is at smaller y, and that particle is nearest to it
+
+
+def test_boundaries_show_where_they_hold():
+    scene = load_scene(plane_scene({}))
+    view = views(scene, np.zeros((1, 2)))[0]
+    right, up, inside = held(scene, view, np.array([[-0.01, 0.0], [0.09, 0.1]]), np.zeros(2))
+    assert inside.shape == (len(up), len(right))
+    expected = (right >= 0.0) & (right <= 0.03)
+    np.testing.assert_array_equal(inside[len(up) // 2], expected)
+
+
+def test_dots_have_the_particles_spacing():
+    assert dot_size(load_scene(plane_scene({})), 40) == pytest.approx(0.01 / 2)
+    assert dot_size(solid_scene(), 512) == pytest.approx(0.01 / 2)
+
+
+def test_windows_of_equal_width_keep_their_middles():
+    wide, narrow = of_equal_width([np.array([[0.0, 0.0], [4.0, 1.0]]), np.array([[1.0, 0.0], [2.0, 5.0]])])
+    np.testing.assert_array_equal(wide, [[0, 0], [4, 1]])
+    np.testing.assert_array_equal(narrow, [[-0.5, 0], [3.5, 5]])
+
+
+def test_the_picture_holds_positions_and_displacements(tmp_path, rng):
+    run = read_run(made_twin(tmp_path, rng))
+    with styled():
+        figure = draw_bodies(run)
+        figure.draw_without_rendering()
+    x = run.trajectory().fields["x"]
+    panels = figure.axes[:3]
+    assert [axes.get_title(loc="left") for axes in panels] == ["t = 0 s", "t = 0.2 s", "t = 0.4 s"]
+    for axes, frame in zip(panels, (0, 20, 40), strict=True):
+        dots = axes.collections[-1]
+        np.testing.assert_allclose(dots.get_offsets(), 1e3 * x[frame])
+        np.testing.assert_allclose(dots.get_array(), 1e3 * np.linalg.norm(x[frame] - x[0], axis=1), atol=1e-9)
+    assert (panels[0].get_xlabel(), panels[0].get_ylabel()) == ("x (mm)", "y (mm)")
+    assert figure.axes[3].get_ylabel() == "displacement (mm)"
+
+
+def test_a_body_that_does_not_move_is_drawn(tmp_path):
+    path = write_run(tmp_path, plane_scene({}), job="simulate", status="done")
+    write_trajectory(path, np.full((2, 1, 2), 0.05), np.array([0.0, 0.1]))
+    with styled():
+        draw_bodies(read_run(path)).draw_without_rendering()
+
+
+def test_a_target_is_marked(tmp_path):
+    scene = plane_scene({}, data={"target": {"body": "b", "position": [0.1, 0.05], "time": 0.4}})
+    path = write_run(tmp_path, scene, status="converged")
+    write_trajectory(path, np.array([[[0.02, 0.02], [0.12, 0.06]]]), np.array([0.0]))
+    with styled():
+        axes = draw_bodies(read_run(path)).axes[0]
+    np.testing.assert_allclose(axes.lines[0].get_xydata(), [[100, 50]])
+    assert [text.get_text() for text in axes.texts] == ["target"]

@@ -1,0 +1,100 @@
+"""Runs compared: which belong together, what they are called, and the band around their mean."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made_runs import history, plane_scene, write_history, write_run
+from scipy.stats import t as student
+
+from cqrun.errors import UsageError
+from cqrun.figures.compare import Group, band, draw_comparison, groups
+from cqrun.figures.convergence import LossCurve
+from cqrun.figures.run_data import read_run
+from cqrun.figures.style import styled
+
+
+def made(out, digest, *, name="twin", seed=0, rows=5, speed=1.0, **more):
+    path = write_run(out, plane_scene({}, seed=seed, **more), name=f"{name}/{digest}", status="running")
+    columns = history(rows, {})
+    columns["loss"] = columns["loss"] * (1 + 0.1 * seed)
+    columns["seconds"] = 50.0 * seed + speed * columns["iteration"]
+    write_history(path, columns)
+    return read_run(path)
+
+
+def test_runs_that_differ_in_their_seed_belong_together(tmp_path):
+    runs = [made(tmp_path, f"{k}" * 12, seed=k) for k in range(3)]
+    (group,) = groups(runs)
+    assert group.label == "twin"
+    assert len(group.curves) == 3
+
+
+def test_labels_tell_what_differs(tmp_path):
+    finer = {"size": [0.2, 0.1], "dx": 0.005, "gravity": [0.0, -9.81]}
+    runs = [
+        made(tmp_path, "a" * 12),
+        made(tmp_path, "b" * 12, world=finer),
+        made(tmp_path, "c" * 12, optimizer={"adam": {"learning_rate": 0.05}}),
+        made(tmp_path, "d" * 12, name="other"),
+    ]
+    assert [group.label for group in groups(runs)] == [
+        "twin, least_squares, world.dx 0.01",
+        "twin, least_squares, world.dx 0.005",
+        "twin, adam, world.dx 0.01",
+        "other",
+    ]
+
+
+def test_runs_that_differ_in_much_are_told_apart_by_their_hash(tmp_path):
+    other = {"world": {"size": [0.3, 0.2], "dx": 0.005}, "time": {"duration": 1.0, "control_step": 0.02, "substeps": 9}}
+    labels = [group.label for group in groups([made(tmp_path, "a" * 12), made(tmp_path, "b" * 12, **other)])]
+    assert labels == ["twin " + "a" * 12, "twin " + "b" * 12]
+
+
+def test_the_band_is_students_interval_of_the_geometric_mean():
+    values = np.array([[8.0, 4.0, 2.0], [8.0, 2.0, 1.0], [8.0, 3.0, 1.5]])
+    curves = tuple(LossCurve("RMSE", np.arange(3.0), np.arange(3.0), row) for row in values)
+    found = band(Group("g", curves), over_time=False)
+    logs = np.log(values)
+    half = student.ppf(0.95, 2) * logs.std(axis=0, ddof=1) / np.sqrt(3)
+    np.testing.assert_array_equal(found.x, [0, 1, 2])
+    np.testing.assert_allclose(found.mean, np.exp(logs.mean(axis=0)))
+    np.testing.assert_allclose(found.low, np.exp(logs.mean(axis=0) - half))
+    np.testing.assert_allclose(found.high, np.exp(logs.mean(axis=0) + half))
+
+
+def test_a_run_that_has_ended_stays_where_it_ended():
+    short = LossCurve("RMSE", np.arange(2.0), np.array([10.0, 11.0]), np.array([4.0, 2.0]))
+    long = LossCurve("RMSE", np.arange(4.0), np.array([0.0, 1.0, 2.0, 3.0]), np.array([4.0, 2.0, 2.0, 2.0]))
+    np.testing.assert_allclose(band(Group("g", (short, long)), over_time=False).mean, [4, 2, 2, 2])
+    over_time = band(Group("g", (short, long)), over_time=True)
+    assert (over_time.x[0], over_time.x[-1]) == (0.0, 3.0)  # from each run's own first evaluation
+    assert over_time.mean[-1] == pytest.approx(2)
+
+
+def test_three_equal_runs_are_a_mean_and_a_band(tmp_path):
+    runs = [made(tmp_path, f"{k}" * 12, seed=k) for k in range(3)] + [made(tmp_path, "f" * 12, name="other")]
+    with styled():
+        figure = draw_comparison(runs)
+        figure.draw_without_rendering()
+    by_iteration, by_time = figure.axes
+    assert [len(axes.collections) for axes in figure.axes] == [1, 1]
+    assert [len(axes.lines) for axes in figure.axes] == [5, 5]
+    text = [label.get_text() for label in figure.legends[0].get_texts()]
+    assert text == ["twin: mean of 3 runs, its 90 % interval", "other"]
+    np.testing.assert_allclose(by_iteration.lines[4].get_ydata(), 1e3 * np.sqrt(history(5, {})["loss"]))
+    np.testing.assert_allclose(by_time.lines[4].get_xdata(), np.arange(5))
+
+
+def test_a_loss_of_zero_is_drawn(tmp_path):
+    run = made(tmp_path, "a" * 12)
+    run.history["loss"][-1] = 0.0
+    with styled():
+        draw_comparison([run, made(tmp_path, "b" * 12, name="other")]).draw_without_rendering()
+
+
+def test_different_losses_are_not_compared(tmp_path):
+    target = {"target": {"body": "b", "position": [0.1, 0.05], "time": 0.4}}
+    with pytest.raises(UsageError, match="minimise different things"):
+        groups([made(tmp_path, "a" * 12), made(tmp_path, "b" * 12, data=target)])

@@ -1,0 +1,163 @@
+"""Pictures reach the run's figures/, or a sentence says why not; `cqrun plot` draws and compares."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from made_runs import YOUNG, history, made_twin, plane_scene, swing, write_history, write_run, write_trajectory
+
+from cqrun.cli import app as cli
+from cqrun.errors import UsageError
+from cqrun.figures.draw import draw_run, draw_several, has_pictures
+
+ALL = ["convergence", "tracks_synthetic", "bodies", "overview"]
+MAGIC = {"png": b"\x89PNG\r\n", "pdf": b"%PDF-"}
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory):
+    return made_twin(tmp_path_factory.mktemp("runs"), np.random.default_rng(3))
+
+
+@pytest.fixture
+def copy(twin, tmp_path):
+    return shutil.copytree(twin, tmp_path / "twin" / "0123456789ab")
+
+
+@pytest.fixture
+def started(tmp_path):
+    """Return a run after its first evaluation."""
+    path = f"bodies.a.{YOUNG}"
+    run = write_run(tmp_path, plane_scene({path: {"bounds": [1e5, 5e5]}}), status="running")
+    write_history(run, history(1, {path: np.array([2e5])}))
+    return run
+
+
+def set_record(run, **facts):
+    record = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps(record | facts))
+
+
+def command(capsys, *words):
+    """Return exit code, standard output and standard error of `cqrun words...`."""
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(word) for word in words])
+    out, err = capsys.readouterr()
+    return int(ended.value.code or 0), out, err
+
+
+def test_a_finished_run_has_all_its_pictures(copy):
+    paths = draw_run(copy)
+    assert paths == [copy / "figures" / f"{name}.png" for name in ALL]
+    assert all(path.read_bytes().startswith(MAGIC["png"]) for path in paths)
+    assert sorted(path.name for path in (copy / "figures").iterdir()) == sorted(path.name for path in paths)
+
+
+def test_plot_draws_a_run_again_as_png_and_pdf(capsys, started):
+    code, out, err = command(capsys, "plot", started)
+    assert (code, err) == (0, "")
+    paths = [started / "figures" / f"convergence.{kind}" for kind in MAGIC]
+    assert out.splitlines() == [str(path) for path in paths]
+    assert all(path.read_bytes().startswith(MAGIC[path.suffix[1:]]) for path in paths)
+
+
+def test_plot_compares_several_runs(capsys, twin, tmp_path, rng):
+    other = made_twin(tmp_path, rng, name="other/ba9876543210")
+    code, out, _ = command(capsys, "plot", twin, other, "--out", tmp_path / "figures")
+    assert code == 0
+    paths = [tmp_path / "figures" / f"compare_twin_other.{kind}" for kind in MAGIC]
+    assert out.splitlines() == [str(path) for path in paths]
+    assert all(path.is_file() for path in paths)
+    assert not (other / "figures").exists()
+
+
+def test_a_run_that_goes_on_shows_what_it_has(started):
+    assert [p.name for p in draw_run(started)] == ["convergence.png"]
+
+
+def test_a_simulation_shows_its_bodies(tmp_path, rng):
+    run = write_run(tmp_path, plane_scene({}), job="simulate", status="done")
+    time, _, x = swing(rng, 5, 2)
+    write_trajectory(run, x, time)
+    assert [p.name for p in draw_run(run)] == ["bodies.png"]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("history.csv", "there is no history.csv, so there is no convergence to draw"),
+        ("result.json", "there is no result.json, though the run has ended well"),
+        ("tracks.csv", "there is no tracks.csv, though the run has ended well"),
+        ("trajectory.h5", "there is no trajectory.h5, though the run has ended well"),
+        ("run.json", "no run (it has no run.json)"),
+        ("scene.yaml", "there is no scene.yaml"),
+    ],
+)
+def test_a_missing_file_is_told(capsys, copy, name, message):
+    (copy / name).unlink()
+    code, out, err = command(capsys, "plot", copy)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"error: {copy}: {message}")
+    assert not (copy / "figures").exists()
+
+
+def test_a_trajectory_that_is_none_is_told(copy):
+    (copy / "trajectory.h5").write_text("no HDF5")
+    with pytest.raises(UsageError, match=r"trajectory\.h5: no trajectory of cqrun"):
+        draw_run(copy)
+
+
+def test_a_run_without_a_first_iteration_is_told(tmp_path):
+    run = write_run(tmp_path, plane_scene({}), status="running")
+    (run / "history.csv").write_text("iteration,loss,seconds\n")
+    with pytest.raises(UsageError, match="nothing to draw before the first iteration"):
+        draw_run(run)
+
+
+def test_a_simulation_without_a_frame_is_told(tmp_path):
+    run = write_run(tmp_path, plane_scene({}), job="simulate", status="running")
+    with pytest.raises(UsageError, match="nothing to draw before the first frame"):
+        draw_run(run)
+
+
+def test_a_job_without_pictures_is_told(copy):
+    assert has_pictures(copy)
+    set_record(copy, job="gradcheck")
+    assert not has_pictures(copy)
+    with pytest.raises(UsageError, match="a run of 'gradcheck' has no pictures; those of sysid and simulate have"):
+        draw_run(copy)
+
+
+def test_a_failed_run_still_shows_its_way(copy):
+    set_record(copy, status="failed")
+    for name in ("tracks.csv", "trajectory.h5"):
+        (copy / name).unlink()
+    assert [path.name for path in draw_run(copy)] == ["convergence.png"]
+
+
+def test_a_place_that_cannot_be_written_is_told(copy):
+    (copy / "figures").write_text("in the way")
+    with pytest.raises(UsageError, match="figures: cannot be made"):
+        draw_run(copy)
+
+
+def test_equal_runs_make_equal_files_whatever_the_user_has_set_and_without_pyplot(twin, tmp_path):
+    code = (
+        "import sys, pathlib, matplotlib\n"
+        "matplotlib.rcParams['axes.facecolor'] = 'black'\n"
+        "from cqrun.figures.draw import draw_several\n"
+        "draw_several([pathlib.Path(sys.argv[1])], pathlib.Path(sys.argv[2]), ('png', 'pdf'))\n"
+        "print('matplotlib.pyplot' in sys.modules, matplotlib.rcParams['axes.facecolor'])\n"
+    )
+    words = [sys.executable, "-W", "error", "-c", code, str(twin), str(tmp_path / "theirs")]
+    bare = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MPLBACKEND")}
+    done = subprocess.run(words, capture_output=True, text=True, check=True, env=bare)
+    assert done.stdout.split() == ["False", "black"]
+    ours = draw_several([twin], tmp_path / "ours", ("png", "pdf"))
+    assert [path.read_bytes() for path in ours] == [(tmp_path / "theirs" / p.name).read_bytes() for p in ours]

@@ -1,0 +1,67 @@
+"""Key paths, units and numbers as pictures write them."""
+
+from __future__ import annotations
+
+import pytest
+
+from cqrun.figures.quantities import estimate, labels, length_unit, millimetres, number, shown_unit
+
+E = "material.elastic.fixed_corotated.youngs_modulus"
+
+
+@pytest.mark.parametrize(
+    ("path", "label"),
+    [
+        (f"bodies.beam.{E}", "Young's modulus"),
+        ("bodies.beam.material.elastic.neo_hookean.poissons_ratio", "Poisson's ratio"),
+        ("bodies.beam.material.density", "Density"),
+        ("bodies.beam.material.viscosity.shear", "Shear viscosity"),
+        ("loads.air.damping.rate", "Damping rate"),
+        ("data.recordings.bare.start", "Bare start"),
+        ("world.gravity.2", "Gravity z"),
+    ],
+)
+def test_a_path_has_a_short_name(path, label):
+    assert labels([path]) == [label]
+
+
+def test_names_that_would_be_equal_say_what_differs():
+    assert labels([f"bodies.beam.{E}", f"bodies.tip.{E}", "bodies.beam.material.density"]) == [
+        "beam: Young's modulus",
+        "tip: Young's modulus",
+        "Density",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("unit", "largest", "name", "factor"),
+    [
+        ("Pa", 5e5, "kPa", 1e-3),
+        ("Pa", 2e6, "MPa", 1e-6),
+        ("Pa", 20.0, "Pa", 1.0),
+        ("kg/m^3", 1070.0, "kg/m³", 1.0),
+        ("m/s^2", 9.8, "m/s²", 1.0),
+        ("1", 0.45, "", 1.0),
+        ("m", 0.1, "mm", 1e3),
+        ("m", 1.0, "m", 1.0),
+    ],
+)
+def test_units_are_shown_with_a_prefix_that_fits(unit, largest, name, factor):
+    assert shown_unit(unit, largest) == (name, factor)
+
+
+def test_a_unit_stands_behind_a_label_unless_there_is_none():
+    assert length_unit(0.1).label("x") == "x (mm)"
+    assert shown_unit("1", 0.3).label("Poisson's ratio") == "Poisson's ratio"
+
+
+def test_an_estimate_has_as_many_digits_as_its_interval_leaves_meaning():
+    assert estimate(264.159, (263.597, 264.723)) == "264.16 (263.60 to 264.72)"
+    assert estimate(49.947, (0.599, 4166.48)) == "50 (1 to 4166)"
+    assert estimate(264.159, None) == "264.2"
+    assert number(0.25, 0.0) == "0.25"
+
+
+def test_millimetres_keep_three_digits():
+    assert [millimetres(value) for value in (0.36, 57.0, 123.4)] == ["0.360", "57.0", "123"]
+    assert millimetres(float("nan")) == "not seen"

@@ -1,0 +1,87 @@
+"""What pictures read of a run: exact numbers, and a sentence for what is missing or damaged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made_runs import history, made_twin, plane_scene, write_history, write_run, write_tracks
+
+from cqrun.errors import UsageError
+from cqrun.figures.run_data import read_run, read_tracks
+
+
+def test_tracks_come_back_as_they_were_written(tmp_path, rng):
+    time = np.array([0.0, 0.01, 0.02])
+    data, model = rng.normal(size=(2, 3, 2, 3))
+    data[1, 0] = np.nan
+    write_tracks(tmp_path, {"bare": (("Tip - 1", "b,c"), time, data, model)})
+    (tracks,) = read_tracks(tmp_path / "tracks.csv", {"bare"})
+    assert (tracks.recording, tracks.markers, tracks.holdout) == ("bare", ("Tip - 1", "b,c"), True)
+    np.testing.assert_array_equal(tracks.time, time)
+    np.testing.assert_array_equal(tracks.data, data)
+    np.testing.assert_array_equal(tracks.model, model)
+
+
+def test_errors_leave_gaps_out(tmp_path):
+    time, model = np.array([0.0, 0.01]), np.zeros((2, 2, 2))
+    data = np.array([[[3e-3, 4e-3], [0.0, 1e-3]], [[np.nan, np.nan], [0.0, 1e-3]]])
+    write_tracks(tmp_path, {"r": (("a", "b"), time, data, model)})
+    (tracks,) = read_tracks(tmp_path / "tracks.csv")
+    np.testing.assert_allclose(tracks.error, [[5e-3, 1e-3], [np.nan, 1e-3]])
+    np.testing.assert_allclose(tracks.rmse_by_marker(), [5e-3, 1e-3])
+    assert tracks.rmse() == pytest.approx(np.sqrt((25e-6 + 1e-6 + 1e-6) / 3))
+
+
+def test_a_run_that_has_only_begun_has_no_history(tmp_path):
+    run = read_run(write_run(tmp_path, plane_scene({}), status="running"))
+    assert (run.name, run.job, run.history, run.result, run.succeeded) == ("twin", "sysid", {}, None, False)
+
+
+def test_a_torn_last_row_is_left_out(tmp_path):
+    path = write_run(tmp_path, plane_scene({}), status="running")
+    write_history(path, history(3, {}))
+    with (path / "history.csv").open("a") as file:
+        file.write("3,1.0")
+    assert len(read_run(path).history["loss"]) == 3
+
+
+def test_held_out_recordings_are_known_from_the_result(tmp_path, rng):
+    run = read_run(made_twin(tmp_path, rng, holdout=True))
+    assert [tracks.holdout for tracks in run.tracks()] == [True]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("run.json", None, "no run (it has no run.json)"),
+        ("scene.yaml", None, "there is no scene.yaml; the run is incomplete"),
+        ("history.csv", "iteration,loss,seconds\n0,one,1.0\n", "history.csv: unreadable"),
+        ("result.json", "{", "result.json: unreadable"),
+        ("result.json", "[]", "result.json: holds no result"),
+    ],
+)
+def test_a_missing_or_damaged_file_is_named(tmp_path, rng, name, content, message):
+    path = made_twin(tmp_path, rng)
+    (path / name).unlink()
+    if content is not None:
+        (path / name).write_text(content)
+    with pytest.raises(UsageError) as error:
+        read_run(path)
+    assert message in str(error.value)
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "no table of tracks"),
+        ("recording,marker,time,data_x\n", "no table of tracks"),
+        ("recording,marker,time,data_x,model_x\nr,a,0.0,1.0,here\n", "damaged (could not convert"),
+        ("recording,marker,time,data_x,model_x\nr,a,0,1,1\nr,b,0,1,1\nr,b,1,1,1\n", "damaged"),
+    ],
+)
+def test_tracks_that_are_no_table_are_refused(tmp_path, content, message):
+    (tmp_path / "tracks.csv").write_text(content)
+    with pytest.raises(UsageError) as error:
+        read_tracks(tmp_path / "tracks.csv")
+    assert message in str(error.value)
