@@ -29,7 +29,8 @@ def outcome(call: Callable[[], Any]) -> Any:
 
     def body() -> None:
         try:
-            found.append(call())
+            with np.errstate(all="ignore"):  # as in compiled kernels
+                found.append(call())
         except RolloutError as error:
             found.append(error)
 
@@ -130,8 +131,8 @@ def test_what_is_not_finite_is_found_in_the_first_substeps(kind, bad, threads):
 def test_nan_is_found_in_the_others(kind):
     model, inputs = rich(2)
     arrays(inputs)[KINDS.index(kind)][18] = np.nan
-    with pytest.raises(RolloutError, match="its position is not finite; the simulation blew up: use smaller substeps"):
-        Rollout(model, inputs).run()
+    error = outcome(lambda: Rollout(model, inputs).run())
+    assert "its position is not finite; the simulation blew up: use smaller substeps" in str(error)
 
 
 @pytest.mark.parametrize("threads", THREADS)

@@ -1,0 +1,129 @@
+"""Lane values, compiled, against what each function does in plain Python; packing; records of four."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cqrun import packed
+from cqrun.compile import kernel
+from cqrun.lanes import all_lanes, exp, floor, lane, lane_width, log, select, sqrt, with_lane
+from cqrun.packed import accumulate, load, load4, load_quads, make4, pack, store, store4, store_quads, unpack
+
+REALS = pytest.mark.parametrize("real", [np.float64, np.float32])
+ROWS_OUT = 14
+
+
+@kernel
+def one_lane(table, out, i):
+    """Use every function of lanes once; what a row of `out` holds stands in `expected`."""
+    a, b = load(table, 0, i), load(table, 1, i)
+    store(out, 0, i, a + b * 2 - 1.5 / a)
+    store(out, 1, i, -(3 - a) / (b + 2.0))
+    store(out, 2, i, floor(a))
+    store(out, 3, i, sqrt(a * a + b * b))
+    store(out, 4, i, log(a * a))
+    store(out, 5, i, exp(b))
+    store(out, 6, i, select(a > b, a, b))
+    store(out, 7, i, select((a < 0.5) & (b > -0.5), 1.0, b))
+    store(out, 8, i, with_lane(a, 2, lane(b, 1)))
+    store(out, 9, i, 7.0)
+    accumulate(out, 9, i, a)
+    store(out, 10, i, select(a > 1e9, a, 0.25))
+    store(out, 11, i, a * 0.0 + (1.0 if all_lanes(a * a > -1.0) else 0.0))
+    store(out, 12, i, a * 0.0 + (1.0 if all_lanes(a > b) else 0.0))
+    store(out, 13, i, select(a > b, 2, a))
+
+
+def expected(a, b):
+    """Return the rows of `one_lane` in NumPy."""
+    return np.array([
+        a + b * 2 - 1.5 / a, -(3 - a) / (b + 2.0), np.floor(a), np.hypot(a, b), np.log(a * a), np.exp(b),
+        np.maximum(a, b), np.where((a < 0.5) & (b > -0.5), 1.0, b), np.where(np.arange(len(a)) == 2, b[1], a),
+        7.0 + a, np.full(len(a), 0.25), np.ones(len(a)), np.full(len(a), float(np.all(a > b))), np.where(a > b, 2, a),
+    ])  # fmt: skip
+
+
+@REALS
+@pytest.mark.parametrize("body", [one_lane, getattr(one_lane, "py_func", one_lane)], ids=["compiled", "plain"])
+def test_functions_of_lanes(real, body, rng):
+    width = lane_width(real)
+    table = rng.uniform(-1.9, 2.0, (2, 3 * width)).astype(real)
+    out = np.zeros((3, ROWS_OUT, width), real)
+    for i in range(0, 3 * width, width):
+        body(pack(table, real), out, i)
+    got = unpack(out)
+    for k in range(3):
+        piece = slice(k * width, (k + 1) * width)
+        want = expected(*table[:, piece].astype(float))
+        np.testing.assert_allclose(got[:, piece], want, rtol=30 * np.finfo(real).eps, atol=10 * np.finfo(real).eps)
+
+
+@kernel
+def not_numbers(table, out, i):
+    """What guards need of NaN: it is neither inside nor outside, and survives arithmetic."""
+    a, zero = load(table, 0, i), load(table, 1, i)
+    store(out, 0, i, select(a < 1.0, zero + 1.0, 0.0))
+    store(out, 1, i, select(a > -1.0, zero + 1.0, 0.0))
+    store(out, 2, i, a * 0.0 + 1.0)
+    store(out, 3, i, 1.0 if all_lanes((a > -1.0) & (a < 1.0)) else 0.0)
+
+
+@REALS
+def test_nan_and_infinity_are_not_compiled_away(real):
+    """`nnan` and `ninf` would be free to: the guards of a rollout stand on this."""
+    width = lane_width(real)
+    values = np.zeros((2, 3 * width))
+    values[0, 1], values[0, width + 3] = np.nan, np.inf
+    out = np.zeros((3, 4, width), real)
+    with np.errstate(invalid="ignore"):
+        for i in range(0, 3 * width, width):
+            not_numbers(pack(values, real), out, i)
+        rows = unpack(out)
+    assert list(rows[:2, 1]) == [0.0, 0.0]
+    assert np.isnan(rows[2, 1])
+    assert list(rows[:2, width + 3]) == [0.0, 1.0]
+    assert np.isnan(rows[2, width + 3])
+    inside = rows[3].reshape(3, width)
+    np.testing.assert_array_equal(inside, np.array([[0.0], [0.0], [1.0]]) * np.ones(width))
+
+
+@REALS
+def test_packing_is_undone_by_unpacking(real, rng):
+    width = lane_width(real)
+    table = rng.normal(size=(5, 4 * width)).astype(real)
+    once = pack(table, real)
+    assert once.shape == (4, 5, width)
+    assert once.flags.c_contiguous
+    np.testing.assert_array_equal(unpack(once), table)
+    np.testing.assert_array_equal(once[2, 3], table[3, 2 * width : 3 * width])
+
+
+@kernel
+def records(a, b, out, i):
+    """Move records about: entry by entry, and as many as a lane is wide."""
+    x, y, z, w = load_quads(a, i)
+    store_quads(out, i, w, x, y + z, 3.0)
+    store4(b, 1, load4(a, 0) + make4(1.0, 2.0, 3, 4.0, a))
+    store4(b, 2, 5.0)
+
+
+@REALS
+@pytest.mark.parametrize("body", [records, getattr(records, "py_func", records)], ids=["compiled", "plain"])
+def test_records_of_four(real, body, rng):
+    width = lane_width(real)
+    a, b, out = rng.normal(size=(3 * width, 4)).astype(real), np.zeros((4, 4), real), np.zeros((3 * width, 4), real)
+    body(a, b, out, width)
+    piece = slice(width, 2 * width)
+    np.testing.assert_array_equal(out[piece, 0], a[piece, 3])
+    np.testing.assert_array_equal(out[piece, 1], a[piece, 0])
+    np.testing.assert_allclose(out[piece, 2], a[piece, 1] + a[piece, 2], rtol=np.finfo(real).eps)
+    np.testing.assert_array_equal(out[piece, 3], 3.0)
+    np.testing.assert_array_equal(np.delete(out, np.r_[piece], axis=0), 0.0)
+    np.testing.assert_allclose(b[1], a[0] + np.array([1, 2, 3, 4], real), rtol=np.finfo(real).eps)
+    np.testing.assert_array_equal(b[[0, 2, 3]], np.array([[0] * 4, [5] * 4, [0] * 4], real))
+
+
+def test_a_lane_is_one_register():
+    assert (lane_width(np.float64), lane_width(np.float32)) == (8, 16)
+    assert packed.lane_width is lane_width
