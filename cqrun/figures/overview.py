@@ -11,7 +11,7 @@ from cqrun.figures.bodies import farthest_frame, plot_body, room_around, snapsho
 from cqrun.figures.convergence import loss_curve, plot_loss, plot_unknown, unknown_curves
 from cqrun.figures.quantities import MILLI, length_unit, millimetres
 from cqrun.figures.run_data import TRACKS, RunData
-from cqrun.figures.style import new_figure, titled
+from cqrun.figures.style import INK, new_figure, titled
 from cqrun.figures.tracks import explain, main_coordinate, plot_coordinate
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def _tracks(axes: Axes, run: RunData) -> None:
     tracks = run.tracks()[0]
     axis = main_coordinate(tracks)
     farthest = int(np.argmax(np.ptp(tracks.model[:, :, axis], axis=0)))
-    plot_coordinate(axes, tracks, axis, [farthest])
+    plot_coordinate(axes, tracks, axis, [farthest], dots=INK)
     explain(axes)
     title = axes.get_ylabel()
     axes.set_ylabel("")

@@ -108,16 +108,22 @@ def _draw_markers(tracks: Tracks) -> Figure:
     return figure
 
 
-def plot_coordinate(panel: Axes, tracks: Tracks, axis: int, markers: Sequence[int]) -> list[Artist]:
-    """Draw one coordinate of some markers against time: data as dots, the model as lines, which are returned."""
+def plot_coordinate(
+    panel: Axes, tracks: Tracks, axis: int, markers: Sequence[int], dots: str | None = None
+) -> list[Artist]:
+    """Draw one coordinate of some markers against time: data as dots, the model as lines, which are returned.
+
+    Args:
+        dots: colour of the data; that of the marker's line if not given.
+    """
     lines: list[Artist] = []
     data, model = displacements(tracks)
     unit = length_unit(float(np.ptp(tracks.model, axis=0).max()))
     for place, m in enumerate(markers):
         colour = COLOURS[place % len(COLOURS)]
         panel.plot(
-            tracks.time, unit.factor * data[:, m, axis], linestyle="none", marker="o", markersize=2.6, color=colour,
-            alpha=0.45, markeredgewidth=0,
+            tracks.time, unit.factor * data[:, m, axis], linestyle="none", marker="o", markersize=2.6,
+            color=dots or colour, alpha=0.45, markeredgewidth=0,
         )  # fmt: skip
         lines += panel.plot(tracks.time, unit.factor * model[:, m, axis], color=colour, linewidth=1.3)
     panel.set_ylabel(unit.label(f"{'xyz'[axis]} displacement"))
