@@ -1,0 +1,142 @@
+"""The terms of a stress as the registry knows them, with parameters and states to try them at."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cqrun import registry
+from cqrun.actuators.muscle import Kernel as Muscle
+from cqrun.materials.term import kirchhoff, kirchhoff_vjp
+
+RANGES = {"youngs_modulus": (1.0, 10.0), "poissons_ratio": (-0.3, 0.45)}
+"""Where parameters are drawn from that two kinds of term share; others from their own bounds."""
+
+N = 12
+"""States tried at a time."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One term: its name, its kernel's view of parameters, and a draw of N of them (rows, N)."""
+
+    name: str
+    cls: Any
+    kernel: Any
+    theta: np.ndarray
+
+    def tau(self, F: np.ndarray, C: np.ndarray, theta: np.ndarray | None = None) -> np.ndarray:
+        """Return the Kirchhoff stress (N, D, D) for F, C (N, D, D), complex ones too."""
+        theta = self.theta if theta is None else theta
+        return matrices(kirchhoff(self.kernel, tuple(theta), entries(F), entries(C)))
+
+    def vjp(self, F: np.ndarray, C: np.ndarray, tau_bar: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the cotangents of theta (rows, N), F and C (N, D, D)."""
+        found = kirchhoff_vjp(self.kernel, tuple(self.theta), entries(F), entries(C), entries(tau_bar))
+        return np.array([b + np.zeros(N) for b in found[0]]), matrices(found[1]), matrices(found[2])
+
+
+def entries(A: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return matrices (N, D, D) as a tuple of D * D arrays."""
+    return tuple(A.reshape(len(A), -1).T)
+
+
+def matrices(a: tuple[Any, ...]) -> np.ndarray:
+    """Return a tuple of D * D arrays as matrices (N, D, D)."""
+    dim = 2 if len(a) == 4 else 3
+    return np.array([entry + np.zeros(N) for entry in a]).T.reshape(N, dim, dim)
+
+
+def elastic_names() -> list[str]:
+    """Return the elastic laws of the registry."""
+    return list(registry.plugins("elastic"))
+
+
+def all_names() -> list[str]:
+    """Return every term that a stress may have: elastic laws, further terms, and muscles."""
+    return [*elastic_names(), *registry.plugins("material_term"), "incompressibility^4", "muscle"]
+
+
+def make(name: str, dim: int, rng: np.random.Generator) -> Term:
+    """Return a term by name, its parameters drawn at random; `name^p` is a term of another power."""
+    if name == "muscle":
+        rows = dim * (dim + 1) // 2
+        return Term(name, None, Muscle(None, (0,) * rows), rng.normal(size=(rows, N)))
+    plain, _, power = name.partition("^")
+    known = registry.plugins("elastic") | registry.plugins("material_term")
+    return of_class(name, known[plain], rng, **({"power": int(power)} if power else {}))
+
+
+def of_class(name: str, cls: Any, rng: np.random.Generator, **options: Any) -> Term:
+    """Return the term of a plug-in class."""
+    theta = np.array([rng.uniform(*_range(cls, p), N) for p in cls.parameters])
+    given = {p: float(theta[r, 0]) for r, p in enumerate(cls.parameters) if p in cls.model_fields}
+    return Term(name, cls, cls(**given, **options).kernel_term(None), theta)
+
+
+def _range(cls: Any, name: str) -> tuple[float, float]:
+    if name in RANGES:
+        return RANGES[name]
+    limits = {}
+    for bound in cls.model_fields[name].metadata:
+        for key in ("gt", "ge", "lt", "le"):
+            if hasattr(bound, key):
+                limits[key[0]] = getattr(bound, key)
+    low = limits.get("g", -1.0)
+    high = limits.get("l", low + 2.0)
+    return low + 0.1 * (high - low), high - 0.1 * (high - low)
+
+
+def states(dim: int, rng: np.random.Generator, strain: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
+    """Return deformed and turning states F, C (N, D, D), strained by about so much, with det F > 0."""
+    F = rotations(dim, rng) @ (np.eye(dim) + strain * rng.uniform(-1, 1, (N, dim, dim)) / dim**0.5)
+    return F, rng.normal(size=(N, dim, dim))
+
+
+def rotations(dim: int, rng: np.random.Generator) -> np.ndarray:
+    """Return random rotations (N, D, D)."""
+    Q = np.linalg.qr(rng.normal(size=(N, dim, dim)))[0]
+    Q[:, 0] *= np.linalg.det(Q)[:, None]
+    return Q
+
+
+def t(A: np.ndarray) -> np.ndarray:
+    """Return each matrix's transpose."""
+    return np.swapaxes(A, -1, -2)
+
+
+def adjoint_errors(term: Term, dim: int, rng: np.random.Generator) -> Iterator[tuple[str, float]]:
+    """Yield, for theta, F and C, the relative error of the dot-product test against Richardson's differences.
+
+    Differences of the plain-Python twin, 6th order in the step: the polar factor's Newton iteration looks at real
+    parts alone, so that a complex step through it is not exact.
+    """
+    F, C = states(dim, rng)
+    theta_dot, F_dot, C_dot = rng.normal(size=term.theta.shape), *rng.normal(size=(2, N, dim, dim))
+    theta_dot *= 0.1 * np.abs(term.theta)
+    # what the grid sends back is not symmetric
+    tau_bar = rng.normal(size=(N, dim, dim))
+    bars = term.vjp(F, C, tau_bar)
+    zero = (0 * theta_dot, 0 * F_dot, 0 * C_dot)
+    for k, (name, moved) in enumerate((("theta", theta_dot), ("F", F_dot), ("C", C_dot))):
+        change = tuple(moved if j == k else zero[j] for j in range(3))
+
+        def along(h: float, change: tuple[np.ndarray, ...] = change) -> np.ndarray:
+            return (term.tau(F + h * change[1], C + h * change[2], term.theta + h * change[0]) * tau_bar).sum((1, 2))
+
+        forward = richardson(along)
+        product = bars[k] * moved
+        backward = product.sum(0) if k == 0 else product.sum((1, 2))
+        yield name, float(np.abs(backward - forward).max() / max(np.abs(forward).max(), 1e-3))
+
+
+def richardson(f: Any, h: float = 4e-3) -> np.ndarray:
+    """Return f'(0) by central differences at h, h/2, h/4, h/8, extrapolated."""
+    table = [(f(s) - f(-s)) / (2 * s) for s in (h, h / 2, h / 4, h / 8)]
+    for order in (4, 16, 64):
+        table = [(order * b - a) / (order - 1) for a, b in itertools.pairwise(table)]
+    return table[0]
