@@ -22,6 +22,15 @@ from numba.extending import intrinsic, overload
 kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 """Decorator of every compiled function of the engine."""
 
+def own_symbols(kernel_class: type) -> None:
+    """Give a NamedTuple that kernels see a name of its own.
+
+    Numba tells two classes apart when it compiles, but names the compiled functions after `__name__` alone: two
+    classes called `Kernel` would share their symbols, and the linker would give one the other's code.
+    """
+    kernel_class.__name__ = f"{kernel_class.__module__}.{kernel_class.__qualname__}".replace(".", "_")
+
+
 SPINS = 2000
 """Looks at the barrier before a waiting thread offers its core to others."""
 

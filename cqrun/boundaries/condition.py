@@ -19,6 +19,7 @@ from numba.extending import overload, register_jitable
 from pydantic import model_validator
 
 from cqrun.choice import Choice, Chosen
+from cqrun.compile import own_symbols
 from cqrun.contract import Array, Plugin, quantity, vector
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
@@ -83,6 +84,7 @@ class BoundaryCondition(Plugin):
 
 def register(kernel_class: type, project_: Callable[..., Any], project_vjp_: Callable[..., Any]) -> None:
     """Make the two functions those of a kernel class."""
+    own_symbols(kernel_class)
     _PROJECT[kernel_class], _PROJECT_VJP[kernel_class] = project_, project_vjp_
 
 

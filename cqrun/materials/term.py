@@ -20,6 +20,7 @@ import numpy as np
 from numba.core import types
 from numba.extending import overload, register_jitable
 
+from cqrun.compile import own_symbols
 from cqrun.contract import Array, Plugin
 from cqrun.packed import accumulate, load
 from cqrun.tensor import add
@@ -52,6 +53,7 @@ class MaterialTerm(Plugin):
 
 def register(kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any]) -> None:
     """Make `stress` and `stress_vjp` the functions of a kernel class."""
+    own_symbols(kernel_class)
     _STRESS[kernel_class], _STRESS_VJP[kernel_class] = stress, stress_vjp
 
 
