@@ -23,8 +23,8 @@ from cqrun.engine.particles import momentum, momentum_vjp, move, move_vjp
 from cqrun.engine.rollout import Backward, Rollout, run_side_by_side
 from cqrun.engine.step import scatter_blocks
 from cqrun.fingerprint import engine_hash
-from cqrun.materials.fixed_corotated import FixedCorotated
 from cqrun.lanes import lane_width
+from cqrun.materials.fixed_corotated import FixedCorotated
 from cqrun.scene.particles import block_order
 from cqrun.state import Layout, ParticleFields, State
 from cqrun.store.atomic import write_json
