@@ -12,6 +12,8 @@ many there are, so results are the same bits for any number.
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -22,6 +24,7 @@ from numba.extending import intrinsic, overload
 kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 """Decorator of every compiled function of the engine."""
 
+
 def own_symbols(kernel_class: type) -> None:
     """Give a NamedTuple that kernels see a name of its own.
 
@@ -29,6 +32,18 @@ def own_symbols(kernel_class: type) -> None:
     classes called `Kernel` would share their symbols, and the linker would give one the other's code.
     """
     kernel_class.__name__ = f"{kernel_class.__module__}.{kernel_class.__qualname__}".replace(".", "_")
+
+
+def named(function: Callable[..., Any], name: str) -> Callable[..., Any]:
+    """Give a function made at run time a name of its own, for the same reason as `own_symbols`."""
+    function.__name__ = function.__qualname__ = name
+    return function
+
+
+def written(source: str, scope: dict[str, Any] | None = None) -> Callable[..., Any]:
+    """Return the function of a lambda's source, named after the source."""
+    digest = hashlib.sha256(source.encode()).hexdigest()[:12]
+    return named(eval(source, scope or {}), f"written_{digest}")
 
 
 SPINS = 2000

@@ -25,6 +25,8 @@ from numba.core import cgutils, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
+from cqrun.compile import named
+
 LANE_BYTES = 64
 FLAGS = ("contract",)
 
@@ -178,8 +180,8 @@ def _define_unary(twin: Callable[[Any], Any], name: str, scalar: Callable[[Any],
     @overload(function)
     def _(a):
         if isinstance(a, Lanes):
-            return lambda a: on_lanes(a)
-        return lambda a: scalar(a) if isinstance(a, types.Number) else None
+            return named(lambda a: on_lanes(a), f"{name}_lanes")
+        return named(lambda a: scalar(a), f"{name}_number") if isinstance(a, types.Number) else None
 
     return function
 

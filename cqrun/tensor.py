@@ -13,6 +13,8 @@ from typing import Any
 
 from numba.extending import overload, register_jitable
 
+from cqrun.compile import named, written
+
 
 def _dimension(rank: int, length: int) -> int:
     dim = {(1, 2): 2, (1, 3): 3, (2, 4): 2, (2, 9): 3}.get((rank, length))
@@ -52,7 +54,7 @@ def contraction(subscripts: str) -> Callable[..., Any]:
     """Return the function of one or two small tensors with this index formula, in 2D and 3D."""
     operands = subscripts.split("->")[0].split(",")
     rank = len(operands[0])
-    bodies = {dim: eval(_source(subscripts, dim)) for dim in (2, 3)}
+    bodies = {dim: written(_source(subscripts, dim)) for dim in (2, 3)}
 
     names = ", ".join("ab"[: len(operands)])
     scope: dict[str, Any] = {"body": lambda a: bodies[_dimension(rank, len(a))]}
@@ -67,7 +69,7 @@ def elementwise(signature: str, body: str) -> Callable[..., Any]:
     bodies = {}
     for length in (2, 3, 4, 6, 9):
         entries = "".join(body.replace("[i]", f"[{i}]") + ", " for i in range(length))
-        bodies[length] = eval(f"lambda {signature}: ({entries})")
+        bodies[length] = written(f"lambda {signature}: ({entries})")
     scope: dict[str, Any] = {"bodies": bodies}
     exec(f"def function({signature}):\n    return bodies[len(a)]({signature})", scope)
     exec(f"def choose({signature}):\n    return bodies[len(a)]", scope)
@@ -101,7 +103,7 @@ def by_dimension(in_2d: Callable[..., Any], in_3d: Callable[..., Any]) -> Callab
     @overload(function)
     def _(a):
         body = compiled[len(a)]
-        return lambda a: body(a)
+        return named(lambda a: body(a), f"{in_3d.__name__}_{len(a)}")
 
     function.__doc__ = in_3d.__doc__
     return function

@@ -11,6 +11,7 @@ from typing import Any
 
 from numba.extending import overload
 
+from cqrun.compile import written
 from cqrun.lanes import floor, select
 from cqrun.packed import accumulate, load, load_quads, store, store_quads
 
@@ -22,7 +23,7 @@ _NAMES = {
 
 def _per_dimension(signature: str, body: Callable[[int], str]) -> Any:
     """Return a function of the named arguments, the last of which is `dims`, from its source per dimension."""
-    bodies = {dim: eval(f"lambda {signature}: {body(dim)}", dict(_NAMES)) for dim in (2, 3)}
+    bodies = {dim: written(f"lambda {signature}: {body(dim)}", dict(_NAMES)) for dim in (2, 3)}
     scope: dict[str, Any] = {"bodies": bodies}
     exec(f"def function({signature}):\n    return bodies[len(dims)]({signature})", scope)
     exec(f"def choose({signature}):\n    return bodies[len(dims)]", scope)
@@ -82,7 +83,7 @@ def _over_entries(signature: str, body: Callable[[int], str]) -> Any:
     """As `_per_dimension`, for the length of the last argument, a vector."""
     last = signature.split(", ")[-1]
     scope_names = _NAMES | {"floor": floor, "select": select}
-    bodies = {dim: eval(f"lambda {signature}: {body(dim)}", dict(scope_names)) for dim in (2, 3)}
+    bodies = {dim: written(f"lambda {signature}: {body(dim)}", dict(scope_names)) for dim in (2, 3)}
     scope: dict[str, Any] = {"bodies": bodies}
     exec(f"def function({signature}):\n    return bodies[len({last})]({signature})", scope)
     exec(f"def choose({signature}):\n    return bodies[len({last})]", scope)

@@ -20,7 +20,7 @@ import numpy as np
 from numba.core import types
 from numba.extending import overload, register_jitable
 
-from cqrun.compile import own_symbols
+from cqrun.compile import own_symbols, written
 from cqrun.contract import Array, Plugin
 from cqrun.packed import accumulate, load
 from cqrun.tensor import add
@@ -94,7 +94,7 @@ def _written_out(item: str, n: int) -> str:
 @overload(load_rows)
 def _load_rows(theta, rows, i):
     entries = _written_out("load(theta, {r}, i)", len(rows))
-    return eval(f"lambda theta, rows, i: {entries}", {"load": load})
+    return written(f"lambda theta, rows, i: {entries}", {"load": load})
 
 
 def accumulate_rows(theta_bar: Array, rows: tuple[int, ...], i: int, values: Any) -> None:
@@ -106,7 +106,7 @@ def accumulate_rows(theta_bar: Array, rows: tuple[int, ...], i: int, values: Any
 @overload(accumulate_rows)
 def _accumulate_rows(theta_bar, rows, i, values):
     entries = _written_out("accumulate(theta_bar, {r}, i, values[{r}])", len(rows))
-    return eval(f"lambda theta_bar, rows, i, values: {entries}", {"accumulate": accumulate})
+    return written(f"lambda theta_bar, rows, i, values: {entries}", {"accumulate": accumulate})
 
 
 def total_kirchhoff(terms: Any, i: int, F: Any, C: Any) -> Any:
@@ -164,4 +164,4 @@ def zeros_like_rows(a: Any) -> Any:
 def _zeros_like_rows(a):
     if not isinstance(a, types.BaseTuple):
         return None
-    return eval("lambda a: " + _written_out("a[{r}] * 0.0", len(a)))
+    return written("lambda a: " + _written_out("a[{r}] * 0.0", len(a)))
