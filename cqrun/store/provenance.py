@@ -7,16 +7,16 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import cqrun
+from cqrun import __version__
 from cqrun.fingerprint import library_versions
 
 
 def versions() -> dict[str, str]:
     """Return the versions of cqrun, Python and the libraries that compute."""
-    return {"cqrun": cqrun.__version__, "python": platform.python_version(), **library_versions()}
+    return {"cqrun": __version__, "python": platform.python_version(), **library_versions()}
 
 
-def git_state(package: Path = Path(cqrun.__file__).parent) -> dict[str, Any] | None:
+def git_state(package: Path = Path(__file__).parents[1]) -> dict[str, Any] | None:
     """Return the commit of the checkout that `package` lies in, and whether it was changed since.
 
     Returns:
