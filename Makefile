@@ -41,8 +41,8 @@ test-nojit: $(READY) ## the fast tests in plain Python: slow kernels, but index 
 test-slow: $(READY) ## the tests that take minutes
 	$(PYTEST) $(PARALLEL) -m slow
 
-bench: $(READY) ## ns per particle and substep, pass by pass -> results/bench.json
-	$(BIN)/cqrun bench --output results/bench.json
+bench: $(READY) ## ns per particle and substep, pass by pass -> benchmarks/measured/bench.json
+	$(BIN)/cqrun bench --output benchmarks/measured/bench.json
 
 profile: $(READY) ## where a run's time goes: make profile SCENE=path/to/scene.yaml
 	@mkdir -p results

@@ -1,6 +1,6 @@
 """Do 95 % intervals cover the truth? Fits of scenes/sysid/beam_twin.yaml over many draws of the noise.
 
-    python benchmarks/coverage.py [--draws 50] [--out results/sysid/beam_twin_coverage.json]
+    python benchmarks/coverage.py [--draws 50] [--out benchmarks/measured/beam_twin_coverage.json]
 
 A run that was stopped goes on: draws that are in the file already are not repeated.
 """
@@ -85,7 +85,7 @@ def main() -> None:
     """Run the draws that are missing, and write the file after each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=50)
-    parser.add_argument("--out", type=Path, default=Path("results/sysid/beam_twin_coverage.json"))
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/measured/beam_twin_coverage.json"))
     parser.add_argument("-o", dest="overrides", action="append", default=[])
     options = parser.parse_args()
     options.out.parent.mkdir(parents=True, exist_ok=True)
