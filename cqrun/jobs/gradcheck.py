@@ -58,8 +58,8 @@ class Row:
         block: key path that is moved, or `all together`.
         count: how many numbers it has.
         adjoint: directional derivative by the adjoint.
-        differences: the same by differences, on the plateau.
-        error: |adjoint - differences| / the larger of the two.
+        differences: the same by differences, on the plateau; None where every step's rollout failed.
+        error: |adjoint - differences| / the larger of the two, or None.
         step: of the plateau.
         noise: what rounding alone can make of a difference at that step; both below it: flat, nothing to compare.
         scan: E at every step; None where a rollout failed.
@@ -69,8 +69,8 @@ class Row:
     block: str
     count: int
     adjoint: float
-    differences: float
-    error: float
+    differences: float | None
+    error: float | None
     step: float
     noise: float
     scan: list[float | None]
@@ -127,16 +127,16 @@ def check_gradient(
     """Check every direction; write gradcheck.json."""
     run.begin(threads)
     compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=True)
-    if has_data(built):
-        loss = fit_loss(built, made_cases(run, built) if cases is None else cases, threads)
-    else:
-        loss = state_loss(built, threads)
-    talk.phase(f"checking {len(loss.params.blocks)} blocks by {2 * len(STEPS)} rollouts each")
+    if has_data(built) and cases is None:
+        talk.phase("making data")
+        cases = made_cases(run, built)
     try:
+        loss = state_loss(built, threads) if cases is None else fit_loss(built, cases, threads)
         value, gradient = loss.value_and_grad(loss.x)
     except (RolloutError, TrialFailed) as error:
         run.finish("failed", f"at the start itself: {error}")
         raise RunError(f"{run.path}: at the start itself: {error}") from error
+    talk.phase(f"checking {len(loss.params.blocks)} blocks by {2 * len(STEPS)} rollouts each")
     chosen = directions(loss.params, np.random.default_rng(built.scene.seed))
     rows: list[Row] = []
     for number, (block, d) in enumerate(chosen.items()):
@@ -171,19 +171,18 @@ def directions(params: Params, rng: np.random.Generator) -> dict[str, Array]:
 
 def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Array, precision: str) -> Row:
     """Return what differences along one direction say of the gradient (n,)."""
-    adjoint = float(gradient @ d)
+    adjoint, count = float(gradient @ d), int(np.count_nonzero(d))
     scan = extrapolated(lambda h: _central(loss, d, h))
     best = plateau(scan)
     differences, step = float(scan[best]), float(STEPS[best])
     noise = NOISE * float(np.finfo(precision).eps) * max(abs(value), loss.scale) / step
+    shown = [float(e) if np.isfinite(e) else None for e in scan]
+    if not np.isfinite(differences):
+        return Row(block, count, adjoint, None, None, step, noise, shown, False)
     size = max(abs(adjoint), abs(differences))
     error = abs(adjoint - differences) / size if size > 0 else 0.0
-    agrees = bool(np.isfinite(differences)) and (error <= TOLERANCE[precision] or size <= noise)
-    shown = [float(e) if np.isfinite(e) else None for e in scan]
-    return Row(
-        block, int(np.count_nonzero(d)), adjoint, differences if np.isfinite(differences) else 0.0, error, step,
-        noise, shown, agrees,
-    )  # fmt: skip
+    agrees = error <= TOLERANCE[precision] or size <= noise
+    return Row(block, count, adjoint, differences, error, step, noise, shown, agrees)
 
 
 def _central(loss: Loss, d: Array, h: float) -> float:
@@ -212,11 +211,12 @@ def lines_of(found: dict[str, Any]) -> list[str]:
     lines = [f"gradient of {found['of']} = {found['loss']:.6g}"]
     lines.append(f"{'block':{width}}  numbers  {'adjoint':>14}  {'differences':>14}  {'error':>8}  {'step':>8}")
     for row in found["rows"]:
+        head = f"{row['block']:{width}}  {row['count']:7d}  {row['adjoint']:14.7e}"
+        if row["differences"] is None:
+            lines.append(f"{head}  every step's rollout failed: DISAGREES")
+            continue
         flat = max(abs(row["adjoint"]), abs(row["differences"])) <= row["noise"]
         verdict = "DISAGREES" if not row["agrees"] else "flat: nothing to compare" if flat else ""
-        lines.append(
-            f"{row['block']:{width}}  {row['count']:7d}  {row['adjoint']:14.7e}  {row['differences']:14.7e}  "
-            f"{row['error']:8.1e}  {row['step']:8.1e}  {verdict}".rstrip()
-        )
+        lines.append(f"{head}  {row['differences']:14.7e}  {row['error']:8.1e}  {row['step']:8.1e}  {verdict}".rstrip())
     lines.append("adjoint and differences " + ("agree" if found["agrees"] else "DISAGREE"))
     return lines

@@ -92,7 +92,8 @@ def _interval(pair: list[float] | None) -> str:
 
 def _errors(result: dict[str, Any]) -> Iterator[str]:
     if result["recordings"] is None:
-        yield f"loss {result['loss']:.6g}"
+        if result["loss"] is not None:
+            yield f"loss {result['loss']:.6g} m^2"
         return
     rows = []
     for name, entry in result["recordings"].items():

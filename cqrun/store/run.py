@@ -256,6 +256,8 @@ class RunDirectory:
                     entry.unlink()
 
     def _load(self) -> None:
+        for orphan in self.path.glob(".*.tmp"):  # of a process that was killed while it wrote; the lock is ours
+            orphan.unlink(missing_ok=True)
         self.record = read_record(self.path)
         made_by, here = self.record.get("engine"), engine_hash()
         if made_by != here:

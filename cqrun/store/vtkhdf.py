@@ -63,10 +63,11 @@ def _add_view(group: h5py.Group, name: str, source: h5py.Dataset) -> None:
     shape: tuple[int, ...] = (frames * count,)
     if suffix:
         shape += (3 if width == 2 else width,)
-    layout = h5py.VirtualLayout(shape, source.dtype)
-    view = h5py.VirtualSource(".", source.name, source.shape, source.dtype)
-    if suffix:
-        layout[:, :width] = view
-    else:
-        layout[:] = view
-    group.create_virtual_dataset(name, layout, fillvalue=0)
+    space, whole = h5py.h5s.create_simple(shape), h5py.h5s.create_simple(source.shape)
+    space.select_hyperslab((0,) * len(shape), (shape[0], width)[: len(shape)])
+    layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    layout.set_virtual(space, b".", source.name.encode(), whole)
+    layout.set_fill_value(np.zeros((), source.dtype))
+    layout.set_obj_track_times(False)  # h5py's own way notes the time, and equal runs would differ
+    kind = h5py.h5t.py_create(source.dtype)
+    h5py.h5d.create(group.id, name.encode(), kind, h5py.h5s.create_simple(shape), dcpl=layout)

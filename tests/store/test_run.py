@@ -78,6 +78,14 @@ def test_running_again_continues_and_a_finished_run_is_known(scene, tmp_path):
         assert json.loads((run.path / "result.json").read_text()) == {"loss": 1.0}
 
 
+def test_what_a_killed_process_was_writing_is_cleared_away(scene, tmp_path):
+    with start(scene, tmp_path) as run:
+        run.begin()
+    (run.path / ".result.json.4711.tmp").write_text('{"loss": ')
+    with RunDirectory.resume(run.path):
+        assert not list(run.path.glob(".*"))
+
+
 def test_extending_a_finished_run_keeps_its_name(scene, tmp_path):
     with start(scene, tmp_path) as run:
         run.finish("iteration_limit", "30 iterations")

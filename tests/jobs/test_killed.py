@@ -1,0 +1,139 @@
+"""SIGKILL at random moments, resumed each time: the same result as never stopped."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_beam import BEAM, assert_same, changed, record, recorded, result_of
+
+from cqrun.jobs.kernels import compile_kernels
+from cqrun.jobs.reporter import Silent
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
+from cqrun.store.run import read_record
+from cqrun.store.trajectory import read_trajectory
+
+ROOT = Path(__file__).parents[2]
+OPTIMIZERS = {
+    "least_squares": "optimizer={least_squares: {max_iterations: 12}}",
+    "lbfgs": "optimizer={lbfgs: {max_iterations: 15}}",
+    "adam": "optimizer={adam: {max_iterations: 30, batch_size: 2}}",
+}
+PATIENCE = 120.0
+"""Longest that one process may take [s]."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled():
+    """Compile the kernels, so that kills meet the work and not the compiler."""
+    compile_kernels([build(load_scene(BEAM))], Silent(), adjoint=True)
+
+
+def start(*words: str | Path) -> subprocess.Popen[str]:
+    """Start `cqrun words...` on this very tree."""
+    command = [sys.executable, "-m", "cqrun", *map(str, words), "--threads", "1", "--quiet"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, text=True, **pipes)
+
+
+def finish(process: subprocess.Popen[str]) -> None:
+    out, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, out + err
+
+
+def kill_after(process: subprocess.Popen[str], begun: Path, delay: float) -> bool:
+    """Kill a process some time after it took hold of its run; return whether it was still alive.
+
+    `begun` is the run's log, or the folder of runs while there is none: it changes as soon as work begins.
+    """
+    deadline = time.monotonic() + PATIENCE
+    before = _stamp(begun)
+    while _stamp(begun) == before and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.002)
+    try:
+        process.wait(timeout=delay)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+        return True
+    finish(process)
+    return False
+
+
+def _stamp(folder: Path) -> tuple[int, ...]:
+    """Return when each run.json below a folder was written last."""
+    return tuple(path.stat().st_mtime_ns for path in sorted(folder.glob("*/*/run.json")))
+
+
+def killed_and_resumed(scene: Path, folder: Path, override: str, kills: int, rng: np.random.Generator) -> None:
+    begin = time.monotonic()
+    finish(start("sysid", scene, "-o", override, "--out", folder / "whole"))
+    (whole,) = (folder / "whole").glob("*/*")
+    work = read_record(whole)["seconds"]  # of the job itself, without the start of Python
+    out, done, alive = folder / "killed", 0, 0
+    while done < kills:
+        (run,) = list(out.glob("*/*")) or [None]
+        finished = run is not None and read_record(run)["status"] == result_of(whole)["status"]
+        if finished:  # before all kills were dealt: begin again, so that every kill hits something
+            words: tuple[str | Path, ...] = ("sysid", scene, "-o", override, "--out", out, "--fresh")
+        elif run is None or done % 2:
+            words = ("sysid", scene, "-o", override, "--out", out)
+        else:
+            words = ("resume", run)
+        alive += kill_after(start(*words), out, float(rng.uniform(0.0, 0.9 * work)))
+        done += 1
+    assert alive >= 0.6 * kills, f"{alive} of {kills} kills met a process that still ran"
+    (run,) = out.glob("*/*")
+    finish(start("resume", run))
+    assert_same(run, whole)
+    assert time.monotonic() - begin < PATIENCE * (kills + 2)
+
+
+@pytest.fixture
+def recordings(fit, tmp_path):
+    """Return a scene of three recordings, for mini-batches."""
+    files = record(fit, tmp_path / "data", copies=3)
+    return recorded(fit, {file.stem: file for file in files})
+
+
+def test_killed_three_times(fit, tmp_path, rng):
+    killed_and_resumed(fit, tmp_path, OPTIMIZERS["least_squares"], 3, rng)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OPTIMIZERS)
+def test_killed_twenty_times(fit, recordings, tmp_path, rng, name):
+    scene = recordings if "batch_size" in OPTIMIZERS[name] else fit
+    killed_and_resumed(scene, tmp_path, OPTIMIZERS[name], 20, rng)
+
+
+def test_a_killed_simulation_keeps_its_frames_and_runs_again(beam, tmp_path, rng):
+    changed(beam, "substeps: 24", "substeps: 4000")
+    finish(start("simulate", beam, "--out", tmp_path / "whole"))
+    (whole,) = (tmp_path / "whole").glob("*/*")
+    out = tmp_path / "killed"
+    process = start("simulate", beam, "--out", out)
+    part = "*/*/trajectory.h5.part"
+    deadline = time.monotonic() + PATIENCE
+    while process.poll() is None and time.monotonic() < deadline:
+        parts = list(out.glob(part))
+        if parts and len(read_trajectory(parts[0]).time) >= 3:
+            break
+    process.kill()
+    process.communicate()
+    (file,) = out.glob(part)
+    seen = read_trajectory(file)
+    assert not seen.complete
+    kept, expected = len(seen.time), read_trajectory(whole / "trajectory.h5")
+    assert 3 <= kept < len(expected.time)
+    for name in "xvJ":
+        np.testing.assert_array_equal(seen.fields[name], expected.fields[name][:kept])
+    assert read_record(file.parent)["status"] == "running"
+    finish(start("resume", file.parent))
+    assert_same(file.parent, whole)

@@ -1,0 +1,142 @@
+"""A soft 2D beam of 40 particles that makes its own data: whole jobs in a second, all with the same kernels."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+from cqrun.jobs.reporter import Silent
+
+BEAM = """\
+# yaml-language-server: $schema=../cqrun.schema.json
+cqrun: 1
+title: a small cantilever
+world: {size: [0.16, 0.12], dx: 0.01, gravity: [0, -9.81]}
+bodies:
+  beam:
+    shape: {box: {corner: [0.02, 0.06], size: [0.1, 0.01]}}
+    particles_per_cell: 4
+    groups: {root: {box: {corner: [0.02, 0.06], size: [0.05, 0.01]}}}
+    material:
+      density: 1000
+      elastic: {fixed_corotated: {youngs_modulus: 3.0e4, poissons_ratio: 0.3}}
+      viscosity: {shear: 3}
+boundaries:
+  clamp: {sticky: {region: {box: {corner: [0, 0], size: [0.04, 0.12]}}}}
+time: {duration: 0.1, control_step: 0.01, substeps: 24}
+"""
+
+FIT = """\
+data:
+  synthetic:
+    truth:
+      bodies.beam.material.elastic.fixed_corotated.youngs_modulus: 4.0e4
+      bodies.beam.material.viscosity.shear: 6
+    noise: 2.0e-5
+    every: 1
+    markers: {tip: [0.119, 0.065], middle: [0.08, 0.065]}
+unknowns:
+  bodies.beam.material.elastic.fixed_corotated.youngs_modulus: {bounds: [1.0e4, 1.0e5], scale: log}
+  bodies.beam.material.viscosity.shear: {bounds: [0.5, 20], scale: log}
+optimizer: {least_squares: {max_iterations: 8}}
+"""
+
+MARKERS = {"tip": [0.119, 0.065], "middle": [0.08, 0.065]}
+"""Where the markers of the fit are at rest."""
+
+E_PATH = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus"
+SHEAR_PATH = "bodies.beam.material.viscosity.shear"
+
+
+class Listener(Silent):
+    """A reporter that keeps what it is told, and may ask to stop after so many reports."""
+
+    def __init__(self, stop_after: int | None = None) -> None:
+        super().__init__()
+        self.said: list[str] = []
+        self.updates: list[tuple[int, float]] = []
+        self.parts: list[tuple[int, int, str]] = []
+        self.stop_after = stop_after
+
+    def phase(self, text: str) -> None:
+        self.said.append(text)
+
+    def warn(self, text: str) -> None:
+        self.said.append(f"warning: {text}")
+
+    def update(self, iteration: int, loss: float, best: float, step: float, seconds: float) -> None:
+        self.updates.append((iteration, loss))
+        self._count()
+
+    def advance(self, done: int, total: int, text: str) -> None:
+        self.parts.append((done, total, text))
+        self._count()
+
+    def _count(self) -> None:
+        if self.stop_after is not None and len(self.updates) + len(self.parts) >= self.stop_after:
+            self.stop.ask()
+
+
+def result_of(run: Path) -> dict[str, Any]:
+    """Return result.json."""
+    return json.loads((run / "result.json").read_text())
+
+
+def contents(run: Path) -> dict[str, bytes | list[list[str]]]:
+    """Return what must be the same in equal runs.
+
+    That is every file but the log, run.json and the lock, and of the history all but the seconds; figures show them.
+    """
+    found: dict[str, bytes | list[list[str]]] = {}
+    for path in sorted(run.rglob("*")):
+        name = str(path.relative_to(run))
+        if path.is_dir() or name in ("run.json", "log.txt", "lock") or path.parent.name == "figures":
+            continue
+        if name == "history.csv":
+            rows = list(csv.reader(path.read_text().splitlines()))
+            assert rows[0][-1] == "seconds"
+            found[name] = [row[:-1] for row in rows]
+        else:
+            found[name] = path.read_bytes()
+    return found
+
+
+def assert_same(run: Path, other: Path) -> None:
+    """Fail where two runs differ, and name the file."""
+    mine, theirs = contents(run), contents(other)
+    assert mine.keys() == theirs.keys(), mine.keys() ^ theirs.keys()
+    different = [name for name in mine if mine[name] != theirs[name]]
+    assert not different, f"{run}: {different}"
+
+
+def record(scene: Path, file: Path, *, copies: int = 1) -> list[Path]:
+    """Write recordings of the small beam beside a scene, as its own synthetic data has them; return their files."""
+    from cqrun.jobs.cases import SYNTHETIC, make_cases
+    from cqrun.scene.build import build
+    from cqrun.scene.load import load_scene
+
+    scene.write_text(BEAM + FIT)
+    make_cases(build(load_scene(scene, [f"data.synthetic.copies={copies}"])), file)
+    return sorted((file / SYNTHETIC).glob("*.csv"))
+
+
+def recorded(scene: Path, files: dict[str, Path], **entries: str) -> Path:
+    """Write a scene that is fitted to recordings: name -> file; `entries` go into each of them as YAML."""
+    markers = ", ".join(f"{name}: {place}" for name, place in MARKERS.items())
+    own = {"markers": f"{{{markers}}}", **entries}
+    lines = ["data:", "  recordings:"]
+    for name, file in files.items():
+        inside = ", ".join(f"{key}: {value}" for key, value in {"file": file, **own}.items())
+        lines.append(f"    {name}: {{{inside}}}")
+    scene.write_text(BEAM + "\n".join(lines) + "\n" + FIT[FIT.index("unknowns:") :])
+    return scene
+
+
+def changed(path: Path, old: str, new: str) -> Path:
+    """Replace text in a scene."""
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return path
