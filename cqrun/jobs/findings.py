@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.design.params import Block
 from cqrun.errors import RolloutError
 from cqrun.jobs.cases import Case
 from cqrun.jobs.observables import fracture_of
@@ -100,10 +101,10 @@ def _add_intervals(result: dict[str, Any], problem: FitProblem, outcome: Outcome
         _no_intervals(result, f"a rollout beside the optimum failed: {failure}")
         return
     for block in problem.params.blocks:
-        names = _names(block.path, block.size)
+        names = _names(block)
         entry = result["unknowns"][block.path]
         entry["interval"] = (
-            [_pair(found.intervals[n]) for n in names] if block.size > 1 else _pair(found.intervals[names[0]])
+            [_pair(found.intervals[n]) for n in names] if block.initial.ndim else _pair(found.intervals[names[0]])
         )
         reasons = {n: found.reasons[n] for n in names if n in found.reasons}
         if reasons:
@@ -120,8 +121,8 @@ def _pair(interval: tuple[float, float] | None) -> list[float] | None:
     return None if interval is None else [float(interval[0]), float(interval[1])]
 
 
-def _names(path: str, size: int) -> list[str]:
-    return [path] if size == 1 else [f"{path}[{k}]" for k in range(size)]
+def _names(block: Block) -> list[str]:
+    return [f"{block.path}[{k}]" for k in range(block.size)] if block.initial.ndim else [block.path]
 
 
 def list_unknowns(problem: FitProblem, x: Array) -> list[Unknown]:
@@ -130,7 +131,7 @@ def list_unknowns(problem: FitProblem, x: Array) -> list[Unknown]:
     return [
         Unknown(name, float(value), block.lower, block.upper, block.log)
         for block in problem.params.blocks
-        for name, value in zip(_names(block.path, block.size), np.reshape(values[block.path], -1), strict=True)
+        for name, value in zip(_names(block), np.reshape(values[block.path], -1), strict=True)
     ]
 
 

@@ -67,8 +67,8 @@ class Assembly:
         n = self.particles.of(body)
         count = n.stop - n.start
         value = np.asarray(values.get(path, own), float)
-        if value.ndim == 0 or value.size == 1:
-            return np.full(count, float(value.reshape(-1)[0]))
+        if value.ndim == 0:
+            return np.full(count, float(value))
         if value.size == count:
             return value.reshape(-1)
         labels = self._labels(body)
@@ -80,7 +80,7 @@ class Assembly:
             return
         value = np.asarray(values[path], float)
         bar = out.setdefault(path, np.zeros(value.shape))
-        if value.size == 1:
+        if value.ndim == 0:
             bar += per_particle_bar.sum()
         elif value.size == len(per_particle_bar):
             bar += per_particle_bar.reshape(value.shape)

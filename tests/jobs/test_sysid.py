@@ -120,6 +120,25 @@ def test_gradients_and_differences_find_the_same_optimum(fit, tmp_path):
     np.testing.assert_allclose(values[0], values[1], rtol=1e-4)
 
 
+@pytest.mark.parametrize("per", ["group", "particle"])
+def test_one_number_a_group_or_particle(fit, tmp_path, per):
+    changed(fit, "scale: log}\n  bodies.beam.material.visc", f"scale: log, per: {per}}}\n  bodies.beam.material.visc")
+    run = identify(fit, tmp_path, OPTIMIZERS["lbfgs"])
+    result, count = result_of(run), {"group": 1, "particle": 40}[per]
+    entry = result["unknowns"][E_PATH]
+    assert entry["initial"] == [3.0e4] * count
+    assert len(entry["value"]) == count
+    lines = "\n".join(report_lines(run))
+    if per == "group":
+        ((low, high),) = entry["interval"]
+        assert low < entry["value"][0] < high
+        assert f"{E_PATH}[0]" in lines
+    else:
+        assert entry["interval"] is None
+        assert "no intervals: more than 30 unknowns" in lines
+        assert "40 numbers" in lines
+
+
 def test_what_gradients_cost_is_told_and_is_no_part_of_the_result(fit, tmp_path):
     run = identify(fit, tmp_path, OPTIMIZERS["adam"], "memory=128KiB")
     cost = read_record(run)["gradient"]

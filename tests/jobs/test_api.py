@@ -1,0 +1,124 @@
+"""`cqrun.load`: a scene as a function, NumPy in and out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_beam import BEAM, E_PATH, FIT, SHEAR_PATH, changed
+
+import cqrun
+from cqrun.errors import RolloutError, SceneError, UsageError
+from cqrun.jobs.simulate import run_simulate
+from cqrun.jobs.sysid import run_sysid
+from cqrun.store.history import read_history
+from cqrun.store.trajectory import read_trajectory
+
+DENSITY = "bodies.beam.material.density"
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return cqrun.load(BEAM + FIT, threads=1)
+
+
+def test_params_are_the_unknowns_at_their_starts(problem):
+    assert problem.params == {E_PATH: 3.0e4, SHEAR_PATH: 3.0}
+    assert problem.scene.time.duration == 0.1
+
+
+def test_the_loss_is_that_of_sysid(problem, fit, tmp_path):
+    loss, gradient, aux = problem.value_and_grad()
+    run = run_sysid(fit, ["optimizer={lbfgs: {max_iterations: 1}}"], tmp_path, False, 1, True)
+    history = read_history(run / "history.csv")
+    assert loss == pytest.approx(history["loss"][0], rel=1e-12)
+    assert aux["losses"] == {"synthetic": loss}
+    assert aux["gradient"]["recompute_factor"] == 1.0
+    width = np.log(10.0)  # of the bounds of E, in its logarithm
+    assert abs(gradient[E_PATH]) * 3.0e4 * width == pytest.approx(history[f"grad:{E_PATH}"][0], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "step"), [(E_PATH, 3.5e4, 3.0), (DENSITY, 900.0, 0.05), ("world.gravity.1", -9.0, 1e-3)]
+)
+def test_gradients_are_those_of_differences(problem, path, value, step):
+    """Also by numbers that are no unknowns."""
+    loss, gradient, _ = problem.value_and_grad({path: value})
+    assert gradient.keys() == {E_PATH, SHEAR_PATH, path}
+    assert isinstance(gradient[path], float)
+    ahead, behind = (problem.value_and_grad({path: value + sign * step})[0] for sign in (1, -1))
+    assert gradient[path] == pytest.approx((ahead - behind) / (2 * step), rel=1e-5)
+    assert problem.value_and_grad({path: value})[0] == loss  # and the call leaves nothing behind
+
+
+def test_a_number_for_every_particle(problem, rng):
+    values = 3.0e4 * rng.uniform(0.9, 1.1, 40)
+    _, gradient, _ = problem.value_and_grad({E_PATH: values})
+    assert gradient[E_PATH].shape == (40,)
+    direction = rng.normal(size=40)
+    ahead, behind = (problem.value_and_grad({E_PATH: values + sign * direction})[0] for sign in (1, -1))
+    assert gradient[E_PATH] @ direction == pytest.approx((ahead - behind) / 2, rel=1e-5)
+
+
+def test_a_number_for_every_group(problem):
+    """The only group is a part of the body: its value says nothing of the rest."""
+    loss, gradient, _ = problem.value_and_grad({E_PATH: np.array([4.0e4])})
+    inside = problem.built.particles.x[:, 0] <= 0.07
+    values = np.where(inside, 4.0e4, 3.0e4)
+    same, by_particle, _ = problem.value_and_grad({E_PATH: values})
+    assert loss == same
+    assert gradient[E_PATH].shape == (1,)
+    assert gradient[E_PATH][0] == pytest.approx(by_particle[E_PATH][inside].sum(), rel=1e-12)
+
+
+def test_unknowns_by_particle_are_arrays(fit):
+    changed(fit, "scale: log}\n  bodies.beam.material.visc", "scale: log, per: particle}\n  bodies.beam.material.visc")
+    problem = cqrun.load(fit)
+    np.testing.assert_array_equal(problem.params[E_PATH], np.full(40, 3.0e4))
+    assert problem.value_and_grad()[1][E_PATH].shape == (40,)
+
+
+def test_simulate_is_the_job(problem, fit, tmp_path):
+    motion = problem.simulate()
+    expected = read_trajectory(run_simulate(fit, [], tmp_path, False, 1, True) / "trajectory.h5")
+    np.testing.assert_array_equal(motion.x, expected.fields["x"])
+    np.testing.assert_allclose(motion.v, expected.fields["v"], rtol=1e-6, atol=1e-12)  # float32 on disk
+    np.testing.assert_array_equal(motion.time, expected.time)
+    assert motion.bodies == expected.bodies == {"beam": slice(0, 40)}
+
+
+def test_simulate_takes_values(problem):
+    rest = problem.simulate({"world.gravity.1": 0.0})
+    np.testing.assert_allclose(rest.x, np.broadcast_to(rest.x[0], rest.x.shape), rtol=0, atol=1e-15)
+
+
+def test_overrides_are_those_of_the_command_line(fit):
+    assert cqrun.load(fit, ["time.duration=0.03"]).simulate().x.shape == (4, 40, 2)
+    with pytest.raises(SceneError, match=r"-o time.duraton=1: time.duraton: .*did you mean 'duration'"):
+        cqrun.load(fit, ["time.duraton=1"])
+
+
+@pytest.mark.parametrize(
+    ("params", "message"),
+    [
+        ({"bodies.beam.material.densty": 1.0}, "'bodies.beam.material' has no 'densty' .*did you mean"),
+        ({"world.dx": 0.1}, r"world.dx: no gradient reaches it"),
+        ({E_PATH: np.ones(39)}, r"a value of shape \(39,\); it must be one of \(\), \(40,\), \(1,\)"),
+        ({"world.gravity.1": np.ones(2)}, r"a value of shape \(2,\); it must be one of \(\)"),
+        ({DENSITY: float("nan")}, r"density: must be finite, is nan"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(problem, params, message):
+    with pytest.raises(UsageError, match=message):
+        problem.value_and_grad(params)
+
+
+def test_a_scene_without_data_has_no_loss():
+    problem = cqrun.load(BEAM)
+    assert problem.params == {}
+    with pytest.raises(UsageError, match="this scene has no `data`"):
+        problem.value_and_grad()
+
+
+def test_values_that_blow_up_are_told(problem):
+    with pytest.raises(RolloutError, match="body 'beam'"):
+        problem.simulate({E_PATH: 1e9})

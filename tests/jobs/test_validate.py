@@ -1,0 +1,88 @@
+"""`cqrun validate`: what it tells of a scene, and what it refuses."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from small_beam import changed, record, recorded
+
+from cqrun.errors import DataError, SceneError
+from cqrun.jobs.validate import validate
+
+
+def told(scene, *overrides) -> str:
+    return "\n".join(validate(scene, overrides))
+
+
+def test_it_counts_and_weighs(beam):
+    text = told(beam)
+    assert f"{beam}: a valid scene: a small cantilever" in text
+    assert "0.16 x 0.12 m in cells of 0.01 m: 24 x 20 = 480 nodes" in text
+    assert "clamp (sticky, " in text
+    assert "40 particles, 4 a cell, 0.005 m apart; mass 1 kg/m" in text  # 0.1 m x 0.01 m x 1000 kg/m^3
+    assert "from (0.0225, 0.0625) to (0.1175, 0.0675) m, 0.0225 m from the nearest face of the world" in text
+    assert "10 control steps of 0.01 s, each of 24 substeps of 0.00041667 s: 240 substeps" in text
+    assert re.search(r"0\.\d\d of the largest stable substep, 0.00\d+ s \(bodies.beam.material\)", text)
+    assert re.search(r"a gradient keeps 241 states of \S+ KiB, \S+ [KM]iB of a budget of 2 GiB: none run twice", text)
+    assert "an estimate, for one core: " in text
+
+
+def test_the_bound_is_that_of_the_unknowns_worst_corner(fit):
+    changed(fit, "substeps: 24", "substeps: auto")
+    text = told(fit)
+    share = re.search(r"(0.\d\d) of the .* \(bodies.beam.material at the worst corner of the unknowns' bounds\)", text)
+    assert share
+    assert 0.5 < float(share[1]) <= 0.6
+    assert "viscosity.shear: 0.5 to 20 Pa s, from 3, log scale" in text
+    assert "least_squares, at most 8 iterations" in text
+    assert "synthetic: 1 x 1 recordings of 2 markers on 'beam', noise 0.02 mm" in text
+
+
+def test_a_small_budget_costs_repetitions(beam):
+    found = re.search(r"keeps (\d+) states .*: (\S+) forward substeps for each", told(beam, "memory=128KiB"))
+    assert found
+    assert int(found[1]) < 100
+    assert float(found[2]) > 1.0
+
+
+def test_too_little_memory_for_gradients_is_a_warning_where_none_are_asked_for(beam, fit):
+    assert "warning: no gradients: -o memory=2KiB: memory: a gradient needs 10 states" in told(beam, "memory=2KiB")
+    changed(fit, "title: a small cantilever", "job: sysid")
+    assert "warning: no gradients" in told(fit, "memory=2KiB")  # least squares needs none
+    with pytest.raises(SceneError, match="-o memory=2KiB: memory: a gradient needs 10 states"):
+        told(fit, "memory=2KiB", "optimizer={lbfgs: {}}")
+
+
+def test_a_substep_near_its_bound_is_a_warning(beam):
+    assert "warning: -o time.substeps=9: time.substeps: a substep of" in told(beam, "time.substeps=9")
+
+
+def test_recordings_are_read_and_aligned(fit, tmp_path):
+    (file,) = record(fit, tmp_path / "data")
+    text = told(recorded(fit, {"one": file}))
+    assert "one (fitted): 2 markers, 11 frames from 0 to 0.1 s, release at 0 s, 100.0% seen" in text
+    assert "positions in the scene's own frame" in text
+    text = told(recorded(fit, {"one": file}, still="[0, 0.02]", start="0.02", length="0.06", holdout="false"))
+    assert "one (fitted): 2 markers, 7 frames from 0.02 to 0.08 s, release at 0.02 s" in text
+    assert re.search(r"aligned to the rest positions within 0.\d\d to 0.\d\d mm", text)
+
+
+def test_a_recording_that_cannot_be_used_is_refused(fit, tmp_path):
+    (file,) = record(fit, tmp_path / "data")
+    scene = recorded(fit, {"one": file}, start="0.05")
+    with pytest.raises(DataError, match=r"data.recordings.one: .*the window, 0.05 to 0.15 s .* does not lie inside"):
+        told(scene)
+
+
+def test_a_target(fit):
+    text = fit.read_text()
+    target = "data: {target: {position: [0.07, 0.055]}}\n"
+    fit.write_text(text[: text.index("data:")] + target + text[text.index("unknowns:") :])
+    assert "target: the centroid of 'beam' at (0.07, 0.055) m, t = 0.1 s" in told(fit)
+
+
+def test_a_scene_for_sysid_needs_data_and_unknowns(beam):
+    changed(beam, "title: a small cantilever", "job: sysid")
+    with pytest.raises(SceneError, match="unknowns: sysid needs it"):
+        told(beam)
