@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coverage import Memory
+from interval_coverage import Memory
 from scipy.optimize import minimize_scalar
 
 from cqrun.fingerprint import engine_hash

@@ -1,6 +1,6 @@
 """Do 95 % intervals cover the truth? Fits of scenes/sysid/beam_twin.yaml over many draws of the noise.
 
-    python benchmarks/coverage.py [--draws 50] [--out benchmarks/measured/beam_twin_coverage.json]
+    python benchmarks/interval_coverage.py [--draws 50] [--out benchmarks/measured/beam_twin_coverage.json]
 
 A run that was stopped goes on: draws that are in the file already are not repeated.
 """
@@ -97,7 +97,7 @@ def main() -> None:
         draws.append(draw(seed, options.overrides))
         covered = summary(draws)
         result = {
-            "command": "python benchmarks/coverage.py",
+            "command": "python benchmarks/interval_coverage.py",
             "engine": engine_hash(),
             "covered": covered,
             "draws": draws,
