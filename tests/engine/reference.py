@@ -18,7 +18,6 @@ from cqrun.engine.model import Inputs, Model, Records
 from cqrun.engine.setting import MARGIN
 
 EPSILON = 1e-7  # of the friction law, both papers
-NEWTON = 20
 
 Array = np.ndarray
 
@@ -39,10 +38,16 @@ def t(A: Array) -> Array:
 
 
 def rotation(F: Array) -> Array:
-    """Return R of F = R S for det F > 0, by Newton's iteration with inverses."""
-    R = F
-    for _ in range(NEWTON):
-        R = 0.5 * (R + t(np.linalg.inv(R)))
+    """Return R of F = R S for det F > 0, by Newton's iteration with inverses.
+
+    An imaginary part of 1e-30 converges one step behind the real one: two more steps.
+    """
+    R, to_go = F, 100
+    while to_go:
+        following = 0.5 * (R + t(np.linalg.inv(R)))
+        if np.abs(following - R).max() < 1e-12:
+            to_go = min(to_go, 3)
+        R, to_go = following, to_go - 1
     return R
 
 
