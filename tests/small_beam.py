@@ -31,6 +31,7 @@ time: {duration: 0.1, control_step: 0.01, substeps: 24}
 FIT = """\
 data:
   synthetic:
+    body: beam
     truth:
       bodies.beam.material.elastic.fixed_corotated.youngs_modulus: 4.0e4
       bodies.beam.material.viscosity.shear: 6

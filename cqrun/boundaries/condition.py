@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numba.extending import overload, register_jitable
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from cqrun.choice import Choice, Chosen
 from cqrun.compile import own_symbols
@@ -32,8 +32,12 @@ class BoundaryCondition(Plugin):
     """A condition on grid nodes: on faces of the world, or in a region."""
 
     needs_normal: ClassVar[bool] = True
-    face: Literal["x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "all"] | None = None
-    region: Annotated[Chosen[Plugin], Choice("shape")] | None = None
+    face: Literal["x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "all"] | None = Field(
+        description="Face of the world, or all of them", default=None
+    )
+    region: Annotated[Chosen[Plugin], Choice("shape")] | None = Field(
+        description="Region whose nodes are held", default=None
+    )
     normal: list[float] | None = vector("1", "Unit normal into the free side, for a region", default=None)
     thickness: float = quantity("m", "How far the face reaches into the world", ge=0, default=0.0)
 

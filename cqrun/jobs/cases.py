@@ -17,6 +17,7 @@ from cqrun.contract import Array
 from cqrun.engine.model import Inputs, Model, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import DataError, Problem, RolloutError, RunError, SceneError
+from cqrun.jobs.runs import data_files
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.objectives.target import TargetObjective
 from cqrun.observers.markers import Points, centroid, markers, particles
@@ -162,11 +163,12 @@ def given_cases(built: Built) -> list[Case] | None:
     Read before there is a run: one whose data cannot be used leaves nothing behind.
 
     Raises:
-        DataError, SceneError: data that cannot be used, or of which nothing is fitted.
+        DataError, SceneError: data that is missing or cannot be used, or of which nothing is fitted.
     """
     data = built.scene.data
     if data is None or data.synthetic is not None:
         return None
+    data_files(built.scene)  # all that are missing are told at once
     cases = make_cases(built)
     if all(case.holdout for case in cases):
         message = "every recording is held out: nothing is left to fit"

@@ -13,7 +13,6 @@ from cqrun.jobs.cases import Case, given_cases
 from cqrun.jobs.memory import gradient_plan, state_bytes
 from cqrun.jobs.report import number
 from cqrun.jobs.reporter import Silent
-from cqrun.jobs.runs import data_files
 from cqrun.jobs.sysid import prepare, with_optimizer
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.scene.build import Built, build
@@ -39,7 +38,6 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     """
     scene = load_scene(scene_path, overrides)
     built = prepare(scene, Silent()) if scene.job == "sysid" else build(scene)
-    data_files(built.scene)
     cases = given_cases(built)
     yield f"{scene_path}: a valid scene" + (f": {scene.title}" if scene.title else "")
     yield from _world(built)

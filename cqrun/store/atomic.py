@@ -52,6 +52,27 @@ def make_directory(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
 
 
+def require_room(path: Path, size: int) -> None:
+    """Refuse to begin a file of `size` bytes at `path` where the disk has no room for it.
+
+    For files that a library writes which cannot cope with a full disk: HDF5 crashes the process. Where the system
+    cannot reserve room (macOS), nothing is checked.
+
+    Raises:
+        UsageError: the directory cannot be written to.
+        RunError: the disk is full.
+    """
+    if not hasattr(os, "posix_fallocate"):
+        return
+    trial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with disk_errors(path):
+        try:
+            with trial.open("wb") as file:
+                os.posix_fallocate(file.fileno(), 0, max(size, 1))
+        finally:
+            trial.unlink(missing_ok=True)
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Put `data` at `path`: a reader sees the old file or the new one, whole, also after a crash.
 

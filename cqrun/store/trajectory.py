@@ -23,7 +23,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
-from cqrun.store.atomic import disk_errors, make_directory, sync_directory
+from cqrun.store.atomic import disk_errors, make_directory, require_room, sync_directory
 from cqrun.store.vtkhdf import add_vtk_view
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 LIBVER = ("earliest", "v110")
 POSITION, POSITION_TYPE, FIELD_TYPE = "x", "f8", "f4"
 CHUNK = 16384
+SPARE = 1 << 15
+"""Bytes that a file takes besides its data, at the most."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,8 @@ class TrajectoryWriter:
         self.n_frames, self.written = n_frames, 0
         self._shapes = {POSITION: (dim,)} | {name: tuple(shape) for name, shape in fields.items()}
         make_directory(path.parent)
+        self._raw = self._count_bytes(dict(bodies)) + 3 * len(json.dumps(dict(provenance))) + SPARE
+        require_room(self.part, self._raw)
         beginning = path.with_name(path.name + ".new")  # renamed when readable: a `.part` always is
         with disk_errors(self.part):
             with _open_for_writing(beginning, "w") as file:
@@ -131,6 +135,7 @@ class TrajectoryWriter:
         if not self._file:
             return
         packed = self.path.with_name(self.path.name + ".packing")
+        require_room(packed, self._raw + self._raw // 50 + SPARE)  # should nothing be compressible
         with disk_errors(self.path):
             with _open_for_writing(packed, "w") as target:
                 _pack(self._file, target, self.written)
@@ -153,6 +158,15 @@ class TrajectoryWriter:
             self.close()
         else:
             self.abandon()
+
+    def _count_bytes(self, bodies: dict[str, slice]) -> int:
+        """Return the bytes of all datasets, those of the view for ParaView included."""
+        count = max(part.stop for part in bodies.values())
+        a_particle = sum(
+            np.dtype(POSITION_TYPE if name == POSITION else FIELD_TYPE).itemsize * int(np.prod(shape, dtype=int))
+            for name, shape in self._shapes.items()
+        )
+        return self.n_frames * (count * a_particle + 256) + 32 * count
 
     def _lay_out(self, file: h5py.File, bodies: dict[str, slice], provenance: dict[str, Any]) -> None:
         count = max(part.stop for part in bodies.values())

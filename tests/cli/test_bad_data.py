@@ -1,0 +1,238 @@
+"""Bad recordings, as a user meets them: exit code 2, which recording, what is wrong, what to do; no run is left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+import pytest
+from small_beam import record, recorded
+
+REST = {"a": [0.11, 0.02, 0.03], "b": [0.11, 0.04, 0.03], "c": [0.05, 0.02, 0.03], "d": [0.05, 0.04, 0.03]}
+"""Markers of the 3D beam below, at rest [m]."""
+
+BEAM_3D = """\
+cqrun: 1
+world: {size: [0.14, 0.06, 0.06], dx: 0.01, gravity: [0, 0, -9.81]}
+bodies:
+  beam:
+    shape: {box: {corner: [0.02, 0.02, 0.02], size: [0.1, 0.02, 0.01]}}
+    particles_per_cell: 8
+    material: {density: 1000, elastic: {fixed_corotated: {youngs_modulus: 3.0e4, poissons_ratio: 0.3}}}
+time: {duration: 0.1, control_step: 0.01}
+"""
+
+
+def markers(chosen: dict[str, list[float]]) -> str:
+    return "{" + ", ".join(f"{name}: {place}" for name, place in chosen.items()) + "}"
+
+
+@pytest.fixture
+def positions(rng):
+    """Return (T, M, 3) positions [m] at 100 Hz: at rest for 0.1 s, then falling; in axes of their own."""
+    time = 0.01 * np.arange(31)
+    rest = np.array(list(REST.values()))
+    fall = np.maximum(time - 0.1, 0.0) ** 2
+    moved = rest + fall[:, None, None] * np.array([0.0, 0.0, -1.0]) + 1e-5 * rng.normal(size=(31, 4, 3))
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return moved @ turned.T + [1.0, 2.0, 3.0]
+
+
+def write_c3d(path: Path, positions: np.ndarray, *, units: str = "m", names: tuple[str, ...] = tuple(REST)) -> Path:
+    content = ezc3d.c3d()
+    points = np.ones((4, positions.shape[1], positions.shape[0]))
+    points[:3] = positions.transpose(2, 1, 0)
+    point = content["parameters"]["POINT"]
+    point["RATE"]["value"], point["LABELS"]["value"], point["UNITS"]["value"] = [100.0], list(names), [units]
+    content["data"]["points"] = points
+    content.write(str(path))
+    return path
+
+
+def write_csv(path: Path, positions: np.ndarray, names: tuple[str, ...] = tuple(REST)) -> Path:
+    lines = ["time,marker,x,y,z"]
+    for k, frame in enumerate(positions):
+        lines += [f"{k / 100},{name},{','.join(map(repr, x))}" for name, x in zip(names, frame.tolist(), strict=True)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.fixture
+def refused(cqrun, tmp_path):
+    """Return a function: a recording and entries of it in the scene -> the message of `cqrun sysid`."""
+
+    def message(file: Path, rest: dict[str, list[float]] | None = None, **entries: str) -> str:
+        own = {"file": file, "start": "0.1", "still": "[0, 0.09]", "markers": markers(rest or REST), **entries}
+        inside = ", ".join(f"{key}: {value}" for key, value in own.items() if value)
+        data = f"data: {{recordings: {{swing: {{{inside}}}}}}}\n"
+        scene = tmp_path / "scene.yaml"
+        scene.write_text(BEAM_3D + data + "unknowns: {bodies.beam.material.density: {bounds: [500, 2000]}}\n")
+        answers = [cqrun(command, scene, *where) for command, *where in (("sysid", "--out", tmp_path), ("validate",))]
+        (code, out, err), (code_too, _, err_too) = answers
+        assert (code, code_too) == (2, 2), err
+        assert out == ""
+        assert err == err_too
+        assert not (tmp_path / "scene").exists()
+        assert f"{scene}:" in err
+        assert "data.recordings.swing" in err
+        return err
+
+    return message
+
+
+def test_the_recording_itself_is_fine(cqrun, tmp_path, positions):
+    """What the tests below spoil would be taken as it is."""
+    scene = tmp_path / "scene.yaml"
+    file = write_c3d(tmp_path / "swing.c3d", positions)
+    own = f"{{file: {file}, start: 0.1, still: [0, 0.09], markers: {markers(REST)}}}"
+    scene.write_text(BEAM_3D + f"data: {{recordings: {{swing: {own}}}}}\n")
+    code, out, err = cqrun("validate", scene)
+    assert (code, err) == (0, "")
+    assert "swing (fitted): 4 markers, 11 frames from 0.1 to 0.2 s" in out
+    assert "aligned to the rest positions within 0.00 to 0.0" in out
+
+
+def test_missing(refused, tmp_path):
+    assert "there is no file '" in refused(tmp_path / "none.c3d")
+
+
+@pytest.mark.parametrize("suffix", [".c3d", ".csv", ".h5"])
+def test_empty(refused, tmp_path, suffix):
+    (tmp_path / f"empty{suffix}").write_bytes(b"")
+    assert "the file is empty" in refused(tmp_path / f"empty{suffix}")
+
+
+@pytest.mark.parametrize("part", [0.3, 0.6, 0.97])
+def test_truncated_c3d(refused, tmp_path, positions, part):
+    file = write_c3d(tmp_path / "swing.c3d", positions)
+    file.write_bytes(file.read_bytes()[: int(part * file.stat().st_size)])
+    assert "truncated" in refused(file)
+
+
+def test_truncated_csv(refused, tmp_path, positions):
+    file = write_csv(tmp_path / "swing.csv", positions)
+    file.write_text(file.read_text()[:-30])
+    assert "is the file truncated?" in refused(file)
+
+
+def test_not_c3d(refused, tmp_path):
+    (tmp_path / "swing.c3d").write_text("time,marker,x,y,z\n" * 200)
+    assert "not a C3D file" in refused(tmp_path / "swing.c3d")
+
+
+def test_another_format(refused, tmp_path):
+    (tmp_path / "swing.txt").write_text("x")
+    assert "a recording ends in .c3d, .csv, .h5, not in '.txt'" in refused(tmp_path / "swing.txt")
+
+
+def test_millimetres(refused, tmp_path, positions):
+    message = refused(write_csv(tmp_path / "swing.csv", 1e3 * positions))
+    assert "it looks as if the recording is in millimetres: say `units: mm`" in message
+
+
+def test_a_marker_that_is_never_seen(refused, tmp_path, positions):
+    positions[:, 2] = np.nan
+    assert "marker 'c' is NaN in every frame" in refused(write_c3d(tmp_path / "swing.c3d", positions))
+
+
+def test_a_marker_that_is_not_seen_at_rest(refused, tmp_path, positions):
+    positions[:12, 2] = np.nan
+    message = refused(write_c3d(tmp_path / "swing.c3d", positions))
+    assert "marker 'c' is not seen in any still frame" in message
+
+
+def test_half_a_position(refused, tmp_path, positions):
+    file = write_csv(tmp_path / "swing.csv", positions)
+    lines = file.read_text().splitlines()
+    lines[6] = "0.01,b,1.0,nan,3.0"
+    file.write_text("\n".join(lines))
+    assert "some coordinates of marker 'b' are nan and some are not" in refused(file)
+
+
+def test_an_unknown_marker(refused, tmp_path, positions):
+    file = write_c3d(tmp_path / "swing.c3d", positions, names=("a", "b", "c", "tip"))
+    assert "no marker 'd'; it has 'a', 'b', 'c', 'tip'" in refused(file)
+
+
+def test_a_doubled_marker(refused, tmp_path, positions):
+    file = write_c3d(tmp_path / "swing.c3d", positions, names=("a", "b", "c", "c"))
+    assert "marker 'c' is there 2 times" in refused(file, {k: REST[k] for k in "abc"})
+
+
+def test_a_marker_twice_at_one_time(refused, tmp_path, positions):
+    file = write_csv(tmp_path / "swing.csv", positions)
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:5], lines[4], *lines[5:]]))
+    assert "marker 'd' is there twice at time 0 s" in refused(file)
+
+
+def test_time_that_goes_back(refused, tmp_path, positions):
+    file = write_csv(tmp_path / "swing.csv", positions)
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:9], *lines[13:17], *lines[9:13]]))
+    assert "time does not increase: marker 'a' goes from 0.03 s back to 0.02 s" in refused(file)
+
+
+@pytest.mark.parametrize(("start", "window"), [("0.25", "0.25 to 0.35"), ("-0.05", "-0.05 to 0.05")])
+def test_a_window_outside(refused, tmp_path, positions, start, window):
+    message = refused(write_c3d(tmp_path / "swing.c3d", positions), start=start)
+    assert f"the window, {window} s (start + length), does not lie inside the recording, 0 to 0.3 s" in message
+
+
+def test_still_frames_outside(refused, tmp_path, positions):
+    message = refused(write_c3d(tmp_path / "swing.c3d", positions), still="[0.2, 0.4]")
+    assert "the still frames, 0.2 to 0.4 s, do not lie inside the recording, 0 to 0.3 s" in message
+
+
+def test_fewer_than_three_markers(refused, tmp_path, positions):
+    message = refused(write_c3d(tmp_path / "swing.c3d", positions), {k: REST[k] for k in "ab"})
+    assert "2 alignment markers; a rigid alignment in 3D needs 3 or more" in message
+
+
+def test_markers_on_one_line(refused, tmp_path, positions):
+    rest = {"a": [0.11, 0.02, 0.03], "b": [0.08, 0.02, 0.03], "c": [0.05, 0.02, 0.03]}
+    message = refused(write_c3d(tmp_path / "swing.c3d", positions), rest)
+    assert "the rest positions of the markers lie on one line" in message
+
+
+def test_a_residual_above_five_millimetres(refused, tmp_path, positions):
+    rest = {**REST, "a": [0.11, 0.035, 0.03]}
+    message = refused(write_c3d(tmp_path / "swing.c3d", positions), rest)
+    assert "mm from its rest position, more than 5 mm (all, mm: 'a' " in message
+    assert "whether two names are swapped" in message
+
+
+def test_every_recording_held_out(cqrun, tmp_path):
+    (file,) = record(tmp_path / "fit.yaml", tmp_path / "data")
+    scene = recorded(tmp_path / "fit.yaml", {"one": file}, holdout="true")
+    code, _, err = cqrun("sysid", scene, "--out", tmp_path)
+    assert code == 2
+    assert "data.recordings: every recording is held out: nothing is left to fit" in err
+
+
+def test_a_recording_that_changes_under_a_run(cqrun, tmp_path):
+    """Another recording is another run; the run that was begun with the old one says so."""
+    (file,) = record(tmp_path / "fit.yaml", tmp_path / "data")
+    scene = recorded(tmp_path / "fit.yaml", {"one": file})
+    words = ("-o", "optimizer.least_squares.max_iterations=1", "--out", tmp_path / "out", "--quiet")
+    assert cqrun("sysid", scene, *words)[0] == 0
+    (run,) = (tmp_path / "out").glob("*/*")
+    file.write_text(file.read_text().replace("0.05,tip,", "0.05,tip ,"))
+    more = ("-o", "optimizer.least_squares.max_iterations=2")
+    code, _, err = cqrun("resume", run, *more)
+    assert code == 2
+    assert "or a recording that it names, has changed since the run began; run the scene again" in err
+    file.unlink()
+    code, _, err = cqrun("resume", run, *more)
+    assert code == 2
+    assert f"there is no file '{file}'" in err
+
+
+def test_the_words_of_a_scene_are_told_with_its_recordings(cqrun, tmp_path):
+    """Both recordings that are missing are named, with the scene's title, which says where they are to be had."""
+    scene = recorded(tmp_path / "fit.yaml", {"one": tmp_path / "1.c3d", "two": tmp_path / "2.c3d"})
+    code, _, err = cqrun("sysid", scene, "--out", tmp_path)
+    assert code == 2
+    assert len(err.splitlines()) == 2
+    assert all(line.endswith("; a small cantilever") for line in err.splitlines())
