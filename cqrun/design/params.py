@@ -64,9 +64,7 @@ class Params:
     def slices(self) -> dict[str, slice]:
         """Where each block stands in x."""
         ends = np.cumsum([0, *(block.size for block in self.blocks)])
-        return {
-            block.path: slice(int(a), int(b)) for block, a, b in zip(self.blocks, ends[:-1], ends[1:], strict=True)
-        }
+        return {block.path: slice(int(a), int(b)) for block, a, b in zip(self.blocks, ends[:-1], ends[1:], strict=True)}
 
     @property
     def start(self) -> Array:
@@ -91,9 +89,7 @@ class Params:
     def gradient(self, x: Array, by_value: Mapping[str, Array]) -> Array:
         """Return the gradient by x (n,) from that by values."""
         values = self.unpack(x)
-        return _joined(
-            [(np.asarray(by_value[b.path]) * b.slope(values[b.path])).reshape(-1) for b in self.blocks]
-        )
+        return _joined([(np.asarray(by_value[b.path]) * b.slope(values[b.path])).reshape(-1) for b in self.blocks])
 
     def describe(self, x: Array) -> str:
         """Return values as text, for messages."""

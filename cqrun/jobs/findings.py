@@ -59,14 +59,31 @@ def write_findings(
     if outcome.status != "failed":
         _add_intervals(result, problem, outcome)
         records = _predict(cases, values, problem, result)
+        result["loss"] = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
         result["recordings"] = _errors(cases, records, values)
         _write_tracks(run, cases, records, values)
         write_trajectory(run.path / "trajectory.h5", cases[0].built, values, threads=problem.threads)
+    if outcome.status in ("iteration_limit", "stalled"):
+        result["findings"].append(
+            f"{outcome.status.replace('_', ' ')}: values and intervals are those of where it ended"
+        )
     for sentence in result["findings"]:
         run.log(sentence)
     _tell_effort(run, problem)
     run.write_result(result)
     return result
+
+
+def _loss(problem: FitProblem, records: Mapping[str, Record | None], values: Mapping[str, Array]) -> float:
+    """Return the loss of all fitted data with the values found, also where an optimizer saw mini-batches of it."""
+    total = 0.0
+    for case, weights in zip(problem.cases, problem.weights, strict=True):
+        record = records[case.name]
+        assert record is not None
+        start = case.start_of(values)
+        losses = [o.loss(record, start) if isinstance(o, MarkerObjective) else o.loss(record) for o in case.objectives]
+        total += float(np.dot(weights, losses))
+    return total
 
 
 def _tell_effort(run: RunDirectory, problem: FitProblem) -> None:

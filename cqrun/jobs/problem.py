@@ -100,6 +100,7 @@ class FitProblem:
         self.n_batches = len(self.cases)
         self.term_names: Sequence[str] = ()
         self.effort = Effort()
+        self.interrupt: Callable[[], None] = lambda: None
         total = sum(self._weight(o) for case in self.cases for o in case.objectives)
         self.weights = [np.array([self._weight(o) / total for o in case.objectives]) for case in self.cases]
         still = sum(float(w @ case.still_losses()) for case, w in zip(self.cases, self.weights, strict=True))
@@ -175,12 +176,15 @@ class FitProblem:
         cases = self.cases if cases is None else cases
         by_point = [self.values(x) for x in points]
 
-        def task(case: Case, values: dict[str, Array]) -> Callable[[int], list[Array]]:
-            return lambda threads: case.residuals(case.run(values, threads), values)
+        def task(case: Case, x: Array, values: dict[str, Array]) -> Callable[[int], list[Array]]:
+            def run(threads: int) -> list[Array]:
+                self.interrupt()
+                return self._attempt(x, lambda: case.residuals(case.run(values, threads), values))
 
-        tasks = [task(case, values) for values in by_point for case in cases]
-        at = points[0] if len(points) == 1 else points[-1]
-        found = self._attempt(at, lambda: side_by_side(tasks, self.threads))
+            return run
+
+        tasks = [task(case, x, values) for x, values in zip(points, by_point, strict=True) for case in cases]
+        found = side_by_side(tasks, self.threads)
         scales = [self._scales(case, weights) for case, weights in zip(self.cases, self.weights, strict=True)]
         out = []
         for p in range(len(points)):

@@ -59,7 +59,10 @@ def data_files(scene: Scene) -> dict[str, Path]:
         path = scene.resolve_path(recording.file)
         if not path.is_file():
             key = f"data.recordings.{name}.file"
-            message = f"there is no file '{path}'; {scene.title or 'see the head of the scene for where to get it'}"
+            message = (
+                f"there is no file '{path}'; the head of the scene says where recordings are to be had; "
+                f"-o {key}=FILE names it where it is"
+            )
             problems.append(Problem(scene.where(key), key, message))
     if problems:
         raise SceneError(problems)
@@ -77,10 +80,10 @@ def require_same_data(run: RunDirectory) -> None:
     Raises:
         UsageError: they have. SceneError: one is missing.
     """
-    if run.record.get("extended"):
-        return  # its name is that of the scene it began with
-    files = data_files(saved_scene(run))
-    if RunScene(run.path.parent.name, run.resolved, "", files, job=run.record["job"]).digest() != run.path.name:
+    saved = RunScene(run.path.parent.name, run.resolved, "", data_files(saved_scene(run)), job=run.record["job"])
+    same_files = saved.contents() == run.record["files"]
+    # an extended run keeps the name of the scene it began with
+    if not same_files or not (run.record.get("extended") or saved.digest() == run.path.name):
         raise UsageError(
             f"{run.path}: its scene.yaml, or a recording that it names, has changed since the run began; "
             "run the scene again"

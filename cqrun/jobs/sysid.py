@@ -125,6 +125,12 @@ def conclude(
         raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
     if outcome.status != "failed":
         talk.phase("intervals, predictions, trajectory")
+
+    def interrupt() -> None:
+        if talk.stop.asked:
+            raise talk.stop.stopped(f"stopped before the findings were written; `cqrun resume {run.path}` continues")
+
+    problem.interrupt = interrupt
     write_findings(run, built, cases, problem, outcome)
     run.finish(outcome.status, outcome.message)
     return raise_if_failed(run)

@@ -149,9 +149,7 @@ def residual_scales(objectives: Sequence[MarkerObjective]) -> list[float]:
     return [float(np.sqrt(o.weight / (total * o.count))) for o in objectives]
 
 
-def _frames(
-    time: Array, start: float, bounds: tuple[float, float], length: float, skip: float, source: str
-) -> Array:
+def _frames(time: Array, start: float, bounds: tuple[float, float], length: float, skip: float, source: str) -> Array:
     """Return the indices of the frames that count, whatever start inside `bounds` is tried."""
     first, last = float(time[0]), float(time[-1])
     slack = 1e-6 * (last - first) / (len(time) - 1)

@@ -123,7 +123,7 @@ class Descent(Optimizer):
                     return self._outcome(state, "failed", f"the start itself fails: {failure}")
                 if state.failures >= HALVINGS:
                     return self._outcome(state, "failed", f"{failure} (after {HALVINGS} halvings of the step)")
-                state = replace(state, scale=0.5 * state.scale, failures=state.failures + 1)
+                state = replace(state, scale=0.5 * state.scale, step=0.5 * state.step, failures=state.failures + 1)
                 session.note(f"back to iteration {state.iteration}, step times {state.scale:g}")
             else:
                 session.report(state.iteration, state.x, state.loss, state.grad, terms)
@@ -149,11 +149,12 @@ class Descent(Optimizer):
 
     def _advance(self, state: DescentState, problem: Problem) -> tuple[DescentState, dict[str, float]]:
         """Return the state after one good trial and the terms of its loss; TrialFailed changes nothing."""
-        x = np.clip(state.x - state.scale * state.step, problem.lower, problem.upper)
+        x = np.clip(state.x - state.step, problem.lower, problem.upper)
         batch, queue, rng = self._draw(state, problem.n_batches)
         answer = checked_value_and_grad(problem, x, batch)
         loss, grad, iteration = float(answer["f"]), answer["g"], state.iteration + 1
         direction, memory = self.direction(iteration, grad, state.memory)
+        wanted = state.scale * self.learning_rate / (1.0 + self.decay * iteration) * direction
         better = self._mini_batches or loss < state.best_loss  # losses of mini-batches do not compare
         advanced = replace(
             state,
@@ -161,7 +162,7 @@ class Descent(Optimizer):
             x=x,
             loss=loss,
             grad=grad,
-            step=self.learning_rate / (1.0 + self.decay * iteration) * direction,
+            step=x - np.clip(x - wanted, problem.lower, problem.upper),  # a halved step is half of what was made
             best_x=x if better else state.best_x,
             best_loss=loss if better else state.best_loss,
             queue=queue,

@@ -17,7 +17,6 @@ from cqrun.loads.gravity import Gravity
 from cqrun.loads.load import Load
 from cqrun.scene.activation import signal_weights, signals
 from cqrun.scene.particles import Particles, stress_key
-from cqrun.scene.paths import canonical
 from cqrun.scene.schema import Scene
 from cqrun.state import ParticleFields, State
 
@@ -286,8 +285,3 @@ def collect(path: str, cotangents: Mapping[str, Any], out: dict[str, Array]) -> 
         for key, bar in entries.items():
             if key in out:
                 out[key] += bar
-
-
-def canonical_values(scene: Scene, values: Mapping[str, Any]) -> dict[str, Array]:
-    """Return values under the long spelling of their paths."""
-    return {canonical(scene, path): np.asarray(value, float) for path, value in values.items()}

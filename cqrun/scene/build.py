@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
@@ -17,6 +17,7 @@ from cqrun.scene.assembly import Assembly
 from cqrun.scene.particles import Particles, sample, stress_key
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
+from cqrun.scene.unknowns import start
 from cqrun.units import format_bytes
 
 
@@ -51,10 +52,12 @@ def build(scene: Scene) -> Built:
     limits = _stiffest(scene, particles, assembly)
     warnings = list(particles.warnings)
     if scene.time.substeps == "auto":
-        scene = with_values(scene, {"time.substeps": auto_substeps(scene.time.control_step, limits)})
+        bounds = [*limits, *_limits_of_recordings(scene)]
+        scene = with_values(scene, {"time.substeps": auto_substeps(scene.time.control_step, bounds)})
         assembly = Assembly(scene, particles)
     else:
-        warnings += _check_substeps(scene, _limits(scene, particles, assembly, {}))
+        starts = {path: np.array(start(scene, path)) for path in scene.unknowns if assembly.reaches(path)}
+        warnings += _check_substeps(scene, _limits(scene, particles, assembly, starts))
     _check_memory(scene, particles)
     model = Model(
         size=np.array(scene.world.size),
@@ -74,11 +77,6 @@ def build(scene: Scene) -> Built:
         memory_budget=scene.memory,
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))
-
-
-def with_probe(built: Built, rows: Any) -> Built:
-    """Return the model with weighted sums of all its particles (K, N) to record."""
-    return replace(built, model=replace(built.model, probe=rows))
 
 
 def _groups(scene: Scene, particles: Particles) -> tuple[GroupModel, ...]:
@@ -138,6 +136,17 @@ def _stiffest(scene: Scene, particles: Particles, assembly: Assembly) -> list[Li
             least = [min(limit.dt for limit in _limits(scene, particles, assembly, {path: trial})) for trial in trials]
             corner[path] = trials[int(np.argmin(least))]
     return _limits(scene, particles, assembly, corner)
+
+
+def _limits_of_recordings(scene: Scene) -> list[Limit]:
+    """Return the bounds of every recording's own variant of the scene, so that all share one substep."""
+    found: list[Limit] = []
+    for recording in ((scene.data.recordings if scene.data is not None else None) or {}).values():
+        if recording.overrides:
+            variant = with_values(scene, recording.overrides)
+            particles = sample(variant)
+            found += _stiffest(variant, particles, Assembly(variant, particles))
+    return found
 
 
 def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:

@@ -93,9 +93,12 @@ def _truth(scene: Scene) -> Iterator[InitErrorDetails]:
     for path, value in scene.data.synthetic.truth.items():
         place: Loc = ("data", "synthetic", "truth", path)
         try:
-            leaf(scene, path)
+            info = leaf(scene, path)
         except SceneError as error:
             yield finding(error.problems[0].message, place, kind=KEY)
+            continue
+        if not info.differentiable or path.startswith("data."):
+            yield finding("a truth can only be what can be an unknown: set it in the scene itself", place, kind=KEY)
             continue
         try:
             with_values(scene, {path: value})
@@ -108,10 +111,31 @@ def _overrides(scene: Scene) -> Iterator[InitErrorDetails]:
     recordings = (scene.data.recordings if scene.data else None) or {}
     for name, recording in recordings.items():
         place: Loc = ("data", "recordings", name, "overrides")
+        useless = list(_without_effect(scene, place, list(recording.overrides)))
+        if useless:
+            yield from useless
+            continue
         refused = list(_refused(scene, place, {path: {path: v} for path, v in recording.overrides.items()}))
         yield from refused
         if len(recording.overrides) > 1 and not refused:
             yield from _refused(scene, place, {"": recording.overrides})
+
+
+FIXED = ("data", "unknowns", "optimizer", "time", "job", "title", "seed", "memory", "precision", "cqrun")
+"""What all recordings of a scene share: no recording can have its own."""
+
+
+def _without_effect(scene: Scene, place: Loc, paths: list[str]) -> Iterator[InitErrorDetails]:
+    """Yield overrides that would do nothing: of what all recordings share, and of what is fitted."""
+    for path in paths:
+        head = path.split(".")[0]
+        fitted = [unknown for unknown in scene.unknowns if unknown == path or unknown.startswith(f"{path}.")]
+        if head in FIXED:
+            message = f"all recordings share `{head}`: an override can change bodies, loads, the world ..."
+            yield finding(message, (*place, path))
+        elif fitted:
+            message = f"is fitted, as the unknown '{fitted[0]}': a recording cannot have its own value"
+            yield finding(message, (*place, path))
 
 
 def _refused(scene: Scene, place: Loc, trials: dict[str, dict[str, object]]) -> Iterator[InitErrorDetails]:

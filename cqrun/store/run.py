@@ -60,13 +60,23 @@ class RunScene:
             UsageError: a file cannot be read.
         """
         digest = hashlib.sha256(f"{self.job}\0{self.resolved}".encode())
+        for name, content in self.contents().items():
+            digest.update(name.encode() + b"\0" + bytes.fromhex(content))
+        return digest.hexdigest()[:12]
+
+    def contents(self) -> dict[str, str]:
+        """Return the sha256 of every file, by name.
+
+        Raises:
+            UsageError: a file cannot be read.
+        """
+        found = {}
         for name, path in sorted(self.files.items()):
             try:
-                content = hashlib.sha256(path.read_bytes()).digest()
+                found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
             except OSError as error:
                 raise UsageError(f"{path}: cannot be read ({error.strerror}); the scene names it") from error
-            digest.update(name.encode() + b"\0" + content)
-        return digest.hexdigest()[:12]
+        return found
 
 
 class RunDirectory:
@@ -177,10 +187,10 @@ class RunDirectory:
 
     def extend(self, resolved: str, argv: Sequence[str]) -> None:
         """Go on with another resolved scene, say with more iterations; the run keeps its name."""
-        write_text(self.path / "scene.yaml", resolved)
         self.record["extended"] = [*self.record.get("extended", []), list(argv)]
         self.log("extended: " + " ".join(argv))
-        self.begin()
+        self.begin()  # first: a run that is killed here goes on with the scene it had
+        write_text(self.path / "scene.yaml", resolved)
 
     def write_result(self, result: Mapping[str, Any]) -> None:
         """Write result.json."""
@@ -241,7 +251,14 @@ class RunDirectory:
         write_text(self.path / "scene.yaml", scene.resolved)
         write_text(self.path / "scene.original.yaml", scene.original)
         self._write(
-            {"status": NEW, "reason": None, **facts, "base": scene.base, "engine": engine_hash()}
+            {
+                "status": NEW,
+                "reason": None,
+                **facts,
+                "base": scene.base,
+                "files": scene.contents(),
+                "engine": engine_hash(),
+            }
             | {"versions": versions(), "git": git_state(), "seconds": 0.0}
         )  # last: where it is, the rest is complete
 

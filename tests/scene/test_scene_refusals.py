@@ -291,8 +291,8 @@ def test_a_missing_file_and_a_wrong_encoding_are_told(tmp_path: Path) -> None:
         ),
         ({"synthetic": {"truth": {"world.dx": 1}, "every": 9}}, "exactly one of markers, tracked; has none"),
         (
-            {"synthetic": {"truth": {"world.dx": -1}, "every": 1, "tracked": 9}},
-            "world.dx: must be greater than",
+            {"synthetic": {"truth": {"world.dx": 0.1}, "every": 1, "tracked": 9}},
+            "a truth can only be what can be an unknown",
         ),
         ({"synthetic": {"truth": {"world.dy": 1}, "every": 1, "tracked": 9}}, "'world' has no 'dy'"),
     ],
@@ -312,3 +312,19 @@ def _plain() -> dict[str, Any]:
         "bodies": {"beam": body},
         "time": {"duration": 1.5, "control_step": 0.1},
     }
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        ({"time.control_step": 0.005}, "all recordings share `time`"),
+        ({"unknowns": {}}, "all recordings share `unknowns`"),
+        ({"bodies.beam.material.density": 900}, "is fitted, as the unknown 'bodies.beam.material.density'"),
+    ],
+)
+def test_overrides_that_would_do_nothing(overrides: dict[str, Any], told: str) -> None:
+    data = {"recordings": {"a": {"file": "a", "overrides": overrides}}}
+    unknowns = {"bodies.beam.material.density": {"bounds": [0.5, 2.0]}}
+    with pytest.raises(SceneError) as info:
+        load_scene({**_plain(), "data": data, "unknowns": unknowns})
+    assert told in str(info.value)
