@@ -198,10 +198,8 @@ def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
     length = scene.time.duration if spec.length is None else spec.length
     steps = int(np.ceil(length / step - 1e-9))
     own = build(with_values(scene, {**spec.overrides, "time.duration": steps * step}))
-    file = scene.resolve_path(spec.file)
-    where = f"{scene.where(path + '.file')}: {path}.file"
-    recording = read_recording(file, units=spec.units, where=where)
     try:
+        recording = read_recording(scene.resolve_path(spec.file), units=spec.units)
         measured = measure(recording, {k: np.array(v) for k, v in spec.markers.items()}, _still(spec))
         observer = _observe_markers(own, spec.body, measured.rest)
         start_path = f"{path}.start"

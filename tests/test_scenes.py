@@ -1,0 +1,148 @@
+"""The scenes that are shipped: each validates, runs shortened, and has the gradient that differences have."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_beam import result_of
+
+from cqrun.errors import SceneError
+from cqrun.jobs.gradcheck import run_gradcheck
+from cqrun.jobs.report import report_lines
+from cqrun.jobs.simulate import run_simulate
+from cqrun.jobs.sysid import run_sysid
+from cqrun.jobs.validate import validate
+from cqrun.scene.load import load_scene
+from cqrun.scene.schema import Scene
+from cqrun.scene.schema_json import scene_json_schema
+from cqrun.store.marker_csv import write_csv
+from cqrun.store.recordings import Recording
+
+ROOT = Path(__file__).parents[1]
+SCENES = sorted((ROOT / "scenes").rglob("*.yaml"))
+SCHEMA = ROOT / "scenes" / "cqrun.schema.json"
+RATE = 100.0
+"""Of made-up recordings [Hz]."""
+
+SMALLER = {
+    "real_beam": ["world.dx=0.01"],
+    "real_beam_rest": ["world.dx=0.01"],
+    "finger_material": ["activation.random.sequences=2", "data.synthetic.copies=2"],
+}
+"""What makes a scene quicker besides a shorter run."""
+
+scene_files = pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+
+
+def recorded(scene: Scene, folder: Path) -> list[str]:
+    """Make a recording of a body that hardly moves for each one that a scene names; return overrides to use them."""
+    rng = np.random.default_rng(0)
+    overrides = []
+    for name, spec in ((scene.data and scene.data.recordings) or {}).items():
+        end = spec.start + scene.time.duration + 1.0
+        time = np.arange(round(end * RATE)) / RATE
+        rest = np.array(list(spec.markers.values()))
+        swing = 1e-3 * np.sin(30.0 * np.maximum(time - spec.start, 0.0))[:, None, None] * np.eye(3)[2]
+        positions = rest + swing + 1e-5 * rng.normal(size=(len(time), *rest.shape))
+        write_csv(Recording(time, tuple(spec.markers), positions, name), folder / f"{name}.csv")
+        overrides.append(f"data.recordings.{name}.file={folder / f'{name}.csv'}")
+    return overrides
+
+
+def shortened(path: Path, folder: Path, *, steps: int = 2) -> list[str]:
+    """Return overrides: so many control steps, one iteration, made-up recordings."""
+    scene = load_scene(path)
+    overrides = [*SMALLER.get(path.stem, []), f"time.duration={steps * scene.time.control_step!r}"]
+    for name, spec in ((scene.data and scene.data.recordings) or {}).items():
+        if spec.length is not None:
+            overrides.append(f"data.recordings.{name}.length={steps * scene.time.control_step!r}")
+        overrides.append(f"data.recordings.{name}.skip=0")
+    if scene.optimizer is not None:
+        overrides.append(f"optimizer.{scene.optimizer.name}.max_iterations=1")
+    return [*overrides, *recorded(scene, folder)]
+
+
+def test_there_are_scenes():
+    assert {"beam_twin", "collision", "finger_material", "real_beam"} <= {path.stem for path in SCENES}
+
+
+def test_the_schema_beside_them_is_up_to_date():
+    assert json.loads(SCHEMA.read_text()) == scene_json_schema(), "run: cqrun schema > scenes/cqrun.schema.json"
+
+
+@scene_files
+def test_it_names_the_schema_and_its_job(path):
+    first = path.read_text().splitlines()[0]
+    match = re.fullmatch(r"# yaml-language-server: \$schema=(\S+)", first)
+    assert match
+    assert (path.parent / match[1]).resolve() == SCHEMA
+    assert load_scene(path).job == path.parent.name
+    assert load_scene(path).title
+
+
+@scene_files
+def test_it_validates(path, tmp_path):
+    text = "\n".join(validate(path, recorded(load_scene(path), tmp_path)))
+    assert text.startswith(f"{path}: a valid scene: ")
+    assert "particles, " in text
+
+
+@pytest.mark.parametrize("path", [path for path in SCENES if "recordings:" in path.read_text()], ids=lambda p: p.stem)
+def test_missing_recordings_are_told_with_where_to_get_them(path, tmp_path):
+    copy = tmp_path / path.name  # without the recordings that may lie beside the scene
+    copy.write_text(path.read_text())
+    with pytest.raises(SceneError) as info:
+        list(validate(copy))
+    for problem in info.value.problems:
+        assert problem.path.endswith(".file")
+        assert "there is no file" in problem.message
+        assert "the head of the scene says where recordings are to be had" in problem.message
+    head = path.read_text().partition("\ncqrun: 1")[0]
+    assert "srl-ethz/diffPD_sim2real" in head or "see real_beam.yaml" in head
+
+
+@scene_files
+def test_it_runs_shortened(path, tmp_path):
+    run = run_sysid(path, shortened(path, tmp_path), tmp_path, False, 1, True)
+    result = result_of(run)
+    assert result["status"] in ("converged", "iteration_limit")
+    assert result["iterations"] <= 1
+    assert result["unknowns"].keys() == set(load_scene(path).unknowns)
+    assert report_lines(run)
+
+
+@scene_files
+def test_it_simulates_shortened(path, tmp_path):
+    result = result_of(run_simulate(path, shortened(path, tmp_path), tmp_path, False, 1, True))
+    assert result["status"] == "done"
+    assert all(number == 0 for number in result["fracture"].values())
+
+
+@scene_files
+def test_its_gradient_is_that_of_differences(path, tmp_path):
+    run, agrees = run_gradcheck(path, shortened(path, tmp_path), tmp_path, False, 1, True)
+    assert agrees, "\n".join(report_lines(run))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", [p for p in SCENES if "recordings:" not in p.read_text()], ids=lambda path: path.stem)
+def test_its_gradient_over_the_whole_run(path, tmp_path):
+    run, agrees = run_gradcheck(path, [], tmp_path, False, 2, True)
+    assert agrees, "\n".join(report_lines(run))
+
+
+def test_the_readmes_python_runs(monkeypatch):
+    """The example of the README, on a shorter run."""
+    monkeypatch.chdir(ROOT)
+    section = (ROOT / "README.md").read_text().partition("## From Python\n")[2].partition("\n## ")[0]
+    code = "\n".join(re.findall(r"^    (.*)$", section, re.MULTILINE))
+    assert "time.duration=0.3" in code
+    names: dict[str, object] = {}
+    exec(code.replace("time.duration=0.3", "time.duration=0.02"), names)
+    assert names["loss"] > 0
+    assert names["gradient"].keys() >= names["problem"].params.keys()
+    assert names["motion"].x.shape[0] == 3
