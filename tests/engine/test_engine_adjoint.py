@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import reference
-from little_worlds import TERMS
+from little_worlds import TERMS, world
 from rich_scene import (
     KINDS,
     arrays,
@@ -66,6 +66,35 @@ def test_nothing_asked_nothing_answered(adjoint):
     model, inputs, *_ = adjoint
     _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: (None, None))
     assert all(not a.any() for a in arrays(bar))
+
+
+def test_the_gradient_by_mass_is_not_the_printed_one(rng):
+    """CQ2 (A90) prints sum_i N_i dL/dm_i: the momentum m (v + C d) that the mass carries is left out.
+
+    One substep of free particles and L = sum_p w_p . v'_p: v_i = p_i / m_i, so dL/dp_i = V_i / m_i and
+    dL/dm_i = -V_i . v_i / m_i with V_i = sum_p N_ip w_p.
+    """
+    x, w = 0.45 + 0.2 * rng.random((12, 2)), rng.normal(size=(12, 2))
+    model, inputs = world(
+        x, size=[1.0, 1.0], dx=0.1, dt=1e-3, substeps=1, controls=1, mass=rng.uniform(1, 2, 12), probe=np.eye(12)
+    )
+    inputs.state.v[:], inputs.state.C[:] = rng.normal(size=(12, 2)), rng.normal(size=(12, 2, 2))
+    records_bar = Records.zeros(1, 12, 2)
+    records_bar.v[1] = w
+    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: (records_bar, None))
+
+    s = reference.Moving(inputs.state.x, inputs.state.v, inputs.state.C, inputs.state.F)
+    mv, m = reference.to_grid(model, inputs, s, 0)
+    V = np.zeros_like(mv)
+    for node, weight, _ in reference.stencil(model, x):
+        np.add.at(V, node, weight[:, None] * w)
+    printed, missing = np.zeros(12), np.zeros(12)
+    for node, weight, arm in reference.stencil(model, x):
+        carried = s.v + np.einsum("pij,pj->pi", s.C, arm)
+        printed -= weight * (V[node] * mv[node]).sum(1) / m[node] ** 2
+        missing += weight * (V[node] * carried).sum(1) / m[node]
+    np.testing.assert_allclose(bar.fields.mass, printed + missing, rtol=0, atol=1e-12 * np.abs(missing).max())
+    assert np.linalg.norm(printed - bar.fields.mass) > 0.5 * np.linalg.norm(bar.fields.mass)
 
 
 def test_dot_product_where_bodies_have_other_terms(rng):

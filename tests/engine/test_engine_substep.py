@@ -35,6 +35,21 @@ def test_a_rollout_is_that_of_the_equations(dim):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
+def test_so_is_one_of_particles_that_cross_a_block_between_sortings(dim):
+    """At .9 cells a substep a block of 4 is crossed in 5, and particles are sorted every 8 if nobody looks."""
+    model, inputs = rich(dim, substeps=10, controls=2)
+    planes = tuple(replace(c, nodes=np.zeros(36 * 16 ** (dim - 1), bool)) for c in model.conditions)
+    model = replace(model, size=np.array([2.9] + [0.9] * (dim - 1)), conditions=planes)
+    assert model.grid_shape == (36,) + (16,) * (dim - 1)
+    inputs.state.v[:, 0] += 22.0
+    records = Rollout(model, inputs).run()
+    expected, last, _ = reference.rollout(model, inputs)
+    assert (last.x[:, 0] - inputs.state.x[:, 0]).min() > 1.5
+    for got, want in zip(parts(records), parts(expected), strict=True):
+        np.testing.assert_allclose(got, want, rtol=0, atol=TOLERANCE * np.abs(want).max())
+
+
+@pytest.mark.parametrize("dim", [2, 3])
 def test_bodies_with_other_terms_than_their_neighbours(dim, rng):
     """Two groups in one world, each with its own terms, are the bodies whose other moduli are zero."""
     model, inputs = rich(dim)
