@@ -201,7 +201,7 @@ def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
     try:
         recording = read_recording(scene.resolve_path(spec.file), units=spec.units)
         measured = measure(recording, {k: np.array(v) for k, v in spec.markers.items()}, _still(spec))
-        observer = _observe_markers(own, spec.body, measured.rest)
+        observer = _observe_markers(own, spec.body, dict(zip(measured.names, measured.rest, strict=True)))
         start_path = f"{path}.start"
         unknown = scene.unknowns.get(start_path)
         objective = MarkerObjective(
@@ -220,9 +220,19 @@ def _still(spec: RecordingSpec) -> tuple[float, float] | None:
     return None if spec.still is None else (spec.still[0], spec.still[1])
 
 
-def _observe_markers(built: Built, body: str, rest: Array) -> Points:
-    part = built.particles.of(body)
-    return markers(rest, built.particles.x[part], built.particles.spacing[body])
+def _observe_markers(built: Built, body: str, rest: Mapping[str, Array]) -> Points:
+    """Return the observer of markers, by name and rest position, on the body that carries them."""
+    x = built.particles.x[built.particles.of(body)]
+    reach = float(np.linalg.norm(x.max(axis=0) - x.min(axis=0)))
+    observer = markers(np.array(list(rest.values())), x, built.particles.spacing[body])
+    stems = np.zeros(len(rest)) if observer.stems is None else np.linalg.norm(observer.stems, axis=1)
+    for name, stem in zip(rest, stems, strict=True):
+        if stem > reach:
+            raise DataError(
+                f"marker '{name}' is {stem:.3g} m from the body '{body}', which is {reach:.3g} m across: "
+                "give its rest position in the scene's own coordinates, in metres"
+            )
+    return observer
 
 
 def _probed(built: Built, body: str, observer: Points) -> Built:
@@ -260,7 +270,7 @@ def _synthetic(built: Built, directory: Path | None) -> list[Case]:
     part = built.particles.of(spec.body)
     if spec.markers is not None:
         names = tuple(spec.markers)
-        observer = _observe_markers(built, spec.body, np.array(list(spec.markers.values())))
+        observer = _observe_markers(built, spec.body, {k: np.array(v) for k, v in spec.markers.items()})
     else:
         count = part.stop - part.start
         tracked = int(spec.tracked or 0)
