@@ -1,7 +1,7 @@
-"""Which engine this is: a hash of the numeric sources and of the libraries that round for them.
+"""Which engine this is: hashes of the numeric sources and of the libraries that round for them.
 
-It names the kernel cache, because numba does not see that a helper in another file has changed,
-and it guards run directories, because another engine need not give the same bits.
+The kernels' hash names their cache, because numba does not see that a helper in another file has changed. The
+engine's, over all that can change a number, guards run directories, because another need not give the same bits.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
-NUMERIC = (
+KERNELS = (
     "tensor.py",
     "polar.py",
     "lanes.py",
@@ -25,6 +25,11 @@ NUMERIC = (
     "boundaries",
     "loads",
     "engine",
+)
+"""Files and folders of the package with code that numba compiles; absent ones count as empty."""
+
+NUMERIC = (
+    *KERNELS,
     "geometry",
     "design",
     "controllers",
@@ -32,8 +37,16 @@ NUMERIC = (
     "objectives",
     "constraints",
     "optimizers",
+    "scene",
+    "store/alignment.py",
+    "store/c3d.py",
+    "store/marker_csv.py",
+    "store/recorded_trajectory.py",
+    "store/synthetic.py",
+    "jobs/cases.py",
+    "jobs/problem.py",
 )
-"""Files and folders of the package whose sources can change a number; absent ones count as empty."""
+"""Files and folders whose sources can change a number of a run."""
 
 LIBRARIES = ("numba", "numpy", "scipy")
 CACHE_VARIABLE = "NUMBA_CACHE_DIR"
@@ -51,10 +64,10 @@ def _version(name: str) -> str:
         return "absent"
 
 
-def source_hash(package: Path, versions: dict[str, str]) -> str:
-    """Return 12 hex digits over the numeric sources below `package` and over library versions."""
+def source_hash(package: Path, versions: dict[str, str], entries: tuple[str, ...] = NUMERIC) -> str:
+    """Return 12 hex digits over sources below `package` and over library versions."""
     digest = hashlib.sha256()
-    for entry in NUMERIC:
+    for entry in entries:
         path = package / entry
         for source in sorted(path.rglob("*.py")) if path.is_dir() else [path] * path.is_file():
             content = source.read_bytes()
@@ -71,8 +84,14 @@ def engine_hash() -> str:
     return source_hash(Path(__file__).parent, library_versions())
 
 
+@functools.cache
+def kernel_hash() -> str:
+    """Return the hash of this engine's kernels, 12 hex digits; read once a process."""
+    return source_hash(Path(__file__).parent, library_versions(), KERNELS)
+
+
 def set_kernel_cache() -> Path:
-    """Point numba's cache at a folder of this engine's own, unless the user has set one.
+    """Point numba's cache at a folder of these kernels' own, unless the user has set one.
 
     Call it before numba is imported, and before any kernel is defined at the latest.
 
@@ -82,7 +101,7 @@ def set_kernel_cache() -> Path:
     if not os.environ.get(CACHE_VARIABLE):
         import platformdirs
 
-        os.environ[CACHE_VARIABLE] = str(Path(platformdirs.user_cache_dir("cqrun")) / engine_hash())
+        os.environ[CACHE_VARIABLE] = str(Path(platformdirs.user_cache_dir("cqrun")) / kernel_hash())
         if "numba" in sys.modules:  # it has read its environment already
             sys.modules["numba"].config.reload_config()
     return Path(os.environ[CACHE_VARIABLE])

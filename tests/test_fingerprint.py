@@ -43,7 +43,22 @@ def test_no_module_with_kernels_is_forgotten():
     package = Path(fingerprint.__file__).parent
     with_kernels = [p for p in package.rglob("*.py") if re.search("numba|cqrun.compile", p.read_text())]
     rooms = {p.relative_to(package).parts[0] for p in with_kernels} - {"fingerprint.py", "__init__.py", "cli", "jobs"}
-    assert {"packed.py", "engine"} <= rooms <= set(fingerprint.NUMERIC)
+    assert {"packed.py", "engine"} <= rooms <= set(fingerprint.KERNELS)
+
+
+def test_every_source_that_is_named_exists():
+    """But for the folders of jobs to come."""
+    package = Path(fingerprint.__file__).parent
+    absent = {entry for entry in fingerprint.NUMERIC if not (package / entry).exists()}
+    assert absent <= {"controllers", "constraints"}
+
+
+def test_what_shapes_a_fit_changes_the_engine_but_not_its_kernels(package):
+    (package / "jobs").mkdir()
+    before = [fingerprint.source_hash(package, VERSIONS, e) for e in (fingerprint.NUMERIC, fingerprint.KERNELS)]
+    (package / "jobs" / "problem.py").write_text("weights = 2\n")
+    after = [fingerprint.source_hash(package, VERSIONS, e) for e in (fingerprint.NUMERIC, fingerprint.KERNELS)]
+    assert (before[0] != after[0], before[1] == after[1]) == (True, True)
 
 
 def test_a_new_and_a_renamed_source_change_it(package):
@@ -82,4 +97,4 @@ def test_numba_takes_the_folder_whenever_it_is_imported(tmp_path, first):
         text=True,
         check=True,
     )
-    assert answer.stdout.strip() == str(tmp_path / "cqrun" / fingerprint.engine_hash())
+    assert answer.stdout.strip() == str(tmp_path / "cqrun" / fingerprint.kernel_hash())

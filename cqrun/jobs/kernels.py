@@ -1,7 +1,7 @@
 """Compiling a scene's kernels before they are timed, and saying so only when it really happens.
 
 Numba compiles a kernel for the types it meets: the dimension, the precision, the terms of each body's stress, the
-planes of the boundaries. What is compiled lies in a folder named after the engine (`fingerprint.py`); a mark beside
+planes of the boundaries. What is compiled lies in a folder named after all kernels (`fingerprint.py`); a mark beside
 it, one for each composition, tells a later process that it need not wait.
 """
 

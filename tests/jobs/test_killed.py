@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_beam import BEAM, assert_same, changed, record, recorded, result_of
+from small_beam import BEAM, FIT, assert_same, changed, record, recorded, result_of
 
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.reporter import Silent
@@ -111,6 +112,36 @@ def test_killed_three_times(fit, tmp_path, rng):
 def test_killed_twenty_times(fit, recordings, tmp_path, rng, name):
     scene = recordings if "batch_size" in OPTIMIZERS[name] else fit
     killed_and_resumed(scene, tmp_path, OPTIMIZERS[name], 20, rng)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """Return the words of an identification that takes a while, and its finished run."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    (folder / "fit.yaml").write_text(BEAM + FIT)
+    words = ("sysid", folder / "fit.yaml", "-o", "optimizer={adam: {max_iterations: 80}}")
+    finish(start(*words, "--out", folder))
+    return words, next(folder.glob("*/*/run.json")).parent
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
+def test_a_signal_finishes_the_iteration_and_leaves_a_run_that_goes_on(undisturbed, tmp_path, number, code):
+    words, whole = undisturbed
+    process = start(*words, "--out", tmp_path / "stopped")
+    deadline = time.monotonic() + PATIENCE
+    while process.poll() is None and time.monotonic() < deadline:
+        if any(len(file.read_text().splitlines()) > 3 for file in tmp_path.glob("stopped/*/*/history.csv")):
+            break
+    process.send_signal(number)
+    out, err = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, out) == (code, ""), err
+    assert "warning: finishing this iteration, then stopping (once more: abort now)" in err
+    (run,) = (tmp_path / "stopped").glob("*/*")
+    assert err.splitlines()[-1].startswith("error: asked to stop after iteration ")
+    assert err.splitlines()[-1].endswith(f"; `cqrun resume {run}` continues")
+    assert read_record(run)["status"] == "stopped"
+    finish(start("resume", run))
+    assert_same(run, whole)
 
 
 def test_a_killed_simulation_keeps_its_frames_and_runs_again(beam, tmp_path, rng):
