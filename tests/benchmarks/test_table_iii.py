@@ -153,7 +153,7 @@ def test_b_before_the_discs_meet(steps):
 @pytest.mark.parametrize("steps", PAPER_B)
 def test_b_after_collisions(steps):
     gradient = gradient_of_billiards(steps)
-    way = np.array([0.8, -0.6])
+    way = np.array([0.6, 0.8])
     model, inputs = billiards(steps, V)
     turned = copy.deepcopy(inputs)
     make_complex(turned)

@@ -111,9 +111,9 @@ def test_float32_is_close_to_float64(dim, rng):
     records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
     _, records, bar = gradient(model, inputs, 1, records_bar)
     _, records_32, bar_32 = gradient(replace(model, real=np.float32), inputs, 1, records_bar)
-    assert 0 < product(_difference(records_32, records), _difference(records_32, records)) < 1e-10
+    assert 0 < product(_difference(records_32, records), _difference(records_32, records)) < 1e-11
     for kind, a, b in zip(KINDS, arrays(bar_32), arrays(bar), strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=2e-4 * np.abs(b).max(), err_msg=kind)
+        np.testing.assert_allclose(a, b, rtol=0, atol=2e-5 * np.abs(b).max(), err_msg=kind)
 
 
 def _difference(a: Records, b: Records) -> Records:
