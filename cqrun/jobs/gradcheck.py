@@ -30,7 +30,7 @@ from cqrun.jobs.checked_losses import Loss, fit_loss, state_loss
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.memory import gradient_plan
 from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import build_and_warn, cores, open_run, refuse_overrides, saved_scene
+from cqrun.jobs.runs import build_and_warn, cores, open_run, raise_if_failed, refuse_overrides, saved_scene
 from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import Built
 from cqrun.scene.load import load_scene
@@ -108,12 +108,16 @@ def run_gradcheck(
 
 
 def resume_gradcheck(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
-    """Do a check that was stopped again, from its beginning."""
+    """Do a check that was stopped again, from its beginning.
+
+    Raises:
+        RunError: adjoint and differences disagree.
+    """
     refuse_overrides(run, overrides)
     if not run.finished:
         built = build_and_warn(saved_scene(run), talk)
         check_gradient(run, built, given_cases(built) if has_data(built) else None, threads, talk)
-    return run.path
+    return raise_if_failed(run)
 
 
 def has_data(built: Built) -> bool:

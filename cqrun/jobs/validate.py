@@ -21,10 +21,10 @@ from cqrun.scene.paths import leaf
 from cqrun.scene.unknowns import start
 from cqrun.units import format_bytes
 
-NANOSECONDS = {2: 60.0, 3: 130.0}
+NANOSECONDS = {2: 40.0, 3: 80.0}
 """What a particle and substep typically take forward on one core, by the dimension (`cqrun bench` measures it)."""
 
-BACKWARD = 3.0
+GRADIENT = 5.0
 """What a gradient takes, in forward runs, where all states fit."""
 
 MILLI = 1e3
@@ -182,7 +182,7 @@ def _cost(built: Built) -> Iterator[str]:
         f"a gradient keeps {plan.states:,} states of {format_bytes(one)}, {format_bytes(plan.states * one)} "
         f"of a budget of {budget}: {again}",
     )
-    backward = forward * (BACKWARD + plan.recompute - 1)
+    backward = forward * (GRADIENT + plan.recompute - 1)
     yield _line(
         "cost",
         f"an estimate, for one core: {_seconds(forward)} forward, {_seconds(backward)} with the gradient "

@@ -55,6 +55,33 @@ def test_a_log_file_is_not_flooded_but_has_the_last_iteration():
     assert [line.split()[1] for line in lines] == ["1", "100"]
 
 
+def test_work_with_a_known_end_says_how_long_it_takes(monkeypatch):
+    from cqrun.cli import progress as module
+
+    now = iter([0.0, 10.0, 30.0, 30.0])
+    stream = io.StringIO()
+    with Progress(stream=stream, plain_every=0.0) as progress:
+        progress.phase("simulating")
+        for done in (0, 1, 3):
+            moment = next(now)
+            monkeypatch.setattr(module.time, "monotonic", lambda moment=moment: moment)
+            progress.advance(done, 9, f"t = {done} of 9 s")
+    assert stream.getvalue().splitlines() == [
+        "simulating", "t = 0 of 9 s", "t = 1 of 9 s  1:20 left", "t = 3 of 9 s  1:00 left",
+    ]  # fmt: skip
+
+
+def test_the_last_numbers_of_a_phase_are_not_lost():
+    stream = io.StringIO()
+    with Progress(stream=stream, plain_every=1e9) as progress:
+        for done in range(4):
+            progress.advance(done, 3, f"{done} of 3")
+        progress.warn("careful")
+        progress.phase("then")
+    lines = [line.partition("  ")[0] for line in stream.getvalue().splitlines()]
+    assert lines == ["0 of 3", "warning: careful", "3 of 3", "then"]
+
+
 def test_quiet_keeps_warnings():
     assert use(io.StringIO(), quiet=True) == "warning: the step is [large]\n"
     assert use(Terminal(), quiet=True).count("\n") == 1

@@ -73,6 +73,8 @@ def test_a_wrong_gradient_is_found(fit, tmp_path, monkeypatch):
     assert lines[3].endswith("DISAGREES")
     assert lines[-1] == "adjoint and differences DISAGREE"
     assert run_gradcheck(fit, [], tmp_path, False, 1, True) == (run, False)  # and it is remembered
+    with pytest.raises(RunError, match="adjoint and differences disagree"):
+        run_resume(run, [], 1, True)
 
 
 def test_what_does_nothing_is_flat_and_agrees(fit, tmp_path):

@@ -1,0 +1,66 @@
+"""The commands from end to end: what they print, and how they end."""
+
+from __future__ import annotations
+
+import pytest
+from small_beam import BEAM, E_PATH, FIT
+
+from cqrun.design.params import Params
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    """Return a scene in an empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fit.yaml").write_text(BEAM + FIT)
+    return "fit.yaml"
+
+
+def test_sysid_prints_what_it_found_and_where_it_is(cqrun, scene, tmp_path):
+    code, out, err = cqrun("sysid", scene, "--threads", 1)
+    assert code == 0, err
+    lines = out.splitlines()
+    assert lines[0].startswith("converged after ")
+    assert any(line.startswith(E_PATH) for line in lines)
+    (run,) = (tmp_path / "results" / "fit").iterdir()
+    assert lines[-1] == f"run: {run.relative_to(tmp_path)}"
+    assert "fitting 2 unknowns" in err
+    assert "iteration 1/8  loss " in err
+    code, again, err = cqrun("sysid", scene, "--quiet")
+    assert (code, again, err) == (0, out, "")
+
+
+def test_simulate_prints_where_the_bodies_are(cqrun, scene):
+    code, out, err = cqrun("simulate", scene, "--threads", 2, "-o", "time.duration=0.02")
+    assert code == 0, err
+    assert out.startswith("done: 0.02 s simulated\n")
+    assert "simulating 40 particles, 48 substeps" in err
+    assert "t = 0 of 0.02 s" in err
+
+
+def test_gradcheck_ends_with_0_or_1(cqrun, scene, monkeypatch):
+    code, out, _ = cqrun("gradcheck", scene, "--quiet")
+    assert code == 0
+    assert "adjoint and differences agree\nrun: results/fit/" in out
+    right = Params.gradient
+    monkeypatch.setattr(Params, "gradient", lambda self, x, by_value: 1.001 * right(self, x, by_value))
+    code, out, _ = cqrun("gradcheck", scene, "--quiet", "--fresh")
+    assert code == 1
+    assert "adjoint and differences DISAGREE" in out
+
+
+def test_validate_and_warmup_print_a_line_each(cqrun, scene):
+    code, out, err = cqrun("validate", scene)
+    assert (code, err) == (0, "")
+    assert out.startswith("fit.yaml: a valid scene: a small cantilever\n")
+    code, out, _ = cqrun("warmup", scene, "--quiet")
+    assert code == 0
+    assert out.endswith(" s  2D float64, fixed_corotated + viscosity, sticky, forward and backward\n")
+
+
+def test_a_run_that_fails_ends_with_1_and_says_why(cqrun, scene):
+    code, out, err = cqrun("simulate", scene, "-o", "world.gravity=[1000, 0]", "-q")
+    assert (code, out) == (1, "")
+    assert err.startswith("error: results/fit/")
+    assert "body 'beam', particle " in err
+    assert "left the grid" in err
