@@ -30,6 +30,7 @@ def source() -> str:
 @pytest.fixture
 def example(source, tmp_path, monkeypatch) -> ModuleType:
     """Import the example as the plug-in it would be, and forget it afterwards."""
+    registry.plugins("elastic")  # so that what is known before is known afterwards
     known = {kind: dict(names) for kind, names in registry._PLUGINS.items()}
     monkeypatch.setattr(registry, "_PLUGINS", known)
     path = tmp_path / f"{NAME}.py"
