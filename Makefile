@@ -35,8 +35,8 @@ types: $(READY) ## mypy
 test: $(READY) ## the fast tests, ruff and mypy among them
 	$(PYTEST) $(PARALLEL)
 
-test-nojit: $(READY) ## the fast tests in plain Python: slow kernels, but index errors show
-	NUMBA_DISABLE_JIT=1 $(PYTEST) $(PARALLEL)
+test-nojit: $(READY) ## the fast tests without whole jobs, in plain Python: slow kernels, but index errors show
+	NUMBA_DISABLE_JIT=1 $(PYTEST) $(PARALLEL) $(addprefix --ignore=tests/,jobs cli test_scenes.py benchmarks)
 
 test-slow: $(READY) ## the tests that take minutes
 	$(PYTEST) $(PARALLEL) -m slow
