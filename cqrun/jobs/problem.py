@@ -24,6 +24,7 @@ from cqrun.errors import RolloutError
 from cqrun.jobs.cases import Case
 from cqrun.jobs.memory import least_budget, state_bytes
 from cqrun.objectives.markers import MarkerObjective
+from cqrun.observers.record import Record
 from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import Built
 from cqrun.scene.paths import canonical
@@ -58,7 +59,7 @@ def side_by_side(tasks: Sequence[Callable[[int], T]], threads: int, at_once: int
         at_once: how many may run side by side; as many as there are threads, if not given.
     """
     at_once = min(threads, len(tasks), threads if at_once is None else at_once)
-    if at_once == 1:
+    if at_once <= 1:
         return [task(threads) for task in tasks]
     with ThreadPoolExecutor(at_once) as pool:
         return list(pool.map(lambda task: task(1), tasks))
@@ -100,6 +101,7 @@ class FitProblem:
         self.n_batches = len(self.cases)
         self.term_names: Sequence[str] = ()
         self.effort = Effort()
+        self._kept: dict[tuple[int, bytes], Record] = {}
         self.interrupt: Callable[[], None] = lambda: None
         total = sum(self._weight(o) for case in self.cases for o in case.objectives)
         self.weights = [np.array([self._weight(o) / total for o in case.objectives]) for case in self.cases]
@@ -175,26 +177,46 @@ class FitProblem:
         """Return r (m,) at every point, their rollouts side by side."""
         cases = self.cases if cases is None else cases
         by_point = [self.values(x) for x in points]
-
-        def task(case: Case, x: Array, values: dict[str, Array]) -> Callable[[int], list[Array]]:
-            def run(threads: int) -> list[Array]:
-                self.interrupt()
-                return self._attempt(x, lambda: case.residuals(case.run(values, threads), values))
-
-            return run
-
-        tasks = [task(case, x, values) for x, values in zip(points, by_point, strict=True) for case in cases]
-        found = side_by_side(tasks, self.threads)
+        records = self._records_at(points, by_point, cases)
         scales = [self._scales(case, weights) for case, weights in zip(self.cases, self.weights, strict=True)]
         out = []
-        for p in range(len(points)):
-            parts = found[p * len(cases) : (p + 1) * len(cases)]
+        for values in by_point:
+            parts = [case.residuals(records[self._rollout_key(case, values)], values) for case in cases]
             out.append(
                 np.concatenate(
                     [s * r for rs, ss in zip(parts, scales, strict=True) for r, s in zip(rs, ss, strict=True)]
                 )
             )
         return out
+
+    def _rollout_key(self, case: Case, values: Mapping[str, Array]) -> tuple[int, bytes]:
+        """Return what tells rollouts apart: a recording's start moves the data, not the model."""
+        starts = {c.start_path for c in self.cases}
+        moving = [np.asarray(value, float).ravel() for path, value in values.items() if path not in starts]
+        return id(case), np.concatenate([np.zeros(0), *moving]).tobytes()
+
+    def _records_at(
+        self, points: Sequence[Array], by_point: Sequence[dict[str, Array]], cases: Sequence[Case]
+    ) -> dict[tuple[int, bytes], Record]:
+        """Return the records of every rollout that the points ask for, each run once; keep those of the first."""
+        wanted = {
+            self._rollout_key(case, values): (case, x, values)
+            for x, values in zip(points, by_point, strict=True)
+            for case in cases
+        }
+
+        def task(case: Case, x: Array, values: dict[str, Array]) -> Callable[[int], Record]:
+            def run(threads: int) -> Record:
+                self.interrupt()
+                return self._attempt(x, lambda: case.run(values, threads))
+
+            return run
+
+        missing = [key for key in wanted if key not in self._kept]
+        found = side_by_side([task(*wanted[key]) for key in missing], self.threads)
+        known = self._kept | dict(zip(missing, found, strict=True))
+        self._kept = {key: known[key] for key in (self._rollout_key(case, by_point[0]) for case in cases)}
+        return known
 
     def _scales(self, case: Case, weights: Array) -> list[float]:
         """Return the factors of a case's residuals that make f = r.r / 2."""
