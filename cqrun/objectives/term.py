@@ -1,0 +1,181 @@
+"""What a term of an objective is: one number from a run's track, to be made small or large.
+
+A term gives a value h_t at the end of every control step, t = 1 .. T; the start counts for nothing, as no
+controller can change it. `over` makes one number of them: `final` h_T, `mean`, `sum` (the integral: the sum of
+h_t times the control step), `product`, and `minimum` or `maximum`, whose gradient goes to the first step that
+attains them. The loss is the sum over terms of sense * weight * value: what should become large is counted
+negative.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array, Plugin
+from cqrun.observers.matter import Matter
+from cqrun.observers.rows import slices, stacked
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Over = Literal["final", "mean", "sum", "minimum", "maximum", "product"]
+
+
+@dataclass
+class Track:
+    """A run, as a term sees it.
+
+    Attributes:
+        x, v: (T+1, K, D) the term's rows over positions [m] and velocities [m/s] at control steps 0 .. T.
+        C, F: (T+1, K, D, D) the same over affine matrices [1/s] and deformation gradients.
+        activation: (T, A) of the actuators.
+        goals: goal -> its entries in this episode.
+        control_step: [s].
+    """
+
+    x: Array
+    v: Array
+    C: Array
+    F: Array
+    activation: Array
+    goals: Mapping[str, Array]
+    control_step: float
+
+
+@dataclass
+class TrackBar:
+    """The cotangent of a track; None is zero."""
+
+    x: Array | None = None
+    v: Array | None = None
+    C: Array | None = None
+    F: Array | None = None
+    activation: Array | None = None
+
+
+class BoundTerm(ABC):
+    """A term over one scene's particles.
+
+    Attributes:
+        rows: (K, N) weights of the sums over particles that it needs.
+        over: how the values of the steps become one.
+    """
+
+    rows: csr_array
+    over: Over
+
+    @abstractmethod
+    def steps(self, track: Track) -> Array:
+        """Return the value at the end of every control step (T,), or at the times that count."""
+
+    @abstractmethod
+    def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
+        """Return the cotangent of the track from that of `steps`."""
+
+    def value(self, track: Track) -> float:
+        """Return the term's value, in its own unit."""
+        return reduced(self.steps(track), self.over, track.control_step)
+
+    def value_vjp(self, track: Track, bar: float) -> TrackBar:
+        """Return the cotangent of the track from that of the value."""
+        return self.steps_vjp(track, reduced_vjp(self.steps(track), self.over, track.control_step, bar))
+
+
+class ObjectiveTerm(Plugin):
+    """Base of the plug-ins of kind `objective`; `sense` is -1 where larger is better."""
+
+    sense: ClassVar[Literal[1, -1]] = 1
+
+    weight: float = Field(description="Factor in the loss", default=1.0)
+    over: Over = Field(description="How the values of all control steps become one", default="final")
+
+    @abstractmethod
+    def bind(self, matter: Matter) -> BoundTerm:
+        """Return this term over a scene's particles.
+
+        Raises:
+            UsageError: a name, or a number of particles, that does not fit the scene.
+        """
+
+
+class Objective:
+    """A weighted sum of terms."""
+
+    def __init__(self, terms: Mapping[str, ObjectiveTerm], matter: Matter) -> None:
+        self.terms = {name: term.bind(matter) for name, term in terms.items()}
+        self.factors = {name: term.sense * term.weight for name, term in terms.items()}
+        bound = list(self.terms.values())
+        self.rows = stacked([term.rows for term in bound], matter.n_particles)
+        self._places = dict(zip(self.terms, slices([term.rows.shape[0] for term in bound]), strict=True))
+
+    def values(self, track: Track) -> dict[str, float]:
+        """Return each term's value, in its own unit, without weight."""
+        return {name: term.value(self._share(track, name)) for name, term in self.terms.items()}
+
+    def loss(self, track: Track) -> float:
+        """Return the sum over terms of sense * weight * value."""
+        return sum(self.factors[name] * value for name, value in self.values(track).items())
+
+    def loss_vjp(self, track: Track, bar: float = 1.0) -> TrackBar:
+        """Return the cotangent of the track from that of the loss."""
+        total = TrackBar()
+        for name, term in self.terms.items():
+            own = term.value_vjp(self._share(track, name), bar * self.factors[name])
+            for field in ("x", "v", "C", "F"):
+                _add(total, field, getattr(own, field), getattr(track, field), (slice(None), self._places[name]))
+            _add(total, "activation", own.activation, track.activation, ())
+        return total
+
+    def _share(self, track: Track, name: str) -> Track:
+        """Return what a term sees of the track."""
+        at = self._places[name]
+        return Track(
+            track.x[:, at], track.v[:, at], track.C[:, at], track.F[:, at], track.activation, track.goals,
+            track.control_step,
+        )  # fmt: skip
+
+
+def _add(total: TrackBar, field: str, bar: Array | None, like: Array, place: Any) -> None:
+    if bar is None:
+        return
+    if getattr(total, field) is None:
+        setattr(total, field, np.zeros(like.shape))
+    getattr(total, field)[place] += bar
+
+
+def reduced(h: Array, over: Over, control_step: float) -> float:
+    """Return the values h (T,) of the steps made one."""
+    if over == "final":
+        return h[-1]
+    if over == "mean":
+        return h.mean()
+    if over == "sum":
+        return control_step * h.sum()
+    if over == "product":
+        return np.prod(h)
+    return h[_extremal(h, over)]
+
+
+def reduced_vjp(h: Array, over: Over, control_step: float, bar: float) -> Array:
+    """Return the cotangent of h (T,) from that of the one value."""
+    if over == "mean":
+        return np.full(len(h), bar / len(h))
+    if over == "sum":
+        return np.full(len(h), bar * control_step)
+    if over == "product":  # of all others, so that a zero among them does no harm
+        before = np.cumprod(np.concatenate([[1.0], h[:-1]]))
+        after = np.cumprod(np.concatenate([[1.0], h[:0:-1]]))[::-1]
+        return np.asarray(bar * before * after)
+    h_bar = np.zeros(len(h))
+    h_bar[-1 if over == "final" else _extremal(h, over)] = bar
+    return h_bar
+
+
+def _extremal(h: Array, over: Over) -> int:
+    return int(np.argmin(h.real) if over == "minimum" else np.argmax(h.real))

@@ -1,0 +1,171 @@
+"""What an observer is: at every control step it turns particles, time and goals into numbers for a controller.
+
+A plug-in is bound to a scene's particles once. It names the weighted sums over particles that it needs, and what
+it gets of a moment are these alone; `needs_state` asks for all particles instead.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cqrun.contract import Array, Plugin
+from cqrun.observers.matter import Matter
+from cqrun.observers.rows import slices, stacked
+from cqrun.state import State
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+@dataclass
+class Moment:
+    """One control step, as an observer sees it.
+
+    Attributes:
+        x, v: (K, D) the observer's rows over positions [m] and velocities [m/s].
+        C, F: (K, D, D) the same over affine matrices [1/s] and deformation gradients.
+        time: since the start [s].
+        control: number of the control step, from 0.
+        goals: goal -> its entries in this episode.
+        memory: what the observer remembered of the step before; zero at the start.
+        state: gives all particles; unpacked when called.
+    """
+
+    x: Array
+    v: Array
+    C: Array
+    F: Array
+    time: float
+    control: int
+    goals: Mapping[str, Array]
+    memory: Array
+    state: Callable[[], State]
+
+
+@dataclass
+class MomentBar:
+    """The cotangent of a moment; None is zero."""
+
+    x: Array | None = None
+    v: Array | None = None
+    C: Array | None = None
+    F: Array | None = None
+    memory: Array | None = None
+    state: State | None = None
+
+
+class BoundObserver(ABC):
+    """An observer of one scene's particles.
+
+    Attributes:
+        size: how many numbers it gives.
+        rows: (K, N) weights of the sums over particles that it needs.
+        low, high: (size,) the range that becomes [-1, 1]; -1 and 1 leave a value as it is.
+        n_memory: how many numbers it remembers; they start at zero.
+        needs_state: whether it calls `Moment.state`.
+    """
+
+    size: int
+    rows: csr_array
+    low: Array
+    high: Array
+    n_memory: int = 0
+    needs_state: bool = False
+
+    @abstractmethod
+    def observe(self, moment: Moment) -> tuple[Array, Array]:
+        """Return the values (size,) in units of their own, and the next memory (n_memory,)."""
+
+    @abstractmethod
+    def observe_vjp(self, moment: Moment, z_bar: Array, memory_next_bar: Array) -> MomentBar:
+        """Return the cotangent of the moment from those of the values and of the next memory."""
+
+
+class Observer(Plugin):
+    """Base of the plug-ins of kind `observer`."""
+
+    @abstractmethod
+    def bind(self, matter: Matter) -> BoundObserver:
+        """Return this observer of a scene's particles.
+
+        Raises:
+            UsageError: a name, or a number of particles, that does not fit the scene.
+        """
+
+
+class Observation(BoundObserver):
+    """Several observers as one: their values one after another, each brought from its range to [-1, 1].
+
+    Values beyond the range are not cut off. `parts` says where each observer's values stand.
+    """
+
+    low = high = np.zeros(0)
+
+    def __init__(self, observers: Mapping[str, BoundObserver], n_particles: int) -> None:
+        self.observers = list(observers.values())
+        self.values = slices([o.size for o in self.observers])
+        self.parts = dict(zip(observers, self.values, strict=True))
+        self._rows = slices([o.rows.shape[0] for o in self.observers])
+        self._memory = slices([o.n_memory for o in self.observers])
+        self.size = sum(o.size for o in self.observers)
+        self.n_memory = sum(o.n_memory for o in self.observers)
+        self.needs_state = any(o.needs_state for o in self.observers)
+        self.rows = stacked([o.rows for o in self.observers], n_particles)
+        low, high = (_joined([getattr(o, side) for o in self.observers]) for side in ("low", "high"))
+        self.middle, self.half = 0.5 * (low + high), 0.5 * (high - low)
+        self.low, self.high = np.full(self.size, -1.0), np.full(self.size, 1.0)
+
+    @classmethod
+    def of(cls, observers: Mapping[str, Observer], matter: Matter) -> Observation:
+        """Bind plug-ins to a scene's particles."""
+        return cls({name: observer.bind(matter) for name, observer in observers.items()}, matter.n_particles)
+
+    def observe(self, moment: Moment) -> tuple[Array, Array]:
+        seen = [o.observe(self._share(moment, k)) for k, o in enumerate(self.observers)]
+        return (_joined([z for z, _ in seen]) - self.middle) / self.half, _joined([memory for _, memory in seen])
+
+    def observe_vjp(self, moment: Moment, z_bar: Array, memory_next_bar: Array) -> MomentBar:
+        raw_bar = z_bar / self.half
+        bars = [
+            o.observe_vjp(self._share(moment, k), raw_bar[self.values[k]], memory_next_bar[self._memory[k]])
+            for k, o in enumerate(self.observers)
+        ]
+        shared = ("x", "v", "C", "F")
+        joined = {name: joined_bar([getattr(b, name) for b in bars], self._rows, getattr(moment, name).shape)
+                  for name in shared}  # fmt: skip
+        memory = joined_bar([b.memory for b in bars], self._memory, (self.n_memory,))
+        return MomentBar(**joined, memory=memory, state=_total([b.state for b in bars if b.state is not None]))
+
+    def _share(self, moment: Moment, k: int) -> Moment:
+        """Return what observer k sees of the moment."""
+        rows = self._rows[k]
+        return Moment(
+            moment.x[rows], moment.v[rows], moment.C[rows], moment.F[rows], moment.time, moment.control,
+            moment.goals, moment.memory[self._memory[k]], moment.state,
+        )  # fmt: skip
+
+
+def joined_bar(bars: Sequence[Array | None], places: Sequence[slice], shape: tuple[int, ...]) -> Array | None:
+    """Return one cotangent of `shape` with each part's at its place along the first axis; None if all are."""
+    if all(bar is None for bar in bars):
+        return None
+    out = np.zeros(shape)
+    for bar, place in zip(bars, places, strict=True):
+        if bar is not None:
+            out[place] = bar
+    return out
+
+
+def _joined(parts: Sequence[Array]) -> Array:
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def _total(bars: Sequence[State]) -> State | None:
+    if not bars:
+        return None
+    return State(*(sum(getattr(b, f.name) for b in bars) for f in fields(State)))
