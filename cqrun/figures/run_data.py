@@ -14,9 +14,10 @@ from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
+from cqrun.store.frames import part_path
 from cqrun.store.history import read_history
 from cqrun.store.run import FINISHED, read_record
-from cqrun.store.trajectory import Trajectory, part_path, read_trajectory
+from cqrun.store.trajectory import Trajectory, read_trajectory
 
 HISTORY, RESULT, TRACKS, TRAJECTORY, SCENE = "history.csv", "result.json", "tracks.csv", "trajectory.h5", "scene.yaml"
 

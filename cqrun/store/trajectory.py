@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.errors import UsageError
 from cqrun.store.atomic import disk_errors, make_directory, require_room, sync_directory
+from cqrun.store.frames import Frames, part_path
 from cqrun.store.vtkhdf import add_vtk_view
 
 if TYPE_CHECKING:
@@ -55,11 +55,6 @@ class Trajectory:
     bodies: dict[str, slice]
     provenance: dict[str, Any] = field(default_factory=dict)
     complete: bool = True
-
-
-def part_path(path: Path) -> Path:
-    """Return the name a trajectory has while it is written."""
-    return path.with_name(path.name + ".part")
 
 
 class TrajectoryWriter:
@@ -243,22 +238,12 @@ def read_trajectory(path: Path) -> Trajectory:
     Raises:
         UsageError: there is none, or it cannot be read.
     """
-    import h5py
-
-    source = path if path.exists() else part_path(path)
-    if not source.exists():
-        raise UsageError(f"{path}: no such trajectory")
-    try:
-        with h5py.File(source, "r", locking=False) as file:  # also while a writer has it open
-            frames = int(file["frames"][()])
-            bodies = json.loads(file["particles"].attrs["bodies"])
-            return Trajectory(
-                time=file["time"][:frames],
-                step=file["step"][:frames],
-                fields={n: d[:frames] for n, d in file["particles"].items() if n != "body"},
-                bodies={name: slice(start, stop) for name, (start, stop) in bodies.items()},
-                provenance=json.loads(file.attrs["provenance"]),
-                complete=source.suffix != ".part",
-            )
-    except (OSError, KeyError, ValueError) as error:
-        raise UsageError(f"{source}: no trajectory of cqrun, or truncated ({error})") from error
+    with Frames(path) as frames:
+        return Trajectory(
+            time=frames.time,
+            step=frames.step,
+            fields={name: frames.read_all(name) for name in frames.fields},
+            bodies=frames.bodies,
+            provenance=frames.provenance,
+            complete=frames.complete,
+        )

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from cqrun.errors import RunError, UsageError
-from cqrun.store.trajectory import TrajectoryWriter, part_path, read_trajectory
+from cqrun.store.frames import part_path
+from cqrun.store.trajectory import TrajectoryWriter, read_trajectory
 
 FRAMES, BODIES = 5, {"beam": slice(0, 6), "ball": slice(6, 9)}
 PROVENANCE = {"scene": "cqrun: 1\n", "seed": 3, "versions": {"numpy": "2"}}

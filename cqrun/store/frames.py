@@ -1,0 +1,94 @@
+"""A trajectory read frame by frame, however long it is; see store/trajectory.py for the file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+
+
+def part_path(path: Path) -> Path:
+    """Return the name a trajectory has while it is written."""
+    return path.with_name(path.name + ".part")
+
+
+class Frames:
+    """An open trajectory, also one that another process is writing or that was cut off; a context manager.
+
+    Attributes:
+        path: the file that is read: the final name, or that of its `.part` where there is no other.
+        time: of the frames that were written (T,) [s].
+        step: number of the substep or control step of each (T,).
+        bodies: where each body's particles stand.
+        fields: what there is of every particle, x among them.
+        provenance: what the writer was given.
+        complete: every frame was written and the file closed.
+
+    Raises:
+        UsageError: there is none, or it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        import h5py
+
+        self.path = path if path.exists() else part_path(path)
+        if not self.path.exists():
+            raise UsageError(f"{path}: no such trajectory")
+        with self._reading():
+            self._file = h5py.File(self.path, "r", locking=False)  # also while a writer has it open
+        try:
+            with self._reading():
+                self._read_head()
+        except UsageError:
+            self.close()
+            raise
+        self.complete = self.path.suffix != ".part"
+
+    def _read_head(self) -> None:
+        count = int(self._file["frames"][()])
+        self.time: Array = self._file["time"][:count]
+        self.step: Array = self._file["step"][:count]
+        bodies = json.loads(self._file["particles"].attrs["bodies"])
+        self.bodies = {name: slice(start, stop) for name, (start, stop) in bodies.items()}
+        self.fields = tuple(name for name in self._file["particles"] if name != "body")
+        self.provenance: dict[str, Any] = json.loads(self._file.attrs["provenance"])
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def read(self, field: str, frame: int) -> Array:
+        """Return a field of every particle in one frame (N, ...); UsageError if it cannot be read."""
+        with self._reading():
+            return np.asarray(self._file["particles"][field][frame])
+
+    def read_all(self, field: str) -> Array:
+        """Return a field in every frame (T, N, ...); UsageError if it cannot be read."""
+        with self._reading():
+            return np.asarray(self._file["particles"][field][: len(self)])
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        self._file.close()
+
+    def __enter__(self) -> Frames:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, KeyError, ValueError) as error:
+            raise UsageError(f"{self.path}: no trajectory of cqrun, or truncated ({error})") from error
