@@ -1,4 +1,4 @@
-"""What Adam and SGD share: mini-batches, bounds, half steps after a failed trial, exact resume."""
+"""What Adam and SGD share: clipping, masks, mini-batches, bounds, half steps after failed trials, exact resume."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array
+from cqrun.errors import UsageError
 from cqrun.optimizers.base import (
     Optimizer,
     Outcome,
@@ -22,7 +23,7 @@ from cqrun.optimizers.base import (
 )
 
 HALVINGS = 5
-"""How often a failed trial halves the step before the run fails."""
+"""How often in a row a failed trial halves the step before the run fails."""
 
 MEMORY = "memory."
 NOT_STARTED = -1
@@ -37,7 +38,7 @@ class DescentState:
         x, loss, grad: that point (n,), f and gradient (n,) there.
         step: what to subtract from x (n,), before `scale`.
         scale: 1, halved by each failed trial.
-        failures: how many there were.
+        failures: how many there were since that point.
         best_x, best_loss: the best point so far.
         queue: parts of the data not yet drawn in this epoch.
         rng: state of the bit generator as JSON.
@@ -90,6 +91,18 @@ class Descent(Optimizer):
     batch_size: int | None = Field(
         None, ge=1, description="parts of the data (recordings) in a mini-batch; default all of them"
     )
+    clip: float | None = Field(
+        None, gt=0, description="a longer gradient is shortened to this Euclidean norm, scaled coordinates"
+    )
+    clip_entries: float | None = Field(
+        None, gt=0, description="every entry of the gradient is cut to this size, before `clip` (ChainQueen: 1)"
+    )
+    mask: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        description="chance of an entry of the gradient to count as zero, drawn anew each iteration (ChainQueen: 0.2)",
+    )
     gradient_tolerance: float = Field(
         0.0,
         ge=0,
@@ -105,7 +118,16 @@ class Descent(Optimizer):
         """Return what to subtract from x at learning rate 1 (n,), and the new memory."""
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise with exact resume through the session's state file."""
+        """Minimise with exact resume through the session's state file.
+
+        Raises:
+            UsageError: a mini-batch has more parts than there are.
+        """
+        if self.batch_size is not None and self.batch_size > problem.n_batches:
+            raise UsageError(
+                f"optimizer.{self.name}.batch_size is {self.batch_size}, but the data falls into {problem.n_batches} "
+                f"parts (recordings, goals): give at most {problem.n_batches}"
+            )
         saved = session.restore()
         state = self._begin(problem, session.seed) if saved is None else DescentState.from_arrays(saved)
         while True:
@@ -150,10 +172,11 @@ class Descent(Optimizer):
     def _advance(self, state: DescentState, problem: Problem) -> tuple[DescentState, dict[str, float]]:
         """Return the state after one good trial and the terms of its loss; TrialFailed changes nothing."""
         x = np.clip(state.x - state.step, problem.lower, problem.upper)
-        batch, queue, rng = self._draw(state, problem.n_batches)
+        rng = _rng_from_text(state.rng)
+        batch, queue = self._draw(state.queue, rng, problem.n_batches)
         answer = checked_value_and_grad(problem, x, batch)
         loss, grad, iteration = float(answer["f"]), answer["g"], state.iteration + 1
-        direction, memory = self.direction(iteration, grad, state.memory)
+        direction, memory = self.direction(iteration, self._tamed(grad, rng), state.memory)
         wanted = state.scale * self.learning_rate / (1.0 + self.decay * iteration) * direction
         better = self._mini_batches or loss < state.best_loss  # losses of mini-batches do not compare
         advanced = replace(
@@ -163,23 +186,33 @@ class Descent(Optimizer):
             loss=loss,
             grad=grad,
             step=x - np.clip(x - wanted, problem.lower, problem.upper),  # a halved step is half of what was made
+            failures=0,
             best_x=x if better else state.best_x,
             best_loss=loss if better else state.best_loss,
             queue=queue,
-            rng=rng,
+            rng=_rng_text(rng),
             memory=memory,
         )
         return advanced, terms_of(problem, answer["terms"])
 
-    def _draw(self, state: DescentState, n_batches: int) -> tuple[tuple[int, ...] | None, Array, str]:
-        """Return the next mini-batch (None: all), what is left of the epoch, and the generator after it."""
+    def _draw(self, queue: Array, rng: np.random.Generator, n_batches: int) -> tuple[tuple[int, ...] | None, Array]:
+        """Return the next mini-batch (None: all) and what is left of the epoch."""
         if self.batch_size is None:
-            return None, state.queue, state.rng
-        queue, rng = state.queue, _rng_from_text(state.rng)
+            return None, queue
         if queue.size == 0:
             queue = rng.permutation(n_batches)
         drawn, left = queue[: self.batch_size], queue[self.batch_size :]
-        return tuple(int(i) for i in np.sort(drawn)), left, _rng_text(rng)
+        return tuple(int(i) for i in np.sort(drawn)), left
+
+    def _tamed(self, grad: Array, rng: np.random.Generator) -> Array:
+        """Return the gradient (n,) that steps are made of: clipped, then masked."""
+        if self.clip_entries is not None:
+            grad = np.clip(grad, -self.clip_entries, self.clip_entries)
+        if self.clip is not None and (norm := float(np.sqrt(np.sum(grad**2)))) > self.clip:
+            grad = grad * (self.clip / norm)
+        if self.mask > 0:
+            grad = np.where(rng.random(grad.shape) < self.mask, 0.0, grad)
+        return grad
 
     @property
     def _mini_batches(self) -> bool:

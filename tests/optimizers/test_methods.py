@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from toy_problems import Rosenbrock, run_folder, solve
+from toy_problems import Rosenbrock, history_rows, run_folder, solve
 
 from cqrun.contract import Plugin
+from cqrun.errors import UsageError
 from cqrun.optimizers.adam import Adam
 from cqrun.optimizers.base import Optimizer
+from cqrun.optimizers.descent import HALVINGS
 from cqrun.optimizers.lbfgs import Lbfgs
 from cqrun.optimizers.least_squares import LeastSquares
 from cqrun.optimizers.replayed import half_box
@@ -117,6 +119,56 @@ def test_sgd_follows_polyak(tmp_path):
     np.testing.assert_allclose(outcome.x, x, rtol=1e-14)
 
 
+def test_a_long_gradient_is_shortened_and_its_entries_cut(tmp_path):
+    grad = Bowl().start - Bowl.goal  # (-0.3, -2)
+    for options, wanted in (
+        ({"clip": 0.5}, 0.5 * grad / np.linalg.norm(grad)),
+        ({"clip": 9.0}, grad),
+        ({"clip_entries": 1.0}, np.array([-0.3, -1.0])),
+        ({"clip_entries": 0.3, "clip": 0.1}, np.full(2, -0.1 / np.sqrt(2.0))),
+    ):
+        problem = Bowl()
+        problem.upper = np.full(2, np.inf)
+        out = tmp_path / "-".join(options) / str(options.get("clip"))
+        outcome, _ = solve(out, Sgd(max_iterations=1, learning_rate=0.1, **options), problem)
+        np.testing.assert_allclose(outcome.x, problem.start - 0.1 * wanted, rtol=1e-14)
+
+
+def test_the_history_keeps_the_gradient_as_it_was(tmp_path):
+    solve(tmp_path / "whole", Sgd(max_iterations=1), Bowl())
+    solve(tmp_path / "clipped", Sgd(max_iterations=1, clip=0.1, clip_entries=0.2, mask=0.5), Bowl())
+    first = [history_rows(tmp_path / name)[1] for name in ("whole", "clipped")]
+    assert first[0] == first[1]
+
+
+def test_masked_entries_stay_where_they_are(tmp_path):
+    """A tenth of the entries, others each time, the same for the same seed."""
+
+    class Slope(Bowl):
+        steps: list[np.ndarray]
+
+        def __init__(self):
+            super().__init__()
+            self.start, self.lower, self.upper = np.zeros(500), np.full(500, -np.inf), np.full(500, np.inf)
+            self.steps = []
+
+        def value_and_grad(self, x, batch=None):
+            self.steps.append(x.copy())
+            return float(np.sum(x)), np.ones(500)
+
+    method = Sgd(max_iterations=20, learning_rate=0.5, mask=0.1)
+    one, two, other = Slope(), Slope(), Slope()
+    for problem, name, seed in ((one, "one", 3), (two, "two", 3), (other, "other", 4)):
+        solve(tmp_path / name, method, problem, seed=seed)
+    made = np.diff(one.steps, axis=0)
+    assert set(np.unique(made)) == {-0.5, 0.0}
+    held = made == 0.0
+    assert 0.08 < held.mean() < 0.12
+    assert not (held[0] == held[1]).all()
+    np.testing.assert_array_equal(one.steps, two.steps)
+    assert not np.array_equal(one.steps, other.steps)
+
+
 def test_mini_batches_visit_every_part_once_an_epoch(tmp_path):
     class Watching(Rosenbrock):
         batches: list[tuple[int, ...]] = []  # noqa: RUF012  one list for the test's only problem
@@ -203,6 +255,19 @@ def test_descent_goes_on_with_half_the_step(tmp_path, method):
     assert "back to iteration 2, step times 0.5" in (run_folder(tmp_path) / "log.txt").read_text()
 
 
+@pytest.mark.parametrize("method", DESCENT, ids=name_of)
+def test_failures_far_apart_do_not_add_up(tmp_path, method):
+    class Thrice(Rosenbrock):
+        def _evaluate(self, x):
+            self.wall = -9.0 if self.evaluations % 4 == 3 else np.inf
+            return super()._evaluate(x)
+
+    problem = Thrice()
+    outcome, _ = solve(tmp_path, method, problem)
+    assert outcome.status == "iteration_limit"
+    assert problem.evaluations - (method.max_iterations + 1) > 2 * HALVINGS
+
+
 @pytest.mark.parametrize("method", [*SCIPY, *DESCENT], ids=name_of)
 def test_a_loss_that_is_not_finite_is_a_failed_trial(tmp_path, method):
     class Broken(Rosenbrock):
@@ -222,7 +287,24 @@ def test_half_box_keeps_the_point_and_halves_the_rest():
     np.testing.assert_array_equal(up, [1.0, 3.0, 3.5])
 
 
-@pytest.mark.parametrize("options", [{"max_iterations": 0}, {"learning_rate": -1.0}, {"beta1": 1.0}, {"step": 1.0}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"max_iterations": 0},
+        {"learning_rate": -1.0},
+        {"beta1": 1.0},
+        {"step": 1.0},
+        {"clip": 0.0},
+        {"clip_entries": -1.0},
+        {"mask": 1.0},
+    ],
+)
 def test_options_are_checked(options):
     with pytest.raises(ValidationError):
         Adam(**options)
+
+
+def test_a_mini_batch_larger_than_the_data_is_refused(tmp_path):
+    with pytest.raises(UsageError, match=r"optimizer.sgd.batch_size is 11, .* falls into 10 parts.*at most 10"):
+        solve(tmp_path, Sgd(batch_size=11), Rosenbrock())
+    assert solve(tmp_path / "all", Sgd(batch_size=10, max_iterations=1), Rosenbrock())[0].iterations == 1
