@@ -44,11 +44,13 @@ class Choice:
 
     def validate(self, data: Any) -> Chosen[Plugin]:
         """Return the chosen plug-in of a one-key mapping, or raise pydantic's ValidationError."""
+        legal = registry.plugins(self.kind)
         if isinstance(data, Chosen):
-            if data.value.kind != self.kind:
+            if data.value.kind not in {self.kind, *(cls.kind for cls in legal.values())}:
                 raise self._complaint(f"must be a {self.kind}, is a {data.value.kind}")
             return data
-        legal = registry.plugins(self.kind)
+        if isinstance(data, str):
+            data = next(({name: data} for name, cls in legal.items() if cls.stands_alone), data)
         if not isinstance(data, dict):
             near = suggest(data, legal) if isinstance(data, str) else ""
             message = f"must be a mapping `name: {{...}}` with one of {listed(legal)}, is {shown(data)}{near}"

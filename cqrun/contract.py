@@ -56,12 +56,14 @@ class Spec(BaseModel):
 class Plugin(Spec):
     """A part of a scene that is chosen by name; `registry.plugin` sets `kind` and `name`.
 
-    `shorthand` names the field that a value which is no mapping stands for, if any.
+    `shorthand` names the field that a value which is no mapping stands for, if any. Of a plug-in that
+    `stands_alone`, even its name may be left out: a bare text in the place of the choice is its shorthand.
     """
 
     kind: ClassVar[str] = ""
     name: ClassVar[str] = ""
     shorthand: ClassVar[str] = ""
+    stands_alone: ClassVar[bool] = False
 
 
 def quantity(unit: str, description: str, *, differentiable: bool = False, **constraints: Any) -> Any:

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 FOLDERS = {
     "shape": "cqrun.geometry",
+    "region": "cqrun.geometry",
     "sampling": "cqrun.geometry",
     "elastic": "cqrun.materials",
     "material_term": "cqrun.materials",
@@ -26,6 +27,9 @@ FOLDERS = {
     "optimizer": "cqrun.optimizers",
 }
 """Where the plug-ins of each kind live."""
+
+INCLUDED = {"region": "shape"}
+"""Kinds that take the plug-ins of another as well: every shape is a region, unless a region has its name."""
 
 _PLUGINS: dict[str, dict[str, type[Any]]] = {}
 
@@ -49,8 +53,9 @@ def plugin(kind: str, name: str) -> Callable[[T], T]:
 
 
 def plugins(kind: str) -> dict[str, type[Any]]:
-    """Return every plug-in of `kind` by name, importing its folder first."""
+    """Return every plug-in of `kind` by name, those it includes too, importing its folder first."""
     package = importlib.import_module(FOLDERS[kind])
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
-    return dict(sorted(_PLUGINS.get(kind, {}).items()))
+    included = _PLUGINS.get(INCLUDED.get(kind, ""), {})
+    return dict(sorted({**included, **_PLUGINS.get(kind, {})}.items()))

@@ -148,7 +148,7 @@ def dot_size(scene: Scene, count: int) -> float:
     known = [spacing for spacing in spacings if spacing is not None]
     if known:
         return max(known)
-    volume = sum(body.shape.value.volume() for body in scene.bodies.values())
+    volume = sum(body.whole().volume() for body in scene.bodies.values())
     return COVER * float((volume / count) ** (1.0 / scene.dim))
 
 

@@ -123,7 +123,7 @@ def _names(run: RunData, path: str, per: str, count: int) -> tuple[str, ...]:
     if count < 2:
         return ()
     if per == "group":
-        return tuple(run.scene.bodies[path.split(".")[1]].groups)
+        return run.scene.bodies[path.split(".")[1]].group_names
     return tuple(str(i) for i in range(count))
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 from pydantic import Field
 
@@ -20,10 +18,12 @@ _BATCH = 4096
 class Random(Sampling):
     """`count` particles, uniform in the shape and independent; volume: the shape's own over count."""
 
-    needs_spacing: ClassVar[bool] = False
-
     count: int = Field(description="How many particles", ge=1, le=MAX_POINTS)
     seed: int = Field(description="Seed of the places", ge=0, default=0)
+
+    @property
+    def needs_spacing(self) -> bool:
+        return False
 
     def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:
         lower, upper = finite_bounds(shape)

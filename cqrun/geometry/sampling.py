@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from cqrun.choice import Choice, Chosen
 from cqrun.contract import Array, Plugin
@@ -13,8 +13,10 @@ from cqrun.geometry.shape import Shape
 class Sampling(Plugin):
     """A way to fill a shape with particles; the same settings give the same particles to the bit."""
 
-    needs_spacing: ClassVar[bool] = True
-    """Whether the body must say how far apart particles are."""
+    @property
+    def needs_spacing(self) -> bool:
+        """Whether the body must say how far apart particles are."""
+        return True
 
     @abstractmethod
     def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:

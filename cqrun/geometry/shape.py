@@ -8,8 +8,9 @@ from typing import Annotated
 import numpy as np
 
 from cqrun.choice import Choice, Chosen
-from cqrun.contract import Array, Plugin
+from cqrun.contract import Array
 from cqrun.errors import UsageError
+from cqrun.geometry.region import Points, Region
 
 _COUNTING_CELLS = 2_000_000
 """About the number of cells that measure a shape without a formula: an error near 1e-4 of its bounds."""
@@ -18,8 +19,11 @@ MAX_POINTS = 20_000_000
 """More lattice points than this are a mistyped spacing."""
 
 
-class Shape(Plugin):
+class Shape(Region):
     """A region of space, in world coordinates at the start (material coordinates)."""
+
+    def pick(self, points: Points) -> Array:
+        return self.inside(points.x)
 
     @abstractmethod
     def inside(self, points: Array) -> Array:
@@ -29,13 +33,22 @@ class Shape(Plugin):
     def bounds(self) -> tuple[Array, Array]:
         """Return the lower and upper corner (D,) [m] of an axis-aligned box around the shape."""
 
+    @property
+    def colours(self) -> tuple[str, ...]:
+        """The names of the colours of an image inside the shape; each is a group of its body."""
+        return ()
+
+    def coloured(self, points: Array, colour: str) -> Array:
+        """Return which points (N, D) [m] lie in pixels of a colour, by its name or `#rrggbb`: (N,) bool."""
+        return np.zeros(len(points), bool)
+
     def volume(self) -> float:
         """Return the volume [m^3] (2D: area [m^2]), counted on a fine lattice unless a formula is known."""
         lower, upper = finite_bounds(self)
         size = upper - lower
         spacing = float(np.prod(size) / _COUNTING_CELLS) ** (1 / len(size))
         counts = 4 * np.ceil(size / (4 * spacing)).astype(int)  # fits faces on the bounds and halfway
-        return float(self.inside(_lattice(lower, size / counts, counts)).mean() * np.prod(size))
+        return float(self.inside(cell_centres(lower, size / counts, counts)).mean() * np.prod(size))
 
 
 ChosenShape = Annotated[Chosen[Shape], Choice("shape")]
@@ -55,12 +68,12 @@ def lattice_points(shape: Shape, spacing: float) -> Array:
             f"a spacing of {spacing:g} m puts {np.prod(counts):.3g} lattice points around the {shape.name}; "
             f"at most {MAX_POINTS:.0e} are made: check the units of spacing, dx and the shape"
         )
-    points = _lattice(lower, np.full(len(lower), spacing), counts.astype(int))
+    points = cell_centres(lower, np.full(len(lower), spacing), counts.astype(int))
     return points[shape.inside(points)]
 
 
-def _lattice(lower: Array, spacing: Array, counts: Array) -> Array:
-    """Return centres (prod(counts), D) [m] of `counts` (D,) cells of size `spacing` (D,) from a corner."""
+def cell_centres(lower: Array, spacing: Array, counts: Array) -> Array:
+    """Return the centres (prod(counts), D) [m] of `counts` (D,) cells of size `spacing` (D,) from a corner."""
     axes = [low + (np.arange(n) + 0.5) * h for low, h, n in zip(lower, spacing, counts, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(lower))
 

@@ -137,7 +137,7 @@ class Experiment:
         legal: list[tuple[int, ...]] = [()]
         if keys[0] == "bodies" and keys[2] == "material":
             part = self.built.particles.of(keys[1])
-            groups = len(self.scene.bodies[keys[1]].groups)
+            groups = len(self.scene.bodies[keys[1]].group_names)
             legal += [(part.stop - part.start,), *[(groups,)] * (groups > 0)]
         if value.shape not in legal:
             raise UsageError(f"{path}: a value of shape {value.shape}; it must be one of {listed(map(str, legal))}")

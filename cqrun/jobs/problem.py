@@ -47,7 +47,7 @@ def make_params(built: Built) -> Params:
             part = built.particles.of(keys[1])
             initial = np.full(part.stop - part.start, float(initial))
         elif unknown.per == "group":
-            initial = np.full(len(built.scene.bodies[keys[1]].groups), float(initial))
+            initial = np.full(len(built.scene.bodies[keys[1]].group_names), float(initial))
         blocks.append(Block(canonical(built.scene, path), lower, upper, unknown.scale == "log", initial))
     return Params(tuple(blocks))
 

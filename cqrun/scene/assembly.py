@@ -55,10 +55,10 @@ class Assembly:
 
     def _labels(self, body: str) -> Array:
         """Return the group of each of a body's particles, -1 for none (the last group that holds it)."""
-        x = self.particles.x[self.particles.of(body)]
-        labels = np.full(len(x), -1)
-        for k, shape in enumerate(self.scene.bodies[body].groups.values()):
-            labels[shape.value.inside(x)] = k
+        points = self.particles.points[body]
+        labels = np.full(len(points.x), -1)
+        for k, held in enumerate(points.groups.values()):
+            labels[held] = k
         return labels
 
     def _spread(self, body: str, path: str, own: float, values: Values) -> Array:

@@ -1,7 +1,7 @@
 """What only the particles show: bodies outside the world or inside each other, regions that hold nothing.
 
-Every function takes `points`, the sampled particles (N, D) [m] of each body by name, and returns problems
-with their key paths; the model builder raises them before a run.
+Every function takes `points`, the sampled particles of each body by name, and returns problems with their key
+paths; the model builder raises them before a run.
 """
 
 from __future__ import annotations
@@ -13,13 +13,18 @@ import numpy as np
 
 from cqrun.choice import Chosen
 from cqrun.contract import Array
-from cqrun.errors import Problem
-from cqrun.geometry.shape import Shape
+from cqrun.errors import Problem, UsageError
+from cqrun.geometry.region import Region
+from cqrun.geometry.shape import Shape, cell_centres, finite_bounds
 from cqrun.scene.keypath import joined
+from cqrun.scene.regions import BodyPoints
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import parts
 
-Points = Mapping[str, Array]
+Points = Mapping[str, BodyPoints]
+
+PROBES = 16
+"""Points along every axis that ask how much of a part lies in another."""
 
 
 def geometry_problems(scene: Scene, points: Points, margin: float = 0.0) -> list[Problem]:
@@ -27,29 +32,32 @@ def geometry_problems(scene: Scene, points: Points, margin: float = 0.0) -> list
 
     Args:
         scene: the scene.
-        points: particles (N, D) [m] by body.
+        points: particles by body.
         margin: how far from the world's faces every particle must stay [m].
     """
     return [
         *empty_bodies(scene, points),
         *outside_world(scene, points, margin),
         *overlapping_bodies(scene, points),
+        *overlapping_parts(scene),
         *empty_regions(scene, points),
     ]
 
 
 def empty_bodies(scene: Scene, points: Points) -> Iterator[Problem]:
-    """Yield bodies without a particle."""
-    for name, x in points.items():
-        if not len(x):
-            message = "holds no particle: it is thinner than the particles' spacing, or empty"
-            yield _problem(scene, f"bodies.{name}.shape", message)
+    """Yield bodies, or parts of them, without a particle."""
+    for name, body in points.items():
+        for k, path in enumerate(scene.bodies[name].pieces):
+            if not (body.piece == k).any():
+                message = "holds no particle: it is thinner than the particles' spacing, or empty"
+                yield _problem(scene, f"bodies.{name}.{path}", message)
 
 
 def outside_world(scene: Scene, points: Points, margin: float = 0.0) -> Iterator[Problem]:
     """Yield bodies that leave the world, one problem for each axis and side."""
     upper = np.array(scene.world.size)
-    for name, x in points.items():
+    for name, body in points.items():
+        x = body.world
         if not len(x):
             continue
         for axis, letter in enumerate("xyz"[: scene.dim]):
@@ -61,47 +69,82 @@ def outside_world(scene: Scene, points: Points, margin: float = 0.0) -> Iterator
                         f"reaches {letter} = {reach:.6g} m, {out} {limit:.6g} m: the world holds "
                         f"particles from {low:.6g} to {high:.6g} m; move the body or enlarge the world"
                     )
-                    yield _problem(scene, f"bodies.{name}.shape", message)
+                    yield _problem(scene, _placed(scene, name), message)
 
 
 def overlapping_bodies(scene: Scene, points: Points) -> Iterator[Problem]:
     """Yield pairs of bodies where one's particles lie inside the other; bodies that only touch may."""
     for first, second in combinations(points, 2):
-        hits = [*_hits(scene, points[first], second), *_hits(scene, points[second], first)]
+        hits = [*_hits(scene, points[first].world, second), *_hits(scene, points[second].world, first)]
         if hits:
             place = ", ".join(f"{c:.6g}" for c in hits[0])
             message = f"overlaps the body '{first}' in {len(hits)} particles, such as at ({place}) m"
-            yield _problem(scene, f"bodies.{second}.shape", f"{message}; move one of them")
+            yield _problem(scene, _placed(scene, second), f"{message}; move one of them")
 
 
 def _hits(scene: Scene, x: Array, body: str) -> Array:
     """Return the points inside a body's shape."""
-    shape = scene.bodies[body].shape.value
+    shape = scene.bodies[body].whole()
     lower, upper = shape.bounds()
     near = x[np.all((x >= lower) & (x <= upper), axis=1)]
     return near[shape.inside(near)] if len(near) else near
 
 
+def _placed(scene: Scene, body: str) -> str:
+    """Return the path of what says where a body is."""
+    spec = scene.bodies[body]
+    return f"bodies.{body}." + ("place" if spec.place else "shape" if spec.shape else "parts")
+
+
+def overlapping_parts(scene: Scene) -> Iterator[Problem]:
+    """Yield pairs of parts that share space: each is filled on its own, so it would be filled twice."""
+    for name, body in scene.bodies.items():
+        for (first, one), (second, other) in combinations(body.pieces.items(), 2):
+            share = max(_share(one, other), _share(other, one))
+            if share > 0:
+                message = (
+                    f"overlaps the part '{first.partition('.')[2]}', in about {share:.1%} of the smaller: parts are "
+                    "filled one by one; move one, cut it out by a `difference`, or make one part a `union` of both"
+                )
+                yield _problem(scene, f"bodies.{name}.{second}", message)
+
+
+def _share(shape: Shape, other: Shape) -> float:
+    """Return how much of a shape lies in another one, from a few points: between 0 and 1."""
+    lower, upper = finite_bounds(shape)
+    low, high = other.bounds()
+    if (high <= lower).any() or (low >= upper).any():
+        return 0.0
+    x = cell_centres(lower, (upper - lower) / PROBES, np.full(len(lower), PROBES))
+    held = shape.inside(x)
+    return float((held & other.inside(x)).sum() / max(1, held.sum()))
+
+
 def empty_regions(scene: Scene, points: Points) -> Iterator[Problem]:
-    """Yield groups, and regions of loads and actuators, that hold no particle of their body."""
+    """Yield groups, and regions of what acts on particles, that hold no particle of their body."""
     for body, spec in scene.bodies.items():
-        for group, shape in spec.groups.items():
-            yield from _empty(scene, f"bodies.{body}.groups.{group}", shape, {body: points[body]})
+        for group in (*spec.colours, *spec.groups):
+            path = f"bodies.{body}." + (f"groups.{group}" if group in spec.groups else _placed(scene, body))
+            yield from _empty(scene, path, group, {body: points[body]})
     for loc, part in parts(scene):
         region = getattr(part, "region", None)
-        if not (isinstance(region, Chosen) and isinstance(region.value, Shape) and hasattr(part, "body")):
+        if not (isinstance(region, Chosen) and isinstance(region.value, Region) and hasattr(part, "body")):
             continue
         body = part.body
         held = {body: points[body]} if body is not None else points
         yield from _empty(scene, joined((*loc, "region")), region, held)
 
 
-def _empty(scene: Scene, path: str, region: Chosen[Shape], points: Points) -> Iterator[Problem]:
-    if not any(region.value.inside(x).any() for x in points.values() if len(x)):
+def _empty(scene: Scene, path: str, region: Chosen[Region] | str, points: Points) -> Iterator[Problem]:
+    filled = {name: body.world for name, body in points.items() if len(body.world)}
+    try:
+        held = any(points[name].pick(region).any() for name in filled)
+    except UsageError as error:
+        yield _problem(scene, path, str(error))
+        return
+    if not held:
         extents = [
-            f"'{name}' lies within {_corner(x.min(axis=0))} to {_corner(x.max(axis=0))} m"
-            for name, x in points.items()
-            if len(x)
+            f"'{name}' lies within {_corner(x.min(axis=0))} to {_corner(x.max(axis=0))} m" for name, x in filled.items()
         ]
         yield _problem(scene, path, f"holds no particle: {', '.join(extents) or 'there are none'}")
 

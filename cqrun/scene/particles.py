@@ -10,7 +10,9 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.engine.blocks import BLOCK
 from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.geometry.place import Place
 from cqrun.scene.check import geometry_problems, sparse_bodies
+from cqrun.scene.regions import BodyPoints
 from cqrun.scene.schema import Scene
 from cqrun.state import Layout
 
@@ -21,6 +23,7 @@ class Particles:
 
     Attributes:
         names: of the bodies, those with the same stress terms next to each other.
+        points: each body's particles, as regions see them.
         x: (N, D) at rest [m].
         volume: (N,) at rest [m^D]; 1 where the body has `unit_mass`.
         spacing: distance between particles of each body [m].
@@ -29,6 +32,7 @@ class Particles:
 
     names: tuple[str, ...]
     layout: Layout
+    points: dict[str, BodyPoints]
     x: Array
     volume: Array
     spacing: dict[str, float]
@@ -39,12 +43,15 @@ class Particles:
         return self.layout.slices()[self.names.index(body)]
 
     def inside(self, body: str | None, region: Any) -> Array:
-        """Return the indices of the particles of a body (or of all) in a region (or everywhere)."""
-        chosen = np.zeros(len(self.x), bool)
-        chosen[self.of(body) if body is not None else slice(None)] = True
-        if region is not None:
-            chosen &= region.value.inside(self.x)
-        return np.flatnonzero(chosen)
+        """Return the indices of the particles of a body (or of all) in a region, or by its name, or everywhere."""
+        bodies = self.names if body is None else (body,)
+        picked = [self.of(name).start + np.flatnonzero(self.points[name].pick(region)) for name in bodies]
+        return np.concatenate(picked)
+
+    def groups(self, body: str) -> dict[str, Array]:
+        """Return the indices of the particles of each of a body's groups, by name."""
+        start = self.of(body).start
+        return {name: start + np.flatnonzero(held) for name, held in self.points[body].groups.items()}
 
 
 def stress_key(scene: Scene, body: str) -> tuple[Any, ...]:
@@ -68,14 +75,7 @@ def sample(scene: Scene) -> Particles:
     names = tuple(sorted(scene.bodies, key=lambda body: first_of.index(keys[body])))
     points, volumes, spacing = {}, {}, {}
     for name in names:
-        body = scene.bodies[name]
-        try:
-            x, volume = body.sampling.value.sample(body.shape.value, body.particle_spacing(scene.world.dx))
-        except UsageError as error:
-            path = f"bodies.{name}.shape"
-            raise SceneError([Problem(scene.where(path), path, str(error))]) from error
-        order = block_order(x, scene.world.dx)
-        points[name], volumes[name] = x[order], volume[order]
+        points[name], volumes[name] = fill(scene, name)
     problems = geometry_problems(scene, points)
     if problems:
         raise SceneError(problems)
@@ -84,15 +84,45 @@ def sample(scene: Scene) -> Particles:
         spacing[name] = float(volumes[name].mean() ** (1 / scene.dim))
         if scene.bodies[name].unit_mass:
             volumes[name] = np.ones(len(volumes[name]))
-    layout = Layout(scene.dim, tuple(len(points[name]) for name in names))
+    layout = Layout(scene.dim, tuple(len(points[name].x) for name in names))
     return Particles(
         names,
         layout,
-        np.concatenate([points[name] for name in names]),
+        points,
+        np.concatenate([points[name].x for name in names]),
         np.concatenate([volumes[name] for name in names]),
         spacing,
         warnings,
     )
+
+
+def fill(scene: Scene, name: str) -> tuple[BodyPoints, Array]:
+    """Return a body's particles, block after block of the grid, and their volumes (N,) [m^D].
+
+    Every piece is filled on its own, in the body's own coordinates, so that a lattice turns with the body.
+
+    Raises:
+        SceneError: a piece cannot be filled.
+    """
+    body, place = scene.bodies[name], scene.bodies[name].place or Place()
+    spacing = body.particle_spacing(scene.world.dx)
+    local_spacing = None if spacing is None else spacing / place.scale
+    x, volume, piece = [], [], []
+    for k, (path, shape) in enumerate(body.pieces.items()):
+        try:
+            positions, volumes = body.sampling.value.sample(shape, local_spacing)
+        except UsageError as error:
+            path = f"bodies.{name}.{path}"
+            raise SceneError([Problem(scene.where(path), path, str(error))]) from error
+        x.append(positions)
+        volume.append(volumes * place.scale**scene.dim)
+        piece.append(np.full(len(positions), k))
+    local = np.concatenate(x)
+    world = local if body.place is None else place.to_world(local)
+    order = block_order(world, scene.world.dx)
+    world, local = world[order], local[order]
+    points = BodyPoints(scene, name, world, world, local, np.concatenate(piece)[order])
+    return points, np.concatenate(volume)[order]
 
 
 def block_order(x: Array, dx: float) -> Array:

@@ -11,8 +11,12 @@ from cqrun.choice import Choice, Chosen
 from cqrun.contract import Plugin, Spec, quantity, vector
 from cqrun.explain import Loc, complaint, finding
 from cqrun.geometry.lattice import Lattice
+from cqrun.geometry.place import Place
+from cqrun.geometry.region import ChosenRegion
 from cqrun.geometry.sampling import ChosenSampling
-from cqrun.geometry.shape import ChosenShape
+from cqrun.geometry.shape import ChosenShape, Shape
+from cqrun.geometry.transformed import Transformed
+from cqrun.geometry.union import Union
 from cqrun.scene.data import Data, Unknown, exactly_one
 from cqrun.scene.defaults import with_defaults
 from cqrun.scene.fields import Memory, Name, Seed, Substeps
@@ -33,9 +37,16 @@ class World(Spec):
 
 
 class Body(Spec):
-    """One elastic body: a shape, filled with particles of one material."""
+    """One elastic body: a shape, or named parts, filled with particles of one material."""
 
-    shape: ChosenShape = Field(description="Where the body is at the start")
+    shape: ChosenShape | None = Field(description="Where the body is at the start; or give parts", default=None)
+    parts: dict[Name, ChosenShape] | None = Field(
+        description="Name -> shape; each is filled on its own, and is a group", min_length=1, default=None
+    )
+    place: Place | None = Field(
+        description="Where the coordinates of shape, parts and groups lie in the world; they are the world's if absent",
+        default=None,
+    )
     particles_per_cell: float | None = quantity("1", "Particles in a cell: spacing = dx / n^(1/D)", gt=0, default=None)
     spacing: float | None = quantity("m", "Distance between particles", gt=0, default=None)
     sampling: ChosenSampling = Field(
@@ -48,11 +59,12 @@ class Body(Spec):
         differentiable=True, min_length=1, max_length=3,
     )  # fmt: skip
     unit_mass: bool = Field(description="Every particle has mass = density and volume 1", default=False)
-    groups: dict[Name, ChosenShape] = Field(description="Named regions of the body", default_factory=dict)
+    groups: dict[Name, ChosenRegion] = Field(description="Named regions of the body", default_factory=dict)
     material: Material = Field(description="What it is made of")
 
     @model_validator(mode="after")
-    def _one_spacing(self) -> Self:
+    def _one_of_each(self) -> Self:
+        exactly_one(self, ("shape", "parts"))
         if self.sampling.value.needs_spacing:
             exactly_one(self, ("particles_per_cell", "spacing"))
         elif self.particles_per_cell is not None or self.spacing is not None:
@@ -60,6 +72,28 @@ class Body(Spec):
             message = f"has no meaning with {self.sampling.name} sampling, which has a count: remove it"
             raise complaint("Body", [finding(message, (name,), involves=("sampling",))])
         return self
+
+    @property
+    def pieces(self) -> dict[str, Shape]:
+        """The shapes that are filled on their own, in the body's coordinates, by their key path inside the body."""
+        if self.shape is not None:
+            return {"shape": self.shape.value}
+        return {f"parts.{name}": chosen.value for name, chosen in (self.parts or {}).items()}
+
+    @property
+    def group_names(self) -> tuple[str, ...]:
+        """The names of all groups, in the order in which values `per: group` are given."""
+        return (*(self.parts or {}), *self.colours, *self.groups)
+
+    @property
+    def colours(self) -> tuple[str, ...]:
+        """The names of the colours of its images, each a group."""
+        return tuple(dict.fromkeys(name for piece in self.pieces.values() for name in piece.colours))
+
+    def whole(self) -> Shape:
+        """Return the body as one shape in the world."""
+        whole = self.shape or Chosen("union", Union(shapes=list((self.parts or {}).values())))
+        return whole.value if self.place is None else Transformed(shape=whole, **dict(self.place))
 
     def particle_spacing(self, dx: float) -> float | None:
         """Return the distance between particles [m] on a grid of edge dx [m]; None with a count of them."""
@@ -148,6 +182,10 @@ class Scene(Spec):
     memory: Memory = Field(description="Budget for states kept for gradients", default=2 * 2**30)
     seed: Seed = Field(description="Seed of whatever names none of its own", default=0)
     bodies: dict[Name, Body] = Field(description="Name -> body", min_length=1)
+    regions: dict[Name, ChosenRegion] = Field(
+        description="Name -> region of the world at the start; wherever a region is asked for, its name will do",
+        default_factory=dict,
+    )
     boundaries: dict[Name, Annotated[Chosen[Plugin], Choice("boundary")]] = Field(
         description="Name -> boundary", default_factory=dict
     )

@@ -33,14 +33,16 @@ def _definition(key: str, waiting: set[str], done: dict[str, Any]) -> dict[str, 
     """Return what `kind` (a choice) or `kind.name` (a plug-in) stands for."""
     kind, _, name = key.partition(".")
     if not name:
-        options = {option: _reference(f"{kind}.{option}", waiting) for option in plugins(kind)}
-        return {
+        known = plugins(kind)
+        options = {option: _reference(f"{cls.kind}.{option}", waiting) for option, cls in known.items()}
+        choice = {
             "type": "object",
             "properties": options,
             "additionalProperties": False,
             "minProperties": 1,
             "maxProperties": 1,
         }
+        return {"anyOf": [choice, {"type": "string"}]} if any(cls.stands_alone for cls in known.values()) else choice
     cls = plugins(kind)[name]
     schema = cls.model_json_schema(ref_template=_REF)
     for inner, part in schema.pop("$defs", {}).items():

@@ -28,10 +28,20 @@ CASES: dict[str, tuple[int, dict[str, Any]]] = {
     "polygon": (2, {"polygon": {"points": [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]}}),
     "union": (2, {"union": [DISC, SQUARE]}),
     "scaled": (2, {"union": {"shapes": [DISC], "scale": 0.2, "offset": [3, 4]}}),
+    "turned": (
+        2,
+        {"transformed": {"shape": SQUARE, "angle": 30, "offset": [1, 2], "scale": 2}},
+    ),
+    "turned in space": (
+        3,
+        {"transformed": {"shape": {"box": {"corner": [0, 0, 0], "size": [2, 1, 1]}}, "rotation": [0, 40, 20]}},
+    ),
+    "nested": (2, {"transformed": {"shape": {"transformed": {"shape": DISC, "angle": 90}}, "offset": [3, 0]}}),
     "difference": (2, {"difference": [{"box": {"corner": [-1, 0], "size": [2, 1]}}, DISC]}),
     "intersection": (3, {"intersection": [SPHERE, BELOW]}),
 }
-EXACT = {"scaled": 0.04 * np.pi, "polygon": 3.0, "difference": 2 - np.pi / 2, "union": 1 + 0.75 * np.pi}
+EXACT = {"turned": 4.0, "turned in space": 2.0, "nested": np.pi}
+EXACT |= {"scaled": 0.04 * np.pi, "polygon": 3.0, "difference": 2 - np.pi / 2, "union": 1 + 0.75 * np.pi}
 
 
 def shape(data: dict[str, Any]) -> Shape:

@@ -13,7 +13,9 @@ from cqrun.errors import SceneError
 from cqrun.geometry.shape import ChosenShape
 from cqrun.scene import check
 from cqrun.scene.load import load_scene
+from cqrun.scene.particles import fill
 from cqrun.scene.paths import with_values
+from cqrun.scene.regions import BodyPoints
 from cqrun.scene.schema import Scene
 
 
@@ -32,11 +34,10 @@ def two_balls(**second: Any) -> Scene:
     )
 
 
-def sampled(scene: Scene) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def sampled(scene: Scene) -> tuple[dict[str, BodyPoints], dict[str, np.ndarray]]:
     points, volumes = {}, {}
-    for name, body in scene.bodies.items():
-        spacing = body.particle_spacing(scene.world.dx)
-        points[name], volumes[name] = body.sampling.value.sample(body.shape.value, spacing)
+    for name in scene.bodies:
+        points[name], volumes[name] = fill(scene, name)
     return points, volumes
 
 

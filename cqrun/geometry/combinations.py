@@ -1,0 +1,49 @@
+"""Union, difference and intersection of regions: as those of shapes, but of names and other regions as well."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.geometry.region import ChosenRegion, Points, Region
+from cqrun.registry import plugin
+
+
+@plugin("region", "union")
+class RegionUnion(Region):
+    """What any of its regions holds: `union: [legs, {ball: {...}}]`."""
+
+    shorthand: ClassVar[str] = "shapes"
+
+    shapes: list[ChosenRegion] = Field(description="Shapes, names of regions, or other regions", min_length=1)
+
+    def pick(self, points: Points) -> Array:
+        return np.any([region.value.pick(points) for region in self.shapes], axis=0)
+
+
+@plugin("region", "difference")
+class RegionDifference(Region):
+    """What the first region holds and none of the others does: `difference: [body, legs]`."""
+
+    shorthand: ClassVar[str] = "shapes"
+
+    shapes: list[ChosenRegion] = Field(description="A region, then what is taken out of it", min_length=2)
+
+    def pick(self, points: Points) -> Array:
+        first, *others = (region.value.pick(points) for region in self.shapes)
+        return first & ~np.any(others, axis=0)
+
+
+@plugin("region", "intersection")
+class RegionIntersection(Region):
+    """What all of its regions hold: `intersection: [legs, {half_space: {...}}]`."""
+
+    shorthand: ClassVar[str] = "shapes"
+
+    shapes: list[ChosenRegion] = Field(description="Regions that must all hold a point", min_length=1)
+
+    def pick(self, points: Points) -> Array:
+        return np.all([region.value.pick(points) for region in self.shapes], axis=0)

@@ -1,0 +1,65 @@
+"""Where local coordinates lie in the world: world = offset + scale * R * local, R a rotation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cqrun.contract import Array, Spec, quantity, vector
+from cqrun.explain import Loc
+
+
+class Place(Spec):
+    """A similarity: world = offset + scale * rotation * local."""
+
+    scale: float = quantity("1", "World lengths for one of local length", gt=0, default=1.0)
+    offset: list[float] | None = vector("m", "World position of the local origin; zero if absent", default=None)
+    angle: float | None = quantity("deg", "Turn about the local origin, counterclockwise (2D)", default=None)
+    rotation: list[float] | None = quantity(
+        "deg", "Turn about the local origin, along the axis by its length (3D)",
+        min_length=3, max_length=3, default=None,
+    )  # fmt: skip
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        found = super().dim_problems(dim)
+        if dim == 3 and self.angle is not None:
+            found.append((("angle",), "turns in the plane of a 2D world; in 3D give `rotation`: [x, y, z] in degrees"))
+        if dim == 2 and self.rotation is not None:
+            found.append((("rotation",), "is of a 3D world; in 2D give `angle` in degrees"))
+        return found
+
+    def matrix(self, dim: int) -> Array:
+        """Return the rotation matrix (dim, dim); quarter turns are exact."""
+        if self.angle:
+            angle = np.deg2rad(self.angle)
+            R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        elif self.rotation and any(self.rotation):
+            from scipy.spatial.transform import Rotation
+
+            R = Rotation.from_rotvec(self.rotation, degrees=True).as_matrix()
+        else:
+            return np.eye(dim)
+        return np.where(np.abs(R) < 1e-15, 0.0, R)
+
+    def to_world(self, points: Array) -> Array:
+        """Return the world coordinates (N, D) [m] of local points (N, D)."""
+        return self._origin() + self.scale * self._turned(points, self.matrix(points.shape[1]))
+
+    def to_local(self, points: Array) -> Array:
+        """Return the local coordinates (N, D) of points (N, D) [m] of the world."""
+        return self._turned((points - self._origin()) / self.scale, self.matrix(points.shape[1]).T)
+
+    def world_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """Return the world corners (D,) [m] of a box around a local box, which may be without end."""
+        R = self.matrix(len(lower))
+        # 0 * inf is no number: an axis that does not take part adds nothing
+        ends = [np.multiply(R, end, out=np.zeros_like(R), where=R != 0) for end in (lower, upper)]
+        low, high = np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
+        return self._origin() + self.scale * low, self._origin() + self.scale * high
+
+    def _turned(self, points: Array, R: Array) -> Array:
+        """Return R x of points (N, D), which stay what they are to the bit where nothing turns them."""
+        return points @ R.T if self.angle or self.rotation else points
+
+    def _origin(self) -> Array | float:
+        return 0.0 if self.offset is None else np.array(self.offset)

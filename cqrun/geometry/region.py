@@ -1,0 +1,50 @@
+"""What every region is: a way to pick points, by where they are at rest or by what they belong to.
+
+Every shape is a region, and so is the name of one: `region: legs`. A region is resolved once, in material
+coordinates, on the particles of one body after the other, or on the nodes of the grid for a boundary.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated, ClassVar, Protocol
+
+from cqrun.choice import Choice, Chosen
+from cqrun.contract import Array, Plugin
+
+
+class Points(Protocol):
+    """Points at rest, and what they can be asked."""
+
+    @property
+    def x(self) -> Array:
+        """Positions (N, D) [m]."""
+
+    @property
+    def body(self) -> str | None:
+        """The body whose particles they are; None for nodes of the grid."""
+
+    def named(self, name: str) -> Array:
+        """Return which points a group of their body, or else a region of the scene, holds: (N,) bool."""
+
+    def coloured(self, colour: str) -> Array:
+        """Return which points lie in pixels of a colour, by its name or `#rrggbb`: (N,) bool."""
+
+
+class Region(Plugin):
+    """A region of a body."""
+
+    of_particles: ClassVar[bool] = False
+    """Whether it has a meaning for particles alone, and none for nodes of the grid."""
+
+    @abstractmethod
+    def pick(self, points: Points) -> Array:
+        """Return which points the region holds: (N,) bool.
+
+        Raises:
+            UsageError: it cannot be resolved on these points.
+        """
+
+
+ChosenRegion = Annotated[Chosen[Region], Choice("region")]
+"""Type of a field that holds any region: a shape, the name of a region, or another choice of it."""

@@ -1,0 +1,31 @@
+"""A shape that is scaled, turned and moved."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.geometry.place import Place
+from cqrun.geometry.shape import ChosenShape, Shape
+from cqrun.registry import plugin
+
+
+@plugin("shape", "transformed")
+class Transformed(Place, Shape):
+    """A shape in coordinates of its own: world = offset + scale * rotation * local; may be nested.
+
+    Its bounds are those of the turned bounding box, and may be wider than the shape.
+    """
+
+    shape: ChosenShape = Field(description="The shape, in local coordinates")
+
+    def inside(self, points: Array) -> Array:
+        return self.shape.value.inside(self.to_local(points))
+
+    def bounds(self) -> tuple[Array, Array]:
+        return self.world_bounds(*self.shape.value.bounds())
+
+    def volume(self) -> float:
+        dim = len(self.shape.value.bounds()[0])
+        return float(self.scale**dim * np.float64(self.shape.value.volume()))
