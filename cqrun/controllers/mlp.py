@@ -1,0 +1,78 @@
+"""A multi-layer perceptron, CQ2's controller."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.controllers.controller import Controller, ParameterBlock
+from cqrun.registry import plugin
+
+Width = Annotated[int, Field(ge=1)]
+
+
+@plugin("controller", "mlp")
+class Mlp(Controller):
+    """Hidden layers, relu(W z + b) or tanh(W z + b), then u = tanh(W z + b); CQ2 has two of 64 with relu.
+
+    Weights start normal: into a relu with variance 2 / inputs (He et al. 2015), into a tanh with variance
+    2 / (inputs + outputs) (Glorot and Bengio 2010); the output layer's times `output_spread`. Biases start at zero.
+    The slope of relu at 0 is 0.
+    """
+
+    hidden: list[Width] = Field(description="Width of each hidden layer", default=[64, 64])
+    activation: Literal["relu", "tanh"] = Field(description="Of the hidden layers", default="relu")
+    output_spread: float = Field(
+        description="Factor on the output layer's initial weights: a small one starts the robot gently",
+        gt=0, default=1.0,
+    )  # fmt: skip
+
+    def blocks(
+        self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, rng: np.random.Generator
+    ) -> list[ParameterBlock]:
+        self.require_observations(n_in)
+        widths, found = [n_in, *self.hidden, n_out], []
+        for k, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
+            last = k == len(self.hidden)
+            relu = self.activation == "relu" and not last
+            spread = np.sqrt(2.0 / (inputs if relu else inputs + outputs)) * (self.output_spread if last else 1.0)
+            found.append(ParameterBlock(f"weights{k}", spread * rng.normal(size=(outputs, inputs))))
+            found.append(ParameterBlock(f"biases{k}", np.zeros(outputs)))
+        return found
+
+    def act(self, parameters: Mapping[str, Array], z: Array, control: int, time: float) -> Array:
+        return self._layers(parameters, z)[-1]
+
+    def act_vjp(
+        self,
+        parameters: Mapping[str, Array],
+        z: Array,
+        control: int,
+        time: float,
+        u_bar: Array,
+        out: dict[str, Array],
+    ) -> Array:
+        layers = self._layers(parameters, z)
+        bar = u_bar
+        for k in reversed(range(len(layers) - 1)):
+            value = layers[k + 1]
+            relu = self.activation == "relu" and k < len(self.hidden)
+            bar = np.where(value > 0, bar, 0.0) if relu else bar * (1.0 - value * value)
+            out[f"weights{k}"] += np.outer(bar, layers[k])
+            out[f"biases{k}"] += bar
+            bar = parameters[f"weights{k}"].T @ bar
+        return np.asarray(bar)
+
+    def _layers(self, parameters: Mapping[str, Array], z: Array) -> list[Array]:
+        """Return z and what each layer makes of the one before."""
+        layers = [z]
+        for k in range(len(self.hidden) + 1):
+            total = parameters[f"weights{k}"] @ layers[-1] + parameters[f"biases{k}"]
+            relu = self.activation == "relu" and k < len(self.hidden)
+            layers.append(np.where(total.real > 0, total, 0.0) if relu else np.tanh(total))
+        return layers

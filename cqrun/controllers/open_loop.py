@@ -1,0 +1,70 @@
+"""Open loop: a table of activations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array, quantity
+from cqrun.controllers.controller import Controller, ParameterBlock
+from cqrun.errors import UsageError
+from cqrun.registry import plugin
+
+
+@plugin("controller", "open_loop")
+class OpenLoop(Controller):
+    """Activations by time alone: a knot an actuator at every `every`-th control step, held or interpolated between.
+
+    It looks at nothing. A replay that runs longer holds the last knot.
+    """
+
+    bounded: ClassVar[bool] = False
+    closed_loop: ClassVar[bool] = False
+
+    every: int = Field(description="Control steps from one knot to the next", ge=1, default=1)
+    interpolate: Literal["hold", "linear"] = Field(description="Between knots", default="hold")
+    initial: float | None = quantity(
+        "1", "Activation at the start of the optimization; absent: 0, or the end of the range next to it", default=None
+    )
+    noise: float = quantity("1", "Standard deviation of a random part of it, kept in range", ge=0, default=0.0)
+
+    def blocks(
+        self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, rng: np.random.Generator
+    ) -> list[ParameterBlock]:
+        if self.initial is not None and not np.all((low <= self.initial) & (self.initial <= high)):
+            raise UsageError(
+                f"open_loop starts at {self.initial:g}, which is out of an actuator's range; the ranges have "
+                f"{np.max(low):g} to {np.min(high):g} in common"
+            )
+        whole, past = divmod(n_controls - 1, self.every)
+        shape = (whole + 1 + (self.interpolate == "linear" and past > 0), n_out)
+        start = np.full(shape, 0.0 if self.initial is None else self.initial) + self.noise * rng.normal(size=shape)
+        low, high = np.broadcast_to(low, shape).copy(), np.broadcast_to(high, shape).copy()
+        return [ParameterBlock("knots", np.clip(start, low, high), low, high)]
+
+    def act(self, parameters: Mapping[str, Array], z: Array, control: int, time: float) -> Array:
+        knots = parameters["knots"]
+        return np.asarray(sum(weight * knots[k] for k, weight in self._weights(len(knots), control)))
+
+    def act_vjp(
+        self,
+        parameters: Mapping[str, Array],
+        z: Array,
+        control: int,
+        time: float,
+        u_bar: Array,
+        out: dict[str, Array],
+    ) -> Array:
+        for k, weight in self._weights(len(out["knots"]), control):
+            out["knots"][k] += weight * u_bar
+        return np.zeros(len(z))
+
+    def _weights(self, n_knots: int, control: int) -> list[tuple[int, float]]:
+        """Return the knots that act at a control step, and how much."""
+        k, past = divmod(control, self.every)
+        if self.interpolate == "hold" or past == 0 or k + 1 >= n_knots:
+            return [(min(k, n_knots - 1), 1.0)]
+        return [(k, 1.0 - past / self.every), (k + 1, past / self.every)]

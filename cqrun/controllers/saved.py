@@ -1,0 +1,58 @@
+"""A controller's parameters in a file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.controllers.controller import ParameterBlock
+from cqrun.errors import UsageError
+from cqrun.observers.npz import read_arrays, write_arrays
+
+WHAT = "file of a controller"
+META = "meta"
+
+
+def save_controller(path: Path, parameters: Mapping[str, Array], meta: Mapping[str, Any]) -> None:
+    """Write parameters by name, and what else should be known of them (JSON), to an .npz file.
+
+    Raises:
+        OSError: the disk refuses.
+    """
+    write_arrays(path, {META: np.array(json.dumps(dict(meta), sort_keys=True, allow_nan=False)), **parameters})
+
+
+def load_controller(path: Path, blocks: Sequence[ParameterBlock]) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Return the parameters in a file, for a controller with these blocks, and what was noted with them.
+
+    Raises:
+        UsageError: the file is no controller's, of one of another shape, or holds what is not finite.
+    """
+    arrays = read_arrays(path, WHAT)
+    text = arrays.pop(META, np.zeros(0))
+    if text.ndim or text.dtype.kind != "U":
+        raise UsageError(f"{path}: is no {WHAT}: it lacks the entry '{META}' that cqrun writes")
+    try:
+        meta = json.loads(text.item())
+    except ValueError as error:
+        raise UsageError(f"{path}: is no {WHAT}: its entry '{META}' is no JSON: {error}") from error
+    held = {name: array.shape for name, array in arrays.items()}
+    wanted = {block.name: np.shape(block.initial) for block in blocks}
+    if held != wanted:
+        raise UsageError(
+            f"{path}: holds a controller of another shape: {_listed(held)}; this scene's has {_listed(wanted)}: "
+            "observers, actuators, controller and (open loop) control steps must be those it was trained with"
+        )
+    bad = [name for name, array in arrays.items() if array.dtype.kind != "f" or not np.isfinite(array).all()]
+    if bad:
+        raise UsageError(f"{path}: {', '.join(bad)} of the controller are not finite numbers")
+    return arrays, meta
+
+
+def _listed(shapes: Mapping[str, tuple[int, ...]]) -> str:
+    return ", ".join(f"{name} {' x '.join(map(str, shape)) or '1'}" for name, shape in shapes.items()) or "nothing"

@@ -1,0 +1,54 @@
+"""How deep particles are where they should not be."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array, quantity
+from cqrun.geometry.region import ChosenRegion
+from cqrun.objectives.axes import AlongAxis
+from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
+from cqrun.observers.matter import Matter
+from cqrun.observers.rows import single
+from cqrun.registry import plugin
+
+
+@plugin("objective", "contact_free")
+class ContactFree(AlongAxis):
+    """Mean over a region's particles of max(0, height + margin - y)^2 [m^2], y their coordinate along the axis.
+
+    Zero where all are clear of `height` by the margin. It records every particle of the region at every control step.
+    """
+
+    body: str = Field(description="Body that should touch nothing")
+    region: ChosenRegion | None = Field(description="Where, at rest; the whole body if absent", default=None)
+    height: float = quantity("m", "What the particles must stay above, along the axis")
+    margin: float = quantity("m", "How far above", ge=0, default=0.0)
+    over: Over = Field(description="How the values of all control steps become one", default="mean")
+
+    def bind(self, matter: Matter) -> BoundTerm:
+        return Bound(self, matter)
+
+
+class Bound(BoundTerm):
+    """Mean over rows, one a particle, of the squared depth."""
+
+    def __init__(self, spec: ContactFree, matter: Matter) -> None:
+        self.rows = single(matter.within(spec.body, spec.region), matter.n_particles)
+        self.over, self.axis, self.clear = spec.over, spec.index, spec.height + spec.margin
+
+    def steps(self, track: Track) -> Array:
+        depth = self._depth(track)
+        return np.asarray(np.mean(depth * depth, axis=1))
+
+    def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
+        depth = self._depth(track)
+        x_bar = np.zeros(track.x.shape)
+        x_bar[1:, :, self.axis] = (-2.0 / depth.shape[1]) * h_bar[:, None] * depth
+        return TrackBar(x=x_bar)
+
+    def _depth(self, track: Track) -> Array:
+        """Return how deep each particle is (T, K) [m], 0 where it is clear."""
+        depth = self.clear - track.x[1:, :, self.axis]
+        return np.where(depth.real > 0, depth, 0.0)

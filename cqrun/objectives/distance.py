@@ -1,0 +1,50 @@
+"""How far a body has come."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.objectives.axes import AlongAxis, Axis
+from cqrun.objectives.term import BoundTerm, Track, TrackBar
+from cqrun.observers.matter import Matter
+from cqrun.observers.rows import means
+from cqrun.registry import plugin
+
+
+@plugin("objective", "distance")
+class Distance(AlongAxis):
+    """Distance travelled along an axis [m]: a centroid (plain mean) less where it was at the start.
+
+    Larger is better.
+    """
+
+    sense: ClassVar[Literal[1, -1]] = -1
+
+    body: str = Field(description="Body that travels")
+    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    axis: Axis = Field(description="Axis of the world it travels along", default="x")
+
+    def bind(self, matter: Matter) -> BoundTerm:
+        return Bound(self, matter)
+
+
+class Bound(BoundTerm):
+    """Centroid less centroid at the start."""
+
+    def __init__(self, spec: Distance, matter: Matter) -> None:
+        self.rows = means([matter.members(spec.body, spec.group)], matter.n_particles)
+        self.over, self.axis = spec.over, spec.index
+
+    def steps(self, track: Track) -> Array:
+        along = track.x[:, 0, self.axis]
+        return along[1:] - along[0]
+
+    def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
+        x_bar = np.zeros(track.x.shape)
+        x_bar[1:, 0, self.axis] = h_bar
+        x_bar[0, 0, self.axis] = -h_bar.sum()
+        return TrackBar(x=x_bar)

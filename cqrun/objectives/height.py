@@ -1,0 +1,45 @@
+"""How high a body is."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.objectives.axes import AlongAxis
+from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
+from cqrun.observers.matter import Matter
+from cqrun.observers.rows import means
+from cqrun.registry import plugin
+
+
+@plugin("objective", "height")
+class Height(AlongAxis):
+    """Height of a centroid (plain mean), its coordinate along an axis of the world [m]. Larger is better."""
+
+    sense: ClassVar[Literal[1, -1]] = -1
+
+    body: str = Field(description="Body that is measured")
+    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    over: Over = Field(description="How the values of all control steps become one", default="mean")
+
+    def bind(self, matter: Matter) -> BoundTerm:
+        return Bound(self, matter)
+
+
+class Bound(BoundTerm):
+    """One coordinate of a centroid."""
+
+    def __init__(self, spec: Height, matter: Matter) -> None:
+        self.rows = means([matter.members(spec.body, spec.group)], matter.n_particles)
+        self.over, self.axis = spec.over, spec.index
+
+    def steps(self, track: Track) -> Array:
+        return track.x[1:, 0, self.axis]
+
+    def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
+        x_bar = np.zeros(track.x.shape)
+        x_bar[1:, 0, self.axis] = h_bar
+        return TrackBar(x=x_bar)

@@ -1,0 +1,76 @@
+"""How far a body is from where it should be."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from cqrun.contract import Array, vector
+from cqrun.errors import UsageError
+from cqrun.explain import complaint, finding
+from cqrun.objectives.gaps import lengths, lengths_vjp
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
+from cqrun.observers.matter import Matter
+from cqrun.observers.rows import means
+from cqrun.registry import plugin
+
+
+@plugin("objective", "reach")
+class Reach(ObjectiveTerm):
+    """Squared distance [m^2] of a centroid (plain mean) from a goal, a fixed position, or another body's centroid.
+
+    With `squared: false` the distance itself [m]; its slope at 0 is taken as 0.
+    """
+
+    body: str = Field(description="Body that reaches")
+    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    goal: str | None = Field(description="Name of the goal", default=None)
+    position: list[float] | None = vector("m", "Where it should be", default=None)
+    target: str | None = Field(description="Body it should be at", default=None)
+    target_group: str | None = Field(description="Group of that body; the whole body if absent", default=None)
+    squared: bool = Field(description="Whether the distance is squared", default=True)
+
+    @model_validator(mode="after")
+    def _one_aim(self) -> Self:
+        aims = [name for name in ("goal", "position", "target") if getattr(self, name) is not None]
+        if len(aims) != 1:
+            message = f"needs exactly one of goal, position, target; has {', '.join(aims) or 'none'}"
+            raise complaint("Reach", [finding(message, involves=aims)])
+        if self.target_group is not None and self.target is None:
+            raise complaint("Reach", [finding("has no meaning without a target", ("target_group",))])
+        return self
+
+    def bind(self, matter: Matter) -> BoundTerm:
+        if self.goal is not None and (size := matter.goal_size(self.goal)) != matter.dim:
+            raise UsageError(f"the goal '{self.goal}' has {size} entries; a position here has {matter.dim}")
+        return Bound(self, matter)
+
+
+class Bound(BoundTerm):
+    """Gap between a centroid and its aim: a goal, a point, or the second row's centroid."""
+
+    def __init__(self, spec: Reach, matter: Matter) -> None:
+        sets = [matter.members(spec.body, spec.group)]
+        if spec.target is not None:
+            sets.append(matter.members(spec.target, spec.target_group))
+        self.rows = means(sets, matter.n_particles)
+        self.over, self.squared, self.goal = spec.over, spec.squared, spec.goal
+        self.position = np.zeros(matter.dim) if spec.position is None else np.array(spec.position)
+
+    def steps(self, track: Track) -> Array:
+        return lengths(self._gap(track), self.squared)
+
+    def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
+        gap_bar = lengths_vjp(self._gap(track), self.squared, h_bar)
+        x_bar = np.zeros(track.x.shape)
+        x_bar[1:, 0] = gap_bar
+        x_bar[1:, 1:] = -gap_bar[:, None]
+        return TrackBar(x=x_bar)
+
+    def _gap(self, track: Track) -> Array:
+        """Return the centroid less its aim (T, D) [m]."""
+        if track.x.shape[1] == 2:
+            return np.asarray(track.x[1:, 0] - track.x[1:, 1])
+        return np.asarray(track.x[1:, 0] - (self.position if self.goal is None else track.goals[self.goal]))

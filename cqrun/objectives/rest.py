@@ -1,0 +1,45 @@
+"""How fast a body still moves."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
+from cqrun.observers.matter import Matter
+from cqrun.observers.rows import means, single
+from cqrun.registry import plugin
+
+
+@plugin("objective", "rest")
+class Rest(ObjectiveTerm):
+    """Squared speed [m^2/s^2] of a centroid (plain mean); or, with `particles: true`, its mean over all particles.
+
+    The second is what CQ1's arm must bring to rest; it records every particle at every control step.
+    """
+
+    body: str = Field(description="Body that should rest")
+    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    particles: bool = Field(description="Mean of the particles' squared speeds, not the centroid's", default=False)
+
+    def bind(self, matter: Matter) -> BoundTerm:
+        return Bound(self, matter)
+
+
+class Bound(BoundTerm):
+    """Mean of |v|^2 over the rows: one of a centroid, or one a particle."""
+
+    def __init__(self, spec: Rest, matter: Matter) -> None:
+        chosen = matter.members(spec.body, spec.group)
+        self.rows = single(chosen, matter.n_particles) if spec.particles else means([chosen], matter.n_particles)
+        self.over = spec.over
+
+    def steps(self, track: Track) -> Array:
+        v = track.v[1:]
+        return np.asarray(np.sum(v * v, axis=(1, 2)) / v.shape[1])
+
+    def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
+        v_bar = np.zeros(track.v.shape)
+        v_bar[1:] = (2.0 / track.v.shape[1]) * h_bar[:, None, None] * track.v[1:]
+        return TrackBar(v=v_bar)

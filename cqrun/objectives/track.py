@@ -1,0 +1,105 @@
+"""How far a body is from where it should be at each time."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from cqrun.contract import Array, quantity
+from cqrun.errors import UsageError
+from cqrun.explain import Loc, complaint, finding
+from cqrun.objectives.gaps import lengths, lengths_vjp
+from cqrun.objectives.hermite import Interpolant, interpolant
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar
+from cqrun.observers.matter import Matter
+from cqrun.observers.rows import means
+from cqrun.registry import plugin
+
+Point = Annotated[list[float], Field(min_length=3, max_length=4)]
+_UNIT = "s, m"
+
+
+@plugin("objective", "track")
+class Tracking(ObjectiveTerm):
+    """Squared distance [m^2] of a centroid (plain mean) from a path, or from key frames at their times.
+
+    A `path` runs straight from point to point, and stands still before the first and after the last; it counts at
+    every control step. `keys` count at their own times alone, between control steps by cubic Hermite; there `sum`
+    is their sum times the control step. With `squared: false` the distance itself [m].
+    """
+
+    body: str = Field(description="Body that follows")
+    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    path: list[Point] | None = quantity(_UNIT, "Points [t, x, y(, z)] of a path", min_length=1, default=None)
+    keys: list[Point] | None = quantity(_UNIT, "Key frames [t, x, y(, z)]", min_length=1, default=None)
+    squared: bool = Field(description="Whether the distance is squared", default=True)
+    over: Over = Field(description="How the values of all control steps, or keys, become one", default="mean")
+
+    @model_validator(mode="after")
+    def _one_course(self) -> Self:
+        if (self.path is None) == (self.keys is None):
+            has = "none" if self.path is None else "both"
+            raise complaint("Tracking", [finding(f"needs exactly one of path, keys; has {has}", involves=("keys",))])
+        name, times = self._course
+        if np.any(np.diff(times) <= 0) or times[0] < 0:
+            message = "must have times that begin at 0 or later and increase from point to point"
+            raise complaint("Tracking", [finding(message, (name,))])
+        return self
+
+    @property
+    def _course(self) -> tuple[str, Array]:
+        """Return the name of the field in use, and its times [s]."""
+        points = self.path if self.path is not None else self.keys
+        return "path" if self.path is not None else "keys", np.array([point[0] for point in points or []])
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        found = super().dim_problems(dim)
+        for name in ("path", "keys"):
+            for k, point in enumerate(getattr(self, name) or []):
+                if len(point) != dim + 1:
+                    message = f"must have {dim + 1} entries in this {dim}D world, time first, has {len(point)}"
+                    found.append(((name, k), message))
+        return found
+
+    def bind(self, matter: Matter) -> BoundTerm:
+        rows = means([matter.members(self.body, self.group)], matter.n_particles)
+        _, times = self._course
+        points = np.array(self.path if self.path is not None else self.keys)[:, 1:]
+        if self.path is None:
+            if times[-1] > matter.duration * (1 + 1e-9):
+                raise UsageError(f"a key frame at {times[-1]:g} s is after the end of the run at {matter.duration:g} s")
+            bound = Bound(points, interpolant(times, matter.control_step, matter.n_controls))
+        else:
+            ends = matter.control_step * np.arange(1, matter.n_controls + 1)
+            bound = Bound(np.stack([np.interp(ends, times, column) for column in points.T], axis=1), None)
+        bound.rows, bound.over, bound.squared = rows, self.over, self.squared
+        return bound
+
+
+class Bound(BoundTerm):
+    """Gap between a centroid and where it should be, at every control step or at the times of `keys`."""
+
+    squared: bool
+
+    def __init__(self, wanted: Array, keys: Interpolant | None) -> None:
+        self.wanted, self.keys = wanted, keys
+
+    def steps(self, track: Track) -> Array:
+        return lengths(self._gap(track), self.squared)
+
+    def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
+        gap_bar = lengths_vjp(self._gap(track), self.squared, h_bar)
+        if self.keys is not None:
+            x_bar, v_bar = self.keys.vjp(gap_bar[:, None])
+            return TrackBar(x=x_bar, v=v_bar)
+        x_bar = np.zeros(track.x.shape)
+        x_bar[1:, 0] = gap_bar
+        return TrackBar(x=x_bar)
+
+    def _gap(self, track: Track) -> Array:
+        """Return the centroid less where it should be (T or number of keys, D) [m]."""
+        at = track.x[1:, 0] if self.keys is None else self.keys(track.x, track.v)[:, 0]
+        return np.asarray(at - self.wanted)

@@ -1,0 +1,53 @@
+"""Where the goal is, seen from a body."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.observers.matter import Matter
+from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
+from cqrun.observers.ranges import Range, limits
+from cqrun.observers.rows import means
+from cqrun.registry import plugin
+
+
+@plugin("observer", "goal")
+class Goal(Observer):
+    """A goal's position less the centroid (plain mean) of a body or of one of its groups; or the goal itself."""
+
+    goal: str = Field(description="Name of the goal, a position")
+    body: str | None = Field(description="Body it is seen from; none: the goal's own entries", default=None)
+    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    range: Range = Field(
+        description="[low, high] in m that becomes [-1, 1], one for each axis, auto: the world's size, or null",
+        default="auto",
+    )
+
+    def bind(self, matter: Matter) -> BoundObserver:
+        size = matter.goal_size(self.goal)
+        if size != matter.dim:
+            raise UsageError(f"the goal '{self.goal}' has {size} entries; a position here has {matter.dim}")
+        if self.group is not None and self.body is None:
+            raise UsageError(f"the group '{self.group}' needs its body: add `body`")
+        return Bound(self, matter)
+
+
+class Bound(BoundObserver):
+    """Goal less centroid."""
+
+    def __init__(self, spec: Goal, matter: Matter) -> None:
+        self.goal, self.size, self.relative = spec.goal, matter.dim, spec.body is not None
+        sets = [matter.members(spec.body, spec.group)] if spec.body is not None else []
+        self.rows = means(sets, matter.n_particles)
+        low = -matter.size if self.relative else 0.0 * matter.size
+        self.low, self.high = limits(spec.range, low, 1.0 * matter.size)
+
+    def observe(self, moment: Moment) -> tuple[Array, Array]:
+        goal = moment.goals[self.goal]
+        return goal - moment.x[0] if self.relative else goal, np.zeros(0)
+
+    def observe_vjp(self, moment: Moment, z_bar: Array, memory_next_bar: Array) -> MomentBar:
+        return MomentBar(x=-z_bar[None]) if self.relative else MomentBar()

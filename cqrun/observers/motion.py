@@ -1,0 +1,85 @@
+"""How sets of particles move: position, velocity and acceleration of their centroids."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from cqrun.contract import Array, Spec
+from cqrun.observers.matter import Matter
+from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
+from cqrun.observers.ranges import RAW, Range, limits
+from cqrun.observers.rows import means
+
+Quantity = Literal["position", "velocity", "acceleration"]
+
+
+class MotionRanges(Spec):
+    """What becomes [-1, 1]; auto: the world's size, the same per second, and per second squared."""
+
+    position: Range = Field(description="[low, high] in m, one for each axis, auto, or null", default="auto")
+    velocity: Range = Field(description="[low, high] in m/s, one for each axis, auto, or null", default="auto")
+    acceleration: Range = Field(description="[low, high] in m/s^2, one for each axis, auto, or null", default="auto")
+
+
+_ALL_RAW = MotionRanges(position=RAW, velocity=RAW, acceleration=RAW)
+
+
+class MotionObserver(Observer):
+    """Base of observers of centroids."""
+
+    body: str = Field(description="Body that is observed")
+    of: Annotated[list[Quantity], Field(min_length=1)] = Field(
+        description="What of each centroid, in this order", default=["position", "velocity"]
+    )
+    # a null is kept as raw ranges: a resolved scene does not write what is null
+    range: Annotated[MotionRanges | None, AfterValidator(lambda value: value or _ALL_RAW)] = Field(
+        description="What becomes [-1, 1], by quantity; null: values as they are", default_factory=MotionRanges
+    )
+
+    def motion(self, sets: Sequence[Array], matter: Matter) -> Motion:
+        """Return the bound observer of these sets of particles."""
+        return Motion(sets, self.of, self.range or _ALL_RAW, matter)
+
+
+class Motion(BoundObserver):
+    """Quantities of G plain means, those of a mean together: (G, quantities, D) in a row.
+
+    The acceleration is the change of the velocity since the control step before, over the control step, and zero
+    at the first. That velocity is what is remembered.
+    """
+
+    def __init__(self, sets: Sequence[Array], of: Sequence[Quantity], ranges: MotionRanges, matter: Matter) -> None:
+        self.of, self.control_step = list(of), matter.control_step
+        self.shape = (len(sets), len(of), matter.dim)
+        self.size = int(np.prod(self.shape))
+        self.rows = means(sets, matter.n_particles)
+        self.n_memory = len(sets) * matter.dim if "acceleration" in of else 0
+        size = np.asarray(matter.size, float)
+        auto = {"position": (np.zeros(len(size)), size), "velocity": (-size, size), "acceleration": (-size, size)}
+        ends = [limits(getattr(ranges, quantity), *auto[quantity]) for quantity in of]
+        self.low, self.high = (np.tile(np.concatenate(side), len(sets)) for side in zip(*ends, strict=True))
+
+    def observe(self, moment: Moment) -> tuple[Array, Array]:
+        values: dict[str, Any] = {"position": moment.x, "velocity": moment.v}
+        if self.n_memory:
+            before = moment.memory.reshape(moment.v.shape)
+            change = (moment.v - before) / self.control_step
+            values["acceleration"] = change if moment.control > 0 else np.zeros_like(change)
+        z = np.stack([values[quantity] for quantity in self.of], axis=1)
+        return z.reshape(-1), moment.v.reshape(-1) if self.n_memory else np.zeros(0)
+
+    def observe_vjp(self, moment: Moment, z_bar: Array, memory_next_bar: Array) -> MomentBar:
+        bars = {"position": np.zeros(moment.x.shape), "velocity": np.zeros(moment.v.shape)}
+        bars["acceleration"] = np.zeros(moment.v.shape)
+        for k, quantity in enumerate(self.of):
+            bars[quantity] += z_bar.reshape(self.shape)[:, k]
+        v_bar = bars["velocity"]
+        if not self.n_memory:
+            return MomentBar(x=bars["position"], v=v_bar)
+        change_bar = bars["acceleration"] / self.control_step if moment.control > 0 else np.zeros(v_bar.shape)
+        v_bar = v_bar + memory_next_bar.reshape(v_bar.shape) + change_bar
+        return MomentBar(x=bars["position"], v=v_bar, memory=-change_bar.reshape(-1))

@@ -1,0 +1,57 @@
+"""A small scene for plug-ins that look at particles: two bodies, groups, a goal; and adjoints by complex step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from cqrun.observers.matter import Matter
+
+STEP = 1e-30
+"""Of the imaginary part: its image is an exact derivative."""
+
+CONTROL_STEP, N_CONTROLS, N_ACTUATORS = 0.05, 6, 3
+
+
+def made_matter(dim: int) -> Matter:
+    """Return a lattice `arm` with the groups `left` and `tip`, and a `ball` without any."""
+    lattice = np.stack(np.meshgrid(*[np.arange(n) for n in (4, 3, 2)[:dim]], indexing="ij"), -1).reshape(-1, dim)
+    arm, ball = 0.1 * lattice + 0.2, 0.05 * lattice[: 2 * dim] + 0.8
+    x = np.concatenate([arm, ball])
+    bodies = {"arm": slice(0, len(arm)), "ball": slice(len(arm), len(x))}
+    groups = {"left": np.flatnonzero(arm[:, 0] < 0.35), "tip": np.flatnonzero(arm[:, 0] > 0.45)}
+
+    def select(body: str | None, region: Any) -> np.ndarray:
+        part = bodies[body] if body is not None else slice(0, len(x))
+        index = np.arange(len(x))[part]
+        return index if region is None else index[region.value.inside(x[index])]
+
+    size = np.array([2.0, 1.0, 1.5][:dim])
+    return Matter(
+        x, np.ones(len(x)), size, CONTROL_STEP, N_CONTROLS, bodies, {"arm": groups, "ball": {}}, select,
+        {"target": dim, "pace": 1}, N_ACTUATORS,
+    )  # fmt: skip
+
+
+def box_around_left(dim: int) -> dict[str, Any]:
+    """Return a region as a scene has it: the left half of the arm."""
+    return {"box": {"corner": [0.15] * dim, "size": [0.2, *[1.0] * (dim - 1)]}}
+
+
+def moved(value: Any, direction: Any) -> Any:
+    """Return an array, or a mapping of arrays, with an imaginary part along a direction."""
+    if isinstance(value, dict):
+        return {name: moved(value[name], direction[name]) for name in value}
+    return value + 1j * STEP * direction
+
+
+def slope(function: Callable[[], Any], bar: Any) -> float:
+    """Return bar . derivative of what a function of moved arguments returns."""
+    return float(np.sum(np.asarray(bar) * np.imag(function()))) / STEP
+
+
+def mismatch(found: float, expected: float, scale: float) -> float:
+    """Return the error of a dot product, relative to its value or to the size of its parts where they cancel."""
+    return abs(found - expected) / max(abs(expected), 1e-3 * scale, 1e-300)

@@ -1,0 +1,173 @@
+"""Every observer the registry knows: its adjoint by complex step, and its place among others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_matter import CONTROL_STEP, box_around_left, made_matter, mismatch, moved, slope
+
+from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observation
+from cqrun.observers.pca import Pca, fit_components
+from cqrun.registry import plugins
+from cqrun.state import State
+
+ALL = ["position", "velocity", "acceleration"]
+
+
+def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
+    """Return fields to try each plug-in with."""
+    return {
+        "centroids": [
+            {"body": "arm", "of": ["acceleration", "position"]},
+            {"body": "arm", "groups": ["tip"], "of": ALL, "range": None},
+            {"body": "ball", "range": {"position": [[0, 1], [0, 2], [0, 3]][:dim], "velocity": None}},
+        ],
+        "clusters": [{"body": "arm", "count": 3}, {"body": "arm", "count": 2, "of": ALL}],
+        "strain": [
+            {"body": "arm"},
+            {"body": "arm", "region": box_around_left(dim), "range": [-0.2, 0.3]},
+            {"body": "arm", "axis": [1.0, 2.0, -1.0][:dim]},
+        ],
+        "clock": [{}, {"period": 0.3, "harmonics": 2}],
+        "goal": [{"goal": "target", "body": "arm"}, {"goal": "target", "body": "arm", "group": "tip"},
+                 {"goal": "target"}],
+        "pca": [{"body": "arm", "components": 2}],
+    }  # fmt: skip
+
+
+CASES = [(name, k) for name, tried in examples(2).items() for k in range(len(tried))]
+EVERY = pytest.mark.parametrize(("name", "k"), CASES, ids=[f"{name}{k}" for name, k in CASES])
+DIM = pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
+
+
+def make(name: str, k: int, dim: int, rng: np.random.Generator) -> BoundObserver:
+    spec, matter = plugins("observer")[name].model_validate(examples(dim)[name][k]), made_matter(dim)
+    if isinstance(spec, Pca):
+        x = matter.x[matter.members("arm")] + 0.1 * rng.normal(size=(5, len(matter.members("arm")), dim))
+        return spec.bind_to(matter, fit_components(x, 3))
+    return spec.bind(matter)
+
+
+def a_moment(bound: BoundObserver, dim: int, rng: np.random.Generator, control: int = 3) -> Moment:
+    k, n = bound.rows.shape
+    draw = lambda *shape: rng.normal(size=(k, *shape))  # noqa: E731
+    return Moment(
+        draw(dim), draw(dim), draw(dim, dim), np.eye(dim) + 0.3 * draw(dim, dim), CONTROL_STEP * control, control,
+        {"target": rng.normal(size=dim)}, rng.normal(size=bound.n_memory), lambda: State.at_rest(np.zeros((n, dim))),
+    )  # fmt: skip
+
+
+def adjoint_error(bound: BoundObserver, moment: Moment, rng: np.random.Generator) -> float:
+    """Return the relative error of bar . (J d) = (J^T bar) . d."""
+    z, memory = bound.observe(moment)
+    z_bar, memory_bar = rng.normal(size=z.shape), rng.normal(size=memory.shape)
+    names = ("x", "v", "C", "F", "memory")
+    directions = {name: rng.normal(size=getattr(moment, name).shape) for name in names}
+    tilted = replace(moment, **{name: moved(getattr(moment, name), directions[name]) for name in names})
+    expected = slope(lambda: np.concatenate(bound.observe(tilted)), np.concatenate([z_bar, memory_bar]))
+    bar = bound.observe_vjp(moment, z_bar, memory_bar)
+    parts = [bar_of(bar, name, directions[name].shape) * directions[name] for name in names]
+    return mismatch(sum(float(p.sum()) for p in parts), expected, sum(float(np.abs(p).sum()) for p in parts))
+
+
+def bar_of(bar: MomentBar, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a cotangent, None as zeros; one of another shape than its value's is an error."""
+    own = getattr(bar, name)
+    assert own is None or own.shape == shape, name
+    return np.zeros(shape) if own is None else own
+
+
+def test_every_observer_has_an_example():
+    assert set(examples(2)) == set(plugins("observer"))
+
+
+@EVERY
+@DIM
+@pytest.mark.parametrize("control", [0, 3])
+def test_dot_product(name, k, dim, control, rng):
+    bound = make(name, k, dim, rng)
+    assert adjoint_error(bound, a_moment(bound, dim, rng, control), rng) <= 1e-9
+
+
+@EVERY
+@DIM
+def test_shapes(name, k, dim, rng):
+    bound = make(name, k, dim, rng)
+    z, memory = bound.observe(a_moment(bound, dim, rng))
+    assert z.shape == bound.low.shape == bound.high.shape == (bound.size,)
+    assert memory.shape == (bound.n_memory,)
+    assert bound.rows.shape[1] == made_matter(dim).n_particles
+    assert (bound.low < bound.high).all()
+    assert not bound.needs_state
+
+
+def test_a_wrong_adjoint_is_found(rng):
+    bound = make("strain", 0, 2, rng)
+    right = bound.observe_vjp
+    bound.observe_vjp = lambda *given: MomentBar(F=1.001 * right(*given).F)  # type: ignore[method-assign]
+    assert adjoint_error(bound, a_moment(bound, 2, rng), rng) > 1e-4
+
+
+@DIM
+@pytest.mark.parametrize("control", [0, 3])
+def test_all_of_them_as_one(dim, control, rng):
+    bound = {f"{name}{k}": make(name, k, dim, rng) for name, k in CASES}
+    observation = Observation(bound, made_matter(dim).n_particles)
+    moment = a_moment(observation, dim, rng, control)
+    assert observation.size == sum(o.size for o in bound.values())
+    assert adjoint_error(observation, moment, rng) <= 1e-9
+    z, _ = observation.observe(moment)
+    row = remembered = 0
+    for name, own in bound.items():
+        rows, kept = slice(row, row + own.rows.shape[0]), slice(remembered, remembered + own.n_memory)
+        row, remembered = rows.stop, kept.stop
+        share = Moment(moment.x[rows], moment.v[rows], moment.C[rows], moment.F[rows], moment.time, control,
+                       moment.goals, moment.memory[kept], moment.state)  # fmt: skip
+        alone, _ = own.observe(share)
+        scaled = 2 * (alone - own.low) / (own.high - own.low) - 1
+        np.testing.assert_allclose(z[observation.parts[name]], scaled, rtol=1e-12, atol=1e-12)
+        assert (observation.rows[rows] != own.rows).nnz == 0
+
+
+class _OfState(BoundObserver):
+    """An observer that looks at all particles."""
+
+    size, needs_state = 1, True
+    low, high = np.full(1, -1.0), np.full(1, 1.0)
+
+    def __init__(self, rows: Any) -> None:
+        self.rows = rows
+
+    def observe(self, moment: Moment) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([np.sum(moment.state().x ** 2)]), np.zeros(0)
+
+    def observe_vjp(self, moment: Moment, z_bar: np.ndarray, memory_next_bar: np.ndarray) -> MomentBar:
+        state = moment.state()
+        zeros = State(*(np.zeros_like(a) for a in (state.x, state.v, state.C, state.F)), np.zeros(0))
+        return MomentBar(state=replace(zeros, x=2 * z_bar[0] * state.x))
+
+
+def test_observers_of_all_particles_add_up(rng):
+    empty = make("clock", 0, 2, rng)
+    observation = Observation({"a": _OfState(empty.rows), "clock": empty, "b": _OfState(empty.rows)}, 3)
+    assert observation.needs_state
+    x = rng.normal(size=(3, 2))
+    moment = replace(a_moment(observation, 2, rng), state=lambda: State.at_rest(x))
+    z, _ = observation.observe(moment)
+    assert z[0] == z[2] == pytest.approx(np.sum(x**2))
+    bar = observation.observe_vjp(moment, np.array([1.0, 5.0, 2.0]), np.zeros(0))
+    np.testing.assert_allclose(bar.state.x, 6 * x)
+    assert bar.x is None
+    assert bar.state.F.shape == (3, 2, 2)
+
+
+def test_no_observer_at_all(rng):
+    observation = Observation({}, 7)
+    assert observation.size == 0
+    assert observation.rows.shape == (0, 7)
+    moment = a_moment(observation, 2, rng)
+    assert [a.shape for a in observation.observe(moment)] == [(0,), (0,)]
+    assert observation.observe_vjp(moment, np.zeros(0), np.zeros(0)) == MomentBar()
