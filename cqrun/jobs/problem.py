@@ -93,6 +93,8 @@ class FitProblem:
         effort: what gradients have cost so far.
     """
 
+    stochastic = False
+
     def __init__(self, cases: Sequence[Case], params: Params, *, threads: int = 1) -> None:
         self.cases = [case for case in cases if not case.holdout]
         self.params, self.threads = params, threads
@@ -125,6 +127,44 @@ class FitProblem:
                 values=self.params.describe(x),
             ) from error  # fmt: skip
 
+    # --- values ---------------------------------------------------------------------------------------------
+
+    def value(self, x: Array, batch: tuple[int, ...] | None = None) -> float:
+        """Return f, over all cases or scaled up from those in `batch`, by rollouts forward."""
+        (answer,) = self.values_at([x], batch)
+        if isinstance(answer, TrialFailed):
+            raise answer
+        return answer
+
+    def values_at(self, points: Sequence[Array], batch: tuple[int, ...] | None = None) -> list[float | TrialFailed]:
+        """Return f at every point, or how its trial failed; the points' rollouts side by side."""
+        chosen, share = self._chosen(batch)
+
+        def task(x: Array) -> Callable[[int], float | TrialFailed]:
+            def run(threads: int) -> float | TrialFailed:
+                self.interrupt()
+                try:
+                    return sum(share * self._value(self.cases[c], self.weights[c], x, threads) for c in chosen)
+                except TrialFailed as failure:
+                    return failure
+
+            return run
+
+        return side_by_side([task(x) for x in points], self.threads)
+
+    def _value(self, case: Case, weights: Array, x: Array, threads: int) -> float:
+        """Return a case's part of f."""
+        values = self.values(x)
+        record = self._attempt(x, lambda: case.run(values, threads))
+        parts = zip(case.residuals(record, values), self._scales(case, weights), strict=True)
+        return sum(0.5 * scale**2 * float(np.sum(r**2)) for r, scale in parts)
+
+    def _chosen(self, batch: tuple[int, ...] | None) -> tuple[Sequence[int], float]:
+        """Return which cases a batch means, and by how much their parts are scaled up."""
+        if batch is None:
+            return range(self.n_batches), 1.0
+        return batch, 1.0 / sum(float(self.weights[c].sum()) for c in batch)
+
     # --- gradients ------------------------------------------------------------------------------------------
 
     def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
@@ -141,8 +181,7 @@ class FitProblem:
         Raises:
             RolloutError: a case blows up.
         """
-        chosen = range(self.n_batches) if batch is None else batch
-        share = 1.0 if batch is None else 1.0 / sum(self.weights[c].sum() for c in batch)
+        chosen, share = self._chosen(batch)
         at_once = self._at_once(chosen)
 
         def task(case: int) -> Callable[[int], tuple[float, dict[str, Array], Rollout]]:

@@ -20,7 +20,6 @@ from cqrun.jobs.problem import FitProblem, make_params
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import build_and_warn, cores, open_run, raise_if_failed, require_same_data, saved_scene
 from cqrun.optimizers.base import Optimizer, Outcome
-from cqrun.optimizers.least_squares import LeastSquares
 from cqrun.scene.build import Built
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
@@ -76,7 +75,8 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
 
 def uses_gradients(scene: Scene) -> bool:
     """Say whether a scene's optimizer asks for gradients; the Jacobian of least squares is by differences."""
-    return scene.optimizer is None or not isinstance(scene.optimizer.value, LeastSquares)
+    optimizer: Any = None if scene.optimizer is None else scene.optimizer.value
+    return optimizer is None or optimizer.gradients
 
 
 def with_optimizer(scene: Scene) -> Scene:

@@ -9,11 +9,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
 from cqrun.contract import Array, Plugin
+from cqrun.errors import UsageError
 
 Status = Literal["converged", "iteration_limit", "stalled", "failed", "stopped"]
 
@@ -40,7 +41,8 @@ class Problem(Protocol):
     """A function to minimise over a box.
 
     The loss f is a float; where there are residuals r (m,), f = r.r / 2 over all parts.
-    Every evaluation gives the same bits for the same x, and raises TrialFailed where the rollout blows up.
+    Every evaluation gives the same bits for the same x and batch, and raises TrialFailed where the rollout blows up.
+    One with many rollouts to give may also have `values_at`; see `values_at` below.
 
     Attributes:
         start: initial x (n,).
@@ -48,6 +50,8 @@ class Problem(Protocol):
         upper: greatest x (n,), may be inf; above `lower` everywhere.
         n_batches: parts the data falls into (recordings, sequences); a mini-batch names some of them.
         term_names: names of the terms of the loss, () where it has but one.
+        stochastic: whether every iteration draws its data anew (fresh goals). Then `batch` is (k,) in iteration k, and
+            f of another batch is another function.
     """
 
     start: Array
@@ -55,6 +59,10 @@ class Problem(Protocol):
     upper: Array
     n_batches: int
     term_names: Sequence[str]
+    stochastic: bool
+
+    def value(self, x: Array, batch: tuple[int, ...] | None = None) -> float:
+        """Return f, as `value_and_grad` does; nothing is prepared for a gradient."""
 
     def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
         """Return f and its gradient (n,), over all parts or scaled up from those in `batch`."""
@@ -121,8 +129,12 @@ class Outcome:
 
 
 class Optimizer(Plugin):
-    """Base of the plug-ins of kind `optimizer`."""
+    """Base of the plug-ins of kind `optimizer`.
 
+    `gradients` says whether the method asks for `value_and_grad`: without, no adjoint need be compiled or planned.
+    """
+
+    gradients: ClassVar[bool] = True
     max_iterations: int
 
     @abstractmethod
@@ -144,6 +156,35 @@ def checked_value_and_grad(problem: Problem, x: Array, batch: tuple[int, ...] | 
     f, g = problem.value_and_grad(x, batch)
     require_finite(x, loss=np.asarray(f), gradient=g)
     return {"f": np.array(f, float), "g": np.array(g, float), "terms": np.array(problem.term_values(), float)}
+
+
+def values_at(
+    problem: Problem, points: Sequence[Array], batch: tuple[int, ...] | None = None
+) -> list[float | TrialFailed]:
+    """Return f at every point, or how the trial failed.
+
+    In one call where the problem has `values_at(points, batch)`, which returns the same: it may run them side by side.
+    """
+    together = getattr(problem, "values_at", None)
+    if together is not None:
+        return list(together(points, batch))
+
+    def attempt(x: Array) -> float | TrialFailed:
+        try:
+            return problem.value(x, batch)
+        except TrialFailed as failure:
+            return failure
+
+    return [attempt(x) for x in points]
+
+
+def refuse_stochastic(problem: Problem, optimizer: Optimizer) -> None:
+    """Raise UsageError where an objective changes from iteration to iteration and the method cannot have that."""
+    if problem.stochastic:
+        raise UsageError(
+            f"the objective draws fresh goals at every iteration, and optimizer {optimizer.name} needs the same loss "
+            "twice at the same point: use adam or sgd, or fix the set of goals"
+        )
 
 
 def require_finite(x: Array, **arrays: Array) -> None:

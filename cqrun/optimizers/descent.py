@@ -121,8 +121,13 @@ class Descent(Optimizer):
         """Minimise with exact resume through the session's state file.
 
         Raises:
-            UsageError: a mini-batch has more parts than there are.
+            UsageError: a mini-batch has more parts than there are, or parts of data that is drawn anew anyway.
         """
+        if self.batch_size is not None and problem.stochastic:
+            raise UsageError(
+                f"optimizer.{self.name}.batch_size takes parts of a fixed set, but the objective draws fresh goals at "
+                "every iteration: remove one of the two"
+            )
         if self.batch_size is not None and self.batch_size > problem.n_batches:
             raise UsageError(
                 f"optimizer.{self.name}.batch_size is {self.batch_size}, but the data falls into {problem.n_batches} "
@@ -173,12 +178,12 @@ class Descent(Optimizer):
         """Return the state after one good trial and the terms of its loss; TrialFailed changes nothing."""
         x = np.clip(state.x - state.step, problem.lower, problem.upper)
         rng = _rng_from_text(state.rng)
-        batch, queue = self._draw(state.queue, rng, problem.n_batches)
+        batch, queue = self._draw(state, rng, problem)
         answer = checked_value_and_grad(problem, x, batch)
         loss, grad, iteration = float(answer["f"]), answer["g"], state.iteration + 1
         direction, memory = self.direction(iteration, self._tamed(grad, rng), state.memory)
         wanted = state.scale * self.learning_rate / (1.0 + self.decay * iteration) * direction
-        better = self._mini_batches or loss < state.best_loss  # losses of mini-batches do not compare
+        better = self._changes(problem) or loss < state.best_loss  # losses of other data do not compare
         advanced = replace(
             state,
             iteration=iteration,
@@ -195,12 +200,15 @@ class Descent(Optimizer):
         )
         return advanced, terms_of(problem, answer["terms"])
 
-    def _draw(self, queue: Array, rng: np.random.Generator, n_batches: int) -> tuple[tuple[int, ...] | None, Array]:
+    def _draw(
+        self, state: DescentState, rng: np.random.Generator, problem: Problem
+    ) -> tuple[tuple[int, ...] | None, Array]:
         """Return the next mini-batch (None: all) and what is left of the epoch."""
+        if problem.stochastic:
+            return (state.iteration + 1,), state.queue
         if self.batch_size is None:
-            return None, queue
-        if queue.size == 0:
-            queue = rng.permutation(n_batches)
+            return None, state.queue
+        queue = state.queue if state.queue.size else rng.permutation(problem.n_batches)
         drawn, left = queue[: self.batch_size], queue[self.batch_size :]
         return tuple(int(i) for i in np.sort(drawn)), left
 
@@ -214,12 +222,12 @@ class Descent(Optimizer):
             grad = np.where(rng.random(grad.shape) < self.mask, 0.0, grad)
         return grad
 
-    @property
-    def _mini_batches(self) -> bool:
-        return self.batch_size is not None
+    def _changes(self, problem: Problem) -> bool:
+        """Say whether an iteration has another loss than the one before it."""
+        return self.batch_size is not None or problem.stochastic
 
     def _converged(self, state: DescentState, problem: Problem) -> bool:
-        if state.iteration == NOT_STARTED or self._mini_batches or self.gradient_tolerance == 0:
+        if state.iteration == NOT_STARTED or self._changes(problem) or self.gradient_tolerance == 0:
             return False
         projected = state.x - np.clip(state.x - state.grad, problem.lower, problem.upper)
         return bool(np.max(np.abs(projected)) <= self.gradient_tolerance)

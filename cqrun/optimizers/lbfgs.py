@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array
-from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, Status
+from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, Status, refuse_stochastic
 from cqrun.optimizers.replayed import Trials, minimise_with_restarts
 from cqrun.registry import plugin
 
@@ -34,7 +34,12 @@ class Lbfgs(Optimizer):
     line_search_steps: int = Field(20, ge=1, description="trials of one line search at most")
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise with exact resume through the session's log."""
+        """Minimise with exact resume through the session's log.
+
+        Raises:
+            UsageError: the objective is stochastic.
+        """
+        refuse_stochastic(problem, self)
         import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
 
         return minimise_with_restarts(self._attempt, problem, session, self.max_iterations)

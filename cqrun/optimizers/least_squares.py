@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from pydantic import Field
 
 from cqrun.contract import Array
-from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, Status
+from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, Status, refuse_stochastic
 from cqrun.optimizers.replayed import Trials, minimise_with_restarts
 from cqrun.registry import plugin
 
@@ -20,6 +22,7 @@ class LeastSquares(Optimizer):
     large-scale bound-constrained minimization problems, SIAM J. Sci. Comput. 21 (1999); scipy's TRF.
     """
 
+    gradients: ClassVar[bool] = False
     max_iterations: int = Field(30, ge=1, description="iterations at most")
     function_tolerance: float = Field(
         1e-8,
@@ -34,7 +37,12 @@ class LeastSquares(Optimizer):
     )
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise with exact resume through the session's log."""
+        """Minimise with exact resume through the session's log.
+
+        Raises:
+            UsageError: the objective is stochastic.
+        """
+        refuse_stochastic(problem, self)
         import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
 
         return minimise_with_restarts(self._attempt, problem, session, self.max_iterations)

@@ -25,6 +25,8 @@ OPTIMIZERS = {
     "least_squares": "optimizer={least_squares: {max_iterations: 12}}",
     "lbfgs": "optimizer={lbfgs: {max_iterations: 15}}",
     "adam": "optimizer={adam: {max_iterations: 30, batch_size: 2}}",
+    "sgd": "optimizer={sgd: {max_iterations: 30, momentum: 0.5, clip: 1, mask: 0.2, batch_size: 2}}",
+    "cma_es": "optimizer={cma_es: {max_iterations: 20, population: 6}}",
 }
 PATIENCE = 120.0
 """Longest that one process may take [s]."""

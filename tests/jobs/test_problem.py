@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cqrun.errors import RolloutError
 from cqrun.jobs.cases import Case, make_cases
 from cqrun.jobs.problem import FitProblem, make_params
+from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 
@@ -44,3 +46,33 @@ def test_a_start_takes_no_rollout_of_its_own(problem, monkeypatch):
     later, alone = problem.residuals(moved), FitProblem(problem.cases, problem.params).residuals(moved)
     assert np.array_equal(later, alone)
     assert not np.array_equal(later, r)
+
+
+def test_values_are_those_of_the_gradient_whatever_runs_side_by_side(problem):
+    points = [problem.start, problem.start + 0.05]
+    wanted = [problem.value_and_grad(x)[0] for x in points]
+    values = problem.values_at(points)
+    assert values == pytest.approx(wanted, rel=1e-12)
+    assert [problem.value(x) for x in points] == values
+    assert problem.value(points[1], (0,)) == pytest.approx(values[1], rel=1e-14)
+    assert FitProblem(problem.cases, problem.params, threads=2).values_at(points) == values
+
+
+def test_a_trial_that_blows_up_spoils_no_other(problem, monkeypatch):
+    x, bad = problem.start, problem.start + 0.05
+    run = Case.run
+
+    def fragile(self, values, *rest):
+        if values.keys() == problem.values(bad).keys() and all(
+            np.array_equal(values[path], value) for path, value in problem.values(bad).items()
+        ):
+            raise RolloutError("left the grid", body="beam", particle=3, time=0.1, advice="use a stiffer one")
+        return run(self, values, *rest)
+
+    monkeypatch.setattr(Case, "run", fragile)
+    failure, value = problem.values_at([bad, x])
+    assert isinstance(failure, TrialFailed)
+    assert "body 'beam', particle 3" in str(failure)
+    assert value == problem.value(x)
+    with pytest.raises(TrialFailed):
+        problem.value(bad)

@@ -7,11 +7,13 @@ import pytest
 from toy_problems import Killed, Rosenbrock, bits, history_rows, run_folder, solve
 
 from cqrun.optimizers.adam import Adam
+from cqrun.optimizers.cma_es import CmaEs
 from cqrun.optimizers.lbfgs import Lbfgs
 from cqrun.optimizers.least_squares import LeastSquares
 from cqrun.optimizers.sgd import Sgd
 
 METHODS = {
+    "cma_es": CmaEs(max_iterations=25, population=5),
     "least_squares": LeastSquares(max_iterations=12),
     "lbfgs": Lbfgs(max_iterations=25),
     "adam": Adam(max_iterations=25, learning_rate=0.05),
@@ -95,7 +97,7 @@ def test_asked_to_stop_then_resumed(tmp_path, method):
     problem = Rosenbrock()
     stopped, _ = solve(tmp_path / "cut", method, problem, stop=lambda: problem.evaluations >= 6)
     assert stopped.status == "stopped"
-    assert 0 < problem.evaluations <= 7
+    assert 0 < problem.evaluations <= 6 + (method.population if method.name == "cma_es" else 1)
     cut, _ = solve(tmp_path / "cut", method, Rosenbrock())
     assert bits(cut) == bits(whole)
 
@@ -108,6 +110,14 @@ def test_replay_computes_nothing_twice(tmp_path, name):
     _, replayed = solve(tmp_path, METHODS[name], again)
     assert session.computed == problem.evaluations
     assert (replayed.replayed, replayed.computed, again.evaluations) == (problem.evaluations, 0, 0)
+
+
+def test_replay_computes_no_generation_twice(tmp_path):
+    problem, again = Rosenbrock(), Rosenbrock()
+    outcome, session = solve(tmp_path, METHODS["cma_es"], problem)
+    _, replayed = solve(tmp_path, METHODS["cma_es"], again)
+    assert (outcome.iterations, problem.evaluations) == (25, 1 + 25 * 5)
+    assert (session.computed, replayed.replayed, replayed.computed, again.evaluations) == (26, 26, 0, 0)
 
 
 @pytest.mark.parametrize("name", ["adam_tamed", "sgd"])
@@ -124,8 +134,9 @@ def test_damaged_newest_state_falls_back_to_the_one_before(tmp_path, name):
     assert history_rows(tmp_path / "cut") == history_rows(tmp_path / "whole")
 
 
-def test_seed_decides_the_mini_batches(tmp_path):
-    method = METHODS["sgd"]
+@pytest.mark.parametrize("name", ["sgd", "adam_tamed", "cma_es"])
+def test_seed_decides_what_is_drawn(tmp_path, name):
+    method = METHODS[name]
     one, _ = solve(tmp_path / "one", method, Rosenbrock(), seed=1)
     two, _ = solve(tmp_path / "two", method, Rosenbrock(), seed=2)
     assert bits(one) != bits(two)

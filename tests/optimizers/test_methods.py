@@ -26,9 +26,9 @@ def name_of(method: Plugin) -> str:
     return method.name
 
 
-def test_registry_finds_all_four():
+def test_registry_finds_them_all():
     found = plugins("optimizer")
-    assert set(found) == {"adam", "lbfgs", "least_squares", "sgd"}
+    assert set(found) == {"adam", "cma_es", "lbfgs", "least_squares", "sgd"}
     assert all(issubclass(cls, Optimizer) and cls.__doc__ for cls in found.values())
     assert all(cls().max_iterations >= 1 for cls in found.values())
 
@@ -40,7 +40,7 @@ def test_importing_them_imports_no_scipy():
     code = (
         "import sys; from cqrun.registry import plugins; plugins('optimizer');"
         "import cqrun.store.run, cqrun.store.session, cqrun.store.trajectory;"
-        "assert not {'scipy', 'numba', 'h5py', 'matplotlib'} & set(sys.modules)"
+        "assert not {'scipy', 'numba', 'h5py', 'matplotlib', 'cma'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
@@ -308,3 +308,33 @@ def test_a_mini_batch_larger_than_the_data_is_refused(tmp_path):
     with pytest.raises(UsageError, match=r"optimizer.sgd.batch_size is 11, .* falls into 10 parts.*at most 10"):
         solve(tmp_path, Sgd(batch_size=11), Rosenbrock())
     assert solve(tmp_path / "all", Sgd(batch_size=10, max_iterations=1), Rosenbrock())[0].iterations == 1
+
+
+class Drawn(Rosenbrock):
+    """Says that its data is drawn anew in every iteration, and keeps which draws it was asked for."""
+
+    stochastic = True
+
+    def __init__(self):
+        super().__init__()
+        self.batches = []
+
+    def value_and_grad(self, x, batch=None):
+        self.batches.append(batch)
+        return super().value_and_grad(x)
+
+
+@pytest.mark.parametrize("method", SCIPY, ids=name_of)
+def test_scipy_refuses_an_objective_that_changes(tmp_path, method):
+    with pytest.raises(UsageError, match=rf"draws fresh goals.*{method.name}.*use adam or sgd, or fix"):
+        solve(tmp_path, method, Drawn())
+
+
+@pytest.mark.parametrize("method", DESCENT, ids=name_of)
+def test_descent_asks_for_another_draw_each_iteration(tmp_path, method):
+    problem = Drawn()
+    outcome, _ = solve(tmp_path, method.model_copy(update={"max_iterations": 4}), problem)
+    assert problem.batches == [(k,) for k in range(5)]
+    assert outcome.loss == problem.value(outcome.x)  # the last point, not the best of losses that do not compare
+    with pytest.raises(UsageError, match="batch_size takes parts of a fixed set"):
+        solve(tmp_path / "parts", method.model_copy(update={"batch_size": 2}), problem)

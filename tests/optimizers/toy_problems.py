@@ -25,6 +25,7 @@ class Rosenbrock:
     """
 
     term_names = ("valley", "slope")
+    stochastic = False
 
     def __init__(self, n: int = 6, wall: float = np.inf, fuse: int | None = None, bound: float = np.inf):
         self.start = np.linspace(-1.2, 0.3, n)
@@ -42,6 +43,9 @@ class Rosenbrock:
 
     def residuals_and_jacobian(self, x):
         return self._evaluate(x)
+
+    def value(self, x, batch=None):
+        return self.value_and_grad(x, batch)[0]
 
     def value_and_grad(self, x, batch=None):
         r, jacobian = self._evaluate(x)

@@ -1,0 +1,179 @@
+"""CMA-ES: values only, the gradient-free baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.errors import MissingExtra
+from cqrun.optimizers.base import (
+    Optimizer,
+    Outcome,
+    Problem,
+    Session,
+    Status,
+    TrialFailed,
+    require_finite,
+    values_at,
+)
+from cqrun.registry import plugin
+
+HALVINGS = 5
+"""How often in a row a generation that fails as a whole halves sigma before the run fails."""
+
+CONVERGED = {"tolx", "tolfun", "tolfunhist"}
+"""The library's reasons to end that mean a minimum; others mean that it cannot go on."""
+
+
+@plugin("optimizer", "cma_es")
+class CmaEs(Optimizer):
+    """CMA-ES: draw x ~ m + sigma N(0, C), rank by f, move m, sigma and C towards the better half.
+
+    Values only: the baseline that gradients are measured against, and for losses that have none. An iteration is a
+    generation; its row in the history is its best trial, without a gradient (nan) and terms (nan). A failed trial
+    ranks last.
+    N. Hansen: The CMA evolution strategy: a tutorial, arXiv 1604.00772 (2016); the library `cma` (extra `evo`).
+    """
+
+    gradients: ClassVar[bool] = False
+    max_iterations: int = Field(100, ge=1, description="generations at most")
+    population: int | None = Field(None, ge=4, description="trials in a generation; 4 + 3 ln n if absent")
+    sigma: float = Field(0.3, gt=0, description="standard deviation of the first generation, scaled coordinates")
+    function_tolerance: float = Field(
+        1e-11, ge=0, description="converged when the losses of recent generations differ by less"
+    )
+    step_tolerance: float = Field(
+        1e-11, ge=0, description="converged when the standard deviation is less in every coordinate"
+    )
+
+    def minimise(self, problem: Problem, session: Session) -> Outcome:
+        """Minimise with exact resume through the session's log.
+
+        BLAS runs on one thread meanwhile: sums in another order would make the replay diverge.
+
+        Raises:
+            MissingExtra: the library `cma` is not installed.
+        """
+        cma = library()
+        from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+        start = np.clip(np.asarray(problem.start, float), problem.lower, problem.upper)
+        with threadpool_limits(1, user_api="blas"):
+            strategy = cma.CMAEvolutionStrategy(start, self.sigma, self._options(problem, session.seed))
+            return _Search(self, problem, session, strategy, start).run()
+
+    def _options(self, problem: Problem, seed: int) -> dict[str, Any]:
+        rng = np.random.default_rng(seed)
+        population = {} if self.population is None else {"popsize": self.population}
+        return population | {
+            "bounds": [list(problem.lower), list(problem.upper)],
+            "randn": lambda *shape: rng.standard_normal(shape),  # its own would seed all of NumPy
+            "seed": np.nan,
+            "tolfun": self.function_tolerance,
+            "tolfunhist": 0.1 * self.function_tolerance,
+            "tolx": self.step_tolerance,
+            "maxiter": np.inf,
+            "verbose": -9,
+            "verb_disp": 0,
+            "verb_log": 0,
+            "signals_filename": "",
+        }
+
+
+class _Search:
+    """One run of CMA-ES: its generations, its best point, its failures."""
+
+    def __init__(self, method: CmaEs, problem: Problem, session: Session, strategy: Any, start: Array) -> None:
+        self.method, self.problem, self.session, self.strategy = method, problem, session, strategy
+        self.generation = self.failures = 0
+        self.best_x, self.best_loss = start, np.inf
+
+    def run(self) -> Outcome:
+        """Evaluate the start, then generation after generation."""
+        if self.session.should_stop():
+            return self._outcome("stopped", "asked to stop before the start")
+        try:
+            answer = self.session.evaluate("value", self.best_x, self._at_start)
+        except TrialFailed as failure:
+            return self._outcome("failed", f"the start itself fails: {failure}")
+        self._take(self.best_x, float(answer["f"]))
+        while True:
+            if reasons := self.strategy.stop():
+                status: Status = "converged" if set(reasons) <= CONVERGED else "stalled"
+                return self._outcome(status, f"CMA-ES: {_words(reasons.items())}")
+            if self.generation >= self.method.max_iterations:
+                return self._outcome("iteration_limit", f"{self.generation} generations, the limit")
+            if self.session.should_stop():
+                return self._outcome("stopped", f"asked to stop after generation {self.generation}")
+            points = np.array(self.strategy.ask())
+            losses = self.session.evaluate("values", points, partial(self._at, points))["f"]
+            if np.isfinite(losses).any():
+                self._advance(points, losses)
+            elif self.failures == HALVINGS:
+                message = f"every trial of generation {self.generation + 1} failed (after {HALVINGS} halvings of sigma)"
+                return self._outcome("failed", f"{message}; log.txt has the reasons")
+            else:
+                self.failures += 1
+                self.strategy.sigma *= 0.5
+                self.session.note(f"every trial of generation {self.generation + 1} failed: sigma halved")
+
+    def _advance(self, points: Array, losses: Array) -> None:
+        """Take a generation (population, n) with its losses (population,), inf where a trial failed."""
+        worst = float(np.max(losses[np.isfinite(losses)]))
+        ranked = np.where(np.isfinite(losses), losses, worst + abs(worst) + 1.0)  # infinities have no differences
+        self.strategy.tell(list(points), list(ranked))
+        self.generation, self.failures = self.generation + 1, 0
+        best = int(np.argmin(losses))
+        self._take(points[best], float(losses[best]))
+
+    def _at_start(self) -> dict[str, Array]:
+        f = self.problem.value(self.best_x, self._batch(0))
+        require_finite(self.best_x, loss=np.asarray(f))
+        return {"f": np.array(f, float)}
+
+    def _at(self, points: Array) -> dict[str, Array]:
+        answers = values_at(self.problem, list(points), self._batch(self.generation + 1))
+        failed = [answer for answer in answers if isinstance(answer, TrialFailed)]
+        if failed:
+            self.session.note(
+                f"generation {self.generation + 1}: {len(failed)} of {len(answers)} trials failed, such as: {failed[0]}"
+            )
+        losses = np.array([np.inf if isinstance(answer, TrialFailed) else answer for answer in answers], float)
+        return {"f": np.where(np.isfinite(losses), losses, np.inf)}
+
+    def _batch(self, generation: int) -> tuple[int, ...] | None:
+        return (generation,) if self.problem.stochastic else None
+
+    def _take(self, x: Array, loss: float) -> None:
+        """Record the best trial of a generation."""
+        if self.problem.stochastic or loss < self.best_loss:  # losses of other goals do not compare
+            self.best_x, self.best_loss = x.copy(), loss
+        unknown = dict.fromkeys(self.problem.term_names, np.nan)
+        self.session.report(self.generation, x.copy(), loss, np.full(x.shape, np.nan), unknown)
+
+    def _outcome(self, status: Status, message: str) -> Outcome:
+        return Outcome(self.best_x.copy(), self.best_loss, status, message, self.generation)
+
+
+def library() -> Any:
+    """Return the module `cma`.
+
+    Raises:
+        MissingExtra: it is not installed.
+    """
+    try:
+        import cma
+    except ModuleNotFoundError as error:
+        raise MissingExtra(
+            "optimizer cma_es needs the package 'cma', which is not installed: pip install 'cqrun[evo]'"
+        ) from error
+    return cma
+
+
+def _words(reasons: Iterable[tuple[str, Any]]) -> str:
+    return ", ".join(f"{name} = {value}" for name, value in reasons)
