@@ -33,11 +33,13 @@ def read_arrays(path: Path, what: str) -> dict[str, Array]:
         UsageError: there is no such file, or it does not hold arrays; `what` says what it should be.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if isinstance(file, np.ndarray):
-                raise UsageError(f"{path}: is no {what}: it holds one array without a name")
-            return {name: file[name] for name in file.files}
+        with path.open("rb") as file:
+            held = np.load(file, allow_pickle=False)
+            arrays = dict(held) if isinstance(held, np.lib.npyio.NpzFile) else {}
     except OSError as error:
         raise UsageError(f"{path}: cannot be read as {what}: {error.strerror or error}") from error
     except (ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise UsageError(f"{path}: is no {what} (an .npz file of arrays): {error}") from error
+        raise UsageError(f"{path}: is no {what}, an .npz file of arrays: {error}") from error
+    if not arrays or not all(isinstance(array, np.ndarray) for array in arrays.values()):
+        raise UsageError(f"{path}: is no {what}: it holds no arrays by name")
+    return arrays

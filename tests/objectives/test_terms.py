@@ -1,0 +1,187 @@
+"""What each term of an objective measures: known values, signs, and what it refuses."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+import pytest
+from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, made_matter
+from pydantic import TypeAdapter, ValidationError
+
+from cqrun.choice import Choice, Chosen
+from cqrun.errors import UsageError
+from cqrun.objectives.term import Objective, ObjectiveTerm, Track, reduced
+
+CHOSEN = TypeAdapter(Annotated[Chosen[ObjectiveTerm], Choice("objective")])
+MATTER = made_matter(2)
+TIMES = CONTROL_STEP * np.arange(N_CONTROLS + 1)
+STEPS = (N_CONTROLS + 1, len(MATTER.x))
+
+
+def term(name: str, **fields: Any) -> ObjectiveTerm:
+    spec: ObjectiveTerm = CHOSEN.validate_python({name: fields}).value
+    return spec
+
+
+def motion(rows: Any, *, x: Any = 0.0, v: Any = 0.0, activation: Any = 0.0, goals: Any = None) -> Track:
+    """Return a track of all particles, moved by x(t, p) from rest, with velocities v(t, p)."""
+    shape = (*STEPS, 2)
+    places, speeds = np.broadcast_to(MATTER.x + x, shape), np.broadcast_to(v, shape).astype(float)
+    seen = [np.stack([rows @ frame for frame in field]) for field in (places, speeds)]
+    none = np.zeros((N_CONTROLS + 1, rows.shape[0], 2, 2))
+    return Track(*seen, none, none, np.broadcast_to(activation, (N_CONTROLS, N_ACTUATORS)).astype(float), goals or {},
+                 CONTROL_STEP)  # fmt: skip
+
+
+def value(spec: ObjectiveTerm, **moved: Any) -> float:
+    bound = spec.bind(MATTER)
+    return bound.value(motion(bound.rows, **moved))
+
+
+def walk(speed: float) -> np.ndarray:
+    """Return displacements (T+1, 1, 2) of a body that moves along x."""
+    return speed * TIMES[:, None, None] * np.array([1.0, 0.0])
+
+
+def test_distance_is_how_far_the_centroid_came():
+    spec = term("distance", body="arm")
+    assert value(spec, x=walk(0.4)) == pytest.approx(0.4 * TIMES[-1])
+    assert value(term("distance", body="arm", over="mean"), x=walk(0.4)) == pytest.approx(0.4 * TIMES[1:].mean())
+    assert value(term("distance", body="arm", axis="y"), x=walk(0.4)) == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize(("name", "fields"), [("distance", {"body": "arm"}), ("height", {"body": "arm"})])
+def test_what_should_be_large_is_counted_negative(name, fields):
+    objective = Objective({"far": term(name, **fields, axis="x", over="final", weight=3.0)}, MATTER)
+    near, far = (motion(objective.rows, x=walk(speed)) for speed in (0.1, 0.2))
+    assert objective.loss(far) == pytest.approx(-3.0 * objective.values(far)["far"])
+    assert objective.loss(far) < objective.loss(near)
+
+
+def test_height_is_a_coordinate():
+    tip = MATTER.x[MATTER.groups["arm"]["tip"]].mean(axis=0)
+    assert value(term("height", body="arm", group="tip"), x=[0.0, 0.25]) == pytest.approx(tip[1] + 0.25)
+
+
+def test_reach_of_a_goal_a_place_and_a_body():
+    goals = {"target": np.array([0.6, 0.7])}
+    arm, ball, tip = (MATTER.x[i].mean(axis=0) for i in (MATTER.members("arm"), MATTER.members("ball"),
+                                                        MATTER.members("arm", "tip")))  # fmt: skip
+    for fields, gap in [
+        ({"goal": "target"}, arm - goals["target"]),
+        ({"position": [0.1, 0.2]}, arm - [0.1, 0.2]),
+        ({"target": "ball", "group": "tip"}, tip - ball),
+    ]:
+        spec = term("reach", body="arm", **fields)
+        assert value(spec, goals=goals) == pytest.approx(gap @ gap)
+        plain = term("reach", body="arm", squared=False, **fields)
+        assert value(plain, goals=goals) == pytest.approx(np.linalg.norm(gap))
+
+
+def test_rest_of_the_centroid_and_of_all_particles():
+    """A body that spins about its centroid: the centroid rests, its particles do not."""
+    members = MATTER.members("arm")
+    r = MATTER.x - MATTER.x[members].mean(axis=0)
+    spin = 2.0 * np.stack([-r[:, 1], r[:, 0]], axis=1)
+    assert value(term("rest", body="arm"), v=spin) == pytest.approx(0.0, abs=1e-15)
+    assert value(term("rest", body="arm", particles=True), v=spin) == pytest.approx(4 * np.mean(r[members] ** 2) * 2)
+    assert value(term("rest", body="arm"), v=[3.0, 4.0]) == pytest.approx(25.0)
+
+
+def test_effort_is_the_integral_of_the_squares():
+    u = np.zeros((N_CONTROLS, N_ACTUATORS))
+    u[1], u[2] = [1.0, -2.0, 0.0], [0.0, 0.0, 3.0]
+    assert value(term("effort"), activation=u) == pytest.approx(CONTROL_STEP * (5 + 9))
+    assert value(term("effort", over="maximum"), activation=u) == 9.0
+
+
+def test_track_of_a_path_that_is_followed():
+    start = MATTER.x[MATTER.members("arm")].mean(axis=0)
+    path = [[0.0, *start], [1.0, start[0] + 0.4, start[1]]]
+    assert value(term("track", body="arm", path=path), x=walk(0.4)) == pytest.approx(0.0, abs=1e-30)
+    late = value(term("track", body="arm", path=path), x=walk(0.3))
+    assert late == pytest.approx(np.mean((0.1 * TIMES[1:]) ** 2))
+    beyond = term("track", body="arm", path=[[0.0, *start]], over="final")
+    assert value(beyond, x=walk(0.3)) == pytest.approx((0.3 * TIMES[-1]) ** 2), "it stands still after its end"
+
+
+def test_track_of_key_frames_counts_at_their_times_alone():
+    start = MATTER.x[MATTER.members("arm")].mean(axis=0)
+    when = 2.5 * CONTROL_STEP  # between control steps: the cubic Hermite of a straight walk is the walk
+    keys = [[when, start[0], start[1] + 0.1], [TIMES[-1], *start]]
+    spec = term("track", body="arm", keys=keys)
+    expected = np.mean([(0.4 * when) ** 2 + 0.01, (0.4 * TIMES[-1]) ** 2])
+    assert value(spec, x=walk(0.4), v=[0.4, 0.0]) == pytest.approx(expected)
+
+
+def test_contact_free_counts_depth_below_height_and_margin():
+    members = MATTER.members("arm")
+    clear = term("contact_free", body="arm", height=0.0, margin=0.1)
+    assert value(clear) == 0.0, "the arm is 0.2 above"
+    depth = np.maximum(0.3 - MATTER.x[members, 1], 0.0)
+    assert value(term("contact_free", body="arm", height=0.25, margin=0.05)) == pytest.approx(np.mean(depth**2))
+
+
+@pytest.mark.parametrize(
+    ("over", "expected"), [("final", 4.0), ("mean", 2.0), ("sum", 0.6), ("minimum", -1.0), ("maximum", 4.0),
+                           ("product", -12.0)],
+)  # fmt: skip
+def test_reductions(over, expected):
+    assert reduced(np.array([3.0, -1.0, 4.0]), over, 0.1) == pytest.approx(expected)
+
+
+def test_the_start_counts_for_nothing():
+    """Every reduction is over the ends of control steps 1 .. T."""
+    jump = np.zeros((N_CONTROLS + 1, 1, 2))
+    jump[0] = 7.0
+    at = MATTER.x[MATTER.members("ball")].mean(axis=0)
+    for over in ("mean", "maximum", "sum"):
+        spec = term("reach", body="ball", position=list(at), over=over)
+        assert value(spec, x=jump) == pytest.approx(0.0, abs=1e-25)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "words"),
+    [
+        ("reach", {"body": "arm"}, "needs exactly one of goal, position, target; has none"),
+        ("reach", {"body": "arm", "goal": "target", "target": "ball"}, "exactly one of .*; has goal, target"),
+        ("reach", {"body": "arm", "goal": "target", "target_group": "tip"}, "no meaning without a target"),
+        ("track", {"body": "arm"}, "needs exactly one of path, keys; has none"),
+        ("track", {"body": "arm", "path": [[0, 0, 0]], "keys": [[0, 0, 0]]}, "exactly one of path, keys; has both"),
+        ("track", {"body": "arm", "path": [[0, 0, 0], [0, 1, 1]]}, "increase from point to point"),
+        ("track", {"body": "arm", "keys": [[-1, 0, 0]]}, "begin at 0 or later"),
+        ("distance", {"body": "arm", "over": "final", "axis": "w"}, "must be 'x', 'y' or 'z'"),
+        ("effort", {"over": "min"}, "must be 'final', 'mean', .*, is 'min'"),
+    ],
+)
+def test_fields_that_do_not_fit_together(name, fields, words):
+    with pytest.raises(ValidationError, match=words):
+        term(name, **fields)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "words"),
+    [
+        ("distance", {"body": "leg"}, "no body called 'leg'"),
+        ("height", {"body": "arm", "group": "head"}, "no group of the body 'arm' called 'head'; there are: left, tip"),
+        ("reach", {"body": "arm", "goal": "aim"}, "no goal called 'aim'; there are: target, pace"),
+        ("reach", {"body": "arm", "goal": "pace"}, "the goal 'pace' has 1 entries; a position here has 2"),
+        ("reach", {"body": "arm", "target": "bal"}, r"no body called 'bal' \(did you mean 'ball'"),
+        ("track", {"body": "arm", "keys": [[5.0, 0, 0]]}, "a key frame at 5 s is after the end of the run at 0.3 s"),
+        ("contact_free", {"body": "arm", "height": 0, "region": {"ball": {"center": [9, 9], "radius": 1}}},
+         "this region of the body 'arm' holds no particle"),
+    ],
+)  # fmt: skip
+def test_names_that_do_not_fit_the_scene(name, fields, words):
+    with pytest.raises(UsageError, match=words):
+        term(name, **fields).bind(MATTER)
+
+
+def test_a_2d_world_has_no_third_axis_and_points_have_its_dimension():
+    assert term("distance", body="arm", axis="z").dim_problems(2) == [(("axis",), "a 2D world has no axis z")]
+    assert term("distance", body="arm", axis="z").dim_problems(3) == []
+    (place, message), *_ = term("track", body="arm", path=[[0, 1, 2]]).dim_problems(3)
+    assert place == ("path", 0)
+    assert message == "must have 4 entries in this 3D world, time first, has 3"
+    assert term("reach", body="arm", position=[0, 0]).dim_problems(3)
