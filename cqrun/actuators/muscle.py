@@ -36,7 +36,7 @@ class Muscle(Plugin):
     """
 
     body: str = Field(description="Body it lies in")
-    region: Annotated[Chosen[Plugin], Choice("shape")] | None = Field(
+    region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
         description="Where, at rest; the whole body if absent", default=None
     )
     axis: list[float] | Literal["isotropic"] = Field(description="Direction at rest, made unit; or isotropic")

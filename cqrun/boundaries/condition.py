@@ -35,7 +35,7 @@ class BoundaryCondition(Plugin):
     face: Literal["x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "all"] | None = Field(
         description="Face of the world, or all of them", default=None
     )
-    region: Annotated[Chosen[Plugin], Choice("shape")] | None = Field(
+    region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
         description="Region whose nodes are held", default=None
     )
     normal: list[float] | None = vector("1", "Unit normal into the free side, for a region", default=None)

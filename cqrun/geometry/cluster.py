@@ -50,12 +50,13 @@ def k_means(x: Array, count: int, seed: int) -> Array:
     """Return the cluster (N,) of every point (N, D): 0 has the centroid with the least x, then y, then z.
 
     Raises:
-        UsageError: there are fewer points than clusters, or they cannot be told apart.
+        UsageError: there are fewer points than clusters.
     """
     from scipy.cluster.vq import ClusterError, kmeans2
 
-    if count > len(x):
-        raise UsageError(f"{count} clusters of {len(x)} particles: there can be at most one a particle")
+    places = len(np.unique(x, axis=0))
+    if count > places:
+        raise UsageError(f"{count} clusters of {places} particles: there can be at most one a particle")
     rng = np.random.default_rng(seed)
     try:
         centroids, labels = kmeans2(x, count, iter=_ROUNDS, minit="++", missing="raise", rng=rng)

@@ -21,7 +21,7 @@ class Load(Plugin):
 
     order: ClassVar[int] = 0
     body: str | None = Field(description="Body it acts on; all if absent", default=None)
-    region: Annotated[Chosen[Plugin], Choice("shape")] | None = Field(
+    region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
         description="Where, at rest; everywhere if absent", default=None
     )
 

@@ -17,6 +17,7 @@ from cqrun.loads.gravity import Gravity
 from cqrun.loads.load import Load
 from cqrun.scene.activation import signal_weights, signals
 from cqrun.scene.particles import Particles, stress_key
+from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
 from cqrun.state import ParticleFields, State
 
@@ -243,7 +244,7 @@ class Assembly:
         """Return path and condition of every plane, in the model's order."""
         size, found = np.zeros((1, self.scene.dim)), []
         for name, chosen in self.scene.boundaries.items():
-            spec: Any = chosen.value
+            spec: Any = boundary(self.scene, name)
             planes = spec.places(size, np.array(self.scene.world.size))
             found += [(f"boundaries.{name}.{chosen.name}", spec)] * len(planes)
         return found

@@ -16,6 +16,7 @@ from cqrun.errors import Problem, SceneError
 from cqrun.scene.assembly import Assembly
 from cqrun.scene.particles import Particles, sample, stress_key
 from cqrun.scene.paths import with_values
+from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start
 from cqrun.units import format_bytes
@@ -94,7 +95,7 @@ def _groups(scene: Scene, particles: Particles) -> tuple[GroupModel, ...]:
 def _conditions(scene: Scene) -> tuple[ConditionModel, ...]:
     conditions: list[ConditionModel] = []
     for name, chosen in scene.boundaries.items():
-        spec: Any = chosen.value
+        spec: Any = boundary(scene, name)
         planes = conditions_of(name, spec, np.array(scene.world.size), scene.world.dx)
         if not any(plane.nodes.any() for plane in planes):
             path = f"boundaries.{name}.{chosen.name}.region"

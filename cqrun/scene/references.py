@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from pydantic_core import InitErrorDetails
 
-from cqrun.explain import KEY, Loc, finding, listed, suggest
+from cqrun.explain import KEY, Loc, finding
+from cqrun.scene.region_names import findings_of_regions, unknown
 from cqrun.scene.walk import parts
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def findings_between(scene: Scene) -> list[InitErrorDetails]:
         for loc, part in parts(scene)
         for place, message in part.dim_problems(scene.dim)
     ]
-    return [*found, *_faces(scene), *_bodies(scene), *_signals(scene), *_target(scene)]
+    return [*found, *_faces(scene), *_bodies(scene), *findings_of_regions(scene), *_signals(scene), *_target(scene)]
 
 
 def _faces(scene: Scene) -> Iterator[InitErrorDetails]:
@@ -37,7 +38,7 @@ def _bodies(scene: Scene) -> Iterator[InitErrorDetails]:
     for loc, part in parts(scene):
         name = getattr(part, "body", None)
         if isinstance(name, str) and name not in scene.bodies:
-            yield finding(_unknown("body", name, list(scene.bodies)), (*loc, "body"))
+            yield finding(unknown("body", name, list(scene.bodies)), (*loc, "body"))
 
 
 def _signals(scene: Scene) -> Iterator[InitErrorDetails]:
@@ -46,7 +47,7 @@ def _signals(scene: Scene) -> Iterator[InitErrorDetails]:
     for name in scene.activation.signals or {}:
         if name not in scene.actuators:
             place: Loc = ("activation", "signals", name)
-            yield finding(_unknown("actuator", name, list(scene.actuators)), place, kind=KEY)
+            yield finding(unknown("actuator", name, list(scene.actuators)), place, kind=KEY)
     if scene.activation.random is not None and not scene.actuators:
         yield finding("has no actuator to drive", ("activation", "random"))
 
@@ -56,7 +57,3 @@ def _target(scene: Scene) -> Iterator[InitErrorDetails]:
     if target is not None and target.time > scene.time.duration * (1 + 1e-9):
         message = f"{target.time:g} s is after the end of the run at {scene.time.duration:g} s"
         yield finding(message, ("data", "target", "time"))
-
-
-def _unknown(kind: str, name: str, legal: list[str]) -> str:
-    return f"there is no {kind} '{name}'{suggest(name, legal)}; there are: {listed(legal)}"
