@@ -33,7 +33,9 @@ def _lines(kind: str | None, name: str | None) -> Iterator[str]:
         yield "kinds (cqrun describe KIND [NAME]):"
         yield from (f"  {k:14} {', '.join(_plugins(k))}" for k in _kinds())
         return
-    found = [(k, n, cls) for k in _kinds_called(kind, name) for n, cls in _plugins(k).items()]
+    kinds = _kinds_called(kind, name)
+    # a shape is a region as well, and is told once
+    found = [(k, n, cls) for k in kinds for n, cls in _plugins(k).items() if len(kinds) == 1 or cls.kind == k]
     if name is None and not any(kind == n for _, n, _ in found):
         yield from (f"{k} {n}: {_summary(cls)}" for k, n, cls in found)
         return
