@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array, quantity
+from cqrun.contract import Array, vector
 from cqrun.explain import Loc
 from cqrun.geometry.region import ChosenRegion
 from cqrun.observers.matter import Matter
@@ -26,10 +26,9 @@ class Strain(Observer):
 
     body: str = Field(description="Body that is observed")
     region: ChosenRegion | None = Field(description="Where, at rest; the whole body if absent", default=None)
-    axis: list[float] | None = quantity(
-        "1", "Direction at rest, made unit, whose stretch is observed; all components of the strain if absent",
-        min_length=2, max_length=3, default=None,
-    )  # fmt: skip
+    axis: list[float] | None = vector(
+        "1", "Direction at rest, made unit, whose stretch is observed; all components if absent", default=None
+    )
     range: Range = Field(description="What becomes [-1, 1]; auto: -1 to 1", default="auto")
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
