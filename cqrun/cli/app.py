@@ -17,6 +17,7 @@ from cqrun.cli.describe import describe
 from cqrun.cli.doctor import doctor
 from cqrun.cli.gradcheck import gradcheck
 from cqrun.cli.plot import plot
+from cqrun.cli.render import render
 from cqrun.cli.resume import resume
 from cqrun.cli.schema import schema
 from cqrun.cli.simulate import simulate
@@ -25,7 +26,7 @@ from cqrun.cli.validate import validate
 from cqrun.cli.warmup import warmup
 from cqrun.errors import CqrunError, SceneError
 
-COMMANDS = (sysid, simulate, gradcheck, resume, validate, describe, schema, plot, bench, warmup, doctor)
+COMMANDS = (sysid, simulate, gradcheck, resume, validate, describe, schema, plot, render, bench, warmup, doctor)
 
 app = typer.Typer(
     name="cqrun",

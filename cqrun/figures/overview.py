@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.figures.bodies import farthest_frame, plot_body, room_around, snapshot, views, window
+from cqrun.figures.bodies import farthest_frame, plot_body, snapshot
 from cqrun.figures.convergence import loss_curve, plot_loss, plot_unknown, unknown_curves
 from cqrun.figures.quantities import MILLI, length_unit, millimetres
 from cqrun.figures.run_data import TRACKS, RunData
 from cqrun.figures.style import INK, new_figure, titled
 from cqrun.figures.tracks import explain, main_coordinate, plot_coordinate
+from cqrun.figures.views import room_around, views, window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +67,7 @@ def _body(axes: Axes, run: RunData) -> None:
     shot = snapshot(trajectory, farthest_frame(trajectory))
     both = np.stack([trajectory.fields["x"][0], shot.x])
     look = views(run.scene, both)[-1]
-    corners = window(both, look, room_around(run.scene, both))
+    corners = window(both, look, room_around(both, shot.size))
     unit = length_unit(float(np.max(np.abs(corners))))
     dots = plot_body(axes, run.scene, shot, look, corners, unit, float(shot.moved.max()))
     wide, tall = corners[1] - corners[0]

@@ -26,7 +26,13 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#6
 
 INK, GREY, PALE = "#222222", "#6E6E6E", "#D9D9D9"
 TRUTH = "#C00000"
-DISPLACEMENT_MAP = "viridis"
+GROUND = "#DADADA"
+
+AMOUNT_MAP, SIGNED_MAP = "viridis", "coolwarm"
+"""Of quantities from 0 on, and of those with a sign; both are read by colour-blind people too."""
+
+PASSIVE = "#B4B4B4"
+"""Of particles that have no value of what is shown."""
 
 STYLE: dict[str, Any] = {
     "figure.dpi": 130,

@@ -22,6 +22,7 @@ NAMES = [
     "describe",
     "schema",
     "plot",
+    "render",
     "bench",
     "warmup",
     "doctor",

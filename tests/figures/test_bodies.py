@@ -7,20 +7,12 @@ import pytest
 from made_runs import DURATION, made_twin, plane_scene, write_run, write_trajectory
 
 from cqrun.errors import UsageError
-from cqrun.figures.bodies import (
-    dot_size,
-    draw_bodies,
-    farthest_frame,
-    held,
-    of_equal_width,
-    plot_body,
-    snapshots,
-    views,
-    window,
-)
+from cqrun.figures.bodies import draw_bodies, farthest_frame, plot_body, snapshots
 from cqrun.figures.quantities import Unit
 from cqrun.figures.run_data import read_run
+from cqrun.figures.scenery import held
 from cqrun.figures.style import new_figure, styled
+from cqrun.figures.views import of_equal_width, views, window
 from cqrun.scene.load import load_scene
 from cqrun.store.trajectory import Trajectory
 
@@ -100,11 +92,6 @@ def test_boundaries_show_where_they_hold():
     assert inside.shape == (len(up), len(right))
     expected = (right >= 0.0) & (right <= 0.03)
     np.testing.assert_array_equal(inside[len(up) // 2], expected)
-
-
-def test_dots_have_the_particles_spacing():
-    assert dot_size(load_scene(plane_scene({})), 40) == pytest.approx(0.01 / 2)
-    assert dot_size(solid_scene(), 512) == pytest.approx(0.01 / 2)
 
 
 def test_windows_of_equal_width_keep_their_middles():

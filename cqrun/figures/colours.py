@@ -1,0 +1,192 @@
+"""What colours particles: a quantity that the trajectory holds, or that the scene and it give together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.figures.quantities import length_unit, shown_unit
+from cqrun.figures.run_data import RunData
+from cqrun.figures.strain import Strain, green_norm
+from cqrun.figures.style import AMOUNT_MAP, PASSIVE, SIGNED_MAP
+from cqrun.scene.assembly import Assembly
+from cqrun.scene.build import build
+from cqrun.scene.particles import Particles, sample
+from cqrun.store.frames import Frames
+
+QUANTITIES = ("activation", "strain", "velocity", "stiffness", "displacement")
+
+SHARE = 0.995
+"""Of a frame's particles: colours reach as far as these, so that one fast particle does not dim all others."""
+
+
+@dataclass(frozen=True)
+class Colours:
+    """Particles' colours in every frame.
+
+    Attributes:
+        label: the quantity with its unit, for the colour bar.
+        low, high: ends of the colours, in that unit.
+        cmap: name of the map.
+        values: frame -> value of every particle (N,) in that unit, NaN where it has none.
+        beyond: some values lie beyond `high`.
+    """
+
+    label: str
+    low: float
+    high: float
+    cmap: str
+    values: Callable[[int], Array]
+    beyond: bool = False
+
+    def rgb(self, frame: int, paleness: float = 0.0) -> Array:
+        """Return colours (N, 3) in 0 to 1, mixed with white by `paleness`."""
+        import matplotlib
+        from matplotlib.colors import to_rgb
+
+        values = self.values(frame)
+        known = np.isfinite(values)
+        level = np.clip((np.where(known, values, self.low) - self.low) / (self.high - self.low), 0.0, 1.0)
+        colours = matplotlib.colormaps[self.cmap](level)[:, :3]
+        colours[~known] = to_rgb(PASSIVE)
+        return np.asarray(paleness + (1.0 - paleness) * colours)
+
+
+def colours(quantity: str | None, run: RunData, frames: Frames, shown: Sequence[int]) -> tuple[str, Colours]:
+    """Return one of QUANTITIES and the colours that show it.
+
+    Args:
+        quantity: activation where actuators have signals, and displacement elsewhere, if None.
+        shown: the frames that are drawn; the colours span what happens in them.
+
+    Raises:
+        UsageError: the quantity is neither stored nor given by the scene.
+    """
+    if quantity is None:
+        quantity = "activation" if _has_activation(run, frames) else "displacement"
+    makers = {"activation": _activation, "strain": _strain, "velocity": _velocity, "stiffness": _stiffness}
+    return quantity, makers.get(quantity, _displacement)(run, frames, shown)
+
+
+def _amount(label: str, values: Callable[[int], Array], shown: Sequence[int]) -> Colours:
+    """Return colours from zero to what nearly all particles reach in the frames shown."""
+    high, most = 0.0, 0.0
+    for frame in shown:
+        known = (found := values(frame))[np.isfinite(found)]
+        if known.size:
+            high, most = max(high, float(np.quantile(known, SHARE))), max(most, float(known.max()))
+    return Colours(label, 0.0, high or 1.0, AMOUNT_MAP, values, beyond=most > 1.02 * high)
+
+
+def _displacement(run: RunData, frames: Frames, shown: Sequence[int]) -> Colours:
+    rest = frames.read("x", 0)
+    unit = length_unit(max(float(np.ptp(frames.read("x", frame), axis=0).max()) for frame in shown))
+    return _amount(unit.label("displacement"), lambda k: unit.factor * _length(frames.read("x", k) - rest), shown)
+
+
+def _velocity(run: RunData, frames: Frames, shown: Sequence[int]) -> Colours:
+    if "v" not in frames.fields:
+        raise _absent("velocity", frames, "field v")
+    return _amount("speed (m/s)", lambda k: _length(frames.read("v", k).astype(float)), shown)
+
+
+def _strain(run: RunData, frames: Frames, shown: Sequence[int]) -> Colours:
+    if "F" in frames.fields:
+        return _amount("strain |E| (Green)", lambda k: green_norm(frames.read("F", k).astype(float)), shown)
+    strain = Strain(frames.read("x", 0), frames.bodies)
+    return _amount("strain |E| (Green)", lambda k: green_norm(strain.gradient(frames.read("x", k))), shown)
+
+
+def _length(vectors: Array) -> Array:
+    return np.asarray(np.sqrt(np.sum(vectors**2, axis=1)))
+
+
+# --- of the scene -------------------------------------------------------------------------------------------
+
+
+def sampled(run: RunData, frames: Frames) -> Particles:
+    """Return the scene's particles, which are those of the trajectory.
+
+    Raises:
+        UsageError: they are not, so the scene cannot say what each particle is.
+    """
+    particles = sample(run.scene)
+    there = {name: particles.of(name) for name in particles.names}
+    if there != frames.bodies:
+        raise UsageError(
+            f"{frames.path}: its particles are not those of {run.path / 'scene.yaml'}; run the scene again with --fresh"
+        )
+    return particles
+
+
+def _stiffness(run: RunData, frames: Frames, shown: Sequence[int]) -> Colours:
+    particles = sampled(run, frames)
+    for name, body in run.scene.bodies.items():
+        law: Any = body.material.elastic.value
+        if "youngs_modulus" not in law.parameters:
+            law_name = body.material.elastic.name
+            raise UsageError(f"--color stiffness: the law {law_name} of body '{name}' has no youngs_modulus to show")
+    found = (run.result or {}).get("unknowns") or {}
+    values = {path: np.array(entry["value"], dtype=float) for path, entry in found.items()}
+    groups = Assembly(run.scene, particles).inputs(values).terms
+    rows, begin = [], 0
+    for terms in groups:  # one group of bodies after another, in the order of the particles
+        count = terms[0].shape[1]
+        first = next(name for name in particles.names if particles.of(name).start == begin)
+        law = run.scene.bodies[first].material.elastic.value
+        rows.append(terms[0][law.parameters.index("youngs_modulus")])
+        begin += count
+    modulus = np.concatenate(rows)
+    unit = shown_unit("Pa", float(modulus.max()))
+    stiffness = unit.factor * modulus
+    low, high = float(stiffness.min()), float(stiffness.max())
+    if high - low < 1e-6 * high:
+        low, high = 0.0, 2.0 * high
+    return Colours(unit.label("Young's modulus"), low, high, AMOUNT_MAP, lambda _: stiffness)
+
+
+def _has_activation(run: RunData, frames: Frames) -> bool:
+    return bool(run.scene.actuators) and ("activation" in frames.fields or run.scene.activation is not None)
+
+
+def _activation(run: RunData, frames: Frames, shown: Sequence[int]) -> Colours:
+    if not run.scene.actuators:
+        raise UsageError("--color activation: the scene of this run has no actuators")
+    if "activation" in frames.fields:
+        return _signed("activation", lambda k: frames.read("activation", k).astype(float), shown)
+    if run.scene.activation is None:
+        raise _absent("activation", frames, "field activation, and its scene no `activation` to compute it from")
+    sampled(run, frames)
+    built = build(run.scene)
+    levels = built.assembly.inputs({}).activation
+    driven = [actuator.particles for actuator in built.model.actuators]
+
+    def values(frame: int) -> Array:
+        level = levels[max(int(frames.step[frame]) - 1, 0)]  # what has acted until then
+        out = np.full(max(part.stop for part in frames.bodies.values()), np.nan)
+        for particles, own in zip(driven, level, strict=True):
+            there = out[particles]
+            stronger = np.isnan(there) | (abs(own) > np.abs(np.nan_to_num(there)))
+            out[particles] = np.where(stronger, own, there)
+        return out
+
+    return _signed("activation", values, shown)
+
+
+def _signed(label: str, values: Callable[[int], Array], shown: Sequence[int]) -> Colours:
+    """Return colours that are even on both sides of zero."""
+    most = 0.0
+    for frame in shown:
+        known = (found := values(frame))[np.isfinite(found)]
+        most = max(most, float(np.abs(known).max()) if known.size else 0.0)
+    return Colours(label, -(most or 1.0), most or 1.0, SIGNED_MAP, values)
+
+
+def _absent(quantity: str, frames: Frames, what: str) -> UsageError:
+    others = " and ".join(name for name in ("displacement", "strain") if name != quantity)
+    return UsageError(f"--color {quantity}: {frames.path} holds no {what}; {others} can be shown of every run")

@@ -1,0 +1,167 @@
+"""Pictures to a file, one after another: GIF by Pillow, MP4 by ffmpeg, PNG. A file is there whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import io
+import subprocess
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import MissingExtra, RunError
+from cqrun.store.atomic import replacing, write_bytes
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+COLOURS = 256
+"""Of a GIF, which has one palette for all of its pictures, so that nothing flickers."""
+
+QUALITY = "18"
+"""Of H.264, its constant rate factor: nothing is seen to be lost."""
+
+
+def write_png(path: Path, picture: Array, dpi: float) -> None:
+    """Write one picture (h, w, 3) of uint8; UsageError or RunError where it cannot be."""
+    from PIL import Image
+
+    content = io.BytesIO()
+    Image.fromarray(picture).save(content, "PNG", dpi=(dpi, dpi), optimize=True)
+    write_bytes(path, content.getvalue())
+
+
+# --- GIF ----------------------------------------------------------------------------------------------------
+
+
+def gif_delay(fps: float) -> int:
+    """Return how long a picture of a GIF stays [ms]: whole hundredths of a second, two at least."""
+    return max(2, round(100 / fps)) * 10
+
+
+def write_gif(path: Path, pictures: Iterable[Array], fps: float, samples: Sequence[Array]) -> None:
+    """Write pictures (h, w, 3) of uint8 as an endless GIF; one picture is in memory at a time.
+
+    Args:
+        samples: some of the pictures, which the palette is made of.
+
+    Raises:
+        UsageError, RunError: it cannot be written.
+    """
+    from PIL import GifImagePlugin
+
+    palette = _palette(samples)
+    delay = gif_delay(fps)
+    shown = (_with_palette(picture, palette) for picture in pictures)
+    first = next(shown)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        header, _ = GifImagePlugin.getheader(first, info={"loop": 0, "duration": delay})
+        _write(file, [*header, *GifImagePlugin.getdata(first, duration=delay)])
+        before = first
+        for image in shown:
+            box = _changed(before, image)
+            _write(file, GifImagePlugin.getdata(image.crop(box), offset=box[:2], duration=delay))
+            before = image
+        file.write(b";")
+
+
+def _write(file: IO[bytes], pieces: Iterable[bytes]) -> None:
+    for piece in pieces:
+        file.write(piece)
+
+
+def _palette(samples: Sequence[Array]) -> Image:
+    """Return an image whose palette suits the samples; its last colour is white."""
+    from PIL import Image
+
+    found = Image.fromarray(np.concatenate(samples)).quantize(COLOURS - 1, method=Image.Quantize.MEDIANCUT)
+    palette = Image.new("P", (1, 1))
+    colours = (found.getpalette() or [])[: 3 * (COLOURS - 1)]
+    palette.putpalette(colours + [255] * (3 * COLOURS - len(colours)))
+    return palette
+
+
+def _with_palette(picture: Array, palette: Image) -> Image:
+    from PIL import Image
+
+    image = Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+    index = np.array(image)
+    index[(picture == 255).all(axis=2)] = COLOURS - 1  # Pillow takes a near white for white
+    image.putdata(index.ravel())
+    return image
+
+
+def _changed(before: Image, after: Image) -> tuple[int, int, int, int]:
+    """Return the box in which two pictures of one palette differ; one pixel where they do not."""
+    differs = np.asarray(before) != np.asarray(after)
+    rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
+    if not rows.size:
+        return 0, 0, 1, 1
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
+# --- MP4 ----------------------------------------------------------------------------------------------------
+
+
+def ffmpeg() -> str:
+    """Return the path of ffmpeg.
+
+    Raises:
+        MissingExtra: the extra `video` is not installed.
+    """
+    try:
+        import imageio_ffmpeg
+    except ModuleNotFoundError:
+        raise MissingExtra(
+            "--mp4 needs imageio-ffmpeg, which is not installed: pip install 'cqrun[video]'; --gif needs nothing more"
+        ) from None
+    try:
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except RuntimeError as error:
+        raise MissingExtra(f"--mp4 needs ffmpeg: {error}") from None
+
+
+def write_mp4(path: Path, pictures: Iterable[Array], fps: float) -> None:
+    """Write pictures (h, w, 3) of uint8, h and w even, as H.264 in MP4; they are streamed to ffmpeg.
+
+    Raises:
+        MissingExtra: the extra `video` is not installed. UsageError, RunError: it cannot be written.
+    """
+    program = ffmpeg()
+    stream = iter(pictures)
+    first = next(stream)
+    height, width, _ = first.shape
+    with replacing(path) as temporary:
+        source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "-"]
+        kind = ["-c:v", "libx264", "-crf", QUALITY, "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"]
+        words = [program, "-y", "-loglevel", "error", "-nostats", *source, *kind, str(temporary)]
+        process = subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+        try:
+            _feed(process, chain([first], stream))
+        except BaseException:
+            process.kill()
+            process.communicate()
+            raise
+        _, complaint = process.communicate()
+        if process.returncode != 0:
+            raise _failure(path, complaint.decode(errors="replace"))
+
+
+def _feed(process: subprocess.Popen[bytes], pictures: Iterator[Array]) -> None:
+    assert process.stdin is not None
+    for picture in pictures:
+        try:
+            process.stdin.write(np.ascontiguousarray(picture).tobytes())
+        except BrokenPipeError:
+            return  # ffmpeg has ended, and says why
+
+
+def _failure(path: Path, complaint: str) -> Exception:
+    if "No space left" in complaint:
+        return OSError(errno.ENOSPC, "No space left on device")
+    lines = complaint.strip().splitlines() or ["it does not say why"]
+    return RunError(f"{path}: ffmpeg failed: {lines[-1]}")

@@ -1,0 +1,250 @@
+"""One picture of bodies that move: laid out once, drawn again for every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.figures.colours import Colours
+from cqrun.figures.dots import add_dots
+from cqrun.figures.quantities import Unit, length_unit
+from cqrun.figures.scenery import frame_axes, held, plot_goals, plot_held
+from cqrun.figures.solid import SolidBodies
+from cqrun.figures.style import GREY, INK
+from cqrun.figures.views import View
+from cqrun.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDEST, TALLEST, LOWEST = 6.6, 4.8, 1.2
+"""Room for the bodies: greatest width, greatest and least height [inch]."""
+
+NARROWEST = 1.8
+"""Least width of that room [inch]."""
+
+LEFT, RIGHT, TOP, BOTTOM = 0.75, 0.25, 0.42, 0.55
+"""Around that room, without the colour bar [inch]."""
+
+BAR = 0.85
+"""Taken by a colour bar on the right; below, a little less [inch]."""
+
+
+@dataclass(frozen=True)
+class Trails:
+    """Where centroids have been.
+
+    Attributes:
+        frames: of the points (K,), in order.
+        paths: name -> (K, D) [m].
+    """
+
+    frames: Array
+    paths: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What stays the same in all pictures.
+
+    Attributes:
+        scene: of the run.
+        look, corners: from where it is seen, and what part of it (2, 2) [m].
+        box: the bodies over all of the time, lower and upper corner (2, D) [m].
+        size: distance between particles (N,) [m].
+        colours: of the particles.
+        trails: of what is followed.
+        name: of the run, for the corner.
+        quantity: that the colours show.
+    """
+
+    scene: Scene
+    look: View
+    corners: Array
+    box: Array
+    size: Array
+    colours: Colours
+    trails: Trails
+    name: str
+    quantity: str
+
+
+class Picture:
+    """The picture; `show` changes it and returns its pixels, `close` lets go of what it holds.
+
+    Args:
+        layers: how many times the bodies are shown at once.
+        dpi: pixels an inch; the picture is about 8 inches wide.
+    """
+
+    def __init__(self, stage: Stage, layers: int, dpi: float) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        self.stage = stage
+        self._corners = _widened(stage.corners)
+        self._unit = length_unit(float(np.max(np.abs(self._corners))) if stage.look.names else _width(self._corners))
+        self.figure, self.axes = _lay_out(self._corners, dpi)
+        self._canvas = FigureCanvasAgg(self.figure)
+        if stage.look.names:
+            plane = held(stage.scene, stage.look, self._corners, stage.box.mean(axis=0))
+            plot_held(self.axes, plane, self._unit.factor)
+        frame_axes(self.axes, stage.look, self._corners, self._unit)
+        maker = _Solid if stage.scene.dim == 3 else _Flat
+        self._bodies = maker(self.axes, stage, self._corners, self._unit, layers)
+        plot_goals(self.axes, stage.scene, stage.look, self._unit.factor)
+        self._trails = [
+            self.axes.plot([], [], color=INK, linewidth=1.0, alpha=0.8, zorder=3, label=name)[0]
+            for name in stage.trails.paths
+        ]
+        if not stage.look.names:
+            _scale_bar(self.axes, self._corners, self._unit)
+        _colour_bar(self.figure, self.axes, stage.colours)
+        self._stamp = self.axes.set_title("", pad=7)
+        self.figure.text(
+            1 - 0.1 / self.figure.get_figwidth(), 1 - 0.1 / self.figure.get_figheight(), stage.name,
+            ha="right", va="top", fontsize=8, color=GREY,
+        )  # fmt: skip
+
+    def show(self, layers: Sequence[tuple[Array, Array]], stamp: str, frame: int) -> Array:
+        """Return the picture (h, w, 3) of uint8, both even.
+
+        Args:
+            layers: x (N, D) [m] and colours (N, 3) each time the bodies are shown, the last on top.
+            stamp: the title.
+            frame: as far as to which trails are drawn.
+        """
+        self._bodies.paint(layers)
+        trails = self.stage.trails
+        travelled = int(np.searchsorted(trails.frames, frame, side="right"))
+        for line, path in zip(self._trails, trails.paths.values(), strict=True):
+            line.set_data(*(self._unit.factor * path[:travelled] @ self.stage.look.axes.T).T)
+        self._stamp.set_text(stamp)
+        self._canvas.draw()
+        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+    def close(self) -> None:
+        """Let go of the renderer of bodies in three dimensions."""
+        self._bodies.close()
+
+    def __enter__(self) -> Picture:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class _Flat:
+    """Bodies of two dimensions: dots."""
+
+    def __init__(self, axes: Axes, stage: Stage, corners: Array, unit: Unit, layers: int) -> None:
+        self._factor = unit.factor
+        self._dots = add_dots(axes, unit.factor * np.tile(stage.size, layers))
+
+    def paint(self, layers: Sequence[tuple[Array, Array]]) -> None:
+        self._dots.set_offsets(self._factor * np.concatenate([x for x, _ in layers]))
+        self._dots.set_facecolor(np.concatenate([rgb for _, rgb in layers]))
+
+    def close(self) -> None:
+        """There is nothing to let go of."""
+
+
+class _Solid:
+    """Bodies of three dimensions: a picture by pyvista, put where the axes are."""
+
+    def __init__(self, axes: Axes, stage: Stage, corners: Array, unit: Unit, layers: int) -> None:
+        box = axes.get_window_extent()
+        pixels = max(2, round(box.width)), max(2, round(box.height))
+        self._bodies = SolidBodies(stage.scene, stage.look, corners, stage.box, stage.size, pixels)
+        (left, low), (right, high) = unit.factor * corners
+        blank = np.zeros((pixels[1], pixels[0], 4))
+        self._image = axes.imshow(
+            blank, extent=(left, right, low, high), origin="upper", aspect="auto", interpolation="none", zorder=1
+        )
+        axes.set_aspect("equal")
+
+    def paint(self, layers: Sequence[tuple[Array, Array]]) -> None:
+        self._image.set_data(self._bodies.paint(layers))
+
+    def close(self) -> None:
+        self._bodies.close()
+
+
+# --- layout -------------------------------------------------------------------------------------------------
+
+
+def _width(corners: Array) -> float:
+    return float(corners[1, 0] - corners[0, 0])
+
+
+def _widened(corners: Array) -> Array:
+    """Return a window that is neither too flat nor too narrow for a picture."""
+    wide, tall = corners[1] - corners[0]
+    least = np.array([tall * NARROWEST / TALLEST, wide * LOWEST / WIDEST])
+    more = 0.5 * np.maximum(0.0, least - (wide, tall))
+    return np.asarray(corners + np.array([-more, more]))
+
+
+def _lay_out(corners: Array, dpi: float) -> tuple[Figure, Axes]:
+    """Return a figure with axes of the window's shape; its pixels are even numbers, as movies want them."""
+    from matplotlib.figure import Figure
+
+    wide, tall = corners[1] - corners[0]
+    scale = min(WIDEST / wide, TALLEST / tall)
+    width, height = scale * wide, scale * tall
+    beside, below = (0.0, 0.8 * BAR) if _bar_is_below(width, height) else (BAR, 0.0)
+    bottom = BOTTOM + below
+    whole = 2 * np.round(np.array([LEFT + width + RIGHT + beside, TOP + height + bottom]) * dpi / 2) / dpi
+    figure = Figure(figsize=tuple(whole), dpi=dpi)
+    axes = figure.add_axes((LEFT / whole[0], bottom / whole[1], width / whole[0], height / whole[1]))
+    return figure, axes
+
+
+def _bar_is_below(width: float, height: float) -> bool:
+    return height < 0.45 * width
+
+
+def _colour_bar(figure: Figure, axes: Axes, colours: Colours) -> None:
+    """Add the colour bar: on the right, or below bodies that are much wider than tall."""
+    import matplotlib
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    place = axes.get_position()
+    wide, tall = figure.get_size_inches()
+    scale = ScalarMappable(Normalize(colours.low, colours.high), matplotlib.colormaps[colours.cmap])
+    if _bar_is_below(place.width * wide, place.height * tall):
+        length = min(place.width, 3.2 / wide)
+        spot: Any = (place.x0 + 0.5 * (place.width - length), 0.45 / tall, length, 0.11 / tall)
+        orientation = "horizontal"
+    else:
+        length = min(place.height, 3.2 / tall)
+        spot = (place.x1 + 0.2 / wide, place.y0 + 0.5 * (place.height - length), 0.12 / wide, length)
+        orientation = "vertical"
+    bar = figure.colorbar(
+        scale, cax=figure.add_axes(spot), orientation=orientation, extend="max" if colours.beyond else "neither"
+    )
+    bar.set_label(colours.label)
+    bar.outline.set_visible(False)
+    bar.ax.grid(visible=False)
+    bar.ax.locator_params(nbins=5)
+
+
+def _scale_bar(axes: Axes, corners: Array, unit: Unit) -> None:
+    """Draw a line of a round length into the lower left corner: an oblique view has no ticks."""
+    longest = 0.2 * _width(corners)
+    power = 10.0 ** np.floor(np.log10(longest))
+    length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest)
+    x, y = corners[0] + 0.03 * _width(corners)
+    axes.plot(
+        unit.factor * np.array([x, x + length]), unit.factor * np.array([y, y]), color=INK, linewidth=2.0,
+        solid_capstyle="butt", zorder=5,
+    )  # fmt: skip
+    axes.annotate(
+        f"{unit.factor * length:g} {unit.name}", (unit.factor * (x + 0.5 * length), unit.factor * y), xytext=(0, 3),
+        textcoords="offset points", ha="center", va="bottom", fontsize=7.5, color=INK, zorder=5,
+    )  # fmt: skip

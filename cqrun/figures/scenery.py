@@ -1,0 +1,129 @@
+"""What stands still in a picture of bodies: what holds them, where they shall go, the axes around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.figures.quantities import Unit
+from cqrun.figures.style import GREY, GROUND, INK, TRUTH
+from cqrun.figures.views import View
+from cqrun.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PIXELS = 240
+"""Samples along the longer side of the view that show where boundaries hold the grid."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A place where something shall be.
+
+    Attributes:
+        name: as in the scene.
+        position: (D,) [m].
+        spread: half the range it is drawn from (D,) [m]; zero where it is fixed.
+    """
+
+    name: str
+    position: Array
+    spread: Array
+
+
+def goals(scene: Scene) -> list[Goal]:
+    """Return the target and the goals of a scene."""
+    found = []
+    target = scene.data.target if scene.data is not None else None
+    if target is not None:
+        found.append(Goal("target", np.array(target.position), np.zeros(scene.dim)))
+    named: dict[str, Any] = getattr(scene, "goals", None) or {}
+    for name, goal in named.items():
+        spread = getattr(goal, "spread", None)
+        found.append(Goal(name, np.array(goal.position), np.zeros(scene.dim) if spread is None else np.array(spread)))
+    return found
+
+
+def held_at(scene: Scene, points: Array, towards: Array | None = None) -> Array:
+    """Return whether a boundary holds the grid at points (n, D) (n,).
+
+    Args:
+        towards: unit vector to the eye (D,), if faces of the world between the eye and its inside are left out.
+    """
+    inside = np.zeros(len(points), dtype=bool)
+    world = np.array(scene.world.size)
+    for chosen in scene.boundaries.values():
+        condition: Any = chosen.value
+        for where, normal in condition.places(points, world):
+            hides = towards is not None and condition.region is None and np.array(normal) @ towards < -1e-9
+            if not hides:
+                inside |= where
+    return inside
+
+
+def held(scene: Scene, look: View, corners: Array, middle: Array) -> tuple[Array, Array, Array]:
+    """Return where boundaries hold the grid in the plane of a view through `middle` (D,) [m].
+
+    Returns:
+        Places to the right (a,) and upwards (b,) [m], and whether the grid is held there, (b, a) of bool.
+    """
+    size = corners[1] - corners[0]
+    counts = np.maximum(2, np.ceil(PIXELS * size / size.max()).astype(int))
+    right, up = (np.linspace(corners[0, k], corners[1, k], counts[k]) for k in range(2))
+    plane = np.stack([part.ravel() for part in np.meshgrid(right, up)], axis=1)
+    points = plane @ look.axes + (middle @ look.towards) * look.towards
+    return right, up, held_at(scene, points).reshape(counts[1], counts[0])
+
+
+def plot_held(axes: Axes, place: tuple[Array, Array, Array], factor: float) -> None:
+    """Draw what `held` found as ground."""
+    right, up, inside = place
+    if inside.any() and not inside.all():
+        scaled = factor * right, factor * up, inside.astype(float)
+        axes.contourf(*scaled, levels=[0.5, 1.5], colors=[GROUND], zorder=0.5)
+        axes.contour(*scaled, levels=[0.5], colors=[GREY], linewidths=0.6, zorder=0.6)
+
+
+def plot_goals(axes: Axes, scene: Scene, look: View, factor: float) -> None:
+    """Mark every goal, and the range that it is drawn from."""
+    from matplotlib.patches import Rectangle
+
+    for goal in goals(scene):
+        place = factor * look.axes @ goal.position
+        axes.plot(
+            *place, marker="P", markersize=8, color=TRUTH, markeredgecolor="white", linestyle="none", zorder=5
+        )  # fmt: skip
+        axes.annotate(
+            goal.name, place, xytext=(6, 6), textcoords="offset points", fontsize=7.5, color=INK, zorder=5,
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "alpha": 0.75, "linewidth": 0},
+        )  # fmt: skip
+        if goal.spread.any():
+            half = factor * np.abs(look.axes) @ goal.spread
+            box = Rectangle(place - half, *(2 * half), fill=False, edgecolor=TRUTH, linestyle="--", linewidth=0.9)
+            box.set_zorder(4)
+            axes.add_patch(box)
+
+
+def frame_axes(axes: Axes, look: View, corners: Array, unit: Unit) -> None:
+    """Give axes the extent of a window (2, 2) [m], equal scales, and ticks in a unit where the view has names."""
+    from matplotlib.ticker import FuncFormatter
+
+    axes.set_aspect("equal")
+    axes.grid(visible=False)
+    axes.set_xlim(*(unit.factor * corners[:, 0]))
+    axes.set_ylim(*(unit.factor * corners[:, 1]))
+    if not look.names:
+        axes.set_axis_off()
+        return
+    wide, tall = corners[1] - corners[0]
+    axes.locator_params(axis="x", nbins=int(np.clip(5 * wide / tall, 2, 5)))
+    axes.locator_params(axis="y", nbins=int(np.clip(5 * tall / wide, 3, 5)))
+    axes.set_xlabel(unit.label(look.names[0]))
+    axes.set_ylabel(unit.label(look.names[1]))
+    for axis, direction in zip((axes.xaxis, axes.yaxis), look.axes, strict=True):
+        if direction.sum() < 0:  # the world's axis points to the left, or down
+            axis.set_major_formatter(FuncFormatter(lambda tick, _: f"{0.0 - tick:g}"))

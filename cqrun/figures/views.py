@@ -1,0 +1,100 @@
+"""How a picture looks at the world, and how much of it is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.scene.schema import Scene
+
+TURN, TILT = 30.0, 20.0
+"""The oblique view: turned about the vertical, and looked at from above [degrees]."""
+
+MARGIN = 0.05
+"""Free room around the bodies, in parts of their extent."""
+
+VIEWS = ("front", "side", "top", "iso")
+"""From where a world of three dimensions can be looked at."""
+
+
+@dataclass(frozen=True)
+class View:
+    """An orthographic look at the world.
+
+    Attributes:
+        axes: unit vectors to the right and upwards in the picture (2, D).
+        names: of these two axes; empty for an oblique view, which has no ticks. An axis of the world may point to
+            the left or downwards in the picture.
+    """
+
+    axes: Array
+    names: str = ""
+
+    @property
+    def towards(self) -> Array:
+        """Unit vector to the eye (D,); zero in 2D."""
+        return np.cross(*self.axes) if self.axes.shape[1] == 3 else np.zeros(2)
+
+
+PLANE = View(np.eye(2), "xy")
+"""A world of two dimensions, as it is."""
+
+
+def views(scene: Scene, x: Array) -> list[View]:
+    """Return how to look at positions x (..., D): the plane itself in 2D; from the side and from above in 3D."""
+    return [PLANE] if scene.dim == 2 else [view(scene, x, "side"), view(scene, x, "iso")]
+
+
+def view(scene: Scene, x: Array, name: str) -> View:
+    """Return one of VIEWS of positions x (..., 3).
+
+    Up is against gravity, z without gravity; the side is the one that shows the bodies longest.
+
+    Raises:
+        UsageError: the world has two dimensions, and is always seen as it is.
+    """
+    if scene.dim == 2:
+        raise UsageError(f"--view {name}: the world of this run has two dimensions; it is seen as it is")
+    axes = np.eye(3)
+    gravity = np.abs(scene.world.gravity)
+    up = int(np.argmax(gravity)) if gravity.any() else 2
+    extent = np.ptp(x.reshape(-1, 3), axis=0)
+    across = max((axis for axis in range(3) if axis != up), key=lambda axis: extent[axis])
+    deep = 3 - up - across
+    side = View(axes[[across, up]], "xyz"[across] + "xyz"[up])
+    back = -side.towards
+    if name == "side":
+        return side
+    if name == "front":  # the eye stands where `across` grows
+        return View(np.stack([np.cross(axes[up], axes[across]), axes[up]]), "xyz"[deep] + "xyz"[up])
+    if name == "top":
+        return View(np.stack([axes[across], np.cross(axes[up], axes[across])]), "xyz"[across] + "xyz"[deep])
+    turn, tilt = np.radians(TURN), np.radians(TILT)
+    right = np.cos(turn) * axes[across] + np.sin(turn) * back
+    away = np.cos(turn) * back - np.sin(turn) * axes[across]
+    return View(np.stack([right, np.cos(tilt) * axes[up] + np.sin(tilt) * away]))
+
+
+def window(x: Array, look: View, room: float) -> Array:
+    """Return what to show of positions x (..., D): lower and upper corner (2, 2) [m], with room around [m]."""
+    plane = x.reshape(-1, x.shape[-1]) @ look.axes.T
+    return np.array([plane.min(axis=0) - room, plane.max(axis=0) + room])
+
+
+def room_around(x: Array, size: Array) -> float:
+    """Return how much free room to leave around particles at x (..., D) of a size (N,) [m]."""
+    return MARGIN * float(np.max(np.ptp(x.reshape(-1, x.shape[-1]), axis=0))) + float(size.max())
+
+
+def of_equal_width(windows: Sequence[Array]) -> list[Array]:
+    """Return windows of the width of the widest, their middles where they were: so all have one scale."""
+    widest = max(float(w[1, 0] - w[0, 0]) for w in windows)
+    out = []
+    for corners in windows:
+        more = 0.5 * (widest - float(corners[1, 0] - corners[0, 0]))
+        out.append(corners + np.array([[-more, 0.0], [more, 0.0]]))
+    return out
