@@ -85,7 +85,7 @@ def draw_bodies(run: RunData) -> Figure:
     x = np.stack([shot.x for shot in shots])
     looks = views(run.scene, x)
     windows = of_equal_width([window(x, look, room_around(x, shots[0].size)) for look in looks])
-    tall = [PANEL * float(np.clip((w[1, 1] - w[0, 1]) / (w[1, 0] - w[0, 0]), 0.25, 1.6)) for w in windows]
+    tall = [PANEL * float(np.clip((w[1, 1] - w[0, 1]) / (w[1, 0] - w[0, 0]), 0.25, 2.2)) for w in windows]
     figure = new_figure(PANEL * len(shots) + 1.3, sum(tall) + 0.35 * len(looks) + 0.75)
     panels = figure.subplots(len(looks), len(shots), squeeze=False, height_ratios=tall)
     largest = max(float(shot.moved.max()) for shot in shots)
