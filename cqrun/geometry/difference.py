@@ -26,5 +26,12 @@ class Difference(Shape):
             result &= ~hole.inside(points)
         return result
 
+    @property
+    def colour_names(self) -> tuple[str, ...]:
+        return self.shapes[0].value.colour_names
+
+    def coloured(self, points: Array, colour: str) -> Array:
+        return self.shapes[0].value.coloured(points, colour)
+
     def bounds(self) -> tuple[Array, Array]:
         return self.shapes[0].value.bounds()

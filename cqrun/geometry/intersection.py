@@ -23,6 +23,13 @@ class Intersection(Shape):
     def inside(self, points: Array) -> Array:
         return np.all([part.value.inside(points) for part in self.shapes], axis=0)
 
+    @property
+    def colour_names(self) -> tuple[str, ...]:
+        return tuple(name for part in self.shapes for name in part.value.colour_names)
+
+    def coloured(self, points: Array, colour: str) -> Array:
+        return np.any([part.value.coloured(points, colour) for part in self.shapes], axis=0)
+
     def bounds(self) -> tuple[Array, Array]:
         lower, upper = zip(*(part.value.bounds() for part in self.shapes), strict=True)
         return np.max(lower, axis=0), np.min(upper, axis=0)

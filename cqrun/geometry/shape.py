@@ -34,7 +34,7 @@ class Shape(Region):
         """Return the lower and upper corner (D,) [m] of an axis-aligned box around the shape."""
 
     @property
-    def colours(self) -> tuple[str, ...]:
+    def colour_names(self) -> tuple[str, ...]:
         """The names of the colours of an image inside the shape; each is a group of its body."""
         return ()
 

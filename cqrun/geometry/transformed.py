@@ -23,6 +23,13 @@ class Transformed(Place, Shape):
     def inside(self, points: Array) -> Array:
         return self.shape.value.inside(self.to_local(points))
 
+    @property
+    def colour_names(self) -> tuple[str, ...]:
+        return self.shape.value.colour_names
+
+    def coloured(self, points: Array, colour: str) -> Array:
+        return self.shape.value.coloured(self.to_local(points), colour)
+
     def bounds(self) -> tuple[Array, Array]:
         return self.world_bounds(*self.shape.value.bounds())
 

@@ -30,6 +30,14 @@ class Union(Shape):
         local = (points - self._origin()) / self.scale
         return np.any([part.value.inside(local) for part in self.shapes], axis=0)
 
+    @property
+    def colour_names(self) -> tuple[str, ...]:
+        return tuple(name for part in self.shapes for name in part.value.colour_names)
+
+    def coloured(self, points: Array, colour: str) -> Array:
+        local = (points - self._origin()) / self.scale
+        return np.any([part.value.coloured(local, colour) for part in self.shapes], axis=0)
+
     def bounds(self) -> tuple[Array, Array]:
         lower, upper = zip(*(part.value.bounds() for part in self.shapes), strict=True)
         origin = self._origin()

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from cqrun.errors import Problem, RunError, SceneError, UsageError
+from cqrun.geometry.file_shape import FileShape
 from cqrun.jobs.reporter import Reporter
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
+from cqrun.scene.walk import parts
 from cqrun.store.run import RunDirectory, RunScene
 
 
@@ -41,10 +44,15 @@ def open_run(
     Raises:
         SceneError: a recording is missing. UsageError, RunError: as `RunDirectory.open`.
     """
-    files = data_files(scene) if with_data else {}
+    files = shape_files(scene) | (data_files(scene) if with_data else {})
     base = str(scene.resolve_path("").resolve())
     run_scene = RunScene(Path(source).stem, dump(resolve(scene)), scene.text, files, base, job)
     return RunDirectory.open(run_scene, out, argv=sys.argv, seed=scene.seed, threads=threads, fresh=fresh)
+
+
+def shape_files(scene: Scene) -> dict[str, Path]:
+    """Return the images and meshes that a scene's shapes are read from, by the names it uses."""
+    return {part.file: part.path for _, part in parts(scene) if isinstance(part, FileShape)}
 
 
 def data_files(scene: Scene) -> dict[str, Path]:
@@ -71,7 +79,12 @@ def data_files(scene: Scene) -> dict[str, Path]:
 
 def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
     """Return the scene that a run directory keeps, which names its files from where the run began."""
-    return load_scene(run.path / "scene.yaml", overrides, Path(run.record["base"]))
+    scene = load_scene(run.path / "scene.yaml", overrides, Path(run.record["base"]))
+    for name, path in shape_files(scene).items():
+        began_with = run.record["files"].get(name)
+        if path.is_file() and began_with not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
+            raise UsageError(f"{run.path}: {path} has changed since the run began; run the scene again")
+    return scene
 
 
 def require_same_data(run: RunDirectory) -> None:
@@ -80,7 +93,9 @@ def require_same_data(run: RunDirectory) -> None:
     Raises:
         UsageError: they have. SceneError: one is missing.
     """
-    saved = RunScene(run.path.parent.name, run.resolved, "", data_files(saved_scene(run)), job=run.record["job"])
+    scene = saved_scene(run)
+    files = shape_files(scene) | data_files(scene)
+    saved = RunScene(run.path.parent.name, run.resolved, "", files, job=run.record["job"])
     same_files = saved.contents() == run.record["files"]
     # an extended run keeps the name of the scene it began with
     if not same_files or not (run.record.get("extended") or saved.digest() == run.path.name):

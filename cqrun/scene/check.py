@@ -14,6 +14,7 @@ import numpy as np
 from cqrun.choice import Chosen
 from cqrun.contract import Array
 from cqrun.errors import Problem, UsageError
+from cqrun.geometry.file_shape import FileShape
 from cqrun.geometry.region import Region
 from cqrun.geometry.shape import Shape, cell_centres, finite_bounds
 from cqrun.scene.keypath import joined
@@ -25,6 +26,19 @@ Points = Mapping[str, BodyPoints]
 
 PROBES = 16
 """Points along every axis that ask how much of a part lies in another."""
+
+
+def file_problems(scene: Scene) -> tuple[list[Problem], list[Problem]]:
+    """Return what is wrong with the files that shapes are read from, and warnings on them."""
+    problems, warnings = [], []
+    for loc, part in parts(scene):
+        if isinstance(part, FileShape):
+            path = joined((*loc, "file"))
+            try:
+                warnings += [_problem(scene, path, message) for message in part.examine()]
+            except UsageError as error:
+                problems.append(_problem(scene, path, str(error)))
+    return problems, warnings
 
 
 def geometry_problems(scene: Scene, points: Points, margin: float = 0.0) -> list[Problem]:

@@ -40,7 +40,7 @@ def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = (
             raise complaint("Scene", findings)
     except ValidationError as error:
         raise SceneError(origin.problems(error)) from None
-    scene._origin = origin
+    scene.came_from(origin)
     return scene
 
 

@@ -11,7 +11,7 @@ from cqrun.contract import Array
 from cqrun.engine.blocks import BLOCK
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.geometry.place import Place
-from cqrun.scene.check import geometry_problems, sparse_bodies
+from cqrun.scene.check import file_problems, geometry_problems, sparse_bodies
 from cqrun.scene.regions import BodyPoints
 from cqrun.scene.schema import Scene
 from cqrun.state import Layout
@@ -70,6 +70,9 @@ def sample(scene: Scene) -> Particles:
     Raises:
         SceneError: a body is empty, outside the world or inside another; a region holds nothing.
     """
+    problems, warnings = file_problems(scene)
+    if problems:
+        raise SceneError(problems)
     keys = {body: stress_key(scene, body) for body in scene.bodies}
     first_of = list(dict.fromkeys(keys.values()))
     names = tuple(sorted(scene.bodies, key=lambda body: first_of.index(keys[body])))
@@ -79,7 +82,7 @@ def sample(scene: Scene) -> Particles:
     problems = geometry_problems(scene, points)
     if problems:
         raise SceneError(problems)
-    warnings = tuple(sparse_bodies(scene, volumes))
+    warnings += sparse_bodies(scene, volumes)
     for name in names:
         spacing[name] = float(volumes[name].mean() ** (1 / scene.dim))
         if scene.bodies[name].unit_mass:
@@ -92,7 +95,7 @@ def sample(scene: Scene) -> Particles:
         np.concatenate([points[name].x for name in names]),
         np.concatenate([volumes[name] for name in names]),
         spacing,
-        warnings,
+        tuple(warnings),
     )
 
 

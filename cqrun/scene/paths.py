@@ -86,7 +86,7 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
         changed = Scene.model_validate(data)
     except ValidationError as error:
         raise SceneError(scene._origin.problems(error)) from None
-    changed._origin = scene._origin
+    changed.came_from(scene._origin)
     return changed
 
 

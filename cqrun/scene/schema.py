@@ -10,6 +10,7 @@ from pydantic import Field, PrivateAttr, model_validator
 from cqrun.choice import Choice, Chosen
 from cqrun.contract import Plugin, Spec, quantity, vector
 from cqrun.explain import Loc, complaint, finding
+from cqrun.geometry.file_shape import FileShape
 from cqrun.geometry.lattice import Lattice
 from cqrun.geometry.place import Place
 from cqrun.geometry.region import ChosenRegion
@@ -23,6 +24,7 @@ from cqrun.scene.fields import Memory, Name, Seed, Substeps
 from cqrun.scene.material import Material
 from cqrun.scene.origin import Origin
 from cqrun.scene.references import findings_between
+from cqrun.scene.walk import parts
 
 ON_CONTROL_STEP = 1e-9
 """How far, relative, a duration may be from a whole number of control steps."""
@@ -88,7 +90,7 @@ class Body(Spec):
     @property
     def colours(self) -> tuple[str, ...]:
         """The names of the colours of its images, each a group."""
-        return tuple(dict.fromkeys(name for piece in self.pieces.values() for name in piece.colours))
+        return tuple(dict.fromkeys(name for piece in self.pieces.values() for name in piece.colour_names))
 
     def whole(self) -> Shape:
         """Return the body as one shape in the world."""
@@ -209,6 +211,13 @@ class Scene(Spec):
     def dim(self) -> int:
         """2 or 3: the dimension of the world."""
         return len(self.world.size)
+
+    def came_from(self, origin: Origin) -> None:
+        """Take up where the scene came from; files that its shapes name start from there."""
+        self._origin = origin
+        for _, part in parts(self):
+            if isinstance(part, FileShape):
+                part.found_in(self.resolve_path(""))
 
     @property
     def source(self) -> Path | None:

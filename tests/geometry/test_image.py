@@ -1,0 +1,181 @@
+"""Images: which pixels are a body, what their colours name, and what nothing can be cut out of."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image as Pillow
+from pydantic import ValidationError
+
+from cqrun.errors import UsageError
+from cqrun.geometry.difference import Difference
+from cqrun.geometry.image import Image
+from cqrun.geometry.random import Random
+from cqrun.geometry.transformed import Transformed
+from cqrun.geometry.union import Union
+
+WHITE, RED, BLUE, PINK = (255, 255, 255), (220, 20, 20), (0, 0, 255), (255, 210, 210)
+
+
+def save(path: Path, pixels: Any) -> str:
+    """Save pixels (rows from the top, columns, 3 or 4) as PNG."""
+    Pillow.fromarray(np.array(pixels, np.uint8)).save(path)
+    return str(path)
+
+
+@pytest.fixture
+def flag(tmp_path: Path) -> str:
+    """Return a picture of 4 x 6 pixels: a red block above a blue one, white around, a pink pixel of neither."""
+    pixels = np.full((4, 6, 3), WHITE)
+    pixels[1, 1:4], pixels[2, 1:4], pixels[1, 4] = RED, BLUE, PINK
+    return save(tmp_path / "flag.png", pixels)
+
+
+def image(file: str, **fields: Any) -> Image:
+    size = {} if "width" in fields or "height" in fields else {"height": 0.4}
+    return Image.model_validate({"file": file, **size, **fields})
+
+
+def middles(body: Image, columns: Any, rows_from_below: Any) -> np.ndarray:
+    """Return the middles of pixels 0.1 m wide at the corner (1, 2)."""
+    return np.stack([1.05 + 0.1 * np.asarray(columns), 2.05 + 0.1 * np.asarray(rows_from_below)], axis=-1)
+
+
+def test_opaque_pixels_that_are_not_white_are_the_body(flag: str) -> None:
+    body = image(flag, corner=[1.0, 2.0])
+    assert body.examine() == []
+    lower, upper = body.bounds()
+    assert lower == pytest.approx([1.1, 2.1])
+    assert upper == pytest.approx([1.5, 2.3])
+    assert body.volume() == pytest.approx(7 * 0.01)
+    x = middles(body, [0, 1, 3, 4, 4, 5, -1, 9], [2, 2, 1, 2, 1, 2, 1, 1])
+    assert body.inside(x).tolist() == [False, True, True, True, False, False, False, False]
+
+
+def test_width_and_height_give_the_same_pixels(flag: str, rng: np.random.Generator) -> None:
+    x = rng.uniform(-0.1, 0.7, (500, 2))
+    by_width, by_height = image(flag, width=0.6), image(flag, height=0.4)
+    assert by_height.bounds()[1] == pytest.approx([0.5, 0.3])
+    assert (by_width.inside(x) == by_height.inside(x)).all()
+
+
+def test_colours_pick_the_nearest_within_the_tolerance(flag: str) -> None:
+    body = image(flag, corner=[1.0, 2.0], colours={"top": "#ff0000", "low": "#0000FF"}, tolerance=40)
+    x = middles(body, [1, 1, 4, 0], [2, 1, 2, 0])
+    assert body.colour_names == ("top", "low")
+    assert body.coloured(x, "top").tolist() == [True, False, False, False]
+    assert body.coloured(x, "low").tolist() == [False, True, False, False]
+    assert body.coloured(x, "#ffd2d2").tolist() == [False, False, True, False]
+    assert not body.coloured(x, "white").any()
+    # colours that are near to each other share no pixel
+    reds = image(flag, corner=[1.0, 2.0], colours={"a": "#dc1414", "b": "#e61e1e"}, tolerance=40)
+    assert not (reds.coloured(x, "a") & reds.coloured(x, "b")).any()
+
+
+def test_transparency_decides_where_there_is_any(tmp_path: Path) -> None:
+    pixels = np.zeros((2, 2, 4))
+    pixels[0] = [*WHITE, 255]
+    pixels[1] = [*RED, 100]
+    body = image(save(tmp_path / "clear.png", pixels), height=2.0)
+    assert body.inside(np.array([[0.5, 1.5], [0.5, 0.5]])).tolist() == [True, False]
+    cut = image(save(tmp_path / "clear.png", pixels[::-1]), height=2.0, background="#ffffff")
+    with pytest.raises(UsageError, match="none of its 2 x 2 pixels is part of a body: all are transparent or the"):
+        cut.examine()
+
+
+def test_a_background_of_another_colour(flag: str) -> None:
+    body = image(flag, corner=[1.0, 2.0], background="#0000ff")
+    assert body.inside(middles(body, [0, 1, 1], [0, 1, 2])).tolist() == [True, False, True]
+
+
+def test_colours_go_through_what_is_made_of_the_image(flag: str) -> None:
+    data = {"image": {"file": flag, "height": 0.4, "colours": {"top": "#dc1414"}}}
+    hole = {"ball": {"center": [0, 0], "radius": 0.01}}
+    turned = Transformed.model_validate(
+        {"shape": {"union": [{"difference": [data, hole]}, hole]}, "offset": [1.0, 2.0], "angle": 90}
+    )
+    assert turned.colour_names == ("top",)
+    x = turned.to_world(np.array([[0.15, 0.25], [0.15, 0.15]]))
+    assert turned.coloured(x, "top").tolist() == [True, False]
+    assert Difference.model_validate({"shapes": [hole, data]}).colour_names == ()
+    both = Union.model_validate({"shapes": [data], "scale": 2.0})
+    assert both.coloured(np.array([[0.3, 0.5]]), "top").tolist() == [True]
+
+
+def test_an_image_is_filled(flag: str) -> None:
+    points, volume = Random(count=500).sample(image(flag), None)
+    assert image(flag).inside(points).all()
+    assert volume.sum() == pytest.approx(0.07)
+
+
+def test_a_changed_file_is_read_anew(flag: str) -> None:
+    assert image(flag).volume() == pytest.approx(0.07)
+    pixels = np.full((4, 6, 3), WHITE)
+    pixels[0, :2], pixels[1, 1] = RED, BLUE
+    save(Path(flag), pixels)
+    assert image(flag).volume() == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "found"),
+    [
+        (np.full((3, 5, 3), WHITE), "all of its 5 x 3 pixels have the colour #ffffff"),
+        (np.full((3, 5, 3), RED), "all of its 5 x 3 pixels have the colour #dc1414"),
+        (np.zeros((3, 5, 4)), "all of its 5 x 3 pixels are transparent"),
+    ],
+)
+def test_nothing_can_be_cut_out_of_one_colour(pixels: np.ndarray, found: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=f"plain.png: an image of one colour, nothing can be cut out: {found}"):
+        image(save(tmp_path / "plain.png", pixels)).examine()
+
+
+def test_a_colour_that_no_pixel_has_is_told_with_those_there_are(flag: str) -> None:
+    told = "no pixel has the colour 'leg' (#00ff00); the commonest are #0000ff (42.9%), #dc1414 (42.9%), #ffd2d2 (14.3%)"
+    with pytest.raises(UsageError, match=re.escape(told)):
+        image(flag, colours={"leg": "#00ff00", "low": "#0000ff"}).examine()
+
+
+def test_files_that_are_no_images_are_refused(tmp_path: Path, flag: str) -> None:
+    with pytest.raises(UsageError, match=r"none.png: cannot be read \(No such file or directory\)"):
+        image(str(tmp_path / "none.png")).examine()
+    (tmp_path / "text.png").write_text("no picture")
+    with pytest.raises(UsageError, match=r"text\.png: is no image that can be read; save it as PNG"):
+        image(str(tmp_path / "text.png")).examine()
+    big = save(tmp_path / "big.png", np.random.default_rng(0).integers(0, 255, (60, 60, 3)))
+    cut = tmp_path / "cut.png"
+    cut.write_bytes(Path(big).read_bytes()[:4000])
+    with pytest.raises(UsageError, match=r"cut\.png: cannot be read as an image: .*; save it as PNG again"):
+        image(str(cut)).examine()
+
+
+def test_an_image_too_large_is_refused(flag: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cqrun.geometry.image.MAX_PIXELS", 20)
+    Path(flag).touch()
+    with pytest.raises(UsageError, match="6 x 4 pixels; at most 2e"):
+        image(flag).examine()
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"height": 1.0, "width": 1.0}, "exactly one of height, width; has height and width"),
+        ({"width": None}, "exactly one of height, width; has none"),
+        ({"colours": {"leg": "red"}}, "a colour is #rrggbb"),
+        ({"colours": {"left leg": "#ff0000"}}, "a name has letters, digits and _"),
+        ({"background": "#fff"}, "a colour is #rrggbb"),
+        ({"file": ""}, "at least 1 char"),
+    ],
+)
+def test_what_is_no_image_is_refused(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValidationError) as info:
+        image(fields.pop("file", "a.png"), **fields)
+    assert message in str(info.value)
+
+
+def test_an_image_is_flat() -> None:
+    assert "an image needs a 2D world" in image("a.png").dim_problems(3)[0][1]
+    assert image("a.png", corner=[0.0, 0.0]).dim_problems(2) == []
