@@ -1,18 +1,18 @@
-"""compare.png: the loss of several runs against iteration and wall time, with a band over equal ones."""
+"""compare.png: the loss of several runs against iteration and wall time, with a band over those of many seeds."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
-from cqrun.figures.convergence import LossCurve, loss_curve
-from cqrun.figures.quantities import capitalised
+from cqrun.figures.losses import LossCurve, loss_curve, term_curve
+from cqrun.figures.quantities import time_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, log_ticks, new_figure, titled, whole_ticks
 from cqrun.scene.load import resolve
@@ -28,7 +28,7 @@ CONFIDENCE = 0.90
 """Of the band around the mean."""
 
 SMALLEST = 1e-9
-"""Losses are not drawn below this [mm]: a logarithmic axis has no zero."""
+"""Losses are not drawn below this on a logarithmic axis, which has no zero."""
 
 TIMES = 200
 """Points in time at which means are taken."""
@@ -44,15 +44,25 @@ class Group:
     Attributes:
         label: what tells them from the others.
         curves: the loss of each.
+        seeds: no two of them are the same run again.
     """
 
     label: str
     curves: tuple[LossCurve, ...]
+    seeds: bool = True
+
+    @property
+    def log(self) -> bool:
+        """Whether their mean is that of logarithms."""
+        return all(curve.log for curve in self.curves)
 
 
 @dataclass(frozen=True)
 class Band:
-    """Geometric mean over runs with its confidence interval; x (K,) is iteration or time, the rest (K,) [mm]."""
+    """Mean over runs with its confidence interval, of logarithms on a logarithmic axis.
+
+    x (K,) is iteration or time [s], the rest (K,) in the losses' unit.
+    """
 
     x: Array
     mean: Array
@@ -63,28 +73,37 @@ class Band:
 # --- data ---------------------------------------------------------------------------------------------------
 
 
-def groups(runs: Sequence[RunData]) -> list[Group]:
+def groups(runs: Sequence[RunData], term: str | None = None) -> list[Group]:
     """Return runs grouped by their scenes without seeds, in order of first appearance.
 
+    Args:
+        runs: to compare.
+        term: of the objective that is compared; the loss if None.
+
     Raises:
-        UsageError: a run has no history yet, or the runs' losses are not of one kind.
+        UsageError: a run has no history yet or no such term, or the runs' losses are not of one kind.
     """
-    curves = [loss_curve(run) for run in runs]
-    kinds = {curve.label: run.path for run, curve in zip(runs, curves, strict=True)}
+    curves = [loss_curve(run) if term is None else term_curve(run, term) for run in runs]
+    kinds = {curve.title: run.path for run, curve in zip(runs, curves, strict=True)}
     if len(kinds) > 1:
         told = "; ".join(f"{path}: {label}" for label, path in kinds.items())
         raise UsageError(f"these runs minimise different things, which one axis cannot compare: {told}")
-    scenes = [_without_seeds(resolve(run.scene)) for run in runs]
+    resolved = [resolve(run.scene) for run in runs]
+    scenes = [_without_seeds(scene) for scene in resolved]
     keys = [f"{run.name} {json.dumps(scene, sort_keys=True)}" for run, scene in zip(runs, scenes, strict=True)]
-    first = {key: keys.index(key) for key in keys}
+    members = {key: [i for i, other in enumerate(keys) if other == key] for key in dict.fromkeys(keys)}
     names = group_labels(
-        [runs[i].name for i in first.values()],
-        [_flat(scenes[i]) for i in first.values()],
-        [runs[i].path.resolve().name for i in first.values()],
+        [runs[own[0]].name for own in members.values()],
+        [_flat(scenes[own[0]]) for own in members.values()],
+        [runs[own[0]].path.resolve().name for own in members.values()],
     )
     return [
-        Group(name, tuple(curve for curve, other in zip(curves, keys, strict=True) if other == key))
-        for key, name in zip(first, names, strict=True)
+        Group(
+            name,
+            tuple(curves[i] for i in own),
+            len({json.dumps(resolved[i], sort_keys=True) for i in own}) == len(own),
+        )
+        for name, own in zip(names, members.values(), strict=True)
     ]
 
 
@@ -148,54 +167,66 @@ def band(group: Group, *, over_time: bool) -> Band:
     end = max(float(place[-1]) for place in places)
     start = min(float(place[0]) for place in places)
     x = np.linspace(start, end, TIMES) if over_time else np.arange(start, end + 1)
-    logs = np.array(
-        [np.interp(x, p, np.log(np.maximum(c.value, SMALLEST))) for p, c in zip(places, group.curves, strict=True)]
-    )
+    values = [np.log(np.maximum(c.value, SMALLEST)) if group.log else c.value for c in group.curves]
+    rows = np.array([np.interp(x, place, value) for place, value in zip(places, values, strict=True)])
     n = len(group.curves)
-    mean = logs.mean(axis=0)
-    half = float(stdtrit(n - 1, 0.5 + 0.5 * CONFIDENCE)) * logs.std(axis=0, ddof=1) / np.sqrt(n)
-    return Band(x, np.exp(mean), np.exp(mean - half), np.exp(mean + half))
+    mean = rows.mean(axis=0)
+    half = float(stdtrit(n - 1, 0.5 + 0.5 * CONFIDENCE)) * rows.std(axis=0, ddof=1) / np.sqrt(n)
+    low, high = mean - half, mean + half
+    return Band(x, np.exp(mean), np.exp(low), np.exp(high)) if group.log else Band(x, mean, low, high)
 
 
 # --- drawing ------------------------------------------------------------------------------------------------
 
 
-def draw_comparison(runs: Sequence[RunData]) -> Figure:
-    """Return the picture: loss against iteration, and against wall time."""
-    all_groups = groups(runs)
+def draw_comparison(runs: Sequence[RunData], term: str | None = None) -> Figure:
+    """Return the picture: loss, or a term of the objective, against iteration and against wall time."""
+    all_groups = groups(runs, term)
     figure = new_figure(9.0, 3.6)
     by_iteration, by_time = figure.subplots(1, 2, sharey=True)
+    curves = [curve for group in all_groups for curve in group.curves]
+    if all(group.log for group in all_groups):
+        shown = np.concatenate([np.maximum(curve.value, SMALLEST) for curve in curves])
+        margin = max(float(shown.max() / shown.min()) ** 0.08, 1.05)
+        low, high = float(shown.min()) / margin, float(shown.max()) * margin
+        by_iteration.set_yscale("log")
+        by_iteration.set_ylim(low, high)
+        log_ticks(by_iteration.yaxis, low, high)
+    else:
+        all_groups = [replace(group, curves=tuple(replace(c, log=False) for c in group.curves)) for group in all_groups]
+    clock = time_unit(max(float(_place(curve, True)[-1]) for curve in curves))
     for axes, over_time in ((by_iteration, False), (by_time, True)):
         for place, group in enumerate(all_groups):
-            _plot_group(axes, group, COLOURS[place % len(COLOURS)], over_time=over_time)
-    kind = all_groups[0].curves[0].label
-    shown = np.concatenate([np.maximum(c.value, SMALLEST) for group in all_groups for c in group.curves])
-    margin = max(float(shown.max() / shown.min()) ** 0.08, 1.05)
-    low, high = float(shown.min()) / margin, float(shown.max()) * margin
-    by_iteration.set_yscale("log")
-    by_iteration.set_ylim(low, high)
-    log_ticks(by_iteration.yaxis, low, high)
+            _plot_group(axes, group, COLOURS[place % len(COLOURS)], clock.factor if over_time else None)
     whole_ticks(by_iteration.xaxis)
     by_iteration.set_xlabel("iteration")
-    by_time.set_xlabel("wall time since the first evaluation (s)")
-    titled(by_iteration, f"{capitalised(kind)} (mm)")
+    by_time.set_xlabel(clock.label("wall time since the first evaluation"))
+    titled(by_iteration, curves[0].title)
     handles, labels = by_iteration.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower left", ncols=min(len(labels), 2))
     return figure
 
 
-def _plot_group(axes: Axes, group: Group, colour: str, *, over_time: bool) -> None:
-    many = len(group.curves) >= BAND_FROM
+def _plot_group(axes: Axes, group: Group, colour: str, clock: float | None) -> None:
+    """Draw a group: each run, or their mean and band.
+
+    Args:
+        clock: what a second is in the axis' unit, against time; None against iterations.
+    """
+    count, over_time = len(group.curves), clock is not None
+    many = count >= BAND_FROM
+    what = f"{count} {'seeds' if group.seeds else 'runs'}"
+    factor = clock or 1.0
     for k, curve in enumerate(group.curves):
-        x = _place(curve, over_time)
-        value = np.maximum(curve.value, SMALLEST)
-        label = None if many or k else group.label
+        x = factor * _place(curve, over_time)
+        value = np.maximum(curve.value, SMALLEST) if group.log else curve.value
+        label = None if many or k else group.label if count == 1 else f"{group.label}: {what}"
         if many:
             axes.plot(x, value, color=colour, linewidth=0.7, alpha=0.35)
         else:
             axes.plot(x, value, color=colour, label=label, marker="o" if len(x) <= 40 else None, markersize=3)
     if many:
         mean = band(group, over_time=over_time)
-        text = f"{group.label}: mean of {len(group.curves)} runs, its {100 * CONFIDENCE:.0f} % interval"
-        axes.fill_between(mean.x, mean.low, mean.high, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(mean.x, mean.mean, color=colour, linewidth=1.8, label=text)
+        text = f"{group.label}: mean of {what} and its {100 * CONFIDENCE:.0f} % interval"
+        axes.fill_between(factor * mean.x, mean.low, mean.high, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(factor * mean.x, mean.mean, color=colour, linewidth=1.8, label=text)

@@ -1,16 +1,18 @@
-"""convergence.png: the loss and every unknown against the iteration, as in CQ2 Fig 5."""
+"""convergence.png: the loss, its terms and every unknown against the iteration, as in CQ2 Fig 5."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.errors import UsageError
-from cqrun.figures.quantities import MILLI, Unit, capitalised, estimate, labels, millimetres, number, shown_unit
-from cqrun.figures.run_data import HISTORY, RunData
+from cqrun.figures.losses import LossCurve, loss_curve, term_curve, term_names
+from cqrun.figures.quantities import Unit, estimate, labels, millimetres, number, shown_unit
+from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, GREY, PALE, TRUTH, clock_ticks, log_ticks, new_figure, titled, whole_ticks
 from cqrun.scene.paths import canonical, leaf
 
@@ -23,24 +25,6 @@ WIDE_LOG = 5.0
 
 NEAR = 1.0
 """A bound that is at most so many spans away from what happened is shown, others are only told."""
-
-
-@dataclass(frozen=True)
-class LossCurve:
-    """The loss over a run, as a length.
-
-    Attributes:
-        label: what it is, such as RMSE.
-        iteration, seconds: of each row (K,).
-        value: root of the loss (K,) [mm].
-        floor: RMSE that the noise of synthetic data alone makes [mm]; None where it is not known.
-    """
-
-    label: str
-    iteration: Array
-    seconds: Array
-    value: Array
-    floor: float | None = None
 
 
 @dataclass(frozen=True)
@@ -75,19 +59,6 @@ class UnknownCurve:
 
 
 # --- data ---------------------------------------------------------------------------------------------------
-
-
-def loss_curve(run: RunData) -> LossCurve:
-    """Return the loss over a run; UsageError if it has no rows yet."""
-    if not run.history:
-        raise UsageError(f"{run.path}: {HISTORY} is missing or has no rows yet, so there is no convergence to draw")
-    data = run.scene.data
-    label = "distance to the target" if data is not None and data.target is not None else "RMSE"
-    floor = None
-    if data is not None and data.synthetic is not None and data.synthetic.noise > 0:
-        floor = MILLI * data.synthetic.noise * float(np.sqrt(run.scene.dim))
-    value = MILLI * np.sqrt(np.maximum(run.history["loss"], 0.0))
-    return LossCurve(label, run.history["iteration"], run.history["seconds"], value, floor)
 
 
 def unknown_curves(run: RunData) -> list[UnknownCurve]:
@@ -142,19 +113,33 @@ def _found(entry: dict[str, Any] | None, unit: Unit) -> tuple[Array | None, tupl
 
 
 def draw_convergence(run: RunData) -> Figure:
-    """Return the picture: a panel for the loss and one for each unknown."""
-    loss, unknowns = loss_curve(run), unknown_curves(run)
-    rows, columns, first = layout(1 + len(unknowns))
+    """Return the picture: a panel for the loss, each of its terms and each unknown, and one for gradients."""
+    loss = loss_curve(run)
+    panels: list[Callable[[Axes], None]] = [
+        *(partial(plot_loss, loss=term_curve(run, name)) for name in term_names(run)),
+        *(partial(plot_unknown, iteration=loss.iteration, curve=curve) for curve in unknown_curves(run)),
+    ]
+    blocks = gradient_blocks(run)
+    if blocks:
+        panels.append(partial(_plot_gradients, iteration=loss.iteration, blocks=blocks))
+    rows, columns, first = layout(1 + len(panels))
     figure = new_figure(1.0 + 3.0 * columns, 0.5 + 2.35 * rows)
     grid = figure.add_gridspec(rows, columns)
     figure.suptitle(f"{run.name}: {run.status}", fontsize=9, color=GREY, x=0.995, ha="right")
     plot_loss(figure.add_subplot(grid[0, :first]), loss)
-    for place, curve in enumerate(unknowns, first):
+    for place, draw in enumerate(panels, first):
         axes = figure.add_subplot(grid[place // columns, place % columns])
-        plot_unknown(axes, loss.iteration, curve)
+        draw(axes)
         if place >= (rows - 1) * columns:
             axes.set_xlabel("iteration")
     return figure
+
+
+def gradient_blocks(run: RunData) -> dict[str, Array]:
+    """Return the norm of the gradient (K,) of each block that is no unknown of the scene, by its name."""
+    unknowns = {canonical(run.scene, path) for path in run.scene.unknowns}
+    norms = {name.removeprefix("grad:"): column for name, column in run.history.items() if name.startswith("grad:")}
+    return {name: column for name, column in norms.items() if name not in unknowns}
 
 
 def layout(panels: int) -> tuple[int, int, int]:
@@ -165,14 +150,12 @@ def layout(panels: int) -> tuple[int, int, int]:
 
 
 def plot_loss(axes: Axes, loss: LossCurve) -> None:
-    """Draw the loss; below the iterations stands the wall time."""
+    """Draw the loss or a term; below the iterations stands the wall time."""
     axes.plot(loss.iteration, loss.value, color=COLOURS[0], **_marked(len(loss.iteration)))
-    shown = [*loss.value[loss.value > 0], *([] if loss.floor is None else [loss.floor])]
-    if shown:
-        low, high = _padded_log(min(shown), max(shown))
-        axes.set_yscale("log")
-        axes.set_ylim(low, high)
-        log_ticks(axes.yaxis, low, high)
+    if loss.log:
+        shown = [*loss.value[loss.value > 0], *([] if loss.floor is None else [loss.floor])]
+        if shown:
+            _log_axis(axes, min(shown), max(shown))
     if loss.floor is not None:
         text = f"noise: {millimetres(loss.floor)} mm"
         axes.axhline(loss.floor, color=TRUTH, linestyle="--", linewidth=1.0, label=text)
@@ -181,8 +164,33 @@ def plot_loss(axes: Axes, loss: LossCurve) -> None:
     _pad_iterations(axes, loss.iteration)
     unit = clock_ticks(axes.xaxis, loss.iteration, loss.seconds)
     axes.set_xlabel(f"iteration, wall time ({unit})")
-    final = f"{millimetres(loss.value[-1])} after {int(loss.iteration[-1])} iterations"
-    titled(axes, f"{capitalised(loss.label)} (mm)", final)
+    last = float(loss.value[-1])
+    final = f"{millimetres(last) if loss.unit == 'mm' else number(last)} after {int(loss.iteration[-1])} iterations"
+    titled(axes, loss.title, final)
+
+
+def _log_axis(axes: Axes, low: float, high: float) -> None:
+    """Make the vertical axis logarithmic, from a little below `low` to a little above `high`."""
+    ends = _padded_log(low, high)
+    axes.set_yscale("log")
+    axes.set_ylim(*ends)
+    log_ticks(axes.yaxis, *ends)
+
+
+def _plot_gradients(axes: Axes, iteration: Array, blocks: dict[str, Array]) -> None:
+    """Draw the norm of the gradient of every block of parameters."""
+    known = [norm[norm > 0] for norm in blocks.values()]
+    for k, (name, norm) in enumerate(blocks.items()):
+        there = norm > 0
+        colour = COLOURS[k % len(COLOURS)]
+        axes.plot(iteration[there], norm[there], color=colour, label=name, **_marked(len(iteration)))
+    if any(norm.size for norm in known):
+        everything = np.concatenate(known)
+        _log_axis(axes, float(everything.min()), float(everything.max()))
+    whole_ticks(axes.xaxis)
+    _pad_iterations(axes, iteration)
+    axes.legend(loc="best", handlelength=1.6)
+    titled(axes, "Norm of the gradient")
 
 
 def plot_unknown(axes: Axes, iteration: Array, curve: UnknownCurve, *, tell_bounds: bool = True) -> None:
@@ -218,10 +226,7 @@ def _plot_gradient(axes: Axes, iteration: Array, curve: UnknownCurve, name: str)
     shown = curve.gradient > 0
     axes.plot(iteration[shown], curve.gradient[shown], color=COLOURS[0], **_marked(len(iteration)))
     if shown.any():
-        low, high = _padded_log(float(curve.gradient[shown].min()), float(curve.gradient[shown].max()))
-        axes.set_yscale("log")
-        axes.set_ylim(low, high)
-        log_ticks(axes.yaxis, low, high)
+        _log_axis(axes, float(curve.gradient[shown].min()), float(curve.gradient[shown].max()))
     axes.set_ylabel("norm of the gradient (m²)")
     found = ""
     if curve.final is not None:

@@ -22,8 +22,11 @@ if TYPE_CHECKING:
 
 FIGURES = "figures"
 
-DRAWN = ("sysid", "simulate")
+DRAWN = ("sysid", "control", "simulate")
 """Jobs that have pictures."""
+
+MOST_NAMES = 5
+"""Scenes that the name of a comparison tells."""
 
 INCOMPLETE = "though the run has ended well: the directory is incomplete, run its scene again with --fresh"
 
@@ -63,13 +66,15 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
 def require_files(run: RunData) -> None:
     """Raise a UsageError where a run lacks what there must be to draw it."""
     if run.job not in DRAWN:
-        raise UsageError(f"{run.path}: a run of '{run.job}' has no pictures; those of {' and '.join(DRAWN)} have")
-    if run.job == "sysid":
+        drawn = f"{', '.join(DRAWN[:-1])} and {DRAWN[-1]}"
+        raise UsageError(f"{run.path}: a run of '{run.job}' has no pictures; those of {drawn} have")
+    if run.job != "simulate":
         run.require(HISTORY, "so there is no convergence to draw")
         if not run.history:
             raise UsageError(f"{run.path}: {HISTORY} has no rows yet: nothing to draw before the first iteration")
         if run.succeeded:
             run.require(RESULT, INCOMPLETE)
+        if run.succeeded and run.job == "sysid":
             run.require(TRAJECTORY, INCOMPLETE)
             if (run.result or {}).get("recordings"):
                 run.require(TRACKS, INCOMPLETE)
@@ -91,15 +96,24 @@ def _figures(run: RunData) -> list[tuple[str, Figure]]:
     return drawn
 
 
-def draw_several(paths: Sequence[Path], out: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
+def draw_several(
+    paths: Sequence[Path], out: Path, kinds: Sequence[str] = ("png",), term: str | None = None
+) -> list[Path]:
     """Compare runs in one picture, `out`/compare_<scenes>; return its paths.
+
+    Args:
+        paths: of the runs.
+        out: directory of the picture.
+        kinds: png, pdf.
+        term: of the objective that is compared; the loss if None.
 
     Raises:
         UsageError: a directory is no run, has no history yet, or the runs' losses are of different kinds.
         RunError: the disk is full.
     """
     runs = [read_run(path) for path in paths]
-    names = "_".join(dict.fromkeys(run.name for run in runs))
+    names = list(dict.fromkeys(run.name for run in runs))
+    told = [*names[:MOST_NAMES], *(["others"] if len(names) > MOST_NAMES else []), *([] if term is None else [term])]
     make_directory(out)
     with styled():
-        return save(draw_comparison(runs), out / f"compare_{names}", kinds)
+        return save(draw_comparison(runs, term), out / f"compare_{'_'.join(told)}", kinds)

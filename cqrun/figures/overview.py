@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.figures.bodies import farthest_frame, plot_body, snapshot
-from cqrun.figures.convergence import loss_curve, plot_loss, plot_unknown, unknown_curves
+from cqrun.figures.convergence import plot_loss, plot_unknown, unknown_curves
+from cqrun.figures.losses import loss_curve
 from cqrun.figures.quantities import MILLI, length_unit, millimetres
 from cqrun.figures.run_data import TRACKS, RunData
 from cqrun.figures.style import INK, new_figure, titled

@@ -17,6 +17,9 @@ _ORDER = {"shear": "shear viscosity", "bulk": "bulk viscosity"}
 _PREFIXES = {"Pa": (("GPa", 1e9), ("MPa", 1e6), ("kPa", 1e3)), "m": (("m", 1.0), ("mm", 1e-3))}
 """Units that are shown with another prefix where the numbers ask for it, the largest first."""
 
+_TIMES = (("h", 3600.0), ("min", 60.0), ("s", 1.0))
+"""Units of time, the largest first, with their seconds."""
+
 _RAISED = str.maketrans({"^": None, "2": "²", "3": "³"})
 
 LARGE = 0.5
@@ -47,6 +50,11 @@ def shown_unit(unit: str, largest: float) -> Unit:
 def length_unit(extent: float) -> Unit:
     """Return metres or millimetres for lengths up to `extent` [m]."""
     return Unit("m", 1.0) if abs(extent) >= LARGE else Unit("mm", MILLI)
+
+
+def time_unit(longest: float) -> Unit:
+    """Return hours, minutes or seconds for times up to `longest` [s]."""
+    return next(Unit(name, 1.0 / size) for name, size in _TIMES if longest >= 3 * size or size == 1.0)
 
 
 def labels(paths: Sequence[str]) -> list[str]:

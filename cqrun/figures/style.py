@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.figures.quantities import time_unit
 from cqrun.store.atomic import write_bytes
 
 if TYPE_CHECKING:
@@ -126,17 +127,16 @@ def clock_ticks(axis: Axis, iteration: Array, seconds: Array) -> str:
     """Write the wall time [s] below each iteration; return the unit that it is written in."""
     from matplotlib.ticker import FuncFormatter
 
-    total = float(seconds[-1])
-    name, size = next((n, s) for n, s in (("h", 3600.0), ("min", 60.0), ("s", 1.0)) if total >= 3 * s or s == 1.0)
-    digits = 0 if (total - float(seconds[0])) / size >= 10 else 1
+    unit = time_unit(float(seconds[-1]))
+    digits = 0 if unit.factor * float(seconds[-1] - seconds[0]) >= 10 else 1
 
     def text(tick: float, _: int) -> str:
         if not iteration[0] <= tick <= iteration[-1]:
             return ""
-        return f"{tick:g}\n{np.interp(tick, iteration, seconds) / size:.{digits}f}"
+        return f"{tick:g}\n{unit.factor * np.interp(tick, iteration, seconds):.{digits}f}"
 
     axis.set_major_formatter(FuncFormatter(text))
-    return name
+    return unit.name
 
 
 def log_ticks(axis: Axis, low: float, high: float) -> None:

@@ -9,7 +9,7 @@ from scipy.stats import t as student
 
 from cqrun.errors import UsageError
 from cqrun.figures.compare import Group, band, draw_comparison, groups
-from cqrun.figures.convergence import LossCurve
+from cqrun.figures.losses import LossCurve
 from cqrun.figures.run_data import read_run
 from cqrun.figures.style import styled
 
@@ -82,7 +82,7 @@ def test_three_equal_runs_are_a_mean_and_a_band(tmp_path):
     assert [len(axes.collections) for axes in figure.axes] == [1, 1]
     assert [len(axes.lines) for axes in figure.axes] == [5, 5]
     text = [label.get_text() for label in figure.legends[0].get_texts()]
-    assert text == ["twin: mean of 3 runs, its 90 % interval", "other"]
+    assert text == ["twin: mean of 3 seeds and its 90 % interval", "other"]
     np.testing.assert_allclose(by_iteration.lines[4].get_ydata(), 1e3 * np.sqrt(history(5, {})["loss"]))
     np.testing.assert_allclose(by_time.lines[4].get_xdata(), np.arange(5))
 

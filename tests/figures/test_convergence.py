@@ -7,7 +7,8 @@ import pytest
 from made_runs import YOUNG, history, made_twin, plane_scene, write_history, write_result, write_run
 
 from cqrun.errors import UsageError
-from cqrun.figures.convergence import draw_convergence, layout, loss_curve, unknown_curves, view
+from cqrun.figures.convergence import draw_convergence, layout, unknown_curves, view
+from cqrun.figures.losses import loss_curve
 from cqrun.figures.run_data import read_run
 from cqrun.figures.style import styled
 
