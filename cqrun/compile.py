@@ -14,15 +14,30 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from llvmlite import ir
-from numba import njit
+from numba import config, njit
 from numba.core import types
 from numba.extending import intrinsic, overload
 
-kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-"""Decorator of every compiled function of the engine."""
+_compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+_KERNELS: list[Any] = []
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function of the engine when it is first called, or take it from the cache (decorator)."""
+    _KERNELS.append(_compiled(function))
+    return _KERNELS[-1]
+
+
+def cache_kernels_in(folder: Path) -> None:
+    """Keep compiled code in another folder from now on, that of kernels which are defined already too."""
+    config.CACHE_DIR = str(folder)
+    if not config.DISABLE_JIT:
+        for compiled in _KERNELS:
+            compiled.enable_caching()
 
 
 def own_symbols(kernel_class: type) -> None:

@@ -6,6 +6,7 @@ engine's, over all that can change a number, guards run directories, because ano
 
 from __future__ import annotations
 
+import ast
 import functools
 import hashlib
 import os
@@ -47,6 +48,9 @@ NUMERIC = (
     "jobs/problem.py",
 )
 """Files and folders whose sources can change a number of a run."""
+
+_FOREIGN: set[str] = set()
+"""Modules outside the package with code for kernels: the plug-in files of this process."""
 
 LIBRARIES = ("numba", "numpy", "scipy")
 CACHE_VARIABLE = "NUMBA_CACHE_DIR"
@@ -96,7 +100,7 @@ def set_kernel_cache() -> Path:
     Call it before numba is imported, and before any kernel is defined at the latest.
 
     Returns:
-        The folder in use; numba makes it when it first writes there.
+        The folder in use, which changes with `add_kernels`; numba makes it when it first writes there.
     """
     if not os.environ.get(CACHE_VARIABLE):
         import platformdirs
@@ -104,4 +108,35 @@ def set_kernel_cache() -> Path:
         os.environ[CACHE_VARIABLE] = str(Path(platformdirs.user_cache_dir("cqrun")) / kernel_hash())
         if "numba" in sys.modules:  # it has read its environment already
             sys.modules["numba"].config.reload_config()
-    return Path(os.environ[CACHE_VARIABLE])
+    return Path(os.environ[CACHE_VARIABLE]) / _foreign_part()
+
+
+def _foreign_part() -> str:
+    """Return the folder inside the cache's for kernels that know of plug-in files, nothing where there are none.
+
+    An index of compiled code names the classes that the code was compiled for: a process without those files could
+    not read it. And a helper in such a file is as invisible to numba as any other.
+    """
+    digest = hashlib.sha256("\0".join(sorted(_FOREIGN)).encode()).hexdigest()[:12]
+    return f"plugins-{digest}" if _FOREIGN else ""
+
+
+def has_kernels(source: bytes) -> bool:
+    """Say whether Python source outside the package may hold code for kernels: it imports what they are made of."""
+    stems = {entry.removesuffix(".py") for entry in KERNELS}
+    for node in ast.walk(ast.parse(source)):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+        if isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{name}" for name in names]
+        for name in names:
+            parts = name.split(".")
+            if parts[0] == "numba" or (parts[0] == "cqrun" and parts[1:2] and parts[1] in stems):
+                return True
+    return False
+
+
+def add_kernels(module: str) -> None:
+    """Keep kernels apart from now on that know of a module outside the package; its name changes with its content."""
+    _FOREIGN.add(module)
+    if "cqrun.compile" in sys.modules:
+        sys.modules["cqrun.compile"].cache_kernels_in(set_kernel_cache())

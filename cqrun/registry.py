@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 FOLDERS = {
@@ -32,6 +34,7 @@ INCLUDED = {"region": "shape"}
 """Kinds that take the plug-ins of another as well: every shape is a region, unless a region has its name."""
 
 _PLUGINS: dict[str, dict[str, type[Any]]] = {}
+_GIVING_WAY: set[str] = set()
 
 T = TypeVar("T", bound=type[Any])
 
@@ -43,13 +46,47 @@ def plugin(kind: str, name: str) -> Callable[[T], T]:
 
     def register(cls: T) -> T:
         known = _PLUGINS.setdefault(kind, {})
-        if known.setdefault(name, cls).__qualname__ != cls.__qualname__:
-            raise ValueError(f"two plug-ins of kind '{kind}' are called '{name}'")
+        other = known.setdefault(name, cls)
+        if _identity(other) != _identity(cls) and other.__module__ not in _GIVING_WAY:
+            raise ValueError(f"two plug-ins of kind '{kind}' are called '{name}'; the other is in {_place(other)}")
         known[name] = cls
         cls.kind, cls.name = kind, name
         return cls
 
     return register
+
+
+def _identity(cls: type) -> tuple[str, str]:
+    return cls.__module__, cls.__qualname__
+
+
+def _place(cls: type) -> str:
+    return str(getattr(sys.modules.get(cls.__module__), "__file__", cls.__module__))
+
+
+@contextmanager
+def changes(giving_way: Iterable[str] = ()) -> Iterator[None]:
+    """Register plug-ins meanwhile, all of them or, where an error leaves this context, none.
+
+    Args:
+        giving_way: modules whose plug-ins' names may be taken: files of earlier scenes, among them what a file was
+            before it was changed.
+    """
+    before = {kind: dict(known) for kind, known in _PLUGINS.items()}
+    _GIVING_WAY.update(giving_way)
+    try:
+        yield
+    except BaseException:
+        _PLUGINS.clear()
+        _PLUGINS.update(before)
+        raise
+    finally:
+        _GIVING_WAY.clear()
+
+
+def of_module(module: str) -> list[type[Any]]:
+    """Return the plug-ins that a module has registered."""
+    return [cls for known in _PLUGINS.values() for cls in known.values() if cls.__module__ == module]
 
 
 def plugins(kind: str) -> dict[str, type[Any]]:

@@ -9,8 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from plugin_sandbox import sandbox
 
 from cqrun import fingerprint
+from cqrun.compile import share
 
 VERSIONS = {"numba": "1", "numpy": "2", "scipy": "3"}
 
@@ -74,6 +76,43 @@ def test_the_command_line_does_not_change_it_but_a_library_does(package):
     (package / "cli" / "app.py").write_text("c = 2\n")
     assert fingerprint.source_hash(package, VERSIONS) == before
     assert fingerprint.source_hash(package, VERSIONS | {"numpy": "2.1"}) != before
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("from cqrun.materials.term import register", True),
+        ("from cqrun import materials", True),
+        ("import cqrun.tensor as t", True),
+        ("def f():\n    from numba import njit", True),
+        ("import numba.extending", True),
+        ("from cqrun.geometry.shape import Shape\nimport numpy as np", False),
+        ("from cqrun import registry\nfrom . import engine", False),
+        ("import cqrun\nx = 'numba'", False),
+    ],
+)
+def test_which_files_outside_the_package_have_kernels(source, expected):
+    assert fingerprint.has_kernels(source.encode()) is expected
+
+
+def test_kernels_that_know_of_a_plug_in_are_cached_apart(tmp_path, monkeypatch):
+    """By the set of such files, in whatever order they were met."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    with sandbox():
+        fingerprint.add_kernels("law_1")
+        one = fingerprint.set_kernel_cache()
+        assert one.parent == tmp_path
+        assert Path(share._cache.cache_path).parent == one
+        fingerprint.add_kernels("law_2")
+        both = fingerprint.set_kernel_cache()
+        assert both not in (one, tmp_path)
+    with sandbox():
+        fingerprint.add_kernels("law_2")
+        assert fingerprint.set_kernel_cache() not in (one, both)
+        fingerprint.add_kernels("law_1")
+        assert fingerprint.set_kernel_cache() == both
+    assert fingerprint.set_kernel_cache() == tmp_path
+    assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path)  # a child process has its own files
 
 
 def test_the_users_own_cache_folder_wins(monkeypatch, tmp_path):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cqrun.cli.options import PluginFiles
 from cqrun.errors import UsageError
 
 if TYPE_CHECKING:
@@ -22,8 +23,13 @@ LIMITS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 def describe(
     kind: Annotated[str | None, typer.Argument(help="Such as elastic, or material for all of its kinds.")] = None,
     name: Annotated[str | None, typer.Argument(help="Such as fixed_corotated.")] = None,
+    plugin: PluginFiles = None,
 ) -> None:
     """Show fields, units, defaults and formula of a part of a scene; with fewer words, a list."""
+    if plugin:
+        from cqrun.scene.plugin_files import take_files
+
+        take_files(plugin)
     for line in _lines(kind, name):
         typer.echo(line)
 

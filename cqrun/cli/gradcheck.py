@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT, Fresh, Out, Overrides, Quiet, Scene, Threads
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Scene, Threads
 
 
 def gradcheck(
@@ -13,15 +13,18 @@ def gradcheck(
     out: Out = DEFAULT_OUT,
     fresh: Fresh = False,
     threads: Threads = None,
+    allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
     """Compare a scene's gradient with finite differences over a scan of steps; exit 1 if they disagree."""
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import print_run
     from cqrun.jobs.gradcheck import run_gradcheck
+    from cqrun.scene.plugin_files import plugins_allowed
 
-    with reporting(quiet) as reporter:
-        run, agrees = run_gradcheck(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
-    print_run(run)
+    with plugins_allowed(allow_plugins):
+        with reporting(quiet) as reporter:
+            run, agrees = run_gradcheck(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
+        print_run(run)
     if not agrees:
         raise typer.Exit(1)

@@ -20,4 +20,12 @@ Fresh = Annotated[bool, typer.Option("--fresh", help="Start over, even if this r
 Threads = Annotated[
     int | None, typer.Option("--threads", min=1, metavar="N", help="Threads to use; all cores if not given.")
 ]
+AllowPlugins = Annotated[
+    bool,
+    typer.Option("--allow-plugins", help="Run the Python files that the scene names as its plug-ins: read them first."),
+]
+PluginFiles = Annotated[
+    list[Path] | None,
+    typer.Option("--plugin", metavar="FILE", help="A file with plug-ins of your own; it is run (repeatable)."),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; results and warnings only.")]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import DEFAULT_OUT
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins
 
 FIGURES = DEFAULT_OUT / "figures"
 KINDS = ("png", "pdf")
@@ -18,10 +18,13 @@ def plot(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Where a comparison goes; one run keeps its pictures.")
     ] = FIGURES,
+    allow_plugins: AllowPlugins = False,
 ) -> None:
     """Draw convergence and fit of a run, finished or not, into its figures/; compare several. PNG and PDF."""
     from cqrun.figures.draw import draw_run, draw_several
+    from cqrun.scene.plugin_files import plugins_allowed
 
-    paths = draw_run(runs[0], KINDS) if len(runs) == 1 else draw_several(runs, out, KINDS)
+    with plugins_allowed(allow_plugins):
+        paths = draw_run(runs[0], KINDS) if len(runs) == 1 else draw_several(runs, out, KINDS)
     for path in paths:
         typer.echo(path)

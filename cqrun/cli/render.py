@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from cqrun.cli.options import Quiet, Run
+from cqrun.cli.options import AllowPlugins, Quiet, Run
 from cqrun.errors import UsageError
 
 SUFFIXES = {"gif": ".gif", "mp4": ".mp4", "png": ".png", "stills": ".png", "onion": ".png"}
@@ -41,6 +41,7 @@ def render(
     output: Annotated[
         Path | None, typer.Option("-o", "--out", metavar="FILE", help="Where to; into the run's figures/ if not given.")
     ] = None,
+    allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
     """Draw the motion of a run, finished or not: a movie, stills, or several instants in one picture.
@@ -52,9 +53,10 @@ def render(
     from cqrun.cli.progress import reporting
     from cqrun.figures.render import Wanted
     from cqrun.figures.render import render as draw
+    from cqrun.scene.plugin_files import plugins_allowed
 
     wanted = Wanted(kind, stills or onion or 1, color, fps, every, view, trail, output)
-    with reporting(quiet) as reporter:
+    with plugins_allowed(allow_plugins), reporting(quiet) as reporter:
         paths = draw(run, wanted, reporter)
     for path in paths:
         typer.echo(path)

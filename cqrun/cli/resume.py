@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from cqrun.cli.options import Overrides, Quiet, Run, Threads
+from cqrun.cli.options import AllowPlugins, Overrides, Quiet, Run, Threads
 
 
-def resume(run: Run, overrides: Overrides = None, threads: Threads = None, quiet: Quiet = False) -> None:
+def resume(
+    run: Run,
+    overrides: Overrides = None,
+    threads: Threads = None,
+    allow_plugins: AllowPlugins = False,
+    quiet: Quiet = False,
+) -> None:
     """Continue a run from its directory; `-o optimizer...=` extends one that is finished."""
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import draw_and_print_run
     from cqrun.jobs.resume import run_resume
+    from cqrun.scene.plugin_files import plugins_allowed
 
-    with reporting(quiet) as reporter:
-        continued = run_resume(run, overrides or [], threads, quiet, reporter=reporter)
-    draw_and_print_run(continued)
+    with plugins_allowed(allow_plugins):
+        with reporting(quiet) as reporter:
+            continued = run_resume(run, overrides or [], threads, quiet, reporter=reporter)
+        draw_and_print_run(continued)

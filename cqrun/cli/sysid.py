@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cqrun.cli.options import DEFAULT_OUT, Fresh, Out, Overrides, Quiet, Scene, Threads
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Scene, Threads
 
 
 def sysid(
@@ -11,6 +11,7 @@ def sysid(
     out: Out = DEFAULT_OUT,
     fresh: Fresh = False,
     threads: Threads = None,
+    allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
     """Identify a scene's unknowns from its data, with intervals.
@@ -20,7 +21,9 @@ def sysid(
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import draw_and_print_run
     from cqrun.jobs.sysid import run_sysid
+    from cqrun.scene.plugin_files import plugins_allowed
 
-    with reporting(quiet) as reporter:
-        run = run_sysid(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
-    draw_and_print_run(run)
+    with plugins_allowed(allow_plugins):
+        with reporting(quiet) as reporter:
+            run = run_sysid(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
+        draw_and_print_run(run)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import typer
 
-from cqrun.cli.options import Overrides, Scene
+from cqrun.cli.options import AllowPlugins, Overrides, Scene
 
 
-def validate(scene: Scene, overrides: Overrides = None) -> None:
+def validate(scene: Scene, overrides: Overrides = None, allow_plugins: AllowPlugins = False) -> None:
     """Check a scene and print its counts, masses, time step and what the run will cost."""
     from cqrun.jobs.validate import validate as lines
+    from cqrun.scene.plugin_files import plugins_allowed
 
-    for line in lines(scene, overrides or []):
-        typer.echo(line)
+    with plugins_allowed(allow_plugins):
+        for line in lines(scene, overrides or []):
+            typer.echo(line)

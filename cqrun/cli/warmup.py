@@ -7,19 +7,21 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import Quiet
+from cqrun.cli.options import AllowPlugins, Quiet
 
 
 def warmup(
     scenes: Annotated[
         list[Path] | None, typer.Argument(metavar="[SCENE...]", help="Scenes whose kernels are wanted.")
     ] = None,
+    allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
     """Compile kernels into the cache, so that the next run starts at once: of SCENE..., or the common ones."""
     from cqrun.cli.progress import reporting
     from cqrun.jobs.warmup import warmup as compile_kernels
+    from cqrun.scene.plugin_files import plugins_allowed
 
-    with reporting(quiet) as reporter:
+    with plugins_allowed(allow_plugins), reporting(quiet) as reporter:
         for line in compile_kernels(scenes or (), reporter=reporter):
             typer.echo(line)

@@ -25,6 +25,7 @@ from cqrun.jobs.runs import cores
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, leaf, leaves
+from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.state import State
 
@@ -152,7 +153,11 @@ def _plain(value: Array) -> Any:
 
 
 def load(
-    scene: Path | str | dict[str, Any], overrides: Sequence[str] = (), *, threads: int | None = None
+    scene: Path | str | dict[str, Any],
+    overrides: Sequence[str] = (),
+    *,
+    threads: int | None = None,
+    allow_plugins: bool = False,
 ) -> Experiment:
     """Return a scene as a function.
 
@@ -160,8 +165,10 @@ def load(
         scene: a file's path, YAML text (with a line break), or plain data.
         overrides: `key.path=value` each, as `-o` of the command line.
         threads: how many to use; all cores if not given.
+        allow_plugins: whether the Python files that the scene names as its plug-ins may be run.
 
     Raises:
         SceneError: every problem of the scene, each with its place.
     """
-    return Experiment(load_scene(scene, overrides), threads)
+    with plugins_allowed(allow_plugins):
+        return Experiment(load_scene(scene, overrides), threads)

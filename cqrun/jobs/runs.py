@@ -46,7 +46,9 @@ def open_run(
     """
     files = shape_files(scene) | (data_files(scene) if with_data else {})
     base = str(scene.resolve_path("").resolve())
-    run_scene = RunScene(Path(source).stem, dump(resolve(scene)), scene.text, files, base, job)
+    run_scene = RunScene(
+        Path(source).stem, dump(resolve(scene)), scene.text, files, base, job, scene.plugin_paths()
+    )  # fmt: skip
     return RunDirectory.open(run_scene, out, argv=sys.argv, seed=scene.seed, threads=threads, fresh=fresh)
 
 
@@ -94,8 +96,10 @@ def require_same_data(run: RunDirectory) -> None:
         UsageError: they have. SceneError: one is missing.
     """
     scene = saved_scene(run)
-    files = shape_files(scene) | data_files(scene)
-    saved = RunScene(run.path.parent.name, run.resolved, "", files, job=run.record["job"])
+    saved = RunScene(
+        run.path.parent.name, run.resolved, "", shape_files(scene) | data_files(scene), job=run.record["job"],
+        plugins=scene.plugin_paths(),
+    )
     same_files = saved.contents() == run.record["files"]
     # an extended run keeps the name of the scene it began with
     if not same_files or not (run.record.get("extended") or saved.digest() == run.path.name):

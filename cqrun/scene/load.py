@@ -14,6 +14,7 @@ from cqrun.scene.document import Document, read, write
 from cqrun.scene.keypath import locate, replaced
 from cqrun.scene.origin import Origin, Override
 from cqrun.scene.paths import plain
+from cqrun.scene.plugin_files import findings_of_plugins
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import findings_of_paths
 
@@ -24,7 +25,10 @@ def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = (
     Args:
         source: a file's path, YAML text (a str with a line break), or plain data.
         overrides: `key.path=value` each, the value in YAML; a later one wins.
-        base: folder of the files that the scene names; that of the scene's own file if absent.
+        base: folder of the files that the scene names, where a run keeps the scene; its plug-ins it keeps too, in
+            `plugins/` beside it. Without, the folder of the scene's own file.
+
+    Plug-in files that the scene names are run, inside `plugins_allowed()` only (scene/plugin_files.py).
 
     Raises:
         SceneError: every problem that was found: `file:line:column: key.path: what is wrong`, sorted by line,
@@ -34,9 +38,10 @@ def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = (
     data, applied = _overridden(document.data, overrides)
     origin = Origin(document, tuple(applied), path, text, base)
     try:
+        if findings := findings_of_plugins(data, origin):
+            raise complaint("Scene", findings)
         scene = Scene.model_validate(data)
-        findings = findings_of_paths(scene)
-        if findings:
+        if findings := findings_of_paths(scene):
             raise complaint("Scene", findings)
     except ValidationError as error:
         raise SceneError(origin.problems(error)) from None

@@ -13,6 +13,9 @@ from cqrun.explain import KEY, Loc
 from cqrun.scene.document import Document
 from cqrun.scene.keypath import joined, locate
 
+PLUGINS = "plugins"
+"""Where a run keeps copies of its plug-in files."""
+
 _AFTER_THE_FILE = 10**9
 """A line behind every line."""
 
@@ -49,6 +52,16 @@ class Origin:
         loc = locate(self.document.data, path)
         override = self._cause([loc])
         return override.where if override is not None else self.document.where(loc)
+
+    def path_of(self, file: str) -> Path:
+        """Return the path of a file that the scene names."""
+        return (self.base or (self.source.parent if self.source else Path())) / file
+
+    def plugin_paths(self, names: Iterable[str]) -> list[Path]:
+        """Return the paths of plug-in files: a run's own copies, or those that the scene names."""
+        if self.base is not None and self.source is not None:
+            return [self.source.parent / PLUGINS / Path(name).name for name in names]
+        return [self.path_of(name) for name in names]
 
     def problems(self, error: ValidationError) -> list[Problem]:
         """Return a validation's findings with their places: the file's by line, then the overrides'."""

@@ -179,6 +179,10 @@ class Scene(Spec):
     job: Literal["simulate", "sysid", "gradcheck"] | None = Field(
         description="Command that the scene is made for", default=None
     )
+    plugins: list[str] = Field(
+        description="Python files with plug-ins of your own, beside the scene; run only with --allow-plugins",
+        default_factory=list,
+    )
     world: World = Field(description="Box and grid")
     precision: Literal["float64", "float32"] = Field(description="Of the engine", default="float64")
     memory: Memory = Field(description="Budget for states kept for gradients", default=2 * 2**30)
@@ -235,7 +239,11 @@ class Scene(Spec):
 
     def resolve_path(self, file: str) -> Path:
         """Return the path of a file that the scene names."""
-        return (self._origin.base or (self.source.parent if self.source else Path())) / file
+        return self._origin.path_of(file)
+
+    def plugin_paths(self) -> dict[str, Path]:
+        """Return the paths of the scene's plug-in files, by the names it uses."""
+        return dict(zip(self.plugins, self._origin.plugin_paths(self.plugins), strict=True))
 
     @model_validator(mode="before")
     @classmethod

@@ -5,6 +5,7 @@ results/<scene's stem>/<12 hex>/
   scene.original.yaml   as typed                 history.csv    one row an iteration
   run.json              status, provenance       result.json    what was found
   log.txt               what happened, by phase  figures/       lock
+  plugins/              copies of plug-in files
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from typing import Any
 
 from cqrun.errors import CqrunError, UsageError
 from cqrun.fingerprint import engine_hash
-from cqrun.store.atomic import disk_errors, make_directory, write_json, write_text
+from cqrun.scene.origin import PLUGINS
+from cqrun.store.atomic import disk_errors, make_directory, write_bytes, write_json, write_text
 from cqrun.store.history import History
 from cqrun.store.lock import DirectoryLock
 from cqrun.store.provenance import git_state, versions
@@ -44,6 +46,7 @@ class RunScene:
         files: every file that the scene names, by the name it uses.
         base: folder those names start from; where a resumed run looks for them.
         job: what is run, such as `sysid`: one scene has a run of each.
+        plugins: its plug-in files, by the name it uses; the run keeps copies.
     """
 
     stem: str
@@ -52,6 +55,7 @@ class RunScene:
     files: Mapping[str, Path] = field(default_factory=dict)
     base: str = ""
     job: str = "sysid"
+    plugins: Mapping[str, Path] = field(default_factory=dict)
 
     def digest(self) -> str:
         """Return 12 hex digits over the job, the resolved scene and the contents of its files.
@@ -71,7 +75,7 @@ class RunScene:
             UsageError: a file cannot be read.
         """
         found = {}
-        for name, path in sorted(self.files.items()):
+        for name, path in sorted({**self.files, **self.plugins}.items()):
             try:
                 found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
             except OSError as error:
@@ -250,6 +254,11 @@ class RunDirectory:
         self._clear()
         write_text(self.path / "scene.yaml", scene.resolved)
         write_text(self.path / "scene.original.yaml", scene.original)
+        kept = {path.name: path.read_bytes() for path in scene.plugins.values()}
+        if kept:
+            make_directory(self.path / PLUGINS)
+        for name, content in kept.items():
+            write_bytes(self.path / PLUGINS / name, content)
         self._write(
             {
                 "status": NEW,
@@ -257,6 +266,7 @@ class RunDirectory:
                 **facts,
                 "base": scene.base,
                 "files": scene.contents(),
+                "plugins": {name: hashlib.sha256(content).hexdigest() for name, content in kept.items()},
                 "engine": engine_hash(),
             }
             | {"versions": versions(), "git": git_state(), "seconds": 0.0}
@@ -284,6 +294,14 @@ class RunDirectory:
                 "so it cannot go on with the same bits; run the scene again with --fresh to start over, or "
                 "with --out DIR to keep both, or go on with the cqrun and libraries that run.json names"
             )
+        self._require_same_plugins()
+
+    def _require_same_plugins(self) -> None:
+        """Refuse copies of plug-in files that are not what the run began with: they would be run."""
+        for name, digest in self.record.get("plugins", {}).items():
+            path = self.path / PLUGINS / name
+            if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+                raise UsageError(f"{path}: this copy of a plug-in has changed since the run began; run the scene again")
 
     def _spend(self) -> None:
         self.record["seconds"] = round(self.elapsed(), 3)

@@ -48,6 +48,39 @@ def test_a_new_run_says_where_it_comes_from(scene, tmp_path):
     assert "s] sampling\n" in (run.path / "log.txt").read_text()
 
 
+@pytest.fixture
+def scene_with_plugin(tmp_path):
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "law.py").write_text("E = 1\n")
+    names = {"own/law.py": tmp_path / "own" / "law.py"}
+    return RunScene("beam", "cqrun: 1\nplugins: [own/law.py]\n", "", plugins=names)
+
+
+def test_a_run_keeps_its_plug_ins_and_its_name_follows_them(scene_with_plugin, tmp_path):
+    with start(scene_with_plugin, tmp_path / "out") as run:
+        run.begin()
+    copy, original = run.path / "plugins" / "law.py", tmp_path / "own" / "law.py"
+    assert copy.read_text() == "E = 1\n"
+    original.write_text("E = 2\n")
+    assert scene_with_plugin.digest() != run.path.name
+    assert copy.read_text() == "E = 1\n"
+    with RunDirectory.resume(run.path) as again:  # the copy is what counts
+        assert again.status == "running"
+
+
+@pytest.mark.parametrize("spoil", [lambda copy: copy.write_text("E = 3\n"), lambda copy: copy.unlink()])
+def test_a_plug_ins_copy_that_was_changed_is_not_run(scene_with_plugin, tmp_path, spoil):
+    with start(scene_with_plugin, tmp_path / "out") as run:
+        run.begin()
+    spoil(run.path / "plugins" / "law.py")
+    with pytest.raises(UsageError, match=r"law.py: this copy of a plug-in has changed since the run began"):
+        RunDirectory.resume(run.path)
+    with pytest.raises(UsageError, match="has changed"):
+        start(scene_with_plugin, tmp_path / "out")
+    with start(scene_with_plugin, tmp_path / "out", fresh=True) as fresh:
+        assert (fresh.path / "plugins" / "law.py").read_text() == "E = 1\n"
+
+
 def test_its_name_follows_the_resolved_scene_and_the_files_contents(scene):
     name = scene.digest()
     assert len(name) == 12
