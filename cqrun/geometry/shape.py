@@ -44,15 +44,20 @@ class Shape(Region):
 
     def volume(self) -> float:
         """Return the volume [m^3] (2D: area [m^2]), counted on a fine lattice unless a formula is known."""
-        lower, upper = finite_bounds(self)
-        size = upper - lower
-        spacing = float(np.prod(size) / _COUNTING_CELLS) ** (1 / len(size))
-        counts = 4 * np.ceil(size / (4 * spacing)).astype(int)  # fits faces on the bounds and halfway
-        return float(self.inside(cell_centres(lower, size / counts, counts)).mean() * np.prod(size))
+        return counted_volume(self)
 
 
 ChosenShape = Annotated[Chosen[Shape], Choice("shape")]
 """Type of a field that holds any shape."""
+
+
+def counted_volume(shape: Shape, cells: int = _COUNTING_CELLS) -> float:
+    """Return a shape's volume [m^D], counted on a lattice of about so many cells over its bounds."""
+    lower, upper = finite_bounds(shape)
+    size = upper - lower
+    spacing = float(np.prod(size) / cells) ** (1 / len(size))
+    counts = 4 * np.ceil(size / (4 * spacing)).astype(int)  # fits faces on the bounds and halfway
+    return float(shape.inside(cell_centres(lower, size / counts, counts)).mean() * np.prod(size))
 
 
 def lattice_points(shape: Shape, spacing: float) -> Array:

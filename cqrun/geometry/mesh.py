@@ -1,0 +1,157 @@
+"""A body in a triangle mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import MissingExtra, UsageError
+from cqrun.explain import Loc, listed
+from cqrun.geometry.file_shape import FileShape
+from cqrun.geometry.place import Place
+from cqrun.geometry.shape import cell_centres, counted_volume
+from cqrun.registry import plugin
+
+FORMATS = (".stl", ".obj", ".ply")
+
+_PROBES = 24
+"""Points along every axis at which a mesh is tried out."""
+
+_COUNTING_CELLS = 200_000
+"""Of the lattice that measures a volume without a formula; a winding number takes microseconds."""
+
+_DECIDED = 0.1
+"""How far from 1/2 a winding number is at least where it tells inside from outside."""
+
+_NOTHING = 1e-3
+"""Share of its bounds that a surface with holes encloses at least."""
+
+_OPEN, _CROSSED = 0.1, 0.05
+"""Shares of what the surface encloses: undecided, and enclosed the wrong way round, above which it is refused."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A mesh as it was read.
+
+    Attributes:
+        vertices: (V, 3) in units of the file.
+        faces: (T, 3) indices of vertices, counterclockwise seen from outside.
+        winding: (P,) winding numbers of `_PROBES`^3 points over the bounds.
+        closed: whether every edge has two faces.
+    """
+
+    vertices: Array
+    faces: Array
+    winding: Array
+    closed: bool
+
+
+@plugin("shape", "mesh")
+class Mesh(Place, FileShape):
+    """What a triangle mesh encloses (3D only): STL, OBJ or PLY; the extra `mesh` reads it.
+
+    Inside is where the surface winds around a point by more than one half, so small holes do no harm, and bodies
+    that overlap in one file are joined. Local coordinates are those of the file: world = offset + scale R local.
+    """
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        if dim != 3:
+            return [((), "a mesh needs a 3D world; in 2D use an image or a polygon")]
+        return super().dim_problems(dim)
+
+    def inside(self, points: Array) -> Array:
+        surface = self._surface()
+        return _winding(surface.vertices, surface.faces, self.to_local(points)) > 0.5
+
+    def bounds(self) -> tuple[Array, Array]:
+        vertices = self.to_world(self._surface().vertices)
+        return vertices.min(axis=0), vertices.max(axis=0)
+
+    def volume(self) -> float:
+        surface = self._surface()
+        if not surface.closed or (surface.winding > 1.5).any():
+            return counted_volume(self, _COUNTING_CELLS)
+        a, b, c = surface.vertices[surface.faces].transpose(1, 0, 2)
+        return float(self.scale**3 * np.einsum("nd,nd->", a, np.cross(b, c)) / 6)
+
+    def examine(self) -> list[str]:
+        """Read the file; judge it by its winding numbers w, which are whole where a surface is closed.
+
+        Only what `inside` gets wrong is refused. It asks for w > 1/2, so w = 2, where two closed surfaces overlap, is
+        as good as 1, and a hole matters only where it makes w come near 1/2; there a tiny change of the mesh would
+        make other particles. Where w is -1, a part of the surface is inside out, or it crosses itself so: that part
+        would be left out without a word.
+        """
+        surface = self._surface()
+        w = surface.winding
+        enclosed = int((w > 0.5).sum())
+        if not surface.closed and enclosed < _NOTHING * len(w):
+            raise UsageError(f"{self.path}: encloses nothing: it is a sheet, or its holes are too large; close it")
+        enclosed = max(1, enclosed)  # a closed surface may pass between the points
+        undecided = (np.abs(w - 0.5) < _DECIDED).sum() / enclosed
+        if undecided > _OPEN:
+            raise UsageError(
+                f"{self.path}: is open: for {undecided:.0%} of what it encloses, inside and outside cannot be told "
+                "apart; close its holes, or make the normals of all faces point outward"
+            )
+        inverted = (w < -0.5).sum() / enclosed
+        if inverted > _CROSSED:
+            raise UsageError(
+                f"{self.path}: crosses itself, or is inside out in parts: {inverted:.0%} as much as it encloses is "
+                "enclosed the wrong way round; mend it where it crosses, or turn the normals of those parts"
+            )
+        warnings = []
+        if not surface.closed:
+            warnings.append(f"{self.path}: has holes; they are closed by the winding number")
+        if (w > 1.5).any():
+            warnings.append(f"{self.path}: surfaces overlap; they are joined")
+        return warnings
+
+    def _surface(self) -> Surface:
+        return _read(*self.stamp())
+
+
+def _libraries() -> tuple[Any, Any]:
+    """Return trimesh and igl."""
+    try:
+        import igl
+        import trimesh
+    except ModuleNotFoundError as error:
+        raise MissingExtra(f"a mesh needs {error.name}, which is not installed: pip install 'cqrun[mesh]'") from None
+    return trimesh, igl
+
+
+def _winding(vertices: Array, faces: Array, points: Array) -> Array:
+    """Return how often a surface winds around points (N, 3): (N,)."""
+    _, igl = _libraries()
+    return np.asarray(igl.fast_winding_number(vertices, faces, np.ascontiguousarray(points, float)))
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, time: int, size: int) -> Surface:
+    """Return the surface in a file, read anew when it changes, turned right way out if it is inside out as a whole."""
+    trimesh, _ = _libraries()
+    if path.suffix.lower() not in FORMATS:
+        raise UsageError(f"{path}: a mesh is read from {listed(FORMATS)}; save it as one of them")
+    try:
+        mesh = trimesh.load_mesh(path)
+    except Exception as error:  # whatever its readers raise on a broken file
+        raise UsageError(f"{path}: cannot be read as {path.suffix[1:].upper()}: {error}") from None
+    vertices, faces = np.ascontiguousarray(mesh.vertices, float), np.ascontiguousarray(mesh.faces, np.int64)
+    if not len(faces):
+        raise UsageError(f"{path}: holds no triangle; is it a {path.suffix[1:].upper()} file of a surface, and whole?")
+    lower, upper = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
+    if (upper <= lower).any():
+        raise UsageError(f"{path}: is flat, so it encloses nothing; a body needs a closed surface")
+    points = cell_centres(lower, (upper - lower) / _PROBES, np.full(3, _PROBES))
+    winding = _winding(vertices, faces, points)
+    if winding.sum() < 0:
+        faces, winding = np.ascontiguousarray(faces[:, ::-1]), -winding
+    return Surface(vertices, faces, winding, bool(mesh.is_watertight))
