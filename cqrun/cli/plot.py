@@ -18,13 +18,21 @@ def plot(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Where a comparison goes; one run keeps its pictures.")
     ] = FIGURES,
+    show: Annotated[
+        str | None,
+        typer.Option("--show", metavar="TERM", help="A term of the objective to compare; the loss if not given."),
+    ] = None,
     allow_plugins: AllowPlugins = False,
 ) -> None:
-    """Draw convergence and fit of a run, finished or not, into its figures/; compare several. PNG and PDF."""
+    """Draw convergence and fit of a run, finished or not, into its figures/; compare several. PNG and PDF.
+
+    Runs that differ in their seeds alone are drawn as their mean with its 90 % interval, three or more of them.
+    """
     from cqrun.figures.draw import draw_run, draw_several
     from cqrun.scene.plugin_files import plugins_allowed
 
     with plugins_allowed(allow_plugins):
-        paths = draw_run(runs[0], KINDS) if len(runs) == 1 else draw_several(runs, out, KINDS)
+        one = len(runs) == 1 and show is None
+        paths = draw_run(runs[0], KINDS) if one else draw_several(runs, out, KINDS, show)
     for path in paths:
         typer.echo(path)

@@ -15,7 +15,6 @@ from cqrun.figures.run_data import RunData
 from cqrun.figures.strain import Strain, green_norm
 from cqrun.figures.style import AMOUNT_MAP, PASSIVE, SIGNED_MAP
 from cqrun.scene.assembly import Assembly
-from cqrun.scene.build import build
 from cqrun.scene.particles import Particles, sample
 from cqrun.store.frames import Frames
 
@@ -161,10 +160,9 @@ def _activation(run: RunData, frames: Frames, shown: Sequence[int]) -> Colours:
         return _signed("activation", lambda k: frames.read("activation", k).astype(float), shown)
     if run.scene.activation is None:
         raise _absent("activation", frames, "field activation, and its scene no `activation` to compute it from")
-    sampled(run, frames)
-    built = build(run.scene)
-    levels = built.assembly.inputs({}).activation
-    driven = [actuator.particles for actuator in built.model.actuators]
+    actuation = Assembly(run.scene, sampled(run, frames)).actuation
+    levels = actuation.activations(0, {})  # of several random sequences the first one drives a trajectory
+    driven = [part.model.particles for part in actuation.parts]
 
     def values(frame: int) -> Array:
         level = levels[max(int(frames.step[frame]) - 1, 0)]  # what has acted until then

@@ -139,7 +139,9 @@ def write_mp4(path: Path, pictures: Iterable[Array], fps: float) -> None:
         source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "-"]
         kind = ["-c:v", "libx264", "-crf", QUALITY, "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"]
         words = [program, "-y", "-loglevel", "error", "-nostats", *source, *kind, str(temporary)]
-        process = subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+        temporary.touch()  # what forbids it is told better here than by ffmpeg
+        # a session of its own: Ctrl-C is for cqrun, which then ends ffmpeg
+        process = subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
         try:
             _feed(process, chain([first], stream))
         except BaseException:

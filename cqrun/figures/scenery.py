@@ -11,6 +11,7 @@ from cqrun.contract import Array
 from cqrun.figures.quantities import Unit
 from cqrun.figures.style import GREY, GROUND, INK, TRUTH
 from cqrun.figures.views import View
+from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
 
 if TYPE_CHECKING:
@@ -56,8 +57,8 @@ def held_at(scene: Scene, points: Array, towards: Array | None = None) -> Array:
     """
     inside = np.zeros(len(points), dtype=bool)
     world = np.array(scene.world.size)
-    for chosen in scene.boundaries.values():
-        condition: Any = chosen.value
+    for name in scene.boundaries:
+        condition: Any = boundary(scene, name)
         for where, normal in condition.places(points, world):
             hides = towards is not None and condition.region is None and np.array(normal) @ towards < -1e-9
             if not hides:

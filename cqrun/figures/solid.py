@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,6 +12,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import MissingExtra, UsageError
+from cqrun.explain import listed
 from cqrun.figures.scenery import held_at
 from cqrun.figures.style import GREY, GROUND
 from cqrun.figures.views import View
@@ -19,6 +23,9 @@ SAMPLES = 72
 
 COVER = 1.45
 """Diameter of a sphere in distances between particles."""
+
+WITHOUT_DISPLAY = ("libEGL.so.1", "libOSMesa.so.8")
+"""Libraries of the system by which VTK draws where there is no display."""
 
 CLASSES = 1.15
 """Particles whose sizes differ by less than this factor are drawn of one size."""
@@ -39,9 +46,23 @@ def require_pyvista() -> Any:
             "trajectory.h5 opens in ParaView as it is"
         ) from None
     except ImportError as error:  # VTK is there, but a library of the system is not
-        raise UsageError(f"pyvista cannot be used here: {error}") from None
+        raise UsageError(f"pyvista cannot be used here: {error}") from error
+    if sys.platform == "linux" and not os.environ.get("DISPLAY") and not any(map(_loads, WITHOUT_DISPLAY)):
+        raise UsageError(
+            f"pyvista cannot draw here: there is no display, and none of {listed(WITHOUT_DISPLAY)} that could do "
+            "without; install one of them (Debian and Ubuntu: libegl1)"
+        )  # VTK would end the process
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # that there is no display is no news
     return pyvista
+
+
+def _loads(library: str) -> bool:
+    """Say whether a library of the system can be loaded."""
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
 
 
 class SolidBodies:

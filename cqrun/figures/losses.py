@@ -1,0 +1,87 @@
+"""The loss and its terms over a run, as history.csv has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.explain import listed, suggest
+from cqrun.figures.quantities import MILLI, Unit, capitalised
+from cqrun.figures.run_data import HISTORY, RunData
+
+SPAN = 30.0
+"""A positive loss that falls by this factor is drawn on a logarithmic axis."""
+
+
+@dataclass(frozen=True)
+class LossCurve:
+    """The loss of a run, or a term of it, over the iterations.
+
+    Attributes:
+        label: what it is, such as RMSE.
+        iteration, seconds: of each row (K,).
+        value: of each row (K,), in `unit`; of what is fitted to data, the root of the loss.
+        floor: RMSE that the noise of synthetic data alone makes [mm]; None where it is not known.
+        unit: mm, or nothing where the objective has its own.
+        log: it is drawn on a logarithmic axis.
+    """
+
+    label: str
+    iteration: Array
+    seconds: Array
+    value: Array
+    floor: float | None = None
+    unit: str = "mm"
+    log: bool = True
+
+    @property
+    def title(self) -> str:
+        """Its name with the unit."""
+        return Unit(self.unit, 1.0).label(capitalised(self.label))
+
+
+def loss_curve(run: RunData) -> LossCurve:
+    """Return the loss over a run; UsageError if it has no rows yet."""
+    require_rows(run)
+    data, loss = run.scene.data, run.history["loss"]
+    iteration, seconds = run.history["iteration"], run.history["seconds"]
+    if data is None:
+        known = loss[np.isfinite(loss)]
+        falls = bool(known.size) and float(known.min()) > 0 and float(known.max() / known.min()) >= SPAN
+        return LossCurve("loss", iteration, seconds, loss, unit="", log=falls)
+    label = "distance to the target" if data.target is not None else "RMSE"
+    floor = None
+    if data.synthetic is not None and data.synthetic.noise > 0:
+        floor = MILLI * data.synthetic.noise * float(np.sqrt(run.scene.dim))
+    return LossCurve(label, iteration, seconds, MILLI * np.sqrt(np.maximum(loss, 0.0)), floor)
+
+
+def term_names(run: RunData) -> list[str]:
+    """Return the terms of a run's objective that its history has, in the order of the scene."""
+    objective: dict[str, Any] = getattr(run.scene, "objective", None) or {}
+    return [name for name in objective if name in run.history]
+
+
+def term_curve(run: RunData, name: str) -> LossCurve:
+    """Return a term of the objective over a run, in its own unit.
+
+    Raises:
+        UsageError: the history has no rows yet, or no such term.
+    """
+    require_rows(run)
+    names = term_names(run)
+    if name not in names:
+        known = f"; there are: {listed(names)}" if names else ""
+        raise UsageError(f"{run.path}: its objective has no term '{name}'{suggest(name, names)}{known}")
+    rows = run.history
+    return LossCurve(name, rows["iteration"], rows["seconds"], rows[name], unit="", log=False)
+
+
+def require_rows(run: RunData) -> None:
+    """Raise a UsageError where a run has no rows of history yet."""
+    if not run.history:
+        raise UsageError(f"{run.path}: {HISTORY} is missing or has no rows yet, so there is no convergence to draw")
