@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from numba import config
+from plugin_sandbox import sandbox
 
 from cqrun import registry
 from cqrun.cli.describe import _lines
@@ -19,27 +24,94 @@ ROOT = Path(__file__).parents[1]
 NAME = "st_venant_kirchhoff"
 THETA = (2.0e5, 0.3)
 
+whole_job = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="a whole job takes minutes without the compiler")
 
-@pytest.fixture
-def source() -> str:
-    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / "CONTRIBUTING.md").read_text(), re.M | re.S)
+
+def block(language: str) -> str:
+    """Return the only block of a language in the page."""
+    blocks = re.findall(rf"^```{language}\n(.*?)^```$", (ROOT / "CONTRIBUTING.md").read_text(), re.M | re.S)
     assert len(blocks) == 1
     return blocks[0]
 
 
 @pytest.fixture
-def example(source, tmp_path, monkeypatch) -> ModuleType:
-    """Import the example as the plug-in it would be, and forget it afterwards."""
-    registry.plugins("elastic")  # so that what is known before is known afterwards
-    known = {kind: dict(names) for kind, names in registry._PLUGINS.items()}
-    monkeypatch.setattr(registry, "_PLUGINS", known)
-    path = tmp_path / f"{NAME}.py"
-    path.write_text(source)
-    spec = importlib.util.spec_from_file_location(f"cqrun.materials.{NAME}", path)
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, spec.name, module)
-    spec.loader.exec_module(module)
-    return module
+def source() -> str:
+    return block("python")
+
+
+@pytest.fixture
+def example(source, tmp_path) -> Iterator[ModuleType]:
+    """Import the example as the part of the package it would be, and forget it afterwards."""
+    with sandbox(), pytest.MonkeyPatch.context() as patch:
+        path = tmp_path / f"{NAME}.py"
+        path.write_text(source)
+        spec = importlib.util.spec_from_file_location(f"cqrun.materials.{NAME}", path)
+        module = importlib.util.module_from_spec(spec)
+        patch.setitem(sys.modules, spec.name, module)
+        spec.loader.exec_module(module)
+        yield module
+
+
+def cqrun(*words: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run `cqrun words...` on this very tree, in a folder, in a process of its own."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "cqrun", *map(str, words)]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+
+def run_of(done: subprocess.CompletedProcess[str], folder: Path) -> Path:
+    """Return the run that a command has printed."""
+    assert done.returncode == 0, done.stderr
+    return folder / re.search(r"^run: (.*)$", done.stdout, re.M).group(1)
+
+
+@pytest.fixture
+def folder(source, tmp_path) -> Path:
+    """Return a user's folder, with the example's two files."""
+    (tmp_path / f"{NAME}.py").write_text(source)
+    (tmp_path / "scene.yaml").write_text(block("yaml"))
+    return tmp_path
+
+
+SIMULATE = ("simulate", "scene.yaml", "--threads", "1", "--quiet")
+
+
+@whole_job
+def test_beside_a_scene_it_runs_where_that_is_allowed(folder):
+    refused = cqrun(*SIMULATE, folder=folder)
+    assert refused.returncode == 2
+    assert refused.stderr.startswith("scene.yaml:2:1: plugins: this scene wants to run Python files of its own")
+    run = run_of(cqrun(*SIMULATE, "--allow-plugins", folder=folder), folder)
+    beam = json.loads((run / "result.json").read_text())["bodies"]["beam"]
+    assert 0.19 < beam["fastest"] < 0.23  # the tip of a clamped beam swings a little ahead of free fall, 0.196 m/s
+    assert (run / "plugins" / f"{NAME}.py").read_bytes() == (folder / f"{NAME}.py").read_bytes()
+    (folder / f"{NAME}.py").unlink()
+    again = cqrun("resume", run, "--allow-plugins", "--quiet", folder=folder)
+    assert run_of(again, folder) == run
+
+
+@pytest.mark.slow
+@whole_job
+def test_a_changed_law_is_compiled_anew_and_other_scenes_are_not_concerned(folder, monkeypatch):
+    """All in one cache, which begins empty: nothing old is served, and no scene meets another's classes."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder / "cache"))
+    text, law = (folder / "scene.yaml").read_text(), (folder / f"{NAME}.py").read_text()
+
+    def end(scene: str, source: str) -> float:
+        (folder / "scene.yaml").write_text(scene)
+        (folder / f"{NAME}.py").write_text(source)
+        run = run_of(cqrun(*SIMULATE, "--allow-plugins", folder=folder), folder)
+        return json.loads((run / "result.json").read_text())["bodies"]["beam"]["centroid"][1]
+
+    stiff = law.replace("return mul_bt(mul(F, S), F)", "return scale(mul_bt(mul(F, S), F), 4.0)")
+    assert stiff != law
+    plain = re.sub(r"^plugins.*\n", "", text, flags=re.M).replace(NAME, "fixed_corotated")
+    first = end(text, law)
+    assert abs(end(text, stiff) - first) > 5e-5
+    assert abs(end(plain, law) - first) < 5e-6  # the laws agree where the strain is small
+    assert end(text, law) == first
+    folders = [path.name for path in (folder / "cache").glob("plugins-*")]
+    assert len(folders) == 2
 
 
 def test_it_is_found_and_described(example):
