@@ -1,4 +1,8 @@
-"""A polygon, in 2D."""
+"""A polygon, in 2D.
+
+Own code, although shapely could do it: the test is the one loop below, it needs no further package, and it says
+what a polygon that crosses itself holds, which shapely calls invalid.
+"""
 
 from __future__ import annotations
 

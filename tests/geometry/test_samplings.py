@@ -94,3 +94,28 @@ def test_a_shape_without_content_inside_its_bounds_is_refused() -> None:
     hollow = make("shape", "difference", shapes=[{"ball": {"center": [0, 0], "radius": r}} for r in (1, 2)])
     with pytest.raises(UsageError, match="is it empty"):
         make("sampling", "random", count=9).sample(hollow, None)
+
+
+@pytest.mark.parametrize(("dim", "spacing", "nearest"), [(2, 0.03, 0.78), (3, 0.15, 0.84)])
+def test_poisson_disks_keep_their_distance_and_are_as_many_as_a_lattice(
+    dim: int, spacing: float, nearest: float
+) -> None:
+    ball = make("shape", "ball", center=[1.0] * dim, radius=0.5)
+    points, volume = make("sampling", "poisson_disk", seed=2).sample(ball, spacing)
+    assert ball.inside(points).all()
+    distance = np.linalg.norm(points[:, None] - points, axis=2) + 9.0 * np.eye(len(points))
+    assert nearest * spacing <= distance.min() < 1.02 * nearest * spacing
+    assert len(points) == pytest.approx(ball.volume() / spacing**dim, rel=0.1)
+    assert volume.sum() == pytest.approx(ball.volume())
+    again, _ = make("sampling", "poisson_disk", seed=2).sample(ball, spacing)
+    other, _ = make("sampling", "poisson_disk", seed=3).sample(ball, spacing)
+    assert (points == again).all()
+    assert len(other) != len(points) or (other != points).any()
+
+
+def test_poisson_disks_of_a_long_box_keep_to_it(box: Box) -> None:
+    points, _ = make("sampling", "poisson_disk").sample(box, 0.02)
+    assert box.inside(points).all()
+    assert np.ptp(points, axis=0) == pytest.approx([0.4, 0.2], abs=0.02)
+    with pytest.raises(UsageError, match=r"about 5.56e\+04 particles around the box .*use `jittered`"):
+        make("sampling", "poisson_disk").sample(box, 0.0012)

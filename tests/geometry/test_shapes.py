@@ -17,6 +17,7 @@ SQUARE = {"box": {"corner": [0, 1], "size": [1, 1]}}
 SPHERE = {"ball": {"center": [0, 0, 0], "radius": 1}}
 BELOW = {"half_space": {"point": [0, 0, 0.25], "normal": [0, 0, 2]}}
 BAR = {"start": [0, 0, 0], "end": [1, 0.5, 0.2], "radius": 0.3}
+HILLS = {"amplitude": 0.25, "wavelength": 1.0, "base": 0.5}
 CASES: dict[str, tuple[int, dict[str, Any]]] = {
     "box": (3, {"box": {"corner": [0.1, 0, -1], "size": [1, 2, 0.5]}}),
     "rectangle": (2, {"box": {"corner": [0.1, 0], "size": [1, 2]}}),
@@ -37,10 +38,22 @@ CASES: dict[str, tuple[int, dict[str, Any]]] = {
         {"transformed": {"shape": {"box": {"corner": [0, 0, 0], "size": [2, 1, 1]}}, "rotation": [0, 40, 20]}},
     ),
     "nested": (2, {"transformed": {"shape": {"transformed": {"shape": DISC, "angle": 90}}, "offset": [3, 0]}}),
+    "terrain": (2, {"height_field": {"points": [[0, 1], [1, 2], [3, 0.5]], "span": [-1, 2], "bottom": 0}}),
+    "hills": (2, {"height_field": {"sinusoid": HILLS, "span": [0.2, 2.7], "bottom": -1}}),
+    "valley": (
+        3,
+        {
+            "intersection": [
+                {"height_field": {"sinusoid": {**HILLS, "phase": 90}, "span": [0.2, 0.8], "bottom": -1, "up": "z"}},
+                {"box": {"corner": [-5, 1, -5], "size": [10, 1, 10]}},
+            ]
+        },
+    ),
     "difference": (2, {"difference": [{"box": {"corner": [-1, 0], "size": [2, 1]}}, DISC]}),
     "intersection": (3, {"intersection": [SPHERE, BELOW]}),
 }
 EXACT = {"turned": 4.0, "turned in space": 2.0, "nested": np.pi}
+EXACT |= {"terrain": 1 + 1.5 + 1.625, "hills": 2.5 * 1.5 + 0.25 / (2 * np.pi) * np.cos(0.4 * np.pi) * 2}
 EXACT |= {"scaled": 0.04 * np.pi, "polygon": 3.0, "difference": 2 - np.pi / 2, "union": 1 + 0.75 * np.pi}
 
 

@@ -118,6 +118,18 @@ def test_a_boundary_takes_a_named_shape_and_holds_the_same_nodes() -> None:
     assert nodes.max(axis=0) == pytest.approx([0.2, 0.2])
 
 
+def test_terrain_is_a_boundary_or_a_body() -> None:
+    hills = {"sinusoid": {"amplitude": 0.02, "wavelength": 0.5, "base": 0.05}}
+    named = {"ground": {"height_field": hills}}
+    ground = build(scene(regions=named, boundaries={"g": {"sticky": {"region": "ground"}}}))
+    nodes = node_positions(grid_shape(np.ones(2), 0.1), 0.1)[ground.model.conditions[0].nodes]
+    assert nodes[:, 1].max() == 0.0
+    land = {"shape": {"height_field": {**hills, "span": [0.0, 1.0], "bottom": 0.0}}, "particles_per_cell": 9}
+    terrain = scene(bodies={**body()["bodies"], "terrain": {**land, "material": MATERIAL}})
+    particles = sample(terrain)
+    assert particles.volume[particles.of("terrain")].sum() == pytest.approx(0.05, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [

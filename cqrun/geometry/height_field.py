@@ -1,0 +1,129 @@
+"""Terrain: everything below a height over x."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from cqrun.contract import Array, Spec, quantity
+from cqrun.explain import Loc, complaint, finding
+from cqrun.geometry.shape import Shape
+from cqrun.registry import plugin
+
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class Sinusoid(Spec):
+    """Hills: h = base + amplitude sin(2 pi x / wavelength + phase)."""
+
+    amplitude: float = quantity("m", "Half the height from valley to crest", gt=0)
+    wavelength: float = quantity("m", "From crest to crest", gt=0)
+    base: float = quantity("m", "Height in the middle")
+    phase: float = quantity("deg", "Phase at x = 0", default=0.0)
+
+
+@plugin("shape", "height_field")
+class HeightField(Shape):
+    """Everything below a height h(x): terrain, as a body of particles or as the region of a boundary.
+
+    The height goes straight from point to point and on level beyond the ends, or is a sinusoid. In 3D it does not
+    change along the third axis. A body needs `span` and `bottom`; a boundary does not.
+    """
+
+    points: list[Pair] | None = quantity("m", "Profile: [x, height] each, x increasing", min_length=2, default=None)
+    sinusoid: Sinusoid | None = Field(description="Profile of hills instead of points", default=None)
+    span: Pair | None = quantity("m", "Where along x it begins and ends; without end if absent", default=None)
+    bottom: float | None = quantity("m", "How deep it reaches; without end if absent", default=None)
+    up: Literal["y", "z"] | None = Field(description="Axis of the height in 3D; y in 2D", default=None)
+
+    @model_validator(mode="after")
+    def _is_a_profile(self) -> Self:
+        found = []
+        if (self.points is None) == (self.sinusoid is None):
+            found.append(finding("must have exactly one of points, sinusoid", involves=("points", "sinusoid")))
+        if self.points is not None and (np.diff(np.array(self.points)[:, 0]) <= 0).any():
+            found.append(finding("must go from left to right: every x greater than the one before", ("points",)))
+        if self.span is not None and not self.span[0] < self.span[1]:
+            found.append(finding(f"must begin before it ends, is {self.span}", ("span",)))
+        if found:
+            raise complaint(self.name, found)
+        if self.bottom is not None and self.bottom >= self._highest():
+            message = f"must be below the highest point, {self._highest():.6g} m, is {self.bottom:g}"
+            raise complaint(self.name, [finding(message, ("bottom",))])
+        return self
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        if dim == 3 and self.up is None:
+            return [(("up",), "is missing: in a 3D world say whether heights are along y or z")]
+        if dim == 2 and self.up is not None:
+            return [(("up",), "is of a 3D world; in 2D heights are along y")]
+        return []
+
+    def height(self, x: Array) -> Array:
+        """Return h [m] at x (N,) [m]."""
+        if self.points is not None:
+            return np.asarray(np.interp(x, *np.array(self.points).T))
+        hills = self._hills
+        angle = 2 * np.pi * x / hills.wavelength + np.deg2rad(hills.phase)
+        return np.asarray(hills.base + hills.amplitude * np.sin(angle))
+
+    def normals(self, points: Array) -> Array:
+        """Return the unit normal (N, D) of the terrain below or above points (N, D): (-h', 1) / sqrt(1 + h'^2)."""
+        slope = self._slope(points[:, 0])
+        normal = np.zeros(points.shape)
+        normal[:, 0], normal[:, self._axis] = -slope, 1.0
+        return normal / np.sqrt(1 + slope**2)[:, None]
+
+    def inside(self, points: Array) -> Array:
+        x, height = points[:, 0], points[:, self._axis]
+        result = height <= self.height(x)
+        if self.span is not None:
+            result &= (x >= self.span[0]) & (x <= self.span[1])
+        return result if self.bottom is None else result & (height >= self.bottom)
+
+    def bounds(self) -> tuple[Array, Array]:
+        dim = 2 if self.up is None else 3
+        lower, upper = np.full(dim, -np.inf), np.full(dim, np.inf)
+        if self.span is not None:
+            lower[0], upper[0] = self.span
+        if self.bottom is not None:
+            lower[self._axis] = self.bottom
+        upper[self._axis] = self._highest()
+        return lower, upper
+
+    @property
+    def _axis(self) -> int:
+        return 2 if self.up == "z" else 1
+
+    @property
+    def _hills(self) -> Sinusoid:
+        assert self.sinusoid is not None, "a profile has points or a sinusoid"
+        return self.sinusoid
+
+    def _slope(self, x: Array) -> Array:
+        """Return dh/dx at x (N,); at a corner of the profile that of the segment on its right."""
+        if self.points is None:
+            hills = self._hills
+            angle = 2 * np.pi * x / hills.wavelength + np.deg2rad(hills.phase)
+            return np.asarray(2 * np.pi * hills.amplitude / hills.wavelength * np.cos(angle))
+        corners, heights = np.array(self.points).T
+        slopes = np.concatenate([[0.0], np.diff(heights) / np.diff(corners), [0.0]])  # level beyond the ends
+        return np.asarray(slopes[np.searchsorted(corners, x, side="right")])
+
+    def _highest(self) -> float:
+        """Return the greatest height in the span."""
+        if self.points is not None:
+            candidates = np.array(self.points)[:, 0]
+        elif self.span is not None:
+            hills = self._hills
+            first = (0.25 - hills.phase / 360) * hills.wavelength  # a crest
+            count = np.floor((self.span[1] - first) / hills.wavelength)
+            candidates = np.array([first + count * hills.wavelength])
+        else:
+            return self._hills.base + self._hills.amplitude
+        if self.span is not None:
+            candidates = np.append(candidates[(candidates >= self.span[0]) & (candidates <= self.span[1])], self.span)
+        return float(self.height(candidates).max())

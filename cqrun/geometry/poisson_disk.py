@@ -1,0 +1,45 @@
+"""Particles at random, none too near to another."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.geometry.sampling import Sampling
+from cqrun.geometry.shape import Shape, finite_bounds
+from cqrun.registry import plugin
+
+NEAREST = {2: 0.78, 3: 0.84}
+"""Least distance in spacings, by dimension: a filled space then has about one particle in spacing^D (measured)."""
+
+MOST = 50_000
+"""Particles over the bounds of a shape; SciPy makes about a thousand in a second."""
+
+
+@plugin("sampling", "poisson_disk")
+class PoissonDisk(Sampling):
+    """Particles at random, at least 0.78 (3D: 0.84) spacings apart: about as many as on a lattice, without its axes.
+
+    The volume of each is the shape's own over their number. Slow: use `jittered` for more than some ten thousand.
+    """
+
+    seed: int = Field(description="Seed of the places", ge=0, default=0)
+
+    def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:
+        from scipy.stats.qmc import PoissonDisk as Filler
+
+        assert spacing is not None
+        lower, upper = finite_bounds(shape)
+        expected = float(np.prod((upper - lower) / spacing))
+        if expected > MOST:
+            raise UsageError(
+                f"about {expected:.3g} particles around the {shape.name} are too many for poisson_disk sampling, "
+                f"which takes a minute for {MOST:,}; use `jittered`"
+            )
+        rng = np.random.default_rng(self.seed)
+        radius = NEAREST[len(lower)] * spacing
+        points = Filler(len(lower), radius=radius, rng=rng, l_bounds=lower, u_bounds=upper).fill_space()
+        points = points[shape.inside(points)]
+        return points, np.full(len(points), shape.volume() / max(1, len(points)))
