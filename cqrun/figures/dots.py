@@ -34,9 +34,9 @@ def spacings(x: Array, bodies: Mapping[str, slice]) -> Array:
         beside, around = (min(n * x.shape[1], len(own) - 1) for n in (2, 4))
         distance, near = cKDTree(own).query(own, k=around + 1)
         out[part] = distance[:, beside][near].min(axis=1)
-    known = out[np.isfinite(out)]
+    known = out[np.nan_to_num(out) > 0]
     fallback = float(known.mean()) if known.size else 0.02 * max(float(np.abs(x).max()), 1e-9)
-    return np.where(np.isfinite(out) & (out > 0), out, fallback)
+    return np.where(np.nan_to_num(out) > 0, out, fallback)
 
 
 def add_dots(axes: Axes, size: Array, *, cover: float = COVER, edge: float = 0.0) -> EllipseCollection:

@@ -9,6 +9,7 @@ from scipy.stats import t as student
 
 from cqrun.errors import UsageError
 from cqrun.figures.compare import Group, band, draw_comparison, groups
+from cqrun.figures.convergence import draw_convergence
 from cqrun.figures.losses import LossCurve
 from cqrun.figures.run_data import read_run
 from cqrun.figures.style import styled
@@ -62,6 +63,66 @@ def test_the_band_is_students_interval_of_the_geometric_mean():
     np.testing.assert_allclose(found.mean, np.exp(logs.mean(axis=0)))
     np.testing.assert_allclose(found.low, np.exp(logs.mean(axis=0) - half))
     np.testing.assert_allclose(found.high, np.exp(logs.mean(axis=0) + half))
+
+
+def test_the_mean_of_a_loss_with_a_sign_is_arithmetic():
+    values = np.array([[0.1, -0.4], [0.0, -0.6], [0.2, -0.5]])
+    curves = tuple(LossCurve("loss", np.arange(2.0), np.arange(2.0), row, unit="", log=False) for row in values)
+    found = band(Group("g", curves), over_time=False)
+    half = student.ppf(0.95, 2) * values.std(axis=0, ddof=1) / np.sqrt(3)
+    np.testing.assert_allclose(found.mean, values.mean(axis=0))
+    np.testing.assert_allclose(found.low, values.mean(axis=0) - half)
+    np.testing.assert_allclose(found.high, values.mean(axis=0) + half)
+
+
+def learned(out, digest, *, seed, far):
+    """Return a run of control whose objective's term `far` is given."""
+    scene = {key: value for key, value in plane_scene({}, seed=seed).items() if key not in ("data", "job")}
+    path = write_run(out, scene, name=f"biped/{digest}", job="control", status="running")
+    k = np.arange(len(far), dtype=float)
+    weights = {"grad:controller.weights": 1.0 + k, "grad:controller.bias": 0.1 + k}
+    write_history(path, {"iteration": k, "loss": 1e-3 - far, "far": far} | weights | {"seconds": 4.0 + 300.0 * k})
+    run = read_run(path)
+    object.__setattr__(run.scene, "objective", {"far": None})
+    return run
+
+
+def test_a_term_of_the_objective_is_compared_in_its_own_unit(tmp_path):
+    far = np.array([-0.1, 0.2, 0.5])
+    runs = [learned(tmp_path, f"{k}" * 12, seed=k, far=far + 0.01 * k) for k in range(4)]
+    with styled():
+        figure = draw_comparison(runs, "far")
+        figure.draw_without_rendering()
+    by_iteration, by_time = figure.axes
+    assert (by_iteration.get_title(loc="left"), by_iteration.get_yscale()) == ("Far", "linear")
+    np.testing.assert_allclose(by_iteration.lines[-1].get_ydata(), far + 0.015)
+    assert by_time.get_xlabel() == "wall time since the first evaluation (min)"
+    assert by_time.lines[-1].get_xdata()[-1] == pytest.approx(10)
+    assert figure.legends[0].get_texts()[0].get_text() == "biped: mean of 4 seeds and its 90 % interval"
+    with pytest.raises(UsageError, match=r"no term 'fat' \(did you mean 'far'\?\); there are: far"):
+        draw_comparison(runs, "fat")
+
+
+def test_two_seeds_are_lines_and_the_same_run_again_is_no_seed(tmp_path):
+    far = np.array([0.0, 0.5])
+    two = [learned(tmp_path, f"{k}" * 12, seed=k, far=far) for k in range(2)]
+    same = [learned(tmp_path, f"{k}a" * 6, seed=0, far=far) for k in range(2)]
+    for runs, told in ((two, "biped: 2 seeds"), (same, "biped: 2 runs")):
+        with styled():
+            figure = draw_comparison(runs)
+        assert [text.get_text() for text in figure.legends[0].get_texts()] == [told]
+        assert [len(axes.lines) for axes in figure.axes] == [2, 2]
+
+
+def test_a_run_of_control_shows_its_loss_its_terms_and_its_gradients(tmp_path):
+    run = learned(tmp_path, "a" * 12, seed=0, far=np.array([-0.1, 0.2, 0.5]))
+    with styled():
+        figure = draw_convergence(run)
+        figure.draw_without_rendering()
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["Loss", "Far", "Norm of the gradient"]
+    gradients = figure.axes[2]
+    assert [text.get_text() for text in gradients.get_legend().get_texts()] == ["controller.weights", "controller.bias"]
+    np.testing.assert_allclose(gradients.lines[0].get_ydata(), [1, 2, 3])
 
 
 def test_a_run_that_has_ended_stays_where_it_ended():

@@ -1,0 +1,80 @@
+"""From where a world is seen, and dots that look like a body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made_runs import plane_scene
+
+from cqrun.errors import UsageError
+from cqrun.figures.dots import spacings
+from cqrun.figures.quantities import Unit
+from cqrun.figures.scenery import frame_axes
+from cqrun.figures.style import new_figure, styled
+from cqrun.figures.views import VIEWS, view
+from cqrun.scene.load import load_scene
+
+LONG_X = np.array([[0.0, 0.0, 0.0], [3.0, 1.0, 2.0]])
+
+
+def space(gravity):
+    """Return a 3D scene."""
+    material = {"density": 1000.0, "elastic": {"neo_hookean": {"youngs_modulus": 2e5, "poissons_ratio": 0.4}}}
+    bodies = {"a": {"shape": {"ball": {"center": [0.05] * 3, "radius": 0.02}}, "particles_per_cell": 8}}
+    bodies["a"]["material"] = material
+    world = {"size": [0.1] * 3, "dx": 0.01, "gravity": gravity}
+    return load_scene({"cqrun": 1, "world": world, "bodies": bodies, "time": {"duration": 0.1, "control_step": 0.01}})
+
+
+@pytest.mark.parametrize("gravity", [[0, 0, -9.81], [0, -9.81, 0], [0, 0, 0]])
+@pytest.mark.parametrize("name", VIEWS)
+def test_the_eye_is_where_the_name_says(gravity, name):
+    up = np.array([0, 1, 0] if gravity[1] else [0, 0, 1])
+    look = view(space(gravity), LONG_X, name)
+    frame = np.vstack([look.axes, look.towards])
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+    expected = {"front": [1, 0, 0], "top": up}
+    if name in expected:
+        np.testing.assert_allclose(look.towards, expected[name], atol=1e-12)
+    elif name == "side":
+        np.testing.assert_allclose(look.axes, [[1, 0, 0], up])
+    else:
+        assert look.towards @ up > 0.3
+        assert look.axes[1] @ up > 0.9
+    assert bool(look.names) == (name != "iso")
+
+
+def test_a_plane_has_one_view():
+    with pytest.raises(UsageError, match="--view front: the world of this run has two dimensions"):
+        view(load_scene(plane_scene({})), LONG_X, "front")
+
+
+def test_ticks_tell_the_worlds_coordinates_though_its_axis_points_left():
+    look = view(space([0, -9.81, 0]), LONG_X, "front")
+    assert (look.names, look.axes[0].tolist()) == ("zy", [0, 0, -1])
+    with styled():
+        figure = new_figure(3, 3)
+        axes = figure.add_subplot()
+        frame_axes(axes, look, np.array([[-0.4, 0.0], [0.0, 0.4]]), Unit("m", 1.0))
+        figure.draw_without_rendering()
+    labels = [label.get_text() for label in axes.get_xticklabels()]
+    told = dict(zip(map(float, axes.get_xticks()), labels, strict=True))
+    assert told[-0.2] == "0.2"
+    assert told[0.0] == "0"
+
+
+@pytest.mark.parametrize("counts", [(6, 5), (30, 3), (5, 4, 6)])
+def test_the_spacing_of_a_lattice_is_found_everywhere(counts):
+    grid = np.meshgrid(*(0.1 * np.arange(n) for n in counts), indexing="ij")
+    x = np.stack([part.ravel() for part in grid], axis=1)
+    np.testing.assert_allclose(spacings(x, {"a": slice(0, len(x))}), 0.1)
+
+
+def test_bodies_have_spacings_of_their_own_and_a_lone_particle_the_others(rng):
+    grid = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
+    x = np.concatenate([grid, 100 + 0.2 * grid, [[50.0, 50.0]]])
+    found = spacings(x, {"a": slice(0, 25), "b": slice(25, 50), "c": slice(50, 51)})
+    np.testing.assert_allclose(found, [*[1.0] * 25, *[0.2] * 25, 0.6])
+    assert (spacings(np.zeros((3, 2)), {"a": slice(0, 3)}) > 0).all()
+    scattered = rng.random((4000, 2))
+    assert np.median(spacings(scattered, {"a": slice(0, 4000)})) == pytest.approx(4000**-0.5, rel=0.35)
