@@ -62,20 +62,49 @@ class Assembly:
             labels[held] = k
         return labels
 
+    def _others(self, body: str, path: str) -> list[tuple[Array, str, float]]:
+        """Return where `material_of` has another value than that of a path: particles (N_b,), its path, the value."""
+        base = f"bodies.{body}.material"
+        suffix, found = path.removeprefix(f"{base}."), []
+        for name, other in self.scene.bodies[body].material_of.items():
+            own = other.value(suffix)
+            if own is not None:
+                found.append((self.particles.points[body].named(name), f"{base}_of.{name}.{suffix}", own))
+        return found
+
     def _spread(self, body: str, path: str, own: float, values: Values) -> Array:
         """Return a value for each of a body's particles (N_b,)."""
+        result = self._of_whole(body, path, own, values)
+        for held, other, value in self._others(body, path):
+            result[held] = float(np.asarray(values.get(other, value)).reshape(-1)[0])
+        return result
+
+    def _of_whole(self, body: str, path: str, own: float, values: Values) -> Array:
+        """Return a value of a body's material for each of its particles (N_b,), those of other materials too."""
         n = self.particles.of(body)
         count = n.stop - n.start
         value = np.asarray(values.get(path, own), float)
         if value.ndim == 0:
             return np.full(count, float(value))
         if value.size == count:
-            return value.reshape(-1)
+            return value.reshape(-1).copy()
         labels = self._labels(body)
         return np.where(labels >= 0, value.reshape(-1)[labels], own)
 
     def _spread_vjp(self, body: str, path: str, per_particle_bar: Array, values: Values, out: dict[str, Array]) -> None:
-        """Add the cotangent of a value of `_spread` to out[path], if the path has a value."""
+        """Add the cotangent of what `_spread` returns to out, for those of its paths that have a value."""
+        left = per_particle_bar.copy()
+        for held, other, _ in reversed(self._others(body, path)):
+            if other in values:
+                bar = out.setdefault(other, np.zeros(np.shape(values[other])))
+                bar += left[held].sum()
+            left[held] = 0.0
+        self._of_whole_vjp(body, path, left, values, out)
+
+    def _of_whole_vjp(
+        self, body: str, path: str, per_particle_bar: Array, values: Values, out: dict[str, Array]
+    ) -> None:
+        """Add the cotangent of what `_of_whole` returns to out[path], if the path has a value."""
         if path not in values:
             return
         value = np.asarray(values[path], float)

@@ -137,6 +137,8 @@ def _share(shape: Shape, other: Shape) -> float:
 def empty_regions(scene: Scene, points: Points) -> Iterator[Problem]:
     """Yield groups, and regions of what acts on particles, that hold no particle of their body."""
     for body, spec in scene.bodies.items():
+        for name in spec.material_of:
+            yield from _empty(scene, f"bodies.{body}.material_of.{name}", name, {body: points[body]})
         for group in (*spec.colours, *spec.groups):
             path = f"bodies.{body}." + (f"groups.{group}" if group in spec.groups else _placed(scene, body))
             yield from _empty(scene, path, group, {body: points[body]})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Self
 
 from pydantic import ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
@@ -9,7 +10,7 @@ from pydantic_core import InitErrorDetails
 
 from cqrun.choice import Choice, Chosen
 from cqrun.contract import Plugin, Spec, quantity
-from cqrun.explain import KEY, complaint, finding, listed, retold, suggest
+from cqrun.explain import KEY, Loc, complaint, finding, listed, retold, suggest
 from cqrun.registry import plugins
 
 TERMS = "material_term"
@@ -19,13 +20,10 @@ TERMS_MARK = "x-cqrun-terms"
 """JSON schema key that says that plug-ins of a kind are properties here."""
 
 
-class Material(Spec):
-    """A sum of terms: `elastic` is chosen; every other key is the name of a term, such as `viscosity`."""
+class Terms(Spec):
+    """Something whose further keys are the names of material terms, such as `viscosity`."""
 
     model_config = ConfigDict(extra="allow", json_schema_extra={TERMS_MARK: TERMS})
-
-    density: float = quantity("kg/m^3", "Density at rest", differentiable=True, gt=0)
-    elastic: Annotated[Chosen[Plugin], Choice("elastic")] = Field(description="Elastic law")
 
     @property
     def terms(self) -> dict[str, Plugin]:
@@ -44,11 +42,57 @@ class Material(Spec):
         except ValidationError as error:
             findings += [retold(e) for e in error.errors(include_url=False)]
         if findings:
-            raise complaint("Material", findings)
+            raise complaint(cls.__name__, findings)
         return material
 
 
-def _term(name: str, value: Any, cls: type[Material], findings: list[InitErrorDetails]) -> Plugin | None:
+class Material(Terms):
+    """A sum of terms: `elastic` is chosen; every other key is the name of a term, such as `viscosity`."""
+
+    density: float = quantity("kg/m^3", "Density at rest", differentiable=True, gt=0)
+    elastic: Annotated[Chosen[Plugin], Choice("elastic")] = Field(description="Elastic law")
+
+
+class OtherMaterial(Terms):
+    """Values of a body's material that are others in one of its regions; what is not named stays."""
+
+    density: float | None = quantity("kg/m^3", "Density at rest", differentiable=True, gt=0, default=None)
+    elastic: Annotated[Chosen[Plugin], Choice("elastic")] | None = Field(
+        description="The body's elastic law, with other values", default=None
+    )
+
+    def problems(self, material: Material) -> Iterator[tuple[Loc, str]]:
+        """Yield what cannot differ from a body's material inside one body, with its place."""
+        own, other = material.elastic, self.elastic
+        if other is not None and other.name != own.name:
+            yield ("elastic",), f"is another law than the body's {own.name}: make this region a body of its own"
+        elif other is not None:
+            yield from _fixed(("elastic", own.name), own.value, other.value)
+        for name, term in self.terms.items():
+            if name not in material.terms:
+                message = "is no term of the body's material: give it to the whole body, with values of no effect"
+                yield (name,), message
+            else:
+                yield from _fixed((name,), material.terms[name], term)
+
+    def value(self, suffix: str) -> float | None:
+        """Return the value of a path inside a material, such as `viscosity.shear`; None where it stays."""
+        *place, name = suffix.split(".")
+        node: Any = self if not place else self.terms.get(place[0])
+        if place and place[0] == "elastic":
+            node = self.elastic.value if self.elastic is not None else None
+        return getattr(node, name, None)
+
+
+def _fixed(place: Loc, own: Any, other: Any) -> Iterator[tuple[Loc, str]]:
+    """Yield what a region cannot have of its own: what is no parameter of its term, one a particle."""
+    for name in type(own).model_fields:
+        if name not in own.parameters and getattr(own, name) != getattr(other, name):
+            message = f"must be {getattr(own, name)} as in the whole body, is {getattr(other, name)}"
+            yield (*place, name), f"{message}; with another make this region a body of its own"
+
+
+def _term(name: str, value: Any, cls: type[Terms], findings: list[InitErrorDetails]) -> Plugin | None:
     """Return the validated term, or add to the findings."""
     legal = plugins(TERMS)
     if name not in legal:

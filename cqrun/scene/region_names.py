@@ -46,6 +46,11 @@ def _unknown(scene: Scene) -> Iterator[InitErrorDetails]:
             legal = _known_at(scene, loc)
             if part.region not in legal:
                 yield finding(unknown("region", part.region, legal), loc[:-1])
+    for body, spec in scene.bodies.items():
+        legal = _known_at(scene, ("bodies", body))
+        for name in spec.material_of:
+            if name not in legal:
+                yield finding(unknown("region", name, legal), ("bodies", body, "material_of", name), kind=KEY)
 
 
 def _known_at(scene: Scene, loc: Loc) -> list[str]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +32,7 @@ class BodyPoints:
     world: Array
     local: Array
     piece: Array
+    _known: dict[str, Array] = field(default_factory=dict, repr=False, compare=False)
 
     def pick(self, region: Chosen[Region] | str | None) -> Array:
         """Return which particles a region of the scene, or a name, or None for everything, holds: (N,) bool.
@@ -46,6 +46,11 @@ class BodyPoints:
 
     def named(self, name: str) -> Array:
         """Return which particles a group, or else a region of the scene, holds; none where there is no such name."""
+        if name not in self._known:
+            self._known[name] = self._find(name)
+        return self._known[name]
+
+    def _find(self, name: str) -> Array:
         spec = self.scene.bodies[self.body]
         if name in (spec.parts or {}):
             return self.piece == list(spec.parts or {}).index(name)
@@ -64,7 +69,7 @@ class BodyPoints:
             found |= (self.piece == k) & shape.coloured(self.local, colour)
         return found
 
-    @cached_property
+    @property
     def groups(self) -> dict[str, Array]:
         """Which particles each of the body's groups holds: (N,) bool by name."""
         return {name: self.named(name) for name in self.scene.bodies[self.body].group_names}

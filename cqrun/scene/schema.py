@@ -21,7 +21,7 @@ from cqrun.geometry.union import Union
 from cqrun.scene.data import Data, Unknown, exactly_one
 from cqrun.scene.defaults import with_defaults
 from cqrun.scene.fields import Memory, Name, Seed, Substeps
-from cqrun.scene.material import Material
+from cqrun.scene.material import Material, OtherMaterial
 from cqrun.scene.origin import Origin
 from cqrun.scene.references import findings_between
 from cqrun.scene.walk import parts
@@ -63,6 +63,9 @@ class Body(Spec):
     unit_mass: bool = Field(description="Every particle has mass = density and volume 1", default=False)
     groups: dict[Name, ChosenRegion] = Field(description="Named regions of the body", default_factory=dict)
     material: Material = Field(description="What it is made of")
+    material_of: dict[Name, OtherMaterial] = Field(
+        description="Name of a group or region -> what is different there; a later one wins", default_factory=dict
+    )
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
@@ -73,6 +76,17 @@ class Body(Spec):
             name = "spacing" if self.particles_per_cell is None else "particles_per_cell"
             message = f"has no meaning with {self.sampling.name} sampling, which has a count: remove it"
             raise complaint("Body", [finding(message, (name,), involves=("sampling",))])
+        return self
+
+    @model_validator(mode="after")
+    def _one_law(self) -> Self:
+        found = [
+            finding(message, ("material_of", name, *place))
+            for name, other in self.material_of.items()
+            for place, message in other.problems(self.material)
+        ]
+        if found:
+            raise complaint("Body", found)
         return self
 
     @property

@@ -72,6 +72,12 @@ def _per(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails
         yield finding(f"only a body's material can differ by {unknown.per}; use `per: body`", place)
     elif unknown.per == "group" and not scene.bodies[keys[1]].group_names:
         yield finding(f"the body '{keys[1]}' has no groups; name some or use `per: body`", place)
+    else:
+        others = scene.bodies[keys[1]].material_of
+        own = [name for name, other in others.items() if other.value(".".join(keys[3:])) is not None]
+        if own:
+            message = f"by material_of, {listed(own)} have a value of their own: remove it, or use `per: body`"
+            yield finding(message, place)
 
 
 def _twice(scene: Scene) -> Iterator[InitErrorDetails]:
