@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import SceneError
+from cqrun.explain import listed
 from cqrun.jobs.cases import Case, given_cases
 from cqrun.jobs.memory import gradient_plan, state_bytes
 from cqrun.jobs.report import number
@@ -43,6 +45,7 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     yield from _world(built)
     for name in built.particles.names:
         yield from _body(built, name)
+    yield from _actuators(built)
     yield from _time(built)
     if built.scene.unknowns:
         yield from _unknowns(built)
@@ -85,6 +88,16 @@ def _body(built: Built, name: str) -> Iterator[str]:
     low, high = x.min(axis=0), x.max(axis=0)
     room = min(low.min(), (np.array(built.scene.world.size) - high).min())
     yield _line("", f"from {_point(low)} to {_point(high)} m, {number(room)} m from the nearest face of the world")
+    groups = [f"{group} {len(held):,}" for group, held in particles.groups(name).items()]
+    if groups:
+        yield _line("", f"groups: {listed(groups)}")
+
+
+def _actuators(built: Built) -> Iterator[str]:
+    for actuator in built.model.actuators:
+        chosen: Any = built.scene.actuators[actuator.name.partition(".")[0]]
+        count = len(actuator.particles)
+        yield _line("actuator", f"{actuator.name} ({chosen.name}): {count:,} particles of '{chosen.value.body}'")
 
 
 # --- time ---------------------------------------------------------------------------------------------------

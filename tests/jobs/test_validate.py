@@ -10,6 +10,12 @@ from small_beam import changed, record, recorded
 from cqrun.errors import DataError, SceneError
 from cqrun.jobs.validate import validate
 
+MUSCLES = """\
+actuators:
+  bend: {muscle: {body: beam, axis: [1, 0], strength: 10, region: long}}
+  all: {muscle: {body: beam, axis: [1, 0], strength: 10}}
+boundaries:"""
+
 
 def told(scene, *overrides) -> str:
     return "\n".join(validate(scene, overrides))
@@ -22,10 +28,31 @@ def test_it_counts_and_weighs(beam):
     assert "clamp (sticky, " in text
     assert "40 particles, 4 a cell, 0.005 m apart; mass 1 kg/m" in text  # 0.1 m x 0.01 m x 1000 kg/m^3
     assert "from (0.0225, 0.0625) to (0.1175, 0.0675) m, 0.0225 m from the nearest face of the world" in text
+    assert "groups: root 20\n" in text
     assert "10 control steps of 0.01 s, each of 24 substeps of 0.00041667 s: 240 substeps" in text
     assert re.search(r"0\.\d\d of the largest stable substep, 0.00\d+ s \(bodies.beam.material\)", text)
     assert re.search(r"a gradient keeps 241 states of \S+ KiB, \S+ [KM]iB of a budget of 2 GiB: none run twice", text)
     assert "an estimate, for one core: " in text
+
+
+def test_it_counts_what_every_part_and_actuator_holds(beam):
+    box = "shape: {box: {corner: [0.02, 0.06], size: [0.1, 0.01]}}"
+    parts = "parts: {short: {box: {corner: [0.02, 0.06], size: [0.05, 0.01]}}, long: {box: {corner: [0.07, 0.06], size: [0.05, 0.01]}}}"
+    changed(beam, box, parts)
+    changed(beam, "particles_per_cell: 4", "sampling: {lattice: {count: 5}}")
+    changed(beam, "boundaries:", MUSCLES)
+    text = told(beam, "bodies.beam.place={offset: [0.01, 0], scale: 0.9}")
+    assert "body beam  50 particles, 6.1728 a cell, 0.0040249 m apart; mass 0.81 kg/m" in text
+    assert "from (0.0325, 0.0549) to (0.1135, 0.0621) m" in text
+    assert "groups: short 25, long 25, root 25\n" in text
+    assert "actuator   bend (muscle): 25 particles of 'beam'\n" in text
+    assert "actuator   all (muscle): 50 particles of 'beam'\n" in text
+
+
+def test_an_actuator_over_no_particles_is_refused(beam):
+    changed(beam, "boundaries:", MUSCLES.replace("region: long", "region: {ball: {center: [0.1, 0.1], radius: 0.01}}"))
+    with pytest.raises(SceneError, match=r"actuators.bend.muscle.region: holds no particle: 'beam' lies within \(0.0225,"):
+        told(beam)
 
 
 def test_the_bound_is_that_of_the_unknowns_worst_corner(fit):
