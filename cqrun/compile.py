@@ -13,6 +13,7 @@ many there are, so results are the same bits for any number.
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,29 @@ def written(source: str, scope: dict[str, Any] | None = None) -> Callable[..., A
     """Return the function of a lambda's source, named after the source."""
     digest = hashlib.sha256(source.encode()).hexdigest()[:12]
     return named(eval(source, scope or {}), f"written_{digest}")
+
+
+def for_each(call: Callable[..., None]) -> Callable[..., None]:
+    """Return a function of (items, ...) that runs call(item, ...) for every item of a tuple, of whatever types."""
+
+    def run(items: Any, *others: Any) -> None:
+        for item in items:
+            call(item, *others)
+
+    name = f"{call.__name__}_of_each"
+
+    @overload(run)
+    def _run(items, *others):
+        if len(items) == 0:
+            return named(lambda items, *others: None, f"no_{name}")
+
+        def several(items, *others):
+            call(items[0], *others)
+            run(items[1:], *others)
+
+        return named(several, name)
+
+    return run
 
 
 SPINS = 2000
@@ -114,6 +138,17 @@ def _barrier(counters, n_threads):
                         _pause()
 
     return wait
+
+
+def run_side_by_side(n_threads: int, body: Callable[[int], Any]) -> Any:
+    """Run body(thread) on every thread and return the result of thread 0."""
+    others = [threading.Thread(target=body, args=(t,)) for t in range(1, n_threads)]
+    for other in others:
+        other.start()
+    result = body(0)
+    for other in others:
+        other.join()
+    return result
 
 
 @kernel

@@ -33,6 +33,10 @@ PADDING = LANE_BYTES // 4
 """Bodies are padded to whole lanes of the shortest real, float32."""
 
 
+MASS, VOLUME, DECAY, FORCE = 0, 1, 2, 3
+"""Rows of the kernels' particle fields (3 + D, n): mass, rest volume, damping factor a substep, external force."""
+
+
 def rows_of(dim: int) -> tuple[int, int, int, int, int]:
     """Return the first rows of x, v, C, F in q, and the number of rows."""
     return 0, dim, 2 * dim, 2 * dim + dim * dim, 2 * dim + 2 * dim * dim

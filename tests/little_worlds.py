@@ -16,6 +16,7 @@ import pytest
 from numba import config
 from scipy import sparse
 
+from cqrun.actuators import muscle
 from cqrun.actuators.muscle import symmetric_rows
 from cqrun.boundaries.friction import Friction
 from cqrun.boundaries.separate import Separate
@@ -84,7 +85,7 @@ def world(
     mass: Any = 1.0, volume: Any = 1.0, E: Any = 0.0, nu: Any = 0.3, neo_hookean: Any = 0.0, eta: Any = 0.0,
     zeta: Any = 0.0, incompressible: Any = 0.0, damping: Any = 0.0, gravity: Any = None,
     walls: list[Wall] | None = None, muscles: tuple[tuple[np.ndarray, np.ndarray], ...] = (),
-    tension: np.ndarray | None = None, probe: Any = None, real: Any = np.float64, budget: int = 2**30,
+    activation: np.ndarray | None = None, probe: Any = None, real: Any = np.float64, budget: int = 2**30,
 ) -> tuple[Model, Inputs]:  # fmt: skip
     """Return a model and its inputs: bodies at rest at x (N, D) each.
 
@@ -96,13 +97,15 @@ def world(
     (n, dim), size_ = x.shape, np.asarray(size, float)
     layout = Layout(dim, tuple(len(b) for b in bodies))
     planes, coefficients = conditions(walls or [], size_, dx)
+    # never without a muscle, be it one of nothing: another kind of drive would be other kernels
+    muscles = muscles or ((np.zeros(0, np.int64), np.zeros((dim, dim))),)
     actuators = tuple(
-        ActuatorModel(f"muscle {k}", np.asarray(particles), symmetric_rows(np.asarray(direction, float)))
+        ActuatorModel(f"muscle {k}", muscle.Kernel, np.asarray(particles), symmetric_rows(np.asarray(direction, float)))
         for k, (particles, direction) in enumerate(muscles)
     )
     model = Model(
         size_, dx, dt, substeps, controls, tuple(f"body {k}" for k in range(len(bodies))), layout,
-        (GroupModel(tuple(range(len(bodies))), TERMS, True),), planes, actuators,
+        (GroupModel(tuple(range(len(bodies))), TERMS, (muscle.Kernel,)),), planes, actuators,
         None if probe is None else sparse.csr_array(probe), real, budget,
     )  # fmt: skip
     fields = ParticleFields.zeros(n, dim)
@@ -111,5 +114,5 @@ def world(
         fields.force[:] = fields.mass[:, None] * np.asarray(gravity, float)
     pairs = ((E, nu), (neo_hookean, nu), (eta, zeta), (incompressible, nu))
     terms = [np.array([np.broadcast_to(np.asarray(a, float), n) for a in pair]) for pair in pairs]
-    tension = np.zeros((controls, len(actuators))) if tension is None else tension
-    return model, Inputs(State.at_rest(x), fields, [terms], tension, coefficients)
+    activation = np.zeros((controls, len(actuators))) if activation is None else activation
+    return model, Inputs(State.at_rest(x), fields, [terms], activation, np.ones(len(actuators)), coefficients)

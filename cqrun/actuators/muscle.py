@@ -7,15 +7,13 @@ stress; since it is multiplied by the rest volume it is a Kirchhoff stress, and 
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
-from pydantic import Field
 
-from cqrun.choice import Choice, Chosen
-from cqrun.contract import Array, Plugin, quantity
-from cqrun.explain import Loc
+from cqrun.actuators.actuator import DirectedStress
+from cqrun.contract import Array, quantity
 from cqrun.materials.term import register, zeros_like_rows
 from cqrun.registry import plugin
 from cqrun.tensor import add, mul, mul_at, mul_bt, symmetric
@@ -29,34 +27,23 @@ class Kernel(NamedTuple):
 
 
 @plugin("actuator", "muscle")
-class Muscle(Plugin):
+class Muscle(DirectedStress):
     """Active stress tau = F S F^T, S = activation strength n n^T along an axis n, or times I if isotropic.
 
-    A positive activation contracts the body along the axis.
+    A positive activation contracts the body along the axis; a negative one, as in the papers, stretches it.
     """
 
-    body: str = Field(description="Body it lies in")
-    region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
-        description="Where, at rest; the whole body if absent", default=None
-    )
-    axis: list[float] | Literal["isotropic"] = Field(description="Direction at rest, made unit; or isotropic")
     strength: float = quantity("Pa", "Active stress at activation 1", differentiable=True, ge=0)
 
-    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
-        """Return what does not fit a world of `dim` dimensions."""
-        found = super().dim_problems(dim)
-        if isinstance(self.axis, list) and len(self.axis) != dim:
-            found.append((("axis",), f"must have {dim} entries in this {dim}D world, has {len(self.axis)}"))
-        elif isinstance(self.axis, list) and not np.any(self.axis):
-            found.append((("axis",), "must not be zero; give a direction, or isotropic"))
-        return found
+    scale = "strength"
 
-    def direction(self, dim: int) -> Array:
+    def kernel(self, dim: int) -> type:
+        """Return the class of the kernels' view."""
+        return Kernel
+
+    def constants(self, x: Array) -> Array:
         """Return S / (activation strength) as rows (D (D + 1) / 2,)."""
-        if self.axis == "isotropic":
-            return symmetric_rows(np.eye(dim))
-        n = np.array(self.axis) / np.linalg.norm(self.axis)
-        return symmetric_rows(np.outer(n, n))
+        return symmetric_rows(self.direction(x.shape[1]))
 
 
 def stress(term: Any, theta: Any, F: Any, C: Any) -> Any:

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from cqrun.actuators.push import make_kernel, pushes, starts_of
 from cqrun.boundaries.condition import BoundaryCondition
 from cqrun.contract import Array
-from cqrun.engine.setting import Muscles, Probe, grid_shape, node_positions
+from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
 from cqrun.packed import pack
 from cqrun.state import Layout, ParticleFields, State
 
@@ -24,22 +25,27 @@ from cqrun.state import Layout, ParticleFields, State
 class GroupModel:
     """Consecutive bodies with the same terms of stress.
 
-    `kernel_terms` make each term's kernel view from its packed parameters theta; `muscles` says whether the
-    active stress is one of the terms.
+    `kernel_terms` make each term's kernel view from its packed parameters theta; `active` are the kinds of active
+    stress among its actuators, terms like the others but for the activations that fill them.
     """
 
     bodies: tuple[int, ...]
     kernel_terms: tuple[Callable[[Array], Any], ...]
-    muscles: bool = False
+    active: tuple[type, ...] = ()
 
 
 @dataclass(frozen=True)
 class ActuatorModel:
-    """Particles of one actuator (user order) and the rows of its material-space direction, `symmetric_rows`."""
+    """What has one activation: a part of an actuator.
+
+    `kernel` is the class of its kind, `constants` what `Actuator.constants` says; particles are in user order, those
+    of a cable in the order of its route.
+    """
 
     name: str
+    kernel: type
     particles: Array
-    direction: Array
+    constants: Array
 
 
 @dataclass(frozen=True)
@@ -104,19 +110,32 @@ class Model:
         columns = self.layout.columns()[self.probe.indices]
         return Probe(self.probe.indptr.astype(np.int64), columns, self.probe.data.astype(np.float64))
 
-    def kernel_muscles(self, tension: Array) -> Muscles:
-        """Return the muscles over kernel columns for tensions (T, A)."""
-        rows = self.dim * (self.dim + 1) // 2
-        columns = self.layout.columns()
+    def kinds(self) -> tuple[list[type], list[type]]:
+        """Return the kinds of active stress, and of force, of the actuators."""
+        kinds = list(dict.fromkeys(a.kernel for a in self.actuators))
+        return [k for k in kinds if not pushes(k)], [k for k in kinds if pushes(k)]
+
+    def kernel_drive(self, activation: Array, strength: Array) -> Drive:
+        """Return what the actuators act through, for activations (T, A) and strengths (A,)."""
+        columns, (stresses, forces) = self.layout.columns(), self.kinds()
         pieces = [columns[a.particles] for a in self.actuators]
-        start = np.cumsum([0, *(len(piece) for piece in pieces)]).astype(np.int64)
-        n = self.layout.n if any(g.muscles for g in self.groups) else 0
-        return Muscles(
-            pack(np.zeros((rows, n)), self.real),
-            start,
-            np.concatenate([np.zeros(0, np.int64), *pieces]),
-            np.array([a.direction for a in self.actuators]).reshape(-1, rows),
-            np.ascontiguousarray(tension, dtype=np.float64),
+
+        def of(kind: type) -> tuple[Array, list[Array], list[Array]]:
+            own = [k for k, a in enumerate(self.actuators) if a.kernel is kind]
+            return np.array(own, np.int64), [pieces[k] for k in own], [self.actuators[k].constants for k in own]
+
+        def stress(kind: type) -> Stresses:
+            own, held, directions = of(kind)
+            theta = pack(np.zeros((len(directions[0]), self.layout.n)), self.real)
+            return Stresses(theta, *starts_of(held), own, np.array(directions, float))
+
+        n_pushed = self.layout.n if forces else 0
+        return Drive(
+            np.array(activation, np.float64, order="C"),
+            np.array(strength, np.float64),
+            tuple(stress(kind) for kind in stresses),
+            tuple(make_kernel(kind, *of(kind)) for kind in forces),
+            pack(np.zeros((self.dim, n_pushed)), self.real),
         )
 
 
@@ -124,14 +143,15 @@ class Model:
 class Inputs:
     """What a rollout depends on; as a cotangent, the derivative of the loss by each of them.
 
-    `terms[g][k]` (rows, N_g) are the parameters of term k of group g, `tension` (T, A) [Pa] one row a control step,
-    `coefficients` one a plane of a boundary condition.
+    `terms[g][k]` (rows, N_g) are the parameters of term k of group g, `activation` (T, A) has one row a control step,
+    `strength` (A,) one number an actuator, in its own unit, `coefficients` one a plane of a boundary condition.
     """
 
     state: State
     fields: ParticleFields
     terms: list[list[Array]]
-    tension: Array
+    activation: Array
+    strength: Array
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
@@ -142,7 +162,8 @@ class Inputs:
             State(*(np.zeros_like(a) for a in (s.x, s.v, s.C, s.F)), np.zeros_like(s.memory)),
             ParticleFields.zeros(n, dim),
             [[np.zeros_like(theta) for theta in group] for group in other.terms],
-            np.zeros_like(other.tension),
+            np.zeros_like(other.activation),
+            np.zeros_like(other.strength),
             np.zeros_like(other.coefficients),
         )
 
@@ -179,6 +200,15 @@ class Records:
     def zeros(cls, n_controls: int, k: int, dim: int) -> Records:
         """Return zero records, as a cotangent to fill."""
         return cls.from_rows(np.zeros((n_controls + 1, 2 * dim + 2 * dim * dim, k)), dim)
+
+
+@dataclass
+class LossBar:
+    """Cotangents of what a rollout gives: records, the last state, activations (T, A); None for zero."""
+
+    records: Records | None = None
+    final: State | None = None
+    activation: Array | None = None
 
 
 def conditions_of(name: str, spec: BoundaryCondition, size: Array, dx: float) -> list[ConditionModel]:

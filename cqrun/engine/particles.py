@@ -35,12 +35,12 @@ from cqrun.engine.arrays import (
     store_vector,
     within,
 )
-from cqrun.engine.setting import DECAY, FORCE, MARGIN, MASS, TILE, VOLUME, Group, Setting, Work
+from cqrun.engine.setting import MARGIN, TILE, Group, Setting, Work
 from cqrun.engine.transfer import gather, gather_vjp
 from cqrun.lanes import LANE_BYTES, all_lanes, lane, select
 from cqrun.materials.term import total_kirchhoff, total_kirchhoff_vjp
 from cqrun.packed import accumulate, load
-from cqrun.state import PADDING
+from cqrun.state import DECAY, FORCE, MASS, PADDING, VOLUME
 from cqrun.tensor import add, dot, inner, matvec, matvec_t, mul, mul_at, mul_bt, scale, shift, sub
 
 
@@ -52,18 +52,24 @@ def tiles_of(group: Group, thread: int, n_threads: int) -> tuple[int, int]:
 
 
 @kernel
-def momentum(group: Group, q: Array, fields: Array, setting: Setting, work: Work, thread: int, n_threads: int) -> None:
-    """Write what P2G scatters for one body's particles."""
+def momentum(
+    group: Group, q: Array, fields: Array, push: Array, setting: Setting, work: Work, thread: int, n_threads: int
+) -> None:
+    """Write what P2G scatters for one body's particles; `push` is the force of actuators, if there are any."""
     dims, dx, dt = setting.dims, setting.dx, setting.dt
     D, n = len(dims), work.place.shape[0]
     width = LANE_BYTES // q.itemsize
+    pushed = push.shape[0] > 0
     lo, hi = tiles_of(group, thread, n_threads)
     for i in range(lo, hi, width):
         C = load_matrix(q, 2 * D, i, dims)
         F = load_matrix(q, 2 * D + D * D, i, dims)
         m, kept = load(fields, MASS, i), load(fields, MASS, i) * load(fields, DECAY, i)
         tau = total_kirchhoff(group.terms, i, F, C)
-        p = add(scale(load_vector(q, D, i, dims), kept), scale(load_vector(fields, FORCE, i, dims), dt))
+        f = load_vector(fields, FORCE, i, dims)
+        if pushed:
+            f = add(f, load_vector(push, 0, i, dims))
+        p = add(scale(load_vector(q, D, i, dims), kept), scale(f, dt))
         pull = load(fields, VOLUME, i) * (-4.0 * dt / dx)
         A = add(scale(C, kept * dx), scale(tau, pull))
         X = shift(scale(load_vector(q, 0, i, dims), 1.0 / dx), MARGIN)
@@ -141,10 +147,16 @@ def move_vjp(
 
 @kernel
 def momentum_vjp(
-    group: Group, group_bar: Group, q: Array, q_bar: Array, fields: Array, fields_bar: Array,
+    groups: tuple[Group, Group], q: Array, q_bar: Array, fields: Array, fields_bar: Array, push_bar: Array,
     setting: Setting, work: Work, thread: int, n_threads: int,
 ) -> None:  # fmt: skip
-    """Gather the adjoints of both transfers, finish the cotangent of q, add to those of all parameters."""
+    """Gather the adjoints of both transfers, finish the cotangent of q, add to those of all parameters.
+
+    Args:
+        groups: a body and its cotangent.
+        push_bar: becomes the cotangent of this substep's push.
+    """
+    group, group_bar = groups
     dims, dx, dt = setting.dims, setting.dx, setting.dt
     D, n = len(dims), work.place.shape[0]
     width = LANE_BYTES // q.itemsize
@@ -171,6 +183,8 @@ def momentum_vjp(
             accumulate(fields_bar, MASS, i, get_extra(value, i - tile, dims) + kappa * kept_bar)
             accumulate(fields_bar, DECAY, i, m * kept_bar)
             add_vector(fields_bar, FORCE, i, scale(p_bar, dt), dims)
+            if push_bar.shape[0] > 0:
+                store_vector(push_bar, 0, i, scale(p_bar, dt), dims)
             # G is linear in vol0: (G - kappa m C) / vol0 is its derivative
             vol = load(fields, VOLUME, i)
             stressed = inner(sub(scale(A, 1.0 / dx), scale(C, m * kappa)), G_bar)

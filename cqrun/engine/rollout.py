@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from checkpoint_schedules import (
@@ -18,28 +16,21 @@ from checkpoint_schedules import (
 )
 from numba import config
 
+from cqrun.compile import run_side_by_side
 from cqrun.contract import Array
+from cqrun.engine.backward import Backward
 from cqrun.engine.checkpoint import Plan, make_plan
-from cqrun.engine.model import Inputs, Model, Records
-from cqrun.engine.setting import DECAY, FORCE, MARGIN, MASS, VOLUME, Group, Setting, make_work, node_strides
-from cqrun.engine.step import advance, reverse
+from cqrun.engine.model import Inputs, LossBar, Model, Records
+from cqrun.engine.policy import Policy
+from cqrun.engine.probe import record
+from cqrun.engine.setting import MARGIN, Drive, Group, Setting, make_work, node_strides
+from cqrun.engine.step import advance
 from cqrun.errors import RolloutError
 from cqrun.packed import pack, unpack
-from cqrun.state import ParticleFields, State
+from cqrun.state import DECAY, FORCE, MASS, VOLUME, ParticleFields, State
 
 SLICE = 0.2
 """Seconds of compiled code between looks at `should_stop` and observers."""
-
-
-def run_side_by_side(n_threads: int, body: Callable[[int], Any]) -> Any:
-    """Run body(thread) on every thread and return the result of thread 0."""
-    others = [threading.Thread(target=body, args=(t,)) for t in range(1, n_threads)]
-    for other in others:
-        other.start()
-    result = body(0)
-    for other in others:
-        other.join()
-    return result
 
 
 class Rollout:
@@ -50,19 +41,34 @@ class Rollout:
         inputs: the numbers it starts from.
         threads: how many threads take part; the results do not depend on it.
         adjoint: whether `gradient` will be called.
+        policy: decides the activations, control step by control step; without one they are those of the inputs.
+
+    Attributes:
+        activation: (T, A) as the policy decided, or as in the inputs.
+        memory: (T + 1, M) of the policy at every control step; at its end without one.
 
     Raises:
         RolloutError: (from `run`) a particle left the grid or is not finite.
     """
 
-    def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, adjoint: bool = False) -> None:
+    def __init__(
+        self, model: Model, inputs: Inputs, *, threads: int = 1, adjoint: bool = False, policy: Policy | None = None
+    ) -> None:
         # without the JIT there is no barrier for threads to meet at
         self.model, self.inputs, self.threads = model, inputs, 1 if config.DISABLE_JIT else threads
-        self.adjoint = adjoint
+        self.adjoint, self.policy = adjoint, policy
         self._pack()
         self.rows = 2 * model.dim * (1 + model.dim)
         self.records: Array = np.zeros((model.n_controls + 1, self.rows, len(self.probe.start) - 1))
+        record(self.probe, self.start, self.records[0])
+        self.memory = np.tile(inputs.state.memory, (model.n_controls + 1, 1))
+        self.decided = model.n_controls if policy is None else 0
         self.plan: Plan | None = None
+
+    @property
+    def activation(self) -> Array:
+        """Activations (T, A), one row a control step."""
+        return self.drive.activation
 
     @property
     def state_bytes(self) -> int:
@@ -76,8 +82,8 @@ class Rollout:
         layout, real, shape = model.layout, model.real, model.grid_shape
         self.start = inputs.state.pack(layout, real)
         self.fields = self._pack_fields(inputs.fields)
-        self.muscles = model.kernel_muscles(inputs.tension)
-        self.groups = self.kernel_groups(inputs.terms, self.muscles.S)
+        self.drive = model.kernel_drive(inputs.activation, inputs.strength)
+        self.groups = self.kernel_groups(inputs.terms, self.drive)
         self.conditions = tuple(
             c.spec.kernel_condition(c.normal)._replace(coefficient=float(inputs.coefficients[k]))
             for k, c in enumerate(model.conditions)
@@ -109,8 +115,10 @@ class Rollout:
         out[FORCE:, columns] = fields.force.T
         return pack(out, self.model.real)
 
-    def kernel_groups(self, terms: list[list[Array]], S: Array) -> tuple[Group, ...]:
+    def kernel_groups(self, terms: list[list[Array]], drive: Drive) -> tuple[Group, ...]:
+        """Return every group's view of its terms, the active ones filled by the drive."""
         model = self.model
+        active = dict(zip(model.kinds()[0], drive.stresses, strict=True))
         starts = np.cumsum([0, *model.layout.padded])
         sources = model.layout.sources()
         groups = []
@@ -121,10 +129,7 @@ class Rollout:
                 full = np.zeros((len(theta), model.layout.n))
                 full[:, lo:hi] = theta[:, sources[lo:hi] - slice_.start]
                 views.append(make(pack(full, model.real)))
-            if g.muscles:
-                from cqrun.actuators.muscle import Kernel
-
-                views.append(Kernel(S, (0,) * S.shape[1]))
+            views += [kind(active[kind].theta, (0,) * active[kind].theta.shape[1]) for kind in g.active]
             groups.append(Group(lo, hi, tuple(views)))
         return tuple(groups)
 
@@ -159,21 +164,44 @@ class Rollout:
             The probe's records; unfilled past an early end.
         """
         states = self.start[None].copy()
-        for control in range(self.model.n_controls):
+        n = self.model.n_controls
+        for control in range(n + 1):
             if observe is not None:
-                observe(control, State.unpack(states[0], self.model.layout, self.inputs.state.memory))
-            if should_stop is not None and should_stop():
-                return Records.from_rows(self.records, self.model.dim)
+                observe(control, self.unpack(states[0], control))
+            if control == n or (should_stop is not None and should_stop()):
+                break
             self.advance(control * self.model.substeps, (control + 1) * self.model.substeps, states, keep=False)
-        self._record_last(states[0])
-        if observe is not None:
-            last = State.unpack(states[0], self.model.layout, self.inputs.state.memory)
-            observe(self.model.n_controls, last)
         self.final = states[0]
         return Records.from_rows(self.records, self.model.dim)
 
+    def unpack(self, q: Array, control: int) -> State:
+        """Return a packed state at a control step as a State."""
+        return State.unpack(q, self.model.layout, self.memory[control])
+
     def advance(self, begin: int, end: int, states: Array, *, keep: bool) -> None:
-        """Run substeps begin .. end from states[0]; with `keep` states[k] becomes the state after k of them."""
+        """Run substeps begin .. end from states[0]; with `keep` states[k] becomes the state after k of them.
+
+        A policy is asked at every control step that it has not decided yet; what it decided is replayed.
+        """
+        at, substeps = begin, self.model.substeps
+        while at < end:
+            here = states[at - begin :] if keep else states
+            to = end
+            if at // substeps >= self.decided:
+                if at % substeps == 0:
+                    self._decide(at // substeps, here[0])
+                to = min(end, (at // substeps + 1) * substeps)
+            self._advance(at, to, here, keep)
+            at = to
+
+    def _decide(self, control: int, q: Array) -> None:
+        assert self.policy is not None
+        self.activation[control], self.memory[control + 1] = self.policy.act(
+            control, self.records[control], self.memory[control], lambda: self.unpack(q, control)
+        )
+        self.decided = control + 1
+
+    def _advance(self, begin: int, end: int, states: Array, keep: bool) -> None:
         work = self.work
         work.stray[:] = -1
 
@@ -187,7 +215,7 @@ class Rollout:
                     self.conditions,
                     states,
                     self.fields,
-                    self.muscles,
+                    self.drive,
                     self.probe,
                     self.records,
                     self.setting,
@@ -226,20 +254,15 @@ class Rollout:
             advice=advice,
         )  # fmt: skip
 
-    def _record_last(self, q: Array) -> None:
-        from cqrun.engine.probe import record
-
-        record(self.probe, q, self.records[self.model.n_controls])
-
     # --- adjoint ----------------------------------------------------------------------------------------
 
-    def gradient(
-        self, loss_bar: Callable[[Records, State], tuple[Records | None, State | None]]
-    ) -> tuple[Records, Inputs]:
+    def gradient(self, loss_bar: Callable[[Records, State], LossBar]) -> tuple[Records, Inputs]:
         """Run forward and backward; return the records and the cotangent of the inputs.
 
+        The policy, if there is one, gathers the cotangents of its own parameters.
+
         Args:
-            loss_bar: given the records and the final state, returns their cotangents (None for zero).
+            loss_bar: given the records and the final state, returns the loss's cotangents.
         """
         model = self.model
         n_steps = model.n_steps
@@ -267,9 +290,8 @@ class Rollout:
                     self.advance(ends(last), ends(action.n1), chunk_states, keep=True)
             elif isinstance(action, EndForward):
                 final = chunk_states[n_steps - ends(plan.n_chunks - 1)]
-                self._record_last(final)
                 records = Records.from_rows(self.records.copy(), model.dim)
-                backward.begin(*loss_bar(records, State.unpack(final, model.layout, self.inputs.state.memory)))
+                backward.begin(loss_bar(records, self.unpack(final, model.n_controls)))
             elif isinstance(action, Reverse):
                 backward.run(ends(action.n0), ends(action.n1), chunk_states)
             elif isinstance(action, (Copy, Move)):
@@ -279,66 +301,6 @@ class Rollout:
             if isinstance(action, EndReverse):
                 break
         return records, backward.inputs_bar()
-
-
-class Backward:
-    """The cotangents of one backward run, in the kernels' layout."""
-
-    def __init__(self, rollout: Rollout) -> None:
-        self.rollout = rollout
-        model = rollout.model
-        self.q_bar = np.zeros_like(rollout.start)
-        self.fields_bar = np.zeros_like(rollout.fields)
-        muscles = rollout.muscles
-        self.muscles_bar = muscles._replace(S=np.zeros_like(muscles.S), tension=np.zeros_like(muscles.tension))
-        zeros = [[np.zeros_like(theta) for theta in group] for group in rollout.inputs.terms]
-        self.groups_bar = rollout.kernel_groups(zeros, self.muscles_bar.S)
-        self.coefficient_bar = np.zeros(len(model.conditions))
-
-    def begin(self, records_bar: Records | None, final_bar: State | None) -> None:
-        """Start from the cotangents of the records and of the final state."""
-        from cqrun.engine.probe import record_vjp
-
-        rollout, model = self.rollout, self.rollout.model
-        if final_bar is not None:
-            table = unpack(final_bar.pack(model.layout, model.real)) * model.layout.real()
-            self.q_bar[...] = pack(table, model.real)
-        self.memory_bar = None if final_bar is None else final_bar.memory
-        self.records_bar = np.zeros_like(rollout.records) if records_bar is None else records_bar.to_rows()
-        record_vjp(rollout.probe, self.q_bar, self.records_bar[model.n_controls])
-
-    def run(self, begin: int, end: int, states: Array) -> None:
-        """Run the adjoints of substeps end - 1 .. begin, whose states are kept in `states`."""
-        r = self.rollout
-
-        def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
-            reverse(
-                from_, end, r.groups, self.groups_bar, r.conditions, self.coefficient_bar, states, self.q_bar,
-                r.fields, self.fields_bar, r.muscles, self.muscles_bar, r.probe, self.records_bar,
-                r.setting, r.work, thread, n,
-            )  # fmt: skip
-
-        if r.threads > 1:
-            body(0, end, 1)
-        run_side_by_side(r.threads, body)
-
-    def inputs_bar(self) -> Inputs:
-        """Return the cotangent of the inputs."""
-        r, layout = self.rollout, self.rollout.model.layout
-        columns = layout.columns()
-        bar = Inputs.zeros_like(r.inputs)
-        memory = bar.state.memory if self.memory_bar is None else self.memory_bar
-        bar.state = State.unpack(self.q_bar, layout, memory)
-        f = unpack(self.fields_bar)[:, columns]
-        bar.fields.mass[:], bar.fields.volume[:] = f[MASS], f[VOLUME]
-        bar.fields.damping[:] = -r.model.dt * np.exp(-r.inputs.fields.damping * r.model.dt) * f[DECAY]
-        bar.fields.force[:] = f[FORCE:].T
-        for g, (group, slice_) in enumerate(zip(self.groups_bar, r.model.group_slices(), strict=True)):
-            for k in range(len(bar.terms[g])):
-                bar.terms[g][k][:] = unpack(group.terms[k].theta)[:, columns[slice_]]
-        bar.tension[:] = self.muscles_bar.tension
-        bar.coefficients[:] = self.coefficient_bar
-        return bar
 
 
 _ONE = (

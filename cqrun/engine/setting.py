@@ -12,9 +12,6 @@ from cqrun.engine.blocks import BLOCK, Blocks, make_blocks
 MARGIN = 3
 """Grid nodes beyond each face of the world, so that stencils near a wall stay on the grid."""
 
-MASS, VOLUME, DECAY, FORCE = 0, 1, 2, 3
-"""Rows of the particle fields (3 + D, n): mass, rest volume, damping factor a substep, external force."""
-
 TILE = 512
 """Particles gathered at a time into arrays that stay in the first cache."""
 
@@ -38,14 +35,24 @@ class Group(NamedTuple):
     terms: tuple[Any, ...]
 
 
-class Muscles(NamedTuple):
-    """Active stresses: S (rows, n) is the sum of tension * direction over the actuators of a particle."""
+class Stresses(NamedTuple):
+    """Active stresses of one kind: theta is the sum over a particle's actuators of activation strength direction."""
 
-    S: Array  # D (D + 1) / 2 rows, packed [Pa]
-    start: Array  # (A + 1,) where an actuator's columns begin
-    columns: Array  # particles of all actuators
-    direction: Array  # (A, D (D + 1) / 2)
-    tension: Array  # (T, A) [Pa], one row a control step
+    theta: Array  # (rows, n) parameters of the kind's stress term, packed [Pa]
+    start: Array  # (A_k + 1,) where an actuator's columns begin
+    columns: Array  # particles of all actuators of the kind
+    actuators: Array  # (A_k,) which of all A actuators they are
+    direction: Array  # (A_k, rows)
+
+
+class Drive(NamedTuple):
+    """What activations act through; as a cotangent, theta, push, activation and strength are theirs."""
+
+    activation: Array  # (T, A) one row a control step [1]
+    strength: Array  # (A,) in each actuator's own unit
+    stresses: tuple[Stresses, ...]  # one a kind of active stress
+    forces: tuple[Any, ...]  # one kernel a kind of force
+    push: Array  # (D, n) force of the actuators, packed [N]; no columns where nothing pushes
 
 
 class Probe(NamedTuple):

@@ -16,11 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.compile import run_side_by_side
+from cqrun.engine.backward import Backward
 from cqrun.engine.blocks import sort_particles
 from cqrun.engine.grid import clear, update_grid, update_grid_vjp
-from cqrun.engine.model import GroupModel, Inputs, Model
+from cqrun.engine.model import GroupModel, Inputs, LossBar, Model
 from cqrun.engine.particles import momentum, momentum_vjp, move, move_vjp
-from cqrun.engine.rollout import Backward, Rollout, run_side_by_side
+from cqrun.engine.rollout import Rollout
 from cqrun.engine.step import scatter_blocks
 from cqrun.fingerprint import engine_hash
 from cqrun.lanes import lane_width
@@ -66,7 +68,7 @@ def falling_block(dim: int, edge: int, real: Any, *, world: float = 2.0, corners
     group = GroupModel((0,), (material.kernel_term,))
     dt = 0.05 * dx
     model = Model(np.full(dim, world), dx, dt, SUBSTEPS, 1, ("block",), Layout(dim, (n,)), (group,), real=real)
-    return model, Inputs(state, fields, [[theta]], np.zeros((1, 0)))
+    return model, Inputs(state, fields, [[theta]], np.zeros((1, 0)), np.zeros(0))
 
 
 class Bench:
@@ -79,7 +81,7 @@ class Bench:
         self.states = np.empty((SUBSTEPS + 1, *self.rollout.start.shape), real)
         self.here = np.empty((1, *self.rollout.start.shape), real)
         self.backward = Backward(self.rollout)
-        self.backward.begin(None, State.at_rest(self.inputs.state.x))
+        self.backward.begin(LossBar(final=State.at_rest(self.inputs.state.x)))
 
     def forward(self) -> None:
         """Run all substeps, as a rollout without gradient does."""
@@ -102,9 +104,9 @@ class Bench:
         self.rewind()
         self.store()
         r, b, n = self.rollout, self.backward, self.threads
-        group, group_bar, work, setting = r.groups[0], b.groups_bar[0], r.work, r.setting
+        group, pair, work, setting = r.groups[0], (r.groups[0], b.groups_bar[0]), r.work, r.setting
         q, q_next, fields = self.states[0], self.states[1], r.fields
-        yield "momentum", lambda t: momentum(group, q, fields, setting, work, t, n)
+        yield "momentum", lambda t: momentum(group, q, fields, r.drive.push, setting, work, t, n)
         yield "sort", lambda t: sort_particles(work.blocks, work.place) if t == 0 else None
         yield "clear", lambda t: clear(work.grid, setting, work, t, n)
         yield "scatter", lambda t: scatter_blocks(work.grid, work.value, work.affine, setting, work, t, n)
@@ -115,7 +117,7 @@ class Bench:
         yield "update_grid_vjp", lambda t: update_grid_vjp(setting, r.conditions, work, t, n)
         yield (
             "momentum_vjp",
-            lambda t: momentum_vjp(group, group_bar, q, b.q_bar, fields, b.fields_bar, setting, work, t, n),
+            lambda t: momentum_vjp(pair, q, b.q_bar, fields, b.fields_bar, b.drive_bar.push, setting, work, t, n),
         )
 
     def nanoseconds(self, seconds: list[float], substeps: int) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from cqrun.contract import Array
-from cqrun.engine.model import Inputs, Model, Records
+from cqrun.engine.model import Inputs, LossBar, Model, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import DataError, Problem, RolloutError, RunError, SceneError
 from cqrun.jobs.runs import data_files
@@ -109,7 +109,7 @@ class Case:
         rollout = Rollout(model, self.inputs(values), threads=threads, adjoint=True)
         found: dict[str, float] = {"loss": 0.0, "start": 0.0}
 
-        def loss_bar(records: Records, final: Any) -> tuple[Records, None]:
+        def loss_bar(records: Records, final: Any) -> LossBar:
             record = as_record(records)
             total = Records.zeros(model.n_controls, record.x.shape[1], model.dim)
             for weight, objective in zip(weights, self.objectives, strict=True):
@@ -122,7 +122,7 @@ class Case:
                     bar = objective.loss_vjp(record, weight)
                 for out, part in zip((total.x, total.v, total.C, total.F), bar, strict=True):
                     out += part
-            return total, None
+            return LossBar(total)
 
         _, inputs_bar = rollout.gradient(loss_bar)
         gradient = self.built.assembly.gradient(values, inputs_bar)

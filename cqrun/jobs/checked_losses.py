@@ -9,7 +9,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.design.params import Block, Params
-from cqrun.engine.model import Records
+from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.jobs.cases import Case
 from cqrun.jobs.problem import FitProblem, make_params
@@ -87,9 +87,9 @@ def state_loss(built: Built, threads: int) -> Loss:
     def value_and_grad(x: Array) -> tuple[float, Array]:
         found: list[float] = []
 
-        def loss_bar(records: Records, state: State) -> tuple[None, State]:
+        def loss_bar(records: Records, state: State) -> LossBar:
             found.append(_product(state, weights))
-            return None, weights
+            return LossBar(final=weights)
 
         _, bar = final(x, adjoint=True).gradient(loss_bar)
         return found[0], params.gradient(x, built.assembly.gradient(params.unpack(x), bar))

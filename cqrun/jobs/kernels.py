@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from cqrun.engine.model import LossBar
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError
 from cqrun.fingerprint import set_kernel_cache
@@ -27,7 +28,7 @@ def composition(built: Built, *, adjoint: bool) -> str:
     groups = []
     for group in model.groups:
         material = scene.bodies[model.body_names[group.bodies[0]]].material
-        terms = [material.elastic.name, *material.terms, *["muscle"] * group.muscles]
+        terms = [material.elastic.name, *material.terms, *(kind.__name__ for kind in group.active)]
         groups.append(" + ".join(terms))
     planes = [condition.spec.name for condition in model.conditions]
     kind = "forward and backward" if adjoint else "forward"
@@ -66,10 +67,10 @@ def compile_kernels(scenes: Sequence[Built], talk: Reporter, *, adjoint: bool) -
 
 def _one_substep(built: Built, adjoint: bool) -> None:
     inputs = built.assembly.inputs({})
-    inputs.tension = inputs.tension[:1]
+    inputs.activation = inputs.activation[:1]
     rollout = Rollout(replace(built.model, n_controls=1, substeps=1), inputs, adjoint=adjoint)
     if adjoint:
-        rollout.gradient(lambda records, state: (None, None))
+        rollout.gradient(lambda records, state: LossBar())
     else:
         rollout.run()
 

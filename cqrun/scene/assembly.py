@@ -15,7 +15,7 @@ from cqrun.contract import Array, Plugin, is_differentiable
 from cqrun.engine.model import Inputs
 from cqrun.loads.gravity import Gravity
 from cqrun.loads.load import Load
-from cqrun.scene.activation import signal_weights, signals
+from cqrun.scene.actuation import Actuation
 from cqrun.scene.particles import Particles, stress_key
 from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
@@ -36,6 +36,7 @@ class Assembly:
 
     def __init__(self, scene: Scene, particles: Particles, sequence: int = 0) -> None:
         self.scene, self.particles, self.sequence = scene, particles, sequence
+        self.actuation = Actuation(scene, particles)
         self.loads: list[tuple[str, Load]] = [
             (f"loads.{name}.{chosen.name}", chosen.value)  # type: ignore[misc]
             for name, chosen in scene.loads.items()
@@ -125,7 +126,11 @@ class Assembly:
         for body in self.particles.names:
             state.v[self.particles.of(body)] = self.velocities(body, values)
         fields, _ = self._fields(values)
-        return Inputs(state, fields, self._terms(values), self._tension(values), self._coefficients(values))
+        drive = self.actuation
+        return Inputs(
+            state, fields, self._terms(values), drive.activations(self.sequence, values), drive.strengths(values),
+            self._coefficients(values),
+        )  # fmt: skip
 
     def gradient(self, values: Values, bar: Inputs) -> dict[str, Array]:
         """Return the gradient by path, of each value's shape, from the cotangent of the inputs."""
@@ -133,7 +138,8 @@ class Assembly:
         self._velocities_vjp(values, bar, out)
         self._fields_vjp(values, bar, out)
         self._terms_vjp(values, bar, out)
-        self._tension_vjp(values, bar, out)
+        self.actuation.activations_vjp(bar.activation, self.sequence, values, out)
+        self.actuation.strengths_vjp(bar.strength, out)
         self._coefficients_vjp(values, bar, out)
         return out
 
@@ -236,36 +242,6 @@ class Assembly:
         modulus = sum(spec.wave_modulus(theta) for spec, theta in terms)
         viscosity = sum(spec.wave_viscosity(theta) for spec, theta in terms)
         return self._spread(body, path, own, values), np.asarray(modulus), np.asarray(viscosity)
-
-    # --- actuation --------------------------------------------------------------------------------------------------
-
-    def _strengths(self, values: Values) -> Array:
-        specs = [updated(a.value, f"actuators.{name}.{a.name}", values) for name, a in self.scene.actuators.items()]
-        return np.array([spec.strength for spec in specs])
-
-    def _tension(self, values: Values) -> Array:
-        return signals(self.scene, self.sequence, values) * self._strengths(values)
-
-    def _tension_vjp(self, values: Values, bar: Inputs, out: dict[str, Array]) -> None:
-        level = signals(self.scene, self.sequence, values)
-        level_bar = bar.tension * self._strengths(values)
-        for k, (name, chosen) in enumerate(self.scene.actuators.items()):
-            collect(f"actuators.{name}.{chosen.name}", {"strength": bar.tension[:, k] @ level[:, k]}, out)
-            for path, knots_bar in signal_weights(self.scene, name, level_bar[:, k]).items():
-                collect(path, {"": knots_bar}, out)
-
-    def greatest_stress(self, values: Values) -> Array:
-        """Return the greatest active stress of each particle (N,) [Pa], over all of the scene's sequences."""
-        greatest = np.zeros(len(self.particles.x))
-        if not self.scene.actuators:
-            return greatest
-        random = self.scene.activation.random if self.scene.activation else None
-        levels = [signals(self.scene, s, values) for s in range(random.sequences if random else 1)]
-        peaks = np.abs(np.concatenate(levels)).max(axis=0) * self._strengths(values)
-        for peak, chosen in zip(peaks, self.scene.actuators.values(), strict=True):
-            spec: Any = chosen.value
-            greatest[self.particles.inside(spec.body, spec.region)] += peak
-        return greatest
 
     # --- boundaries -------------------------------------------------------------------------------------------------
 

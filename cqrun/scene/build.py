@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.actuators.push import pushes
 from cqrun.contract import Array
 from cqrun.engine.limits import REFUSE, WARN, Limit, auto_substeps, motion_limit, wave_limit
-from cqrun.engine.model import ActuatorModel, ConditionModel, GroupModel, Model, conditions_of
+from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
 from cqrun.engine.setting import grid_shape
 from cqrun.errors import Problem, SceneError
 from cqrun.scene.assembly import Assembly
@@ -68,27 +69,25 @@ def build(scene: Scene) -> Built:
         n_controls=scene.time.control_steps,
         body_names=particles.names,
         layout=particles.layout,
-        groups=_groups(scene, particles),
+        groups=_groups(scene, particles, assembly),
         conditions=_conditions(scene),
-        actuators=tuple(
-            ActuatorModel(name, particles.inside(a.value.body, a.value.region), a.value.direction(scene.dim))  # type: ignore[attr-defined]
-            for name, a in scene.actuators.items()
-        ),
+        actuators=assembly.actuation.models,
         real=np.dtype(scene.precision).type,
         memory_budget=scene.memory,
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))
 
 
-def _groups(scene: Scene, particles: Particles) -> tuple[GroupModel, ...]:
-    driven = {a.value.body for a in scene.actuators.values()}  # type: ignore[attr-defined]
+def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[GroupModel, ...]:
+    parts = [part for part in assembly.actuation.parts if not pushes(part.model.kernel)]
     groups = []
     for _, members in groupby(enumerate(particles.names), key=lambda item: stress_key(scene, item[1])):
         indices, names = zip(*members, strict=True)
         material = scene.bodies[names[0]].material
         specs: list[Any] = [material.elastic.value, *material.terms.values()]
         makers = tuple(spec.kernel_term for spec in specs)
-        groups.append(GroupModel(tuple(indices), makers, bool(driven & set(names))))
+        active = dict.fromkeys(part.model.kernel for part in parts if part.spec.body in names)
+        groups.append(GroupModel(tuple(indices), makers, tuple(active)))
     return tuple(groups)
 
 
@@ -114,7 +113,8 @@ def _conditions(scene: Scene) -> tuple[ConditionModel, ...]:
 def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict[str, Array]) -> list[Limit]:
     """Return every part's bound on the substep for some values of the unknowns."""
     limits: list[Limit] = []
-    active = assembly.greatest_stress(values)
+    actuation = assembly.actuation
+    active = actuation.greatest_stress(values)
     for name in particles.names:
         part = particles.of(name)
         density, modulus, viscosity = assembly.stiffness(name, values)
@@ -122,6 +122,10 @@ def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict
         limits.append(limit)
         moving = motion_limit(f"bodies.{name}.velocity", scene.world.dx, assembly.velocities(name, values))
         limits += [moving] if moving else []
+        lightest = float(density.min()) * scene.world.dx**scene.dim
+        for driven, strength in zip(actuation.parts, actuation.strengths(values), strict=True):
+            if driven.spec.body == name and np.isfinite(step := driven.spec.step_limit(strength, lightest)):
+                limits.append(Limit(driven.path, step))
     return limits
 
 

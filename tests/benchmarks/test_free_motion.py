@@ -24,7 +24,7 @@ def jelly(dim: int, rng: np.random.Generator, substeps: int = 50):
     return world(
         x, size=[2.0] * dim, dx=DX, dt=DT, substeps=substeps, controls=1, mass=1e-3 * rng.uniform(1, 2, n), volume=1e-3,
         E=rng.uniform(8, 12, n), nu=0.3, eta=0.05, zeta=0.05, incompressible=3.0,
-        muscles=((np.arange(0, n, 2), np.diag(np.eye(dim)[0])),), tension=np.array([[0.3]]),
+        muscles=((np.arange(0, n, 2), np.diag(np.eye(dim)[0])),), activation=np.array([[0.3]]),
     )  # fmt: skip
 
 
@@ -32,7 +32,7 @@ def jelly(dim: int, rng: np.random.Generator, substeps: int = 50):
 def test_free_fall_is_the_symplectic_sequence(dim, rng):
     """v_n = n g dt, x_n = x + g dt^2 n (n + 1) / 2, F = I, to round-off: gravity deforms nothing."""
     model, inputs = jelly(dim, rng)
-    inputs.tension[:] = 0.0
+    inputs.activation[:] = 0.0
     g, n = np.array([0.5, -3.0, 2.0])[:dim], 50
     inputs.fields.force[:] = inputs.fields.mass[:, None] * g
     last = final(model, inputs)
@@ -45,7 +45,7 @@ def test_free_fall_is_the_symplectic_sequence(dim, rng):
 def test_damping_alone_is_a_geometric_sequence(dim, rng):
     """v_n = v exp(-damping n dt) for a body that moves as one."""
     model, inputs = jelly(dim, rng)
-    inputs.tension[:] = 0.0
+    inputs.activation[:] = 0.0
     inputs.fields.damping[:] = 3.0
     inputs.state.v[:, 0] = 1.0
     last = final(model, inputs)

@@ -29,7 +29,7 @@ def test_a_slab_between_slipping_walls_moves_as_the_plane_does(layers, rng):
         "eta": rng.uniform(0.01, 0.02, n), "zeta": rng.uniform(0.01, 0.02, n),
         "incompressible": rng.uniform(1, 2, n), "damping": rng.random(n),
     }  # fmt: skip
-    run = {"dx": DX, "dt": 4e-3, "substeps": 10, "controls": 5, "tension": np.ones((5, 1))}
+    run = {"dx": DX, "dt": 4e-3, "substeps": 10, "controls": 5, "activation": np.ones((5, 1))}
     half = np.arange(n) % 2 == 0
     flat_model, flat = world(
         x, size=[1.0, 1.0], mass=0.05**2, volume=0.05**2, gravity=[1.0, -2.0],

@@ -22,7 +22,7 @@ from little_worlds import Wall, above, below, needs_jit, world
 from rich_scene import make_complex
 
 from cqrun.boundaries.friction import Friction
-from cqrun.engine.model import Inputs, Model
+from cqrun.engine.model import Inputs, LossBar, Model
 from cqrun.engine.rollout import Rollout
 from cqrun.state import State
 
@@ -67,11 +67,11 @@ def gradient_of_mean(model: Model, inputs: Inputs) -> tuple[np.ndarray, State]:
     """Return the gradient of the mean final x-position by the mean initial velocity, and the last state."""
     seen: list[State] = []
 
-    def loss_bar(records: object, last: State) -> tuple[None, State]:
+    def loss_bar(records: object, last: State) -> LossBar:
         seen.append(last)
         bar = State(*(np.zeros_like(a) for a in (last.x, last.v, last.C, last.F)))
         bar.x[:, 0] = 1.0 / len(last.x)
-        return None, bar
+        return LossBar(final=bar)
 
     _, bar = Rollout(model, inputs, adjoint=True).gradient(loss_bar)
     # a shift of all particles shifts the mean by as much
@@ -135,10 +135,10 @@ def miss(last: State) -> np.ndarray:
 def gradient_of_billiards(steps: int) -> np.ndarray:
     """Return the gradient of |centre of B - goal|^2 by the velocity of A."""
 
-    def loss_bar(records: object, last: State) -> tuple[None, State]:
+    def loss_bar(records: object, last: State) -> LossBar:
         bar = State(*(np.zeros_like(a) for a in (last.x, last.v, last.C, last.F)))
         bar.x[200:] = 2 * miss(last) / 200
-        return None, bar
+        return LossBar(final=bar)
 
     _, bar = Rollout(*billiards(steps, V), adjoint=True).gradient(loss_bar)
     return bar.state.v[:200].sum(0)

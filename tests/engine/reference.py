@@ -85,9 +85,10 @@ def matrix(rows: Array) -> Array:
 def active_stress(model: Model, inputs: Inputs, step: int) -> Array:
     """Return the second Piola-Kirchhoff stress of the muscles, (N, D, D)."""
     n, dim = inputs.state.x.shape
-    S = np.zeros((n, dim, dim), inputs.tension.dtype)
+    S = np.zeros((n, dim, dim), np.result_type(inputs.activation, inputs.strength))
     for a, actuator in enumerate(model.actuators):
-        S[actuator.particles] += inputs.tension[step // model.substeps, a] * matrix(actuator.direction)
+        tension = inputs.activation[step // model.substeps, a] * inputs.strength[a]
+        S[actuator.particles] += tension * matrix(actuator.constants)
     return S
 
 

@@ -53,7 +53,7 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
         E=rng.uniform(8, 12, n), nu=rng.uniform(0.2, 0.4, n), neo_hookean=rng.uniform(2, 3, n),
         eta=rng.uniform(0.01, 0.02, n), zeta=rng.uniform(0.01, 0.02, n), incompressible=rng.uniform(1, 2, n),
         damping=rng.random(n), muscles=((np.arange(0, n, 3), axis), (np.arange(0, n, 2), oblique)),
-        tension=rng.normal(size=(controls, 2)) * 0.5, walls=walls(dim), probe=rng.random((3, n)) / n, **options,
+        activation=rng.normal(size=(controls, 2)) * 0.5, walls=walls(dim), probe=rng.random((3, n)) / n, **options,
     )  # fmt: skip
     s = inputs.state
     s.v = rng.normal(size=s.x.shape) * 0.3
@@ -61,6 +61,7 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
     s.v[:, 0] += np.where(np.arange(n) < COUNTS[0], -0.5, 0.5)
     s.C, s.F = rng.normal(size=s.C.shape) * 0.2, s.F + rng.normal(size=s.F.shape) * 0.05
     s.memory = rng.normal(size=4)
+    inputs.strength[:] = rng.uniform(0.8, 1.2, 2)
     inputs.fields.force[:] = mass[:, None] * rng.normal(size=s.x.shape)
     return model, inputs
 
@@ -68,7 +69,7 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
 KINDS = (
     "x", "v", "C", "F", "mass", "volume", "damping", "force", "fixed_corotated.E", "fixed_corotated.nu",
     "neo_hookean.E", "neo_hookean.nu", "viscosity.shear", "viscosity.bulk", "incompressibility.E",
-    "incompressibility.nu", "tension", "friction",
+    "incompressibility.nu", "activation", "strength", "friction",
 )  # fmt: skip
 """What a rollout depends on, in the order of `arrays`."""
 
@@ -77,7 +78,8 @@ def arrays(inputs: Inputs) -> list[np.ndarray]:
     """Return the arrays of inputs or of a cotangent, views where they are rows, one for each of KINDS."""
     s, f = inputs.state, inputs.fields
     terms = [row for theta in inputs.terms[0] for row in theta]
-    return [s.x, s.v, s.C, s.F, f.mass, f.volume, f.damping, f.force, *terms, inputs.tension, inputs.coefficients]
+    drive = (inputs.activation, inputs.strength)
+    return [s.x, s.v, s.C, s.F, f.mass, f.volume, f.damping, f.force, *terms, *drive, inputs.coefficients]
 
 
 def direction(inputs: Inputs, kind: str, rng: np.random.Generator) -> np.ndarray:
@@ -102,7 +104,8 @@ def make_complex(inputs: Inputs) -> None:
         for name, value in vars(part).items():
             setattr(part, name, value.astype(complex))
     inputs.terms = [[theta.astype(complex) for theta in group] for group in inputs.terms]
-    inputs.tension, inputs.coefficients = inputs.tension.astype(complex), inputs.coefficients.astype(complex)
+    for name in ("activation", "strength", "coefficients"):
+        setattr(inputs, name, getattr(inputs, name).astype(complex))
 
 
 def random_records(records: Records, rng: np.random.Generator) -> Records:

@@ -20,7 +20,8 @@ from rich_scene import (
     rich,
 )
 
-from cqrun.engine.model import GroupModel, Records
+from cqrun.actuators import muscle
+from cqrun.engine.model import GroupModel, LossBar, Records
 from cqrun.engine.rollout import Rollout
 
 DOT_PRODUCT = 1e-9
@@ -34,7 +35,7 @@ def adjoint(request):
     model, inputs = rich(request.param)
     records_bar = random_records(Records.zeros(model.n_controls, 3, model.dim), rng)
     state_bar = random_state(inputs.state, rng)
-    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: (records_bar, state_bar))
+    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar, state_bar))
     return model, inputs, records_bar, state_bar, bar
 
 
@@ -64,7 +65,7 @@ def test_coefficients_of_walls_without_friction_do_nothing(adjoint):
 def test_nothing_asked_nothing_answered(adjoint):
     """The adjoint is linear: cotangents of zero give gradients of zero."""
     model, inputs, *_ = adjoint
-    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: (None, None))
+    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar())
     assert all(not a.any() for a in arrays(bar))
 
 
@@ -81,7 +82,7 @@ def test_the_gradient_by_mass_is_not_the_printed_one(rng):
     inputs.state.v[:], inputs.state.C[:] = rng.normal(size=(12, 2)), rng.normal(size=(12, 2, 2))
     records_bar = Records.zeros(1, 12, 2)
     records_bar.v[1] = w
-    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: (records_bar, None))
+    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar))
 
     s = reference.Moving(inputs.state.x, inputs.state.v, inputs.state.C, inputs.state.F)
     mv, m = reference.to_grid(model, inputs, s, 0)
@@ -104,16 +105,16 @@ def test_dot_product_where_bodies_have_other_terms(rng):
     fixed, neo, viscous, _ = inputs.terms[0]
     keep = [a for a in model.actuators if a.name == "muscle 0"]
     keep = [replace(a, particles=a.particles[a.particles >= second.start]) for a in keep]
-    groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1],), True))
+    groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1],), (muscle.Kernel,)))
     apart = replace(model, groups=groups, actuators=tuple(keep))
-    inputs.tension = inputs.tension[:, :1]
+    inputs.activation, inputs.strength = inputs.activation[:, :1], inputs.strength[:1]
     one = [a.copy() for a in inputs.terms[0]]
     one[0][0, second], one[1][0, first], one[2][:, second], one[3][0] = 0.0, 0.0, 0.0, 0.0
     inputs.terms = [[fixed[:, first], viscous[:, first]], [neo[:, second]]]
     records_bar = random_records(Records.zeros(model.n_controls, 3, 2), rng)
-    _, bar = Rollout(apart, inputs, adjoint=True).gradient(lambda records, state: (records_bar, None))
+    _, bar = Rollout(apart, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar))
     got = {
-        "x": bar.state.x, "F": bar.state.F, "tension": bar.tension,
+        "x": bar.state.x, "F": bar.state.F, "activation": bar.activation,
         "fixed_corotated.E": np.pad(bar.terms[0][0][0], (0, 30)), "viscosity.bulk": np.pad(bar.terms[0][1][1], (0, 30)),
         "neo_hookean.nu": np.pad(bar.terms[1][0][1], (17, 0)),
     }  # fmt: skip
@@ -138,9 +139,9 @@ def loss(records: Records) -> float:
     return float(sum(np.sin(a).sum() + 0.5 * (a**2).sum() for a in parts(records)))
 
 
-def loss_bar(records: Records, state: object) -> tuple[Records, None]:
+def loss_bar(records: Records, state: object) -> LossBar:
     """Return the cotangent of the loss."""
-    return Records(*(np.cos(a) + a for a in parts(records))), None
+    return LossBar(Records(*(np.cos(a) + a for a in parts(records))))
 
 
 def branches(model, inputs) -> int:

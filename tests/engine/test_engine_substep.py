@@ -59,12 +59,12 @@ def test_bodies_with_other_terms_than_their_neighbours(dim, rng):
         one[term][0, gone] = 0.0
     one[2][:, second] = 0.0
     inputs.terms = [one]
-    inputs.tension[:] = 0.0
+    inputs.activation[:] = 0.0
     expected, _, _ = reference.rollout(model, inputs)
     groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1], TERMS[3])))
     apart = replace(model, groups=groups, actuators=())
     inputs.terms = [[one[0][:, first], one[2][:, first]], [one[1][:, second], one[3][:, second]]]
-    inputs.tension = np.zeros((model.n_controls, 0))
+    inputs.activation, inputs.strength = np.zeros((model.n_controls, 0)), np.zeros(0)
     records = Rollout(apart, inputs).run()
     for got, want in zip(parts(records), parts(expected), strict=True):
         np.testing.assert_allclose(got, want, rtol=0, atol=TOLERANCE * np.abs(want).max())

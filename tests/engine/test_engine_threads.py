@@ -10,7 +10,7 @@ from little_worlds import Wall, below, needs_jit, world
 from rich_scene import KINDS, arrays, parts, product, random_records, rich
 
 from cqrun.boundaries.friction import Friction
-from cqrun.engine.model import Records
+from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.state import Layout, State
 
@@ -21,7 +21,7 @@ def gradient(model, inputs, threads, records_bar):
 
     def loss_bar(records, state):
         last.append(state)
-        return records_bar, state
+        return LossBar(records_bar, state)
 
     records, bar = Rollout(model, inputs, threads=threads, adjoint=True).gradient(loss_bar)
     return last[0], records, bar
@@ -35,7 +35,7 @@ def crowd(dim: int, rng: np.random.Generator):
         [x[:250], x[250:]], size=[1.4] * dim, dx=0.05, dt=4e-3, substeps=10, controls=4, mass=rng.uniform(1, 2, 600),
         volume=1.0, E=2.0, neo_hookean=0.5, eta=0.01, damping=0.1, gravity=[0.0] * (dim - 1) + [-1.0],
         walls=[Wall(Friction, up, below(dim - 1, 0.3), 0.3)], probe=rng.random((2, 600)),
-        muscles=((np.arange(0, 600, 3), np.eye(dim)),), tension=0.1 * rng.random((4, 1)),
+        muscles=((np.arange(0, 600, 3), np.eye(dim)),), activation=0.1 * rng.random((4, 1)),
     )  # fmt: skip
     # faces of blocks lie every .2 m: particles cross some, and are sorted before their turn
     inputs.state.v[:] = 2.0 * (x - 0.7) + 0.3 * rng.normal(size=x.shape)

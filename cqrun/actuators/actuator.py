@@ -1,0 +1,158 @@
+"""What every actuator is: something in a body that activations drive, within limits.
+
+An activation is one number, held through a control step; a stress or a force is proportional to it and to the
+actuator's strength (a modulus, a pressure, a stiffness: the field that `scale` names). Stress actuators are terms of
+the Kirchhoff stress (`materials/term.py`) whose parameters the activations fill; the others push particles
+(`push.py`).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.choice import Choice, Chosen
+from cqrun.contract import Array, Plugin, quantity
+from cqrun.explain import Loc
+
+Point = Annotated[list[float], Field(min_length=2, max_length=3)]
+
+Inside = Callable[[str | None, Any], Array]
+"""From a body and a region, each or neither, to the indices of the particles there."""
+
+
+class Actuator(Plugin):
+    """Something in a body that activations drive.
+
+    An actuator may have several parts, each with an activation of its own.
+    """
+
+    body: str = Field(description="Body it lies in")
+    rate: float | None = quantity(
+        "1/s", "Greatest change of the activation in a second; any if absent", gt=0, default=None
+    )
+
+    scale: ClassVar[str] = ""
+    """The differentiable field that an activation is multiplied by."""
+
+    @property
+    def full(self) -> float:
+        """What an activation of 1 stands for: the value of the field that `scale` names."""
+        return float(getattr(self, self.scale))
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The least and greatest activation."""
+        return -1.0, 1.0
+
+    def parts(self) -> tuple[str, ...]:
+        """Return the names of its parts; one without a name if there is but one."""
+        return ("",)
+
+    @abstractmethod
+    def particles(self, part: str, x: Array, inside: Inside) -> Array:
+        """Return the particles of a part.
+
+        Args:
+            part: one of `parts`.
+            x: all particles at rest (N, D) [m].
+            inside: finds the particles of a body and region.
+        """
+
+    @abstractmethod
+    def kernel(self, dim: int) -> type:
+        """Return the class of the kernels' view: of a term of the stress, or of a force."""
+
+    @abstractmethod
+    def constants(self, x: Array) -> Array:
+        """Return what else a kernel needs of a part, as numbers; of a stress actuator the rows of its direction.
+
+        Args:
+            x: the part's particles at rest (n, D) [m].
+        """
+
+    def problem(self, x: Array) -> str | None:
+        """Return what is wrong with a part whose particles at rest are x (n, D) [m], or None."""
+        return None
+
+    def wave_modulus(self) -> float:
+        """Return what one unit of activation and strength adds to the stiffness of a pressure wave."""
+        return 0.0
+
+    def step_limit(self, strength: float, mass: float) -> float:
+        """Return the largest stable substep [s], for nodes of the grid of a mass [kg], besides that of waves."""
+        return float(np.inf)
+
+
+class RegionActuator(Actuator):
+    """An actuator that acts on the particles of a region, or of several groups apart."""
+
+    region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
+        description="Where, at rest; the whole body if absent", default=None
+    )
+    each: list[str] | None = Field(
+        description="Groups of the body, each with an activation of its own", min_length=1, default=None
+    )
+
+    def parts(self) -> tuple[str, ...]:
+        """Return the names of its parts; one without a name if there is but one."""
+        return tuple(self.each) if self.each is not None else ("",)
+
+    def particles(self, part: str, x: Array, inside: Inside) -> Array:
+        """Return the particles of a part; see `Actuator.particles`."""
+        return inside(self.body, part if self.each is not None else self.region)
+
+
+class DirectedStress(RegionActuator):
+    """A stress F S F^T with S along an axis of the body at rest, or isotropic."""
+
+    axis: list[float] | Literal["isotropic"] = Field(description="Direction at rest, made unit; or isotropic")
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        found = super().dim_problems(dim)
+        if isinstance(self.axis, list) and len(self.axis) != dim:
+            found.append((("axis",), f"must have {dim} entries in this {dim}D world, has {len(self.axis)}"))
+        elif isinstance(self.axis, list) and not np.any(self.axis):
+            found.append((("axis",), "must not be zero; give a direction, or isotropic"))
+        return found
+
+    def wave_modulus(self) -> float:
+        """Return what one unit of activation and strength adds to the stiffness of a pressure wave."""
+        return 1.0
+
+    def direction(self, dim: int) -> Array:
+        """Return n n^T of the unit axis n, or I (D, D)."""
+        if self.axis == "isotropic":
+            return np.eye(dim)
+        n = np.array(self.axis) / np.linalg.norm(self.axis)
+        return np.outer(n, n)
+
+
+def held_to(
+    wanted: Array, previous: Array | None, low: Array, high: Array, change: Array
+) -> tuple[Array, Array, Array]:
+    """Return activations within their limits, and within `change` of the previous ones; and the derivatives.
+
+    At a limit the derivative by what is wanted is 1 towards the inside, so that an optimizer finds its way back.
+
+    Args:
+        wanted: activations asked for (A,).
+        previous: those of the control step before (A,), or None at the first, where any may be had.
+        low, high: limits (A,).
+        change: greatest change in a control step (A,), infinite where there is none.
+
+    Returns:
+        The activations, and their derivatives by `wanted` and by `previous`, each (A,) of 0 and 1.
+    """
+    clipped = np.clip(wanted, low, high)
+    by_wanted = ((wanted >= low) & (wanted <= high)).astype(float)
+    if previous is None:
+        return clipped, by_wanted, np.zeros_like(clipped)
+    given = np.clip(clipped, previous - change, previous + change)
+    late = given != clipped
+    return given, np.where(late, 0.0, by_wanted), late.astype(float)

@@ -1,0 +1,92 @@
+"""Body force: an acceleration of a part of a body in a fixed direction, as a magnet's pull (CQ1's `F_controller`).
+
+f_p = activation acceleration m_p n, with the unit vector n. Alone among the actuators it adds momentum.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cqrun.actuators.actuator import RegionActuator
+from cqrun.actuators.push import register_push, starts_of
+from cqrun.compile import kernel
+from cqrun.contract import Array, quantity, vector
+from cqrun.explain import Loc
+from cqrun.registry import plugin
+from cqrun.state import MASS
+
+
+class Kernel(NamedTuple):
+    """All body forces of a scene."""
+
+    start: Array  # (A_k + 1,) where an actuator's particles begin
+    columns: Array
+    actuators: Array  # (A_k,)
+    direction: Array  # (A_k, D)
+
+
+@plugin("actuator", "body_force")
+class BodyForce(RegionActuator):
+    """An acceleration of activation times `acceleration` along a direction of the world."""
+
+    direction: list[float] = vector("1", "Direction in the world, made unit")
+    acceleration: float = quantity("m/s^2", "Acceleration at activation 1", differentiable=True, ge=0)
+
+    scale = "acceleration"
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        found = super().dim_problems(dim)
+        return found if np.any(self.direction) else [*found, (("direction",), "must not be zero")]
+
+    def kernel(self, dim: int) -> type:
+        """Return the class of the kernels' view."""
+        return Kernel
+
+    def constants(self, x: Array) -> Array:
+        """Return the unit direction (D,)."""
+        return np.array(self.direction) / np.linalg.norm(self.direction)
+
+
+def make_kernel(actuators: Array, columns: list[Array], constants: list[Array]) -> Kernel:
+    """Return the kernels' view of all body forces."""
+    return Kernel(*starts_of(columns), actuators, np.array(constants))
+
+
+@kernel
+def accelerate(bodies: Kernel, drive: Any, control: int, q: Array, fields: Array, force: Array) -> None:
+    """Add the forces."""
+    w = force.shape[2]
+    for k in range(len(bodies.actuators)):
+        a = bodies.actuators[k]
+        pull = drive.activation[control, a] * drive.strength[a]
+        for index in range(bodies.start[k], bodies.start[k + 1]):
+            p = bodies.columns[index]
+            for d in range(force.shape[1]):
+                force[p // w, d, p % w] += pull * fields[p // w, MASS, p % w] * bodies.direction[k, d]
+
+
+@kernel
+def accelerate_vjp(
+    bodies: Kernel, drive: Any, drive_bar: Any, control: int, q: Array, q_bar: Array, fields: Array, fields_bar: Array
+) -> None:
+    """Carry the cotangent of the forces back to activation, strength and mass."""
+    force_bar = drive_bar.push
+    w = force_bar.shape[2]
+    for k in range(len(bodies.actuators)):
+        a, total = bodies.actuators[k], 0.0
+        pull = drive.activation[control, a] * drive.strength[a]
+        for index in range(bodies.start[k], bodies.start[k + 1]):
+            p = bodies.columns[index]
+            along = 0.0
+            for d in range(force_bar.shape[1]):
+                along += force_bar[p // w, d, p % w] * bodies.direction[k, d]
+            total += along * fields[p // w, MASS, p % w]
+            fields_bar[p // w, MASS, p % w] += pull * along
+        drive_bar.activation[control, a] += total * drive.strength[a]
+        drive_bar.strength[a] += total * drive.activation[control, a]
+
+
+register_push(Kernel, make_kernel, accelerate, accelerate_vjp)

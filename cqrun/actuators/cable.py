@@ -1,0 +1,197 @@
+"""Cable: pulls the particles along its route together when it is reeled in; slack, it does nothing (CQ2 eqs 16, 17).
+
+With the route's particles x_1 .. x_r, the length L = sum_i |x_{i+1} - x_i|, its rest value R, the stiffness k and
+the activation u, the share of R that is left:
+
+    E = k / 2 max(0, L - max(0, u) R)^2,    f = -dE/dx
+
+The tension T = k max(0, L - max(0, u) R) is the same all along: f_i = T (t_i - t_{i-1}) with the unit vectors
+t_i = (x_{i+1} - x_i) / |x_{i+1} - x_i|. It adds no net force and no net torque.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cqrun.actuators.actuator import Actuator, Inside, Point
+from cqrun.actuators.push import register_push, starts_of
+from cqrun.compile import kernel
+from cqrun.contract import Array, quantity
+from cqrun.explain import Loc
+from cqrun.registry import plugin
+
+
+class Kernel(NamedTuple):
+    """All cables of a scene."""
+
+    start: Array  # (A_k + 1,) where a cable's particles begin
+    columns: Array  # particles along the routes, in order
+    actuators: Array  # (A_k,)
+    rest: Array  # (A_k,) length at rest [m]
+
+
+@plugin("actuator", "cable")
+class Cable(Actuator):
+    """A cable along a route of particles: it pulls and never pushes (CQ2 eqs 16, 17).
+
+    The activation is the share of its rest length that is left: 1 is slack at rest, 0 fully reeled in. The tension
+    is stiffness (length - activation rest length), or nought where that is negative.
+    """
+
+    route: list[Point] = quantity(
+        "m", "Points at rest that it runs through in straight lines, each at the nearest particle", min_length=2
+    )
+    spacing: float | None = quantity(
+        "m", "Distance between particles that it is tied to along a line; at the points alone if absent", gt=0,
+        default=None,
+    )  # fmt: skip
+    stiffness: float = quantity("N/m", "Tension over stretch", differentiable=True, ge=0)
+
+    scale = "stiffness"
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The least and greatest activation."""
+        return 0.0, 1.0
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        return super().dim_problems(dim) + [
+            (("route", k), f"must have {dim} entries in this {dim}D world, has {len(point)}")
+            for k, point in enumerate(self.route)
+            if len(point) != dim
+        ]
+
+    def particles(self, part: str, x: Array, inside: Inside) -> Array:
+        """Return the particles along the route, in order; see `Actuator.particles`."""
+        places = [np.array(self.route[0])]
+        for begin, end in zip(np.array(self.route[:-1]), np.array(self.route[1:]), strict=True):
+            pieces = 1 if self.spacing is None else max(1, round(float(np.linalg.norm(end - begin)) / self.spacing))
+            places += [begin + (end - begin) * (k + 1) / pieces for k in range(pieces)]
+        own = inside(self.body, None)
+        found = [int(own[np.argmin(((x[own] - place) ** 2).sum(axis=1))]) for place in places]
+        # neighbours along the line may share a particle where it is tied more often than there are particles
+        route = [p for k, p in enumerate(found) if k == 0 or p != found[k - 1]]
+        return np.array(route, np.int64)
+
+    def problem(self, x: Array) -> str | None:
+        """Return what is wrong with a route along particles at x (r, D), or None."""
+        if len(x) < 2:
+            return "runs through fewer than two particles: lengthen the route"
+        if len(np.unique(x, axis=0)) < len(x):
+            return "runs through a particle twice: separate the points of the route, or tie it less often (`spacing`)"
+        return None
+
+    def kernel(self, dim: int) -> type:
+        """Return the class of the kernels' view."""
+        return Kernel
+
+    def constants(self, x: Array) -> Array:
+        """Return the rest length (1,) [m] of a route along particles at x (r, D)."""
+        return np.array([np.linalg.norm(np.diff(x, axis=0), axis=1).sum()])
+
+    def step_limit(self, strength: float, mass: float) -> float:
+        """Return the largest stable substep [s]: that of a node between two springs of the cable's stiffness."""
+        return float(2.0 / np.sqrt(4.0 * strength / mass)) if strength > 0 else float(np.inf)
+
+
+def make_kernel(actuators: Array, columns: list[Array], constants: list[Array]) -> Kernel:
+    """Return the kernels' view of all cables."""
+    return Kernel(*starts_of(columns), actuators, np.array([c[0] for c in constants]))
+
+
+@kernel
+def segment(q: Array, p: int, r: int, in_3d: bool) -> tuple[float, float, float, float]:
+    """Return the unit vector from particle p to particle r, and their distance [m]."""
+    w = q.shape[2]
+    x = q[r // w, 0, r % w] - q[p // w, 0, p % w]
+    y = q[r // w, 1, r % w] - q[p // w, 1, p % w]
+    z = q[r // w, 2, r % w] - q[p // w, 2, p % w] if in_3d else 0.0 * x
+    length = np.sqrt(x * x + y * y + z * z)
+    inverse = 1.0 / length if length > 0.0 else 0.0 * length
+    return x * inverse, y * inverse, z * inverse, length
+
+
+@kernel
+def stretch(cables: Kernel, k: int, u: float, q: Array, in_3d: bool) -> float:
+    """Return how far a cable is stretched beyond what is left of it [m]; negative where it is slack."""
+    total = 0.0
+    for i in range(cables.start[k], cables.start[k + 1] - 1):
+        total += segment(q, cables.columns[i], cables.columns[i + 1], in_3d)[3]
+    return total - max(0.0, u) * cables.rest[k]
+
+
+@kernel
+def add_to(table: Array, p: int, x: float, y: float, z: float, in_3d: bool) -> None:
+    """Add a vector to a particle's first rows of a packed table."""
+    w = table.shape[2]
+    table[p // w, 0, p % w] += x
+    table[p // w, 1, p % w] += y
+    if in_3d:
+        table[p // w, 2, p % w] += z
+
+
+@kernel
+def pull(cables: Kernel, drive: Any, control: int, q: Array, fields: Array, force: Array) -> None:
+    """Add the cables' forces."""
+    in_3d = force.shape[1] == 3
+    for k in range(len(cables.actuators)):
+        a = cables.actuators[k]
+        tension = drive.strength[a] * stretch(cables, k, drive.activation[control, a], q, in_3d)
+        if tension > 0.0:
+            for i in range(cables.start[k], cables.start[k + 1] - 1):
+                p, r = cables.columns[i], cables.columns[i + 1]
+                x, y, z, _ = segment(q, p, r, in_3d)
+                add_to(force, p, tension * x, tension * y, tension * z, in_3d)
+                add_to(force, r, -tension * x, -tension * y, -tension * z, in_3d)
+
+
+@kernel
+def difference(force_bar: Array, p: int, r: int, in_3d: bool) -> tuple[float, float, float]:
+    """Return the cotangent of the force on p less that of the force on r."""
+    w = force_bar.shape[2]
+    x = force_bar[p // w, 0, p % w] - force_bar[r // w, 0, r % w]
+    y = force_bar[p // w, 1, p % w] - force_bar[r // w, 1, r % w]
+    z = force_bar[p // w, 2, p % w] - force_bar[r // w, 2, r % w] if in_3d else 0.0 * x
+    return x, y, z
+
+
+@kernel
+def pull_vjp(
+    cables: Kernel, drive: Any, drive_bar: Any, control: int, q: Array, q_bar: Array, fields: Array, fields_bar: Array
+) -> None:
+    """Carry the cotangent of the forces back: through the tension, and through the segments' directions."""
+    force_bar = drive_bar.push
+    in_3d = force_bar.shape[1] == 3
+    for k in range(len(cables.actuators)):
+        a = cables.actuators[k]
+        u, stiffness = drive.activation[control, a], drive.strength[a]
+        s = stretch(cables, k, u, q, in_3d)
+        # at both kinks, just taut and just fully reeled, the derivative is that of the side that pulls
+        if s >= 0.0:
+            tension, tension_bar = stiffness * s, 0.0
+            for i in range(cables.start[k], cables.start[k + 1] - 1):
+                p, r = cables.columns[i], cables.columns[i + 1]
+                x, y, z, _ = segment(q, p, r, in_3d)
+                fx, fy, fz = difference(force_bar, p, r, in_3d)
+                tension_bar += fx * x + fy * y + fz * z
+            length_bar = stiffness * tension_bar
+            drive_bar.strength[a] += s * tension_bar
+            if u >= 0.0:
+                drive_bar.activation[control, a] -= cables.rest[k] * length_bar
+            for i in range(cables.start[k], cables.start[k + 1] - 1):
+                p, r = cables.columns[i], cables.columns[i + 1]
+                x, y, z, length = segment(q, p, r, in_3d)
+                fx, fy, fz = difference(force_bar, p, r, in_3d)
+                along = fx * x + fy * y + fz * z
+                turn = tension / length if length > 0.0 else 0.0 * length
+                dx = turn * (fx - along * x) + length_bar * x
+                dy = turn * (fy - along * y) + length_bar * y
+                dz = turn * (fz - along * z) + length_bar * z
+                add_to(q_bar, r, dx, dy, dz, in_3d)
+                add_to(q_bar, p, -dx, -dy, -dz, in_3d)
+
+
+register_push(Kernel, make_kernel, pull, pull_vjp)

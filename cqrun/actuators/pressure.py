@@ -1,0 +1,33 @@
+"""The stress of a pressure inside a material, tau = -p J I: what a fluid in its pores adds.
+
+It is that of the energy -p J, so it does the work of a pressure on the deformed volume.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from cqrun.contract import Array
+from cqrun.materials.term import register, zeros_like_rows
+from cqrun.tensor import cofactor, det, plus_diagonal, scale, trace
+
+
+class Kernel(NamedTuple):
+    """What kernels see: one row, the pressure [Pa], filled from the activations."""
+
+    theta: Array
+    rows: tuple[int, ...]
+
+
+def stress(term: Any, theta: Any, F: Any, C: Any) -> Any:
+    """Return tau."""
+    return plus_diagonal(zeros_like_rows(F), -(theta[0] * det(F)))
+
+
+def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
+    """Return (theta_bar, F_bar, C_bar)."""
+    pull = -trace(tau_bar)
+    return (pull * det(F),), scale(cofactor(F), pull * theta[0]), zeros_like_rows(F)
+
+
+register(Kernel, stress, stress_vjp)

@@ -1,0 +1,112 @@
+"""The backward run of a rollout: cotangents in the kernels' layout, from the last control step to the first."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cqrun.compile import run_side_by_side
+from cqrun.contract import Array
+from cqrun.engine.model import Inputs, LossBar
+from cqrun.engine.probe import record_vjp
+from cqrun.engine.step import reverse
+from cqrun.packed import pack, unpack
+from cqrun.state import DECAY, FORCE, MASS, VOLUME, State
+
+if TYPE_CHECKING:
+    from cqrun.engine.rollout import Rollout
+
+
+class Backward:
+    """The cotangents of one backward run, in the kernels' layout."""
+
+    def __init__(self, rollout: Rollout) -> None:
+        self.rollout = rollout
+        drive = rollout.drive
+        self.q_bar = np.zeros_like(rollout.start)
+        self.fields_bar = np.zeros_like(rollout.fields)
+        self.drive_bar = drive._replace(
+            activation=np.zeros_like(drive.activation),
+            strength=np.zeros_like(drive.strength),
+            stresses=tuple(s._replace(theta=np.zeros_like(s.theta)) for s in drive.stresses),
+            push=np.zeros_like(drive.push),
+        )
+        zeros = [[np.zeros_like(theta) for theta in group] for group in rollout.inputs.terms]
+        self.groups_bar = rollout.kernel_groups(zeros, self.drive_bar)
+        self.coefficient_bar = np.zeros(len(rollout.model.conditions))
+
+    def begin(self, loss_bar: LossBar) -> None:
+        """Start from the cotangents of what the rollout gives."""
+        rollout = self.rollout
+        self.memory_bar = np.zeros_like(rollout.inputs.state.memory)
+        if loss_bar.final is not None:
+            self._add_state(loss_bar.final)
+            self.memory_bar += loss_bar.final.memory
+        self.records_bar = np.zeros_like(rollout.records)
+        if loss_bar.records is not None:
+            self.records_bar += loss_bar.records.to_rows()
+        if loss_bar.activation is not None:
+            self.drive_bar.activation[...] = loss_bar.activation
+
+    def _add_state(self, bar: State) -> None:
+        layout, real = self.rollout.model.layout, self.rollout.model.real
+        self.q_bar += pack(unpack(bar.pack(layout, real)) * layout.real(), real)
+
+    def run(self, begin: int, end: int, states: Array) -> None:
+        """Run the adjoints of substeps end - 1 .. begin, whose states are kept in `states`."""
+        r, at = self.rollout, end
+        substeps = r.model.substeps
+        while at > begin:
+            start = begin if r.policy is None else max(begin, (at - 1) // substeps * substeps)
+            self._reverse(start, at, states[start - begin :])
+            if r.policy is not None and start % substeps == 0:
+                self._blame(start // substeps, states[start - begin])
+            at = start
+        if begin == 0:
+            record_vjp(r.probe, self.q_bar, self.records_bar[0])
+
+    def _blame(self, control: int, q: Array) -> None:
+        """Carry the cotangent of a control step's activations back through the policy."""
+        r = self.rollout
+        assert r.policy is not None
+        record_bar, self.memory_bar, state_bar = r.policy.act_vjp(
+            control, r.records[control], r.memory[control], lambda: r.unpack(q, control),
+            self.drive_bar.activation[control], self.memory_bar,
+        )  # fmt: skip
+        self.records_bar[control] += record_bar
+        if state_bar is not None:
+            self._add_state(state_bar)
+
+    def _reverse(self, begin: int, end: int, states: Array) -> None:
+        r = self.rollout
+        pairs = tuple(zip(r.groups, self.groups_bar, strict=True))
+        stresses = tuple(zip(r.drive.stresses, self.drive_bar.stresses, strict=True))
+
+        def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
+            reverse(
+                from_, end, r.groups, pairs, r.conditions, self.coefficient_bar, states, self.q_bar,
+                r.fields, self.fields_bar, r.drive, self.drive_bar, stresses, r.probe, self.records_bar,
+                r.setting, r.work, thread, n,
+            )  # fmt: skip
+
+        if r.threads > 1:
+            body(0, end, 1)
+        run_side_by_side(r.threads, body)
+
+    def inputs_bar(self) -> Inputs:
+        """Return the cotangent of the inputs."""
+        r, layout = self.rollout, self.rollout.model.layout
+        columns = layout.columns()
+        bar = Inputs.zeros_like(r.inputs)
+        bar.state = State.unpack(self.q_bar, layout, self.memory_bar)
+        f = unpack(self.fields_bar)[:, columns]
+        bar.fields.mass[:], bar.fields.volume[:] = f[MASS], f[VOLUME]
+        bar.fields.damping[:] = -r.model.dt * np.exp(-r.inputs.fields.damping * r.model.dt) * f[DECAY]
+        bar.fields.force[:] = f[FORCE:].T
+        for g, (group, slice_) in enumerate(zip(self.groups_bar, r.model.group_slices(), strict=True)):
+            for k in range(len(bar.terms[g])):
+                bar.terms[g][k][:] = unpack(group.terms[k].theta)[:, columns[slice_]]
+        bar.activation[:], bar.strength[:] = self.drive_bar.activation, self.drive_bar.strength
+        bar.coefficients[:] = self.coefficient_bar
+        return bar
