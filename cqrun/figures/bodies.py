@@ -9,7 +9,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
-from cqrun.figures.dots import COVER, add_dots, far_to_near, spacings
+from cqrun.figures.dots import COVER, Dots, add_dots, far_to_near
 from cqrun.figures.quantities import Unit, length_unit
 from cqrun.figures.run_data import TRAJECTORY, RunData
 from cqrun.figures.scenery import frame_axes, held, plot_goals, plot_held
@@ -38,13 +38,13 @@ class Snapshot:
         time: [s].
         x: (N, D) [m].
         moved: length of the displacement since the first frame (N,) [m].
-        size: distance to the particles next to each, in the first frame (N,) [m].
+        dots: that fill the bodies.
     """
 
     time: float
     x: Array
     moved: Array
-    size: Array
+    dots: Dots
 
 
 # --- data ---------------------------------------------------------------------------------------------------
@@ -66,7 +66,7 @@ def snapshot(trajectory: Trajectory, frame: int) -> Snapshot:
     """Return one frame."""
     x = trajectory.fields["x"]
     moved = np.sqrt(np.sum((x[frame] - x[0]) ** 2, axis=1))
-    return Snapshot(float(trajectory.time[frame]), x[frame], moved, spacings(x[0], trajectory.bodies))
+    return Snapshot(float(trajectory.time[frame]), x[frame], moved, Dots.of(x[0], trajectory.bodies))
 
 
 def farthest_frame(trajectory: Trajectory) -> int:
@@ -84,7 +84,7 @@ def draw_bodies(run: RunData) -> Figure:
     shots = snapshots(trajectory)
     x = np.stack([shot.x for shot in shots])
     looks = views(run.scene, x)
-    windows = of_equal_width([window(x, look, room_around(x, shots[0].size)) for look in looks])
+    windows = of_equal_width([window(x, look, room_around(x, shots[0].dots.size)) for look in looks])
     tall = [PANEL * float(np.clip((w[1, 1] - w[0, 1]) / (w[1, 0] - w[0, 0]), 0.25, 2.2)) for w in windows]
     figure = new_figure(PANEL * len(shots) + 1.3, sum(tall) + 0.35 * len(looks) + 0.75)
     panels = figure.subplots(len(looks), len(shots), squeeze=False, height_ratios=tall)
@@ -115,15 +115,16 @@ def plot_body(
         corners: what to show (2, 2) [m].
         largest: displacement at the end of the colours [m].
     """
-    stride = -(-len(shot.x) // MOST_DOTS)
-    order = far_to_near(shot.x, look)[::stride]
+    x = shot.dots.positions(shot.x)
+    stride = -(-len(x) // MOST_DOTS)
+    order = far_to_near(x, look)[::stride]
     if look.names:
         plot_held(axes, held(scene, look, corners, shot.x.mean(axis=0)), unit.factor)
-    size = unit.factor * stride ** (1.0 / scene.dim) * shot.size[order]
+    size = unit.factor * stride ** (1.0 / scene.dim) * shot.dots.size[order]
     dots = add_dots(axes, size, edge=0.15 if scene.dim == 3 else 0.0, cover=1.0 if scene.dim == 3 else COVER)
-    dots.set_offsets(unit.factor * shot.x[order] @ look.axes.T)
+    dots.set_offsets(unit.factor * x[order] @ look.axes.T)
     dots.set_cmap(AMOUNT_MAP)
-    dots.set_array(unit.factor * shot.moved[order])
+    dots.set_array(unit.factor * shot.moved[shot.dots.source[order]])
     dots.set_clim(0.0, unit.factor * largest or 1.0)
     plot_goals(axes, scene, look, unit.factor)
     frame_axes(axes, look, corners, unit)

@@ -68,7 +68,7 @@ def _body(axes: Axes, run: RunData) -> None:
     shot = snapshot(trajectory, farthest_frame(trajectory))
     both = np.stack([trajectory.fields["x"][0], shot.x])
     look = views(run.scene, both)[-1]
-    corners = window(both, look, room_around(both, shot.size))
+    corners = window(both, look, room_around(both, shot.dots.size))
     unit = length_unit(float(np.max(np.abs(corners))))
     dots = plot_body(axes, run.scene, shot, look, corners, unit, float(shot.moved.max()))
     wide, tall = corners[1] - corners[0]

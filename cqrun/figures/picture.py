@@ -10,7 +10,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.figures.colours import Colours
-from cqrun.figures.dots import add_dots
+from cqrun.figures.dots import Dots, add_dots
 from cqrun.figures.quantities import Unit, length_unit
 from cqrun.figures.scenery import frame_axes, held, plot_goals, plot_held
 from cqrun.figures.solid import SolidBodies
@@ -56,7 +56,7 @@ class Stage:
         scene: of the run.
         look, corners: from where it is seen, and what part of it (2, 2) [m].
         box: the bodies over all of the time, lower and upper corner (2, D) [m].
-        size: distance between particles (N,) [m].
+        dots: that fill the bodies.
         colours: of the particles.
         trails: of what is followed.
         name: of the run, for the corner.
@@ -67,7 +67,7 @@ class Stage:
     look: View
     corners: Array
     box: Array
-    size: Array
+    dots: Dots
     colours: Colours
     trails: Trails
     name: str
@@ -118,7 +118,8 @@ class Picture:
             stamp: the title.
             frame: as far as to which trails are drawn.
         """
-        self._bodies.paint(layers)
+        dots = self.stage.dots
+        self._bodies.paint([(dots.positions(x), rgb[dots.source]) for x, rgb in layers])
         trails = self.stage.trails
         travelled = int(np.searchsorted(trails.frames, frame, side="right"))
         for line, path in zip(self._trails, trails.paths.values(), strict=True):
@@ -143,7 +144,7 @@ class _Flat:
 
     def __init__(self, axes: Axes, stage: Stage, corners: Array, unit: Unit, layers: int) -> None:
         self._factor = unit.factor
-        self._dots = add_dots(axes, unit.factor * np.tile(stage.size, layers))
+        self._dots = add_dots(axes, unit.factor * np.tile(stage.dots.size, layers))
 
     def paint(self, layers: Sequence[tuple[Array, Array]]) -> None:
         self._dots.set_offsets(self._factor * np.concatenate([x for x, _ in layers]))
@@ -159,7 +160,7 @@ class _Solid:
     def __init__(self, axes: Axes, stage: Stage, corners: Array, unit: Unit, layers: int) -> None:
         box = axes.get_window_extent()
         pixels = max(2, round(box.width)), max(2, round(box.height))
-        self._bodies = SolidBodies(stage.scene, stage.look, corners, stage.box, stage.size, pixels)
+        self._bodies = SolidBodies(stage.scene, stage.look, corners, stage.box, stage.dots.size, pixels)
         (left, low), (right, high) = unit.factor * corners
         blank = np.zeros((pixels[1], pixels[0], 4))
         self._image = axes.imshow(

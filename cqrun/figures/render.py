@@ -13,7 +13,7 @@ from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
 from cqrun.figures.colours import colours, sampled
-from cqrun.figures.dots import spacings
+from cqrun.figures.dots import Dots
 from cqrun.figures.movie import ffmpeg, gif_delay, write_gif, write_mp4, write_png
 from cqrun.figures.picture import Picture, Stage, Trails
 from cqrun.figures.run_data import TRAJECTORY, RunData, read_run
@@ -135,11 +135,11 @@ def set_stage(run: RunData, frames: Frames, shown: Sequence[int], wanted: Wanted
             paths[name].append(x[particles].mean(axis=0))
     trails = Trails(np.array(passed), {name: np.array(path) for name, path in paths.items()})
     look = PLANE if run.scene.dim == 2 else view(run.scene, box, wanted.view or "iso")
-    size = spacings(rest, frames.bodies)
+    dots = Dots.of(rest, frames.bodies)
     suffix = "" if frames.complete else ": as far as it is written"
     quantity, scheme = colours(wanted.color, run, frames, shown)
-    corners = seen(run, frames, shown, look, trails, size)
-    return Stage(run.scene, look, corners, box, size, scheme, trails, f"{run.name}{suffix}", quantity)
+    corners = seen(run, frames, shown, look, trails, dots.size)
+    return Stage(run.scene, look, corners, box, dots, scheme, trails, f"{run.name}{suffix}", quantity)
 
 
 def seen(run: RunData, frames: Frames, shown: Sequence[int], look: View, trails: Trails, size: Array) -> Array:

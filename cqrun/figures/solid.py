@@ -22,13 +22,13 @@ SAMPLES = 72
 """Samples along the longest side of what is seen that show where boundaries hold the grid."""
 
 COVER = 1.45
-"""Diameter of a sphere in distances between particles."""
+"""Diameter of a sphere in distances between dots."""
 
 WITHOUT_DISPLAY = ("libEGL.so.1", "libOSMesa.so.8")
 """Libraries of the system by which VTK draws where there is no display."""
 
 CLASSES = 1.15
-"""Particles whose sizes differ by less than this factor are drawn of one size."""
+"""Dots whose sizes differ by less than this factor are drawn of one size."""
 
 
 def require_pyvista() -> Any:
@@ -72,7 +72,7 @@ class SolidBodies:
         scene: whose boundaries are drawn in an oblique view; those of others are the axes' own.
         look, corners: from where, and what is seen (2, 2) [m].
         box: the bodies over all of the time, lower and upper corner (2, 3) [m].
-        size: distance between particles (N,) [m].
+        size: distance between dots (M,) [m].
         pixels: width and height of the picture.
     """
 
@@ -99,7 +99,7 @@ class SolidBodies:
         self._ground = [] if look.names else self._add_ground(pyvista, scene, look, box)
 
     def paint(self, layers: Sequence[tuple[Array, Array]]) -> Array:
-        """Return the picture (h, w, 4) in 0 to 1 of the particles at x (N, 3) in colours (N, 3), once a layer.
+        """Return the picture (h, w, 4) in 0 to 1 of the dots at x (M, 3) in colours (M, 3), once a layer.
 
         Where nothing is, it is transparent. A later layer covers the earlier ones wherever it is: they are other
         times, not other places.

@@ -8,8 +8,8 @@ import numpy as np
 
 from cqrun.contract import Array
 
-NEIGHBOURS = {2: 8, 3: 18}
-"""Particles whose motion gives the deformation of the one between them: those around it on a lattice."""
+NEIGHBOURS = {2: 12, 3: 40}
+"""Particles whose motion gives the deformation of the one between them; enough for lattices that are finer one way."""
 
 FLAT = 1e-6
 """Neighbours in one line or plane, to this part of their extent, do not tell the deformation."""
@@ -18,7 +18,7 @@ FLAT = 1e-6
 class Strain:
     """Green's strain of every particle, from positions alone: F maps its neighbours from rest to where they are.
 
-    F is the least-squares fit of dx = F dX over the nearest particles of the same body at rest.
+    F is the least-squares fit of dx = F dX over the nearest particles of the same body at rest, weighted by 1 / |dX|^2.
 
     Args:
         rest: positions of the undeformed bodies (N, D) [m].
@@ -37,11 +37,12 @@ class Strain:
                 continue
             near = cKDTree(own).query(own, k=count + 1)[1][:, 1:]
             arms = own[near] - own[:, None]
-            moment = np.einsum("nki,nkj->nij", arms, arms)
+            weighted = arms / np.maximum(np.sum(arms**2, axis=2, keepdims=True), 1e-300)
+            moment = np.einsum("nki,nkj->nij", weighted, arms)
             extent = np.linalg.eigvalsh(moment)
             told = extent[:, 0] > FLAT * extent[:, -1]
             moment[~told] = np.eye(self.dim)
-            self._parts.append((part, near, np.einsum("nki,nij->nkj", arms, np.linalg.inv(moment)), told))
+            self._parts.append((part, near, np.einsum("nki,nij->nkj", weighted, np.linalg.inv(moment)), told))
 
     def gradient(self, x: Array) -> Array:
         """Return F (N, D, D) at positions x (N, D); NaN where too few neighbours tell it."""

@@ -7,7 +7,7 @@ import pytest
 from made_runs import plane_scene
 
 from cqrun.errors import UsageError
-from cqrun.figures.dots import spacings
+from cqrun.figures.dots import Dots
 from cqrun.figures.quantities import Unit
 from cqrun.figures.scenery import frame_axes
 from cqrun.figures.style import new_figure, styled
@@ -63,18 +63,46 @@ def test_ticks_tell_the_worlds_coordinates_though_its_axis_points_left():
     assert told[0.0] == "0"
 
 
-@pytest.mark.parametrize("counts", [(6, 5), (30, 3), (5, 4, 6)])
-def test_the_spacing_of_a_lattice_is_found_everywhere(counts):
-    grid = np.meshgrid(*(0.1 * np.arange(n) for n in counts), indexing="ij")
-    x = np.stack([part.ravel() for part in grid], axis=1)
-    np.testing.assert_allclose(spacings(x, {"a": slice(0, len(x))}), 0.1)
+def lattice(counts, steps):
+    grid = np.meshgrid(*(step * np.arange(n) for n, step in zip(counts, steps, strict=True)), indexing="ij")
+    return np.stack([part.ravel() for part in grid], axis=1)
 
 
-def test_bodies_have_spacings_of_their_own_and_a_lone_particle_the_others(rng):
-    grid = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
+@pytest.mark.parametrize(
+    ("counts", "steps", "each", "size"),
+    [
+        ((6, 5), (0.1, 0.1), 1, 0.1),
+        ((30, 3), (0.1, 0.1), 1, 0.1),
+        ((5, 4, 6), (0.1, 0.1, 0.1), 1, 0.1),
+        ((8, 8), (0.1, 0.3), 3, 0.1),
+        ((5, 5, 5), (0.3, 0.2, 0.1), 6, 0.1),
+        ((9, 1), (0.1, 0.1), 1, 0.1),
+    ],
+)
+def test_dots_fill_a_lattice_evenly(counts, steps, each, size):
+    x = lattice(counts, steps)
+    dots = Dots.of(x, {"a": slice(0, len(x))})
+    np.testing.assert_array_equal(dots.source, np.repeat(np.arange(len(x)), each))
+    np.testing.assert_allclose(dots.size, size)
+    F = np.eye(len(counts)) + 0.2 * np.arange(len(counts) ** 2).reshape(len(counts), -1)
+    rest = dots.positions(x)
+    np.testing.assert_allclose(dots.positions(x @ F.T + 7), rest @ F.T + 7)  # dots move with the body
+    low, high = rest.min(axis=0), rest.max(axis=0)
+    half = 0.5 * np.array([s if n > 1 else 0.0 for n, s in zip(counts, steps, strict=True)])
+    assert (low >= -half - 1e-12).all()  # no dot beyond its particle's own cell
+    assert (high <= x.max(axis=0) + half + 1e-12).all()
+
+
+def test_bodies_have_dots_of_their_own_and_a_lone_particle_the_others(rng):
+    grid = lattice((5, 5), (1.0, 1.0))
     x = np.concatenate([grid, 100 + 0.2 * grid, [[50.0, 50.0]]])
-    found = spacings(x, {"a": slice(0, 25), "b": slice(25, 50), "c": slice(50, 51)})
-    np.testing.assert_allclose(found, [*[1.0] * 25, *[0.2] * 25, 0.6])
-    assert (spacings(np.zeros((3, 2)), {"a": slice(0, 3)}) > 0).all()
-    scattered = rng.random((4000, 2))
-    assert np.median(spacings(scattered, {"a": slice(0, 4000)})) == pytest.approx(4000**-0.5, rel=0.35)
+    dots = Dots.of(x, {"a": slice(0, 25), "b": slice(25, 50), "c": slice(50, 51)})
+    np.testing.assert_allclose(dots.size, [*[1.0] * 25, *[0.2] * 25, 0.6])
+    assert (Dots.of(np.zeros((3, 2)), {"a": slice(0, 3)}).size > 0).all()
+
+
+def test_random_particles_have_a_dot_each_as_large_as_the_gaps(rng):
+    x = rng.random((4000, 2))
+    dots = Dots.of(x, {"a": slice(0, 4000)})
+    np.testing.assert_array_equal(dots.positions(x), x)
+    assert np.median(dots.size) == pytest.approx(4000**-0.5, rel=0.2)
