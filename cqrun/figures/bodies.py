@@ -12,7 +12,7 @@ from cqrun.errors import UsageError
 from cqrun.figures.dots import COVER, Dots, add_dots, far_to_near
 from cqrun.figures.quantities import Unit, length_unit
 from cqrun.figures.run_data import TRAJECTORY, RunData
-from cqrun.figures.scenery import frame_axes, held, plot_goals, plot_held
+from cqrun.figures.scenery import frame_axes, goals, held, plot_goals, plot_held
 from cqrun.figures.style import AMOUNT_MAP, GREY, new_figure
 from cqrun.figures.views import View, of_equal_width, room_around, views, window
 from cqrun.scene.schema import Scene
@@ -126,6 +126,6 @@ def plot_body(
     dots.set_cmap(AMOUNT_MAP)
     dots.set_array(unit.factor * shot.moved[shot.dots.source[order]])
     dots.set_clim(0.0, unit.factor * largest or 1.0)
-    plot_goals(axes, scene, look, unit.factor)
+    plot_goals(axes, goals(scene), look, unit.factor)
     frame_axes(axes, look, corners, unit)
     return dots

@@ -12,7 +12,7 @@ from cqrun.contract import Array
 from cqrun.figures.colours import Colours
 from cqrun.figures.dots import Dots, add_dots
 from cqrun.figures.quantities import Unit, length_unit
-from cqrun.figures.scenery import frame_axes, held, plot_goals, plot_held
+from cqrun.figures.scenery import Goal, frame_axes, held, plot_goals, plot_held
 from cqrun.figures.solid import SolidBodies
 from cqrun.figures.style import GREY, INK
 from cqrun.figures.views import View
@@ -59,6 +59,7 @@ class Stage:
         dots: that fill the bodies.
         colours: of the particles.
         trails: of what is followed.
+        goals: that are marked.
         name: of the run, for the corner.
         quantity: that the colours show.
     """
@@ -70,6 +71,7 @@ class Stage:
     dots: Dots
     colours: Colours
     trails: Trails
+    goals: list[Goal]
     name: str
     quantity: str
 
@@ -96,7 +98,7 @@ class Picture:
         frame_axes(self.axes, stage.look, self._corners, self._unit)
         maker = _Solid if stage.scene.dim == 3 else _Flat
         self._bodies = maker(self.axes, stage, self._corners, self._unit, layers)
-        plot_goals(self.axes, stage.scene, stage.look, self._unit.factor)
+        plot_goals(self.axes, stage.goals, stage.look, self._unit.factor)
         self._trails = [
             self.axes.plot([], [], color=INK, linewidth=1.0, alpha=0.8, zorder=3, label=name)[0]
             for name in stage.trails.paths

@@ -17,7 +17,7 @@ from cqrun.figures.dots import Dots
 from cqrun.figures.movie import ffmpeg, gif_delay, write_gif, write_mp4, write_png
 from cqrun.figures.picture import Picture, Stage, Trails
 from cqrun.figures.run_data import TRAJECTORY, RunData, read_run
-from cqrun.figures.scenery import goals
+from cqrun.figures.scenery import Goal, goals
 from cqrun.figures.solid import require_pyvista
 from cqrun.figures.style import styled
 from cqrun.figures.views import PLANE, View, room_around, view
@@ -138,14 +138,17 @@ def set_stage(run: RunData, frames: Frames, shown: Sequence[int], wanted: Wanted
     dots = Dots.of(rest, frames.bodies)
     suffix = "" if frames.complete else ": as far as it is written"
     quantity, scheme = colours(wanted.color, run, frames, shown)
-    corners = seen(run, frames, shown, look, trails, dots.size)
-    return Stage(run.scene, look, corners, box, dots, scheme, trails, f"{run.name}{suffix}", quantity)
+    marked = goals(run.scene, frames.provenance.get("goals"))
+    corners = seen(frames, shown, look, trails, marked, dots.size)
+    return Stage(run.scene, look, corners, box, dots, scheme, trails, marked, f"{run.name}{suffix}", quantity)
 
 
-def seen(run: RunData, frames: Frames, shown: Sequence[int], look: View, trails: Trails, size: Array) -> Array:
+def seen(
+    frames: Frames, shown: Sequence[int], look: View, trails: Trails, marked: Sequence[Goal], size: Array
+) -> Array:
     """Return the window that holds all particles of the frames shown, all trails and all goals (2, 2) [m]."""
     ends = [path @ look.axes.T for path in trails.paths.values()]
-    for goal in goals(run.scene):
+    for goal in marked:
         middle, half = look.axes @ goal.position, np.abs(look.axes) @ goal.spread
         ends.append(np.array([middle - half, middle + half]))
     for frame in shown:

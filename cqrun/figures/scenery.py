@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -36,16 +37,24 @@ class Goal:
     spread: Array
 
 
-def goals(scene: Scene) -> list[Goal]:
-    """Return the target and the goals of a scene."""
+def goals(scene: Scene, drawn: Mapping[str, Sequence[float]] | None = None) -> list[Goal]:
+    """Return the target and the goals of a scene.
+
+    Args:
+        drawn: where the goals of this run are (D,) [m], by name, of those that are drawn from a range.
+    """
     found = []
+    still = np.zeros(scene.dim)
     target = scene.data.target if scene.data is not None else None
     if target is not None:
-        found.append(Goal("target", np.array(target.position), np.zeros(scene.dim)))
+        found.append(Goal("target", np.array(target.position), still))
     named: dict[str, Any] = getattr(scene, "goals", None) or {}
     for name, goal in named.items():
         spread = getattr(goal, "spread", None)
-        found.append(Goal(name, np.array(goal.position), np.zeros(scene.dim) if spread is None else np.array(spread)))
+        if drawn is not None and name in drawn:
+            found.append(Goal(name, np.array(drawn[name]), still))
+        else:
+            found.append(Goal(name, np.array(goal.position), still if spread is None else np.array(spread)))
     return found
 
 
@@ -89,11 +98,11 @@ def plot_held(axes: Axes, place: tuple[Array, Array, Array], factor: float) -> N
         axes.contour(*scaled, levels=[0.5], colors=[GREY], linewidths=0.6, zorder=0.6)
 
 
-def plot_goals(axes: Axes, scene: Scene, look: View, factor: float) -> None:
-    """Mark every goal, and the range that it is drawn from."""
+def plot_goals(axes: Axes, found: Sequence[Goal], look: View, factor: float) -> None:
+    """Mark goals, and the ranges that they are drawn from."""
     from matplotlib.patches import Rectangle
 
-    for goal in goals(scene):
+    for goal in found:
         place = factor * look.axes @ goal.position
         axes.plot(
             *place, marker="P", markersize=8, color=TRUTH, markeredgecolor="white", linestyle="none", zorder=5

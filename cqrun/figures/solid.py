@@ -135,9 +135,11 @@ class SolidBodies:
 
     def _add_ground(self, pyvista: Any, scene: Scene, look: View, box: Array) -> list[Any]:
         """Return surface and edges of what boundaries hold near the bodies, but for what would hide them."""
-        size = box[1] - box[0]
-        grown = np.array([box[0] - 0.25 * size.max(), box[1] + 0.25 * size.max()])
+        room = 0.25 * float((box[1] - box[0]).max())
+        grown = np.array([box[0] - room, box[1] + room])
         step = float((grown[1] - grown[0]).max()) / SAMPLES
+        up = int(np.argmax(np.abs(look.axes[1])))
+        grown[:, up] = box[0, up] - 3 * step, box[1, up] + 3 * step  # a floor is a sheet, not a block
         counts = np.ceil((grown[1] - grown[0]) / step).astype(int) + 1
         places = [grown[0, k] + step * np.arange(counts[k]) for k in range(3)]
         points = np.stack([part.ravel(order="F") for part in np.meshgrid(*places, indexing="ij")], axis=1)

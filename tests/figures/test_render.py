@@ -6,6 +6,7 @@ import importlib.util
 import subprocess
 import sys
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,8 +18,11 @@ from cqrun.figures import movie, solid
 from cqrun.figures.colours import colours
 from cqrun.figures.render import Wanted, followed_particles, render, set_stage, shown_frames, stamp
 from cqrun.figures.run_data import TRAJECTORY, read_run
-from cqrun.figures.style import GROUND, TRUTH
+from cqrun.figures.scenery import goals, plot_goals
+from cqrun.figures.style import GROUND, TRUTH, new_figure, styled
+from cqrun.figures.views import PLANE
 from cqrun.jobs.reporter import Silent
+from cqrun.scene.load import load_scene
 from cqrun.scene.particles import sample
 from cqrun.store.frames import Frames
 from cqrun.store.trajectory import TrajectoryWriter
@@ -117,6 +121,21 @@ def test_the_window_holds_bodies_goal_and_trail(plane):
     assert (high > [0.19, 0.09]).all()
     np.testing.assert_array_equal(stage.trails.frames, [0, 1, 2, 3])
     np.testing.assert_allclose(stage.trails.paths["a"][:, 0] - first[: len(first) // 2, 0].mean(), 1e-3 * np.arange(4))
+
+
+def test_a_goal_is_where_this_run_drew_it_else_a_range():
+    scene = load_scene(plane_scene({}))
+    goal = SimpleNamespace(position=[0.1, 0.2], spread=[0.03, 0.0])
+    object.__setattr__(scene, "goals", {"there": goal})
+    (ranged,) = goals(scene)
+    assert (ranged.name, ranged.position.tolist(), ranged.spread.tolist()) == ("there", [0.1, 0.2], [0.03, 0.0])
+    (drawn,) = goals(scene, {"there": [0.12, 0.2]})
+    assert (drawn.position.tolist(), drawn.spread.tolist()) == ([0.12, 0.2], [0.0, 0.0])
+    with styled():
+        axes = new_figure(3, 3).add_subplot()
+        plot_goals(axes, [ranged, drawn], PLANE, 10.0)
+    (box,) = axes.patches  # of the one that has a range
+    np.testing.assert_allclose([box.get_x(), box.get_y(), box.get_width(), box.get_height()], [0.7, 2.0, 0.6, 0.0])
 
 
 def test_who_leaves_a_trail(plane):
