@@ -13,6 +13,7 @@ import typer
 
 from cqrun import __version__
 from cqrun.cli.bench import bench
+from cqrun.cli.control import control
 from cqrun.cli.describe import describe
 from cqrun.cli.doctor import doctor
 from cqrun.cli.gradcheck import gradcheck
@@ -26,11 +27,13 @@ from cqrun.cli.validate import validate
 from cqrun.cli.warmup import warmup
 from cqrun.errors import CqrunError, SceneError
 
-COMMANDS = (sysid, simulate, gradcheck, resume, validate, describe, schema, plot, render, bench, warmup, doctor)
+COMMANDS = (
+    sysid, control, simulate, gradcheck, resume, validate, describe, schema, plot, render, bench, warmup, doctor,
+)  # fmt: skip
 
 app = typer.Typer(
     name="cqrun",
-    help="Differentiable soft-robot simulation: identify materials from motion, and check every gradient.",
+    help="Differentiable soft-robot simulation: identify materials, learn motion, check every gradient.",
     epilog="Exit codes: 0 done, 1 failed, 2 bad scene or usage, 75 stopped but resumable, 130 interrupted.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

@@ -1,13 +1,15 @@
 """Unknowns as one flat vector: blocks named by their key paths, with bounds and a scale.
 
 An optimizer sees x in [0, 1]: how far a value lies between its bounds, on a linear or a logarithmic scale. So
-unknowns of all units are of one size, and a step of 0.1 is a tenth of what the bounds allow.
+unknowns of all units are of one size, and a step of 0.1 is a tenth of what the bounds allow. The weights of a
+controller have no unit, and often no bounds: they are their own coordinates.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +34,11 @@ class Block:
         """How many numbers."""
         return int(self.initial.size)
 
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """The least and greatest x (size,)."""
+        return np.zeros(self.size), np.ones(self.size)
+
     def to_scaled(self, value: Array) -> Array:
         """Return x of values."""
         value = np.asarray(value, float)
@@ -55,6 +62,34 @@ class Block:
 
 
 @dataclass(frozen=True)
+class Plain(Block):
+    """Numbers that are their own coordinates, each between bounds that may be infinite."""
+
+    lower: Any
+    upper: Any
+
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """The least and greatest x (size,)."""
+        return self._each(self.lower), self._each(self.upper)
+
+    def _each(self, bound: Any) -> Array:
+        return np.broadcast_to(np.asarray(bound, float), self.initial.shape).reshape(-1)
+
+    def to_scaled(self, value: Array) -> Array:
+        """Return x of values: the same."""
+        return np.asarray(value, float)
+
+    def to_value(self, x: Array) -> Array:
+        """Return the values of x: the same, within the bounds."""
+        return np.asarray(np.clip(x, self.lower, self.upper))
+
+    def slope(self, value: Array) -> Array:
+        """Return d value / dx: 1."""
+        return np.ones(np.shape(value))
+
+
+@dataclass(frozen=True)
 class Params:
     """Blocks one after another in x (n,)."""
 
@@ -70,6 +105,12 @@ class Params:
     def start(self) -> Array:
         """The initial x (n,)."""
         return self.pack({block.path: block.initial for block in self.blocks})
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """The least and greatest x (n,)."""
+        ends = [block.ends for block in self.blocks]
+        return _joined([low for low, _ in ends]), _joined([high for _, high in ends])
 
     def pack(self, values: Mapping[str, Array]) -> Array:
         """Return x of values by path."""

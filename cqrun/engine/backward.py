@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,6 +36,7 @@ class Backward:
         zeros = [[np.zeros_like(theta) for theta in group] for group in rollout.inputs.terms]
         self.groups_bar = rollout.kernel_groups(zeros, self.drive_bar)
         self.coefficient_bar = np.zeros(len(rollout.model.conditions))
+        self.sizes: dict[int, float] = {}
 
     def begin(self, loss_bar: LossBar) -> None:
         """Start from the cotangents of what the rollout gives."""
@@ -66,10 +68,18 @@ class Backward:
         if begin == 0:
             record_vjp(r.probe, self.q_bar, self.records_bar[0])
 
+    @property
+    def growth_at(self) -> int:
+        """The control step across which |q_bar| grows most on the way back; -1 without a policy."""
+        steps = sorted(self.sizes, reverse=True)
+        growth = {b: self.sizes[b] / self.sizes[a] for a, b in itertools.pairwise(steps) if self.sizes[a] > 0}
+        return max(growth, key=lambda control: growth[control], default=-1)
+
     def _blame(self, control: int, q: Array) -> None:
         """Carry the cotangent of a control step's activations back through the policy."""
         r = self.rollout
         assert r.policy is not None
+        self.sizes[control] = float(np.linalg.norm(self.q_bar))
         record_bar, self.memory_bar, state_bar = r.policy.act_vjp(
             control, r.records[control], r.memory[control], lambda: r.unpack(q, control),
             self.drive_bar.activation[control], self.memory_bar,

@@ -45,7 +45,8 @@ class Rollout:
 
     Attributes:
         activation: (T, A) as the policy decided, or as in the inputs.
-        memory: (T + 1, M) of the policy at every control step; at its end without one.
+        memory: (T + 1, M) of the policy at every control step.
+        growth_at: after a gradient under a policy, the control step where it grew most.
 
     Raises:
         RolloutError: (from `run`) a particle left the grid or is not finite.
@@ -64,6 +65,7 @@ class Rollout:
         self.memory = np.tile(inputs.state.memory, (model.n_controls + 1, 1))
         self.decided = model.n_controls if policy is None else 0
         self.plan: Plan | None = None
+        self.growth_at = -1
 
     @property
     def activation(self) -> Array:
@@ -300,6 +302,7 @@ class Rollout:
                     spare.append(snapshots.pop(action.n))
             if isinstance(action, EndReverse):
                 break
+        self.growth_at = backward.growth_at
         return records, backward.inputs_bar()
 
 

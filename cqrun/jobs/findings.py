@@ -16,6 +16,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.design.params import Block
+from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError
 from cqrun.jobs.cases import Case
 from cqrun.jobs.observables import fracture_of
@@ -62,7 +63,9 @@ def write_findings(
         result["loss"] = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
         result["recordings"] = _errors(cases, records, values)
         _write_tracks(run, cases, records, values)
-        write_trajectory(run.path / "trajectory.h5", cases[0].built, values, threads=problem.threads)
+        first = cases[0].built
+        rollout = Rollout(first.model, first.assembly.inputs(values), threads=problem.threads)
+        write_trajectory(run.path / "trajectory.h5", first, rollout)
     if outcome.status in ("iteration_limit", "stalled"):
         result["findings"].append(
             f"{outcome.status.replace('_', ' ')}: values and intervals are those of where it ended"

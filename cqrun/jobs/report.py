@@ -32,7 +32,8 @@ def report_lines(run_dir: Path) -> list[str]:
     result = _read(run_dir / "result.json")
     if result is None:
         return [_status(record)]
-    lines = _sysid(run_dir, result) if record["job"] == "sysid" else _simulate(result)
+    tell = {"sysid": lambda: _sysid(run_dir, result), "control": lambda: _control(result)}
+    lines = tell.get(record["job"], lambda: _simulate(result))()
     return [*lines, *_pictures(run_dir)]
 
 
@@ -102,6 +103,21 @@ def _errors(result: dict[str, Any]) -> Iterator[str]:
         by_marker = ", ".join(f"{m} {'unseen' if e is None else f'{e:.3f}'}" for m, e in markers.items())
         rows.append((name, "held out" if entry["holdout"] else "fitted", rmse, by_marker if len(markers) <= 12 else ""))
     yield from table(("recording", "", "RMSE [mm]", "by marker [mm]"), rows)
+
+
+# --- control ------------------------------------------------------------------------------------------------
+
+
+def _control(result: dict[str, Any]) -> Iterator[str]:
+    yield f"{result['status']} after {result['iterations']} iterations: {result['message']}"
+    columns = [name for name in ("start", "trained", "unseen") if result[name] is not None]
+    if not columns:
+        return
+    yield ""
+    titles = {"start": "before", "trained": "learned", "unseen": "on unseen goals"}
+    rows = [(term, *(number(result[c]["terms"][term]) for c in columns)) for term in result["trained"]["terms"]]
+    rows.append(("loss", *(number(result[c]["loss"]) for c in columns)))
+    yield from table(("term", *(titles[c] for c in columns)), rows)
 
 
 # --- simulate -----------------------------------------------------------------------------------------------

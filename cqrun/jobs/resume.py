@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cqrun.errors import UsageError
+from cqrun.jobs.control import resume_control
 from cqrun.jobs.gradcheck import resume_gradcheck
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import cores
@@ -14,7 +15,12 @@ from cqrun.jobs.sysid import resume_sysid
 from cqrun.store.run import RunDirectory
 
 Resume = Callable[[RunDirectory, Sequence[str], int, Reporter], Path]
-JOBS: dict[str, Resume] = {"sysid": resume_sysid, "simulate": resume_simulate, "gradcheck": resume_gradcheck}
+JOBS: dict[str, Resume] = {
+    "sysid": resume_sysid,
+    "control": resume_control,
+    "simulate": resume_simulate,
+    "gradcheck": resume_gradcheck,
+}
 """Job, as run.json names it -> what continues it."""
 
 

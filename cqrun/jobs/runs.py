@@ -8,6 +8,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
+from cqrun.contract import Array
 from cqrun.errors import Problem, RunError, SceneError, UsageError
 from cqrun.geometry.file_shape import FileShape
 from cqrun.jobs.reporter import Reporter
@@ -124,3 +127,30 @@ def raise_if_failed(run: RunDirectory) -> Path:
     if run.status == "failed":
         raise RunError(f"{run.path}: {run.record['reason']}")
     return run.path
+
+
+def require_extension(overrides: Sequence[str]) -> None:
+    """Refuse overrides of a run that do more than extend it."""
+    for override in overrides:
+        key = override.partition("=")[0]
+        if not (key.startswith("optimizer.") and key.endswith(".max_iterations")):
+            raise UsageError(
+                f"-o {override}: a run can only be extended (optimizer.*.max_iterations); "
+                "what else changes makes another run: start it from the scene"
+            )
+
+
+class Progress:
+    """Tells the reporter of iterations, and the run of its best loss."""
+
+    def __init__(self, run: RunDirectory, talk: Reporter) -> None:
+        self._run, self._talk = run, talk
+        self._best, self._last, self._x = np.inf, run.elapsed(), np.zeros(0)
+
+    def __call__(self, iteration: int, x: Array, loss: float) -> None:
+        now = self._run.elapsed()
+        step = float(np.linalg.norm(x - self._x)) if len(self._x) == len(x) else 0.0
+        self._best, self._x = min(self._best, loss), x.copy()
+        if iteration > 0:
+            self._talk.update(iteration, loss, self._best, step, now - self._last)
+        self._last = now

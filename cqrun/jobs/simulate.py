@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError, RunError
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.observables import Observables
@@ -88,9 +89,10 @@ def simulate(run: RunDirectory, built: Built, threads: int, talk: Reporter) -> P
             talk.advance(control, model.n_controls, f"t = {reached:.4g} of {time.duration:.4g} s")
 
         path = run.path / "trajectory.h5"
+        rollout = Rollout(model, built.assembly.inputs({}), threads=threads)
         try:
             _, complete = write_trajectory(
-                path, built, {}, threads=threads, should_stop=lambda: talk.stop.asked, progress=observe
+                path, built, rollout, should_stop=lambda: talk.stop.asked, progress=observe
             )
         except RolloutError as error:
             run.write_result(_result(built, watch, "failed", str(error), reached))

@@ -7,18 +7,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from cqrun.choice import Chosen
-from cqrun.contract import Array
-from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.errors import Problem, SceneError
 from cqrun.jobs.cases import Case, given_cases, made_cases
 from cqrun.jobs.findings import write_findings
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.memory import gradient_plan
 from cqrun.jobs.problem import FitProblem, make_params
 from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import build_and_warn, cores, open_run, raise_if_failed, require_same_data, saved_scene
+from cqrun.jobs.runs import (
+    Progress,
+    build_and_warn,
+    cores,
+    open_run,
+    raise_if_failed,
+    require_extension,
+    require_same_data,
+    saved_scene,
+)
 from cqrun.optimizers.base import Optimizer, Outcome
 from cqrun.scene.build import Built
 from cqrun.scene.load import dump, load_scene, resolve
@@ -89,9 +94,7 @@ def with_optimizer(scene: Scene) -> Scene:
     per_body = all(unknown.per == "body" for unknown in scene.unknowns.values())
     suited = scene.data.target is None and len(scene.unknowns) <= FEW and per_body
     name = "least_squares" if suited else "lbfgs"
-    changed = scene.model_copy(update={"optimizer": Chosen(name, plugins("optimizer")[name]())})
-    changed._origin = scene._origin
-    return changed
+    return scene.with_optimizer(name, plugins("optimizer")[name]())
 
 
 def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads: int, talk: Reporter) -> Path:
@@ -110,7 +113,7 @@ def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads:
     talk.begin(optimizer.max_iterations)
     session = RunSession(
         run, seed=scene.seed, blocks=params.slices, physical=params.physical, loss_unit=problem.unit,
-        stop=lambda: talk.stop.asked, progress=_Progress(run, talk),
+        stop=lambda: talk.stop.asked, progress=Progress(run, talk),
     )  # fmt: skip
     outcome = optimizer.minimise(problem, session)
     return conclude(run, built, cases, problem, outcome, talk)
@@ -138,13 +141,7 @@ def conclude(
 
 def resume_sysid(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
     """Continue a run from its directory; overrides may only extend the optimizer's iterations."""
-    for override in overrides:
-        key = override.partition("=")[0]
-        if not (key.startswith("optimizer.") and key.endswith(".max_iterations")):
-            raise UsageError(
-                f"-o {override}: a run can only be extended (optimizer.*.max_iterations); "
-                "what else changes makes another run: start it from the scene"
-            )
+    require_extension(overrides)
     require_same_data(run)
     built = prepare(saved_scene(run, overrides), talk)
     if overrides:
@@ -153,19 +150,3 @@ def resume_sysid(run: RunDirectory, overrides: Sequence[str], threads: int, talk
         talk.phase(f"finished already ({run.status})")
         return raise_if_failed(run)
     return identify(run, built, given_cases(built), threads, talk)
-
-
-class _Progress:
-    """Tells the reporter of iterations, and the run of its best loss."""
-
-    def __init__(self, run: RunDirectory, talk: Reporter) -> None:
-        self._run, self._talk = run, talk
-        self._best, self._last, self._x = np.inf, run.elapsed(), np.zeros(0)
-
-    def __call__(self, iteration: int, x: Array, loss: float) -> None:
-        now = self._run.elapsed()
-        step = float(np.linalg.norm(x - self._x)) if len(self._x) == len(x) else 0.0
-        self._best, self._x = min(self._best, loss), x.copy()
-        if iteration > 0:
-            self._talk.update(iteration, loss, self._best, step, now - self._last)
-        self._last = now

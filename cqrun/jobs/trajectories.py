@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,18 +24,19 @@ FRAMES = 300
 def write_trajectory(
     path: Path,
     built: Built,
-    values: Mapping[str, Array],
+    rollout: Rollout,
     *,
-    threads: int,
     should_stop: Callable[[], bool] | None = None,
     progress: Callable[[int, State], None] | None = None,
+    provenance: Mapping[str, Any] | None = None,
 ) -> tuple[Records, bool]:
-    """Run a scene and write x, v and J = det F of its particles.
+    """Run a scene and write x, v, J = det F and the activation of its particles.
 
     Args:
-        values: of the unknowns, by path.
+        rollout: of the scene, or of one with another probe; not yet run.
         should_stop: looked at every control step; a stopped trajectory stays a readable `.part`.
         progress: called with every control step and its state.
+        provenance: what else the file shall say of itself.
 
     Returns:
         The probe's records, and whether the run came to its end.
@@ -43,21 +45,33 @@ def write_trajectory(
     every = -(-model.n_controls // FRAMES)
     n_frames = -(-model.n_controls // every) + 1
     bodies = {name: particles.of(name) for name in particles.names}
-    fields = {"v": (model.dim,), "J": ()}
-    provenance = {"scene": dump(resolve(built.scene)), "engine": engine_hash(), "seed": built.scene.seed}
-    rollout = Rollout(model, built.assembly.inputs(values), threads=threads)
+    fields: dict[str, tuple[int, ...]] = {"v": (model.dim,), "J": ()}
+    if model.actuators:
+        fields["activation"] = ()
+    said = {"scene": dump(resolve(built.scene)), "engine": engine_hash(), "seed": built.scene.seed}
+    said |= provenance or {}
     step = built.scene.time.control_step
-    with TrajectoryWriter(path, n_frames, bodies, model.dim, fields, provenance) as writer:
+    with TrajectoryWriter(path, n_frames, bodies, model.dim, fields, said) as writer:
 
         def observe(control: int, state: State) -> None:
             if progress is not None:
                 progress(control, state)
             if control % every == 0 or control == model.n_controls:
-                J = np.linalg.det(state.F)
-                writer.write(writer.written, control * step, x=state.x, v=state.v, J=J, step=np.asarray(control))
+                values = {"x": state.x, "v": state.v, "J": np.linalg.det(state.F), "step": np.asarray(control)}
+                if model.actuators:
+                    values["activation"] = on_particles(rollout, max(control - 1, 0))
+                writer.write(writer.written, control * step, **values)
 
         records = rollout.run(observe, should_stop)
         complete = writer.written == n_frames  # the last frame is that of the last control step
         if not complete:
             writer.abandon()
     return records, complete
+
+
+def on_particles(rollout: Rollout, control: int) -> Array:
+    """Return what drove each particle in a control step (N,): the sum of the activations of its actuators."""
+    out = np.zeros(rollout.model.layout.n_particles)
+    for a, actuator in enumerate(rollout.model.actuators):
+        out[actuator.particles] += rollout.activation[control, a]
+    return out

@@ -18,6 +18,7 @@ from cqrun.geometry.sampling import ChosenSampling
 from cqrun.geometry.shape import ChosenShape, Shape
 from cqrun.geometry.transformed import Transformed
 from cqrun.geometry.union import Union
+from cqrun.scene.control import Episodes, Goal
 from cqrun.scene.data import Data, Unknown, exactly_one
 from cqrun.scene.defaults import with_defaults
 from cqrun.scene.fields import Memory, Name, Seed, Substeps
@@ -190,7 +191,7 @@ class Scene(Spec):
 
     cqrun: Literal[1] = Field(description="Version of the scene format")
     title: str = Field(description="One line about the scene", default="")
-    job: Literal["simulate", "sysid", "gradcheck"] | None = Field(
+    job: Literal["simulate", "sysid", "control", "gradcheck"] | None = Field(
         description="Command that the scene is made for", default=None
     )
     plugins: list[str] = Field(
@@ -216,6 +217,17 @@ class Scene(Spec):
         description="Name -> actuator", default_factory=dict
     )
     activation: Activation | None = Field(description="Open-loop signals", default=None)
+    observers: dict[Name, Annotated[Chosen[Plugin], Choice("observer")]] = Field(
+        description="Name -> what a controller sees", default_factory=dict
+    )
+    controller: Annotated[Chosen[Plugin], Choice("controller")] | None = Field(
+        description="What drives the actuators, learned by `cqrun control`", default=None
+    )
+    goals: dict[Name, Goal] = Field(description="Name -> what an episode is about", default_factory=dict)
+    episodes: Episodes = Field(description="Rollouts of an iteration", default_factory=Episodes)
+    objective: dict[Name, Annotated[Chosen[Plugin], Choice("objective")]] = Field(
+        description="Name -> term of what is made small", default_factory=dict
+    )
     time: Time = Field(description="Duration and steps")
     data: Data | None = Field(description="What the run is fitted to", default=None)
     unknowns: dict[str, Unknown] = Field(description="Key path -> what may change", default_factory=dict)
@@ -258,6 +270,12 @@ class Scene(Spec):
     def plugin_paths(self) -> dict[str, Path]:
         """Return the paths of the scene's plug-in files, by the names it uses."""
         return dict(zip(self.plugins, self._origin.plugin_paths(self.plugins), strict=True))
+
+    def with_optimizer(self, name: str, optimizer: Plugin) -> Scene:
+        """Return this scene with an optimizer."""
+        changed = self.model_copy(update={"optimizer": Chosen(name, optimizer)})
+        changed._origin = self._origin
+        return changed
 
     @model_validator(mode="before")
     @classmethod

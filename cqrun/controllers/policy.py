@@ -1,0 +1,112 @@
+"""Observers, a controller and the actuators' limits as one policy (`engine/policy.py`).
+
+    z = observe(record, memory),  u = controller(z, t),  a_k = held(u mapped to the limits, a_{k-1})
+
+The memory is that of the observers and then, where an actuator has a rate, the activations of the step before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cqrun.actuators.actuator import held_to
+from cqrun.contract import Array
+from cqrun.controllers.controller import Controller
+from cqrun.observers.observer import Moment, Observation
+from cqrun.state import State, rows_of
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Least and greatest activations (A,), and the greatest change in a control step (A,), infinite where any."""
+
+    low: Array
+    high: Array
+    change: Array
+
+
+class ControlPolicy:
+    """Decides the activations of one rollout, and gathers the gradient of the controller's parameters.
+
+    Args:
+        observation: what is seen; its rows are the probe's first.
+        controller: what is done about it.
+        parameters: of the controller, by block.
+        limits: of the actuators.
+        goals: of this episode, by name.
+        control_step: [s].
+        dim: of the world.
+
+    Attributes:
+        n_memory: length of the memory, zero at the start.
+        parameters_bar: gradient by the parameters, after a backward run.
+    """
+
+    def __init__(
+        self, observation: Observation, controller: Controller, parameters: Mapping[str, Array], limits: Limits,
+        goals: Mapping[str, Array], control_step: float, dim: int,
+    ) -> None:  # fmt: skip
+        self.observation, self.controller, self.parameters = observation, controller, parameters
+        self.limits, self.goals, self.control_step, self.dim = limits, goals, control_step, dim
+        self.slow = bool(np.isfinite(limits.change).any())
+        self.n_memory = observation.n_memory + len(limits.low) * self.slow
+        self.parameters_bar = {name: np.zeros_like(value) for name, value in parameters.items()}
+        half = 0.5 * (limits.high - limits.low)
+        self._scale, self._shift = (half, limits.low + half) if controller.bounded else (np.ones_like(half), 0.0 * half)
+
+    def act(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
+        """Return the activations (A,) of a control step, and the next memory (M,)."""
+        z, remembered = self.observation.observe(self._moment(control, record, memory, state))
+        u = self.controller.act(self.parameters, z, control, control * self.control_step)
+        given, _, _ = self._held(control, u, memory)
+        return given, np.concatenate([remembered, given]) if self.slow else remembered
+
+    def act_vjp(
+        self, control: int, record: Array, memory: Array, state: Callable[[], State], activation_bar: Array,
+        memory_bar: Array,
+    ) -> tuple[Array, Array, State | None]:  # fmt: skip
+        """Return the cotangents of record, memory and state; add those of the parameters to `parameters_bar`."""
+        moment, time = self._moment(control, record, memory, state), control * self.control_step
+        z, _ = self.observation.observe(moment)
+        _, by_wanted, by_previous = self._held(
+            control, self.controller.act(self.parameters, z, control, time), memory
+        )
+        n = self.observation.n_memory
+        given_bar = activation_bar + memory_bar[n:] if self.slow else activation_bar
+        z_bar = self.controller.act_vjp(
+            self.parameters, z, control, time, by_wanted * given_bar * self._scale, self.parameters_bar
+        )
+        bar = self.observation.observe_vjp(moment, z_bar, memory_bar[:n])
+        out = np.zeros_like(memory_bar)
+        if bar.memory is not None:
+            out[:n] = bar.memory
+        if self.slow:
+            out[n:] = by_previous * given_bar
+        return self._record_bar(record.shape, bar), out, bar.state
+
+    def _held(self, control: int, u: Array, memory: Array) -> tuple[Array, Array, Array]:
+        previous = memory[self.observation.n_memory :] if self.slow and control > 0 else None
+        limits = self.limits
+        return held_to(self._shift + self._scale * u, previous, limits.low, limits.high, limits.change)
+
+    def _moment(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> Moment:
+        D, k = self.dim, self.observation.rows.shape[0]
+        X, V, C, F, end = rows_of(D)
+        seen = record[:, :k].T
+        return Moment(
+            seen[:, X:V], seen[:, V:C], seen[:, C:F].reshape(k, D, D), seen[:, F:end].reshape(k, D, D),
+            control * self.control_step, control, self.goals, memory[: self.observation.n_memory], state,
+        )  # fmt: skip
+
+    def _record_bar(self, shape: tuple[int, ...], bar: object) -> Array:
+        """Return the cotangent of the probe's rows (rows, K) from that of a moment."""
+        X, V, C, F, end = rows_of(self.dim)
+        k, out = self.observation.rows.shape[0], np.zeros(shape)
+        for name, begin, stop in (("x", X, V), ("v", V, C), ("C", C, F), ("F", F, end)):
+            part = getattr(bar, name)
+            if part is not None:
+                out[begin:stop, :k] = part.reshape(k, -1).T
+        return out

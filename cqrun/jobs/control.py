@@ -1,0 +1,231 @@
+"""`cqrun control`: learn how a body should move.
+
+controller.npz    the controller's parameters that did best
+trajectory.h5     the first episode under it
+activation.csv    what drove the actuators in it
+result.json       the objective's terms at the start and at the end, on goals that were trained on and on unseen ones
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.controllers.saved import save_controller
+from cqrun.errors import Problem, SceneError
+from cqrun.jobs.episodes import CONTROLLER, Attempt, EpisodeProblem, Goals
+from cqrun.jobs.kernels import compile_kernels
+from cqrun.jobs.memory import gradient_plan
+from cqrun.jobs.problem import side_by_side
+from cqrun.jobs.reporter import Reporter, Silent
+from cqrun.jobs.runs import (
+    Progress,
+    build_and_warn,
+    cores,
+    open_run,
+    raise_if_failed,
+    require_extension,
+    saved_scene,
+)
+from cqrun.jobs.trajectories import write_trajectory
+from cqrun.optimizers.base import Optimizer, Outcome
+from cqrun.registry import plugins
+from cqrun.scene.build import Built
+from cqrun.scene.load import dump, load_scene, resolve
+from cqrun.scene.schema import Scene
+from cqrun.store.atomic import disk_errors, write_text
+from cqrun.store.run import RunDirectory
+from cqrun.store.session import RunSession
+
+NEEDED = {
+    "actuators": "say what drives the body",
+    "controller": "say what drives the actuators, such as `open_loop: {}` or `mlp: {}`",
+    "objective": "say what the motion is for, such as `far: {distance: {body: ..., axis: x}}`",
+}
+"""What a scene must have to be learned, and the advice where it is missing."""
+
+
+def run_control(
+    scene_source: Path,
+    overrides: Sequence[str],
+    out: Path,
+    fresh: bool,
+    threads: int | None,
+    quiet: bool,
+    *,
+    reporter: Reporter | None = None,
+) -> Path:
+    """Learn a scene's controller; return the run's directory.
+
+    Raises:
+        SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
+    """
+    talk, n_threads = reporter or Silent(), cores(threads)
+    problem = prepare(load_scene(scene_source, overrides), n_threads, talk)
+    with open_run(
+        scene_source, problem.built.scene, out, job="control", threads=n_threads, fresh=fresh, with_data=False
+    ) as run:
+        if run.finished:
+            talk.phase(f"finished already ({run.status}); --fresh starts over")
+            return raise_if_failed(run)
+        if run.record.get("extended"):
+            problem = prepare(saved_scene(run), n_threads, talk)
+        return learn(run, problem, talk)
+
+
+def prepare(scene: Scene, threads: int, talk: Reporter) -> EpisodeProblem:
+    """Return the problem of a scene, its optimizer chosen.
+
+    Raises:
+        SceneError: it lacks something, or has too little memory for gradients.
+    """
+    missing = [key for key in NEEDED if not getattr(scene, key)]
+    if missing:
+        raise SceneError([Problem(scene.where(key), key, f"control needs it: {NEEDED[key]}") for key in missing])
+    if scene.optimizer is None:
+        scene = scene.with_optimizer("adam", plugins("optimizer")["adam"]())
+    built = build_and_warn(scene, talk)
+    if optimizer_of(built).gradients:
+        gradient_plan(built)
+    return EpisodeProblem(built, threads=threads)
+
+
+def optimizer_of(built: Built) -> Optimizer:
+    """Return a scene's optimizer."""
+    assert built.scene.optimizer is not None
+    optimizer = built.scene.optimizer.value
+    assert isinstance(optimizer, Optimizer)
+    return optimizer
+
+
+def resume_control(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
+    """Continue a run from its directory; overrides may only extend the optimizer's iterations."""
+    require_extension(overrides)
+    problem = prepare(saved_scene(run, overrides), threads, talk)
+    if overrides:
+        run.extend(dump(resolve(problem.built.scene)), list(overrides))
+    elif run.finished:
+        talk.phase(f"finished already ({run.status})")
+        return raise_if_failed(run)
+    return learn(run, problem, talk)
+
+
+def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
+    """Run or continue the learning in a run directory."""
+    built, params = problem.built, problem.params
+    optimizer = optimizer_of(built)
+    run.begin(problem.threads)
+    compile_kernels([built], talk, adjoint=optimizer.gradients)
+    talk.phase(f"learning {len(params.start)} parameters, {problem.n_episodes} episodes an iteration")
+    talk.begin(optimizer.max_iterations)
+    session = RunSession(
+        run, seed=built.scene.seed, blocks=params.slices, physical=params.physical, term_names=problem.term_names,
+        stop=lambda: talk.stop.asked, progress=Progress(run, talk),
+    )  # fmt: skip
+    outcome = optimizer.minimise(problem, session)
+    if outcome.status == "stopped":
+        run.finish("stopped", outcome.message)
+        raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
+    if outcome.status != "failed":
+        talk.phase("what was learned, trajectory")
+
+    def interrupt() -> None:
+        if talk.stop.asked:
+            raise talk.stop.stopped(f"stopped before the findings were written; `cqrun resume {run.path}` continues")
+
+    problem.interrupt = interrupt
+    write_learned(run, problem, outcome)
+    run.finish(outcome.status, outcome.message)
+    return raise_if_failed(run)
+
+
+# --- what was learned -----------------------------------------------------------------------------------------
+
+
+def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) -> dict[str, Any]:
+    """Write the controller, its first episode and result.json; return the result."""
+    values, failed = problem.values(outcome.x), outcome.status == "failed"
+    result: dict[str, Any] = {
+        "job": "control",
+        "status": outcome.status,
+        "message": outcome.message,
+        "loss": float(outcome.loss) if np.isfinite(outcome.loss) else None,
+        "iterations": outcome.iterations,
+        "unknowns": {
+            path: {"initial": np.asarray(block.initial).tolist(), "value": np.asarray(values[path]).tolist()}
+            for path, block in zip(values, problem.params.blocks, strict=True)
+            if not path.startswith(CONTROLLER)
+        },
+        "start": None,
+        "trained": None,
+        "unseen": None,
+    }
+    if not failed:
+        _write_controller(run, problem, values)
+        goals, unseen = problem.goals(None), problem.unseen()
+        before = _run_all(problem, problem.values(problem.start), goals)
+        after = _run_all(problem, values, [*goals, *unseen])
+        result["start"] = _summary(problem, before)
+        result["trained"] = _summary(problem, after[: len(goals)])
+        result["unseen"] = _summary(problem, after[len(goals) :]) if unseen else None
+        _write_activation(run, problem, after[0])
+        rollout = problem.rollout(values, goals[0], problem.threads)
+        drawn = {"goals": {name: goal.tolist() for name, goal in goals[0].items()}}
+        write_trajectory(run.path / "trajectory.h5", problem.built, rollout, provenance=drawn)
+    run.write_result(result)
+    return result
+
+
+def _run_all(problem: EpisodeProblem, values: dict[str, Array], goals: Sequence[Goals]) -> list[Attempt]:
+    def task(goal: Goals) -> Any:
+        def run(threads: int) -> Attempt:
+            problem.interrupt()
+            return problem.attempt(values, goal, threads)
+
+        return run
+
+    return side_by_side([task(goal) for goal in goals], problem.threads)
+
+
+def _summary(problem: EpisodeProblem, attempts: Sequence[Attempt]) -> dict[str, Any]:
+    """Return the mean loss and terms over episodes, and those of each with its goals."""
+    return {
+        "loss": float(np.mean([a.loss for a in attempts])),
+        "terms": {name: float(np.mean([a.terms[name] for a in attempts])) for name in problem.built.scene.objective},
+        "episodes": [
+            {"goals": {n: g.tolist() for n, g in a.track.goals.items()}, "loss": a.loss, "terms": a.terms}
+            for a in attempts
+        ],
+    }
+
+
+def _write_controller(run: RunDirectory, problem: EpisodeProblem, values: dict[str, Array]) -> None:
+    parameters = {p.removeprefix(CONTROLLER): v for p, v in values.items() if p.startswith(CONTROLLER)}
+    observation, drive = problem.observation, problem.built.assembly.actuation
+    meta = {
+        "controller": problem.controller.name,
+        "actuators": [part.name for part in drive.parts],
+        "observers": list(problem.built.scene.observers),
+        "middle": observation.middle.tolist(),
+        "half": observation.half.tolist(),
+        "control_step": problem.matter.control_step,
+        "n_controls": problem.model.n_controls,
+    }
+    path = run.path / "controller.npz"
+    with disk_errors(path):
+        save_controller(path, parameters, meta)
+
+
+def _write_activation(run: RunDirectory, problem: EpisodeProblem, attempt: Attempt) -> None:
+    text = io.StringIO(newline="")
+    table = csv.writer(text)
+    table.writerow(["time", *(part.name for part in problem.built.assembly.actuation.parts)])
+    for k, row in enumerate(attempt.rollout.activation):
+        table.writerow([repr(float(a)) for a in (k * problem.matter.control_step, *row)])
+    write_text(run.path / "activation.csv", text.getvalue())
