@@ -120,7 +120,7 @@ def stretch(cables: Kernel, k: int, u: float, q: Array, in_3d: bool) -> float:
     total = 0.0
     for i in range(cables.start[k], cables.start[k + 1] - 1):
         total += segment(q, cables.columns[i], cables.columns[i + 1], in_3d)[3]
-    return total - max(0.0, u) * cables.rest[k]
+    return total - (0.0 if u <= 0.0 else u) * cables.rest[k]
 
 
 @kernel
@@ -140,7 +140,8 @@ def pull(cables: Kernel, drive: Any, control: int, q: Array, fields: Array, forc
     for k in range(len(cables.actuators)):
         a = cables.actuators[k]
         tension = drive.strength[a] * stretch(cables, k, drive.activation[control, a], q, in_3d)
-        if tension > 0.0:
+        # what is not a number pulls too, so that it is found where it moves a particle
+        if not tension <= 0.0:
             for i in range(cables.start[k], cables.start[k + 1] - 1):
                 p, r = cables.columns[i], cables.columns[i + 1]
                 x, y, z, _ = segment(q, p, r, in_3d)

@@ -188,11 +188,9 @@ class Rollout:
         at, substeps = begin, self.model.substeps
         while at < end:
             here = states[at - begin :] if keep else states
-            to = end
-            if at // substeps >= self.decided:
-                if at % substeps == 0:
-                    self._decide(at // substeps, here[0])
-                to = min(end, (at // substeps + 1) * substeps)
+            if at == self.decided * substeps:
+                self._decide(self.decided, here[0])
+            to = min(end, self.decided * substeps)
             self._advance(at, to, here, keep)
             at = to
 
