@@ -1,7 +1,8 @@
 """What a boundary condition is: a projection of the velocity of the grid nodes that it holds.
 
 It reaches the grid pass as a `NamedTuple` of its own class with the unit `normal`, a tuple of D pointing into
-the free side, and one `coefficient`. The class picks the functions:
+the free side, or of terrain one a node (`NodeNormals`), and one `coefficient`. The class picks the functions, which
+see the normal of one node:
 
     project(condition, v)                -> v of the node after the boundary
     project_vjp(condition, v, out_bar)   -> v_bar, coefficient_bar
@@ -12,20 +13,34 @@ At a kink the branch of H(x) = [x >= 0] is taken, as in CQ1.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
+from numba.core import types
 from numba.extending import overload, register_jitable
 from pydantic import Field, model_validator
 
 from cqrun.choice import Choice, Chosen
-from cqrun.compile import own_symbols
+from cqrun.compile import named, own_symbols, written
 from cqrun.contract import Array, Plugin, quantity, vector
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
 
 _PROJECT: dict[type, Callable[..., Any]] = {}
 _PROJECT_VJP: dict[type, Callable[..., Any]] = {}
+
+
+class NodeNormals(NamedTuple):
+    """A unit normal for every node; `dims` is as long as the dimension."""
+
+    table: Array  # (nodes, D)
+    dims: tuple[int, ...]
+
+
+own_symbols(NodeNormals)
+
+Normal = tuple[float, ...] | Array
+"""A unit normal for all nodes, or one for each (nodes, D)."""
 
 
 class BoundaryCondition(Plugin):
@@ -48,22 +63,25 @@ class BoundaryCondition(Plugin):
         if self.face is not None and self.normal is not None:
             raise ValueError("`normal` belongs to a region; a face has its own")
         if self.region is not None and self.needs_normal and self._region_normal() is None:
-            raise ValueError(f"a region other than half_space needs `normal`, a unit vector, for {self.name}")
+            raise ValueError(
+                f"a region other than half_space and height_field needs `normal`, a unit vector, for {self.name}"
+            )
         if self.normal is not None and not np.isclose(np.linalg.norm(self.normal), 1.0, atol=1e-6):
             raise ValueError("`normal` must have length 1")
         return self
 
-    def _region_normal(self) -> list[float] | None:
+    def _region_normal(self) -> Any:
         if self.normal is not None:
             return self.normal
-        # a half-space is solid behind its plane, and its normal points out of it
-        return getattr(self.region.value, "normal", None) if self.region is not None else None
+        # a half-space is solid behind its plane, and its normal points out of it; terrain knows its own
+        region = self.region.value if self.region is not None else None
+        return getattr(region, "normal", None) or getattr(region, "normals", None)
 
-    def kernel_condition(self, normal: tuple[float, ...]) -> Any:
-        """Return the kernel's view for one unit normal."""
+    def kernel_condition(self, normal: Any) -> Any:
+        """Return the kernel's view for a unit normal, or for `NodeNormals`."""
         raise NotImplementedError
 
-    def places(self, nodes: Array, size: Array) -> list[tuple[Array, tuple[float, ...]]]:
+    def places(self, nodes: Array, size: Array) -> list[tuple[Array, Normal]]:
         """Return (which nodes, unit normal) for every plane of this condition.
 
         Args:
@@ -74,6 +92,8 @@ class BoundaryCondition(Plugin):
         if self.region is not None:
             normal = self._region_normal() or [0.0] * dim
             inside: Any = self.region.value
+            if callable(normal):
+                return [(inside.inside(nodes), normal(nodes))]
             return [(inside.inside(nodes), tuple(float(a) for a in normal))]
         faces = FACES[: 2 * dim] if self.face == "all" else (self.face,)
         return [self._face(str(face), nodes, size) for face in faces]
@@ -117,53 +137,76 @@ def _project_vjp(condition, v, out_bar):
 # --- all conditions that hold a node: bit k of `held` is condition k ----------------------------------------
 
 
-def project_all(conditions: Any, held: int, v: Any) -> Any:
+def at_node(condition: Any, node: int) -> Any:
+    """Return a condition with the normal that it has at a node."""
+    normal = condition.normal
+    if not isinstance(normal, NodeNormals):
+        return condition
+    return type(condition)(tuple(float(a) for a in normal.table[node]), condition.coefficient)
+
+
+@overload(at_node)
+def _at_node(condition, node):
+    normal = condition.types[condition.fields.index("normal")]
+    if isinstance(normal, types.NamedTuple | types.NamedUniTuple) and normal.instance_class is NodeNormals:
+        kind, dim = condition.instance_class, len(normal.types[normal.fields.index("dims")])
+        entries = ", ".join(f"condition.normal.table[node, {k}]" for k in range(dim))
+        body = written(f"lambda condition, node: kind(({entries}), condition.coefficient)", {"kind": kind})
+        return named(body, f"{kind.__name__}_at_node_{dim}")
+    return lambda condition, node: condition
+
+
+def project_all(conditions: Any, node: int, held: int, v: Any) -> Any:
     """Return a node's velocity after every condition that holds it, in order."""
     for k, condition in enumerate(conditions):
         if (held >> k) & 1:
-            v = project(condition, v)
+            v = project(at_node(condition, node), v)
     return v
 
 
-def project_all_vjp(conditions: Any, held: int, v: Any, out_bar: Any, coefficient_bar: Array, first: int) -> Any:
+def project_all_vjp(
+    conditions: Any, node: int, held: int, v: Any, out_bar: Any, coefficient_bar: Array, first: int
+) -> Any:
     """Return v_bar, and add to coefficient_bar[first + k] for condition k."""
     if not conditions:
         return out_bar
     if not held & 1:
-        return project_all_vjp(conditions[1:], held >> 1, v, out_bar, coefficient_bar, first + 1)
-    after = project(conditions[0], v)
-    after_bar = project_all_vjp(conditions[1:], held >> 1, after, out_bar, coefficient_bar, first + 1)
-    v_bar, c_bar = project_vjp(conditions[0], v, after_bar)
+        return project_all_vjp(conditions[1:], node, held >> 1, v, out_bar, coefficient_bar, first + 1)
+    condition = at_node(conditions[0], node)
+    after = project(condition, v)
+    after_bar = project_all_vjp(conditions[1:], node, held >> 1, after, out_bar, coefficient_bar, first + 1)
+    v_bar, c_bar = project_vjp(condition, v, after_bar)
     coefficient_bar[first] += c_bar
     return v_bar
 
 
 @overload(project_all)
-def _project_all(conditions, held, v):
+def _project_all(conditions, node, held, v):
     if len(conditions) == 0:
-        return lambda conditions, held, v: v
+        return lambda conditions, node, held, v: v
 
-    def several(conditions, held, v):
+    def several(conditions, node, held, v):
         if held & 1:
-            v = project(conditions[0], v)
-        return project_all(conditions[1:], held >> 1, v)
+            v = project(at_node(conditions[0], node), v)
+        return project_all(conditions[1:], node, held >> 1, v)
 
     return several
 
 
 @overload(project_all_vjp)
-def _project_all_vjp(conditions, held, v, out_bar, coefficient_bar, first):
+def _project_all_vjp(conditions, node, held, v, out_bar, coefficient_bar, first):
     if len(conditions) == 0:
-        return lambda conditions, held, v, out_bar, coefficient_bar, first: out_bar
+        return lambda conditions, node, held, v, out_bar, coefficient_bar, first: out_bar
 
-    def several(conditions, held, v, out_bar, coefficient_bar, first):
+    def several(conditions, node, held, v, out_bar, coefficient_bar, first):
         rest, more = conditions[1:], held >> 1
         if held & 1:
-            after = project(conditions[0], v)
-            after_bar = project_all_vjp(rest, more, after, out_bar, coefficient_bar, first + 1)
-            v_bar, c_bar = project_vjp(conditions[0], v, after_bar)
+            condition = at_node(conditions[0], node)
+            after = project(condition, v)
+            after_bar = project_all_vjp(rest, node, more, after, out_bar, coefficient_bar, first + 1)
+            v_bar, c_bar = project_vjp(condition, v, after_bar)
             coefficient_bar[first] += c_bar
             return v_bar
-        return project_all_vjp(rest, more, v, out_bar, coefficient_bar, first + 1)
+        return project_all_vjp(rest, node, more, v, out_bar, coefficient_bar, first + 1)
 
     return several

@@ -34,7 +34,7 @@ class Friction(BoundaryCondition):
 
     coefficient: float = quantity("1", "Coulomb friction coefficient", differentiable=True, ge=0)
 
-    def kernel_condition(self, normal: tuple[float, ...]) -> Kernel:
+    def kernel_condition(self, normal: Any) -> Kernel:
         return Kernel(normal, self.coefficient)
 
 

@@ -20,7 +20,7 @@ class Kernel(NamedTuple):
 class Separate(BoundaryCondition):
     """A frictionless wall that lets go: v - min(v . n, 0) n."""
 
-    def kernel_condition(self, normal: tuple[float, ...]) -> Kernel:
+    def kernel_condition(self, normal: Any) -> Kernel:
         return Kernel(normal, 0.0)
 
 

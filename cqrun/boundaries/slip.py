@@ -20,7 +20,7 @@ class Kernel(NamedTuple):
 class Slip(BoundaryCondition):
     """A frictionless wall that also holds what would leave it: v - (v . n) n."""
 
-    def kernel_condition(self, normal: tuple[float, ...]) -> Kernel:
+    def kernel_condition(self, normal: Any) -> Kernel:
         return Kernel(normal, 0.0)
 
 

@@ -22,7 +22,7 @@ class Sticky(BoundaryCondition):
 
     needs_normal: ClassVar[bool] = False
 
-    def kernel_condition(self, normal: tuple[float, ...]) -> Kernel:
+    def kernel_condition(self, normal: Any) -> Kernel:
         return Kernel(normal, 0.0)
 
 

@@ -74,7 +74,7 @@ def update_grid(setting: Setting, conditions: Any, work: Work, thread: int, n_th
                         v = mv / m
                         held = work.held[node]
                         if held != 0:
-                            after = project_all(conditions, held, components(v, setting.dims))
+                            after = project_all(conditions, node, held, components(v, setting.dims))
                             v = record(after, 0.0, work.grid)
                         store4(work.grid_v, node, v)
                     else:
@@ -101,7 +101,7 @@ def update_grid_vjp(setting: Setting, conditions: Any, work: Work, thread: int, 
                         v_bar = components(load4(work.grid_bar, node), setting.dims)
                         held = work.held[node]
                         if held != 0:
-                            v_bar = project_all_vjp(conditions, held, v, v_bar, partial, 0)
+                            v_bar = project_all_vjp(conditions, node, held, v, v_bar, partial, 0)
                         mv_bar = record(v_bar, 0.0, work.grid) / m
                         flow = mv_bar * mv / m
                         m_bar = -(lane(flow, 0) + lane(flow, 1) + lane(flow, 2))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from cqrun.actuators.push import make_kernel, pushes, starts_of
-from cqrun.boundaries.condition import BoundaryCondition
+from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
 from cqrun.contract import Array
 from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
 from cqrun.packed import pack
@@ -54,8 +54,14 @@ class ConditionModel:
 
     name: str
     spec: BoundaryCondition
-    normal: tuple[float, ...]
+    normal: Normal
     nodes: Array
+
+    def kernel(self, coefficient: float) -> Any:
+        """Return the kernels' view."""
+        own = self.normal
+        normal = own if isinstance(own, tuple) else NodeNormals(own, (0,) * own.shape[1])
+        return self.spec.kernel_condition(normal)._replace(coefficient=float(coefficient))
 
 
 @dataclass(frozen=True)

@@ -86,10 +86,7 @@ class Rollout:
         self.fields = self._pack_fields(inputs.fields)
         self.drive = model.kernel_drive(inputs.activation, inputs.strength)
         self.groups = self.kernel_groups(inputs.terms, self.drive)
-        self.conditions = tuple(
-            c.spec.kernel_condition(c.normal)._replace(coefficient=float(inputs.coefficients[k]))
-            for k, c in enumerate(model.conditions)
-        )
+        self.conditions = tuple(c.kernel(inputs.coefficients[k]) for k, c in enumerate(model.conditions))
         self.probe = model.kernel_probe()
         self.setting = Setting(
             (0,) * model.dim, node_strides(shape), tuple(float(n - 2) for n in shape), model.dx, model.dt,

@@ -10,7 +10,7 @@ import pytest
 
 from cqrun import registry
 from cqrun.boundaries import condition as conditions
-from cqrun.boundaries.condition import project, project_all, project_all_vjp, project_vjp
+from cqrun.boundaries.condition import NodeNormals, project, project_all, project_all_vjp, project_vjp
 from cqrun.boundaries.friction import SMOOTHING, Friction
 from cqrun.boundaries.separate import Separate
 from cqrun.boundaries.slip import Slip
@@ -184,43 +184,48 @@ def test_a_node_that_just_stops_counts_as_sliding(dim):
 def walls_2d(conditions, held, v, out_bar, out, v_bar, c_bar):
     for i in range(len(v)):
         at, bar = (v[i, 0], v[i, 1]), (out_bar[i, 0], out_bar[i, 1])
-        out[i, 0], out[i, 1] = project_all(conditions, held[i], at)
-        v_bar[i, 0], v_bar[i, 1] = project_all_vjp(conditions, held[i], at, bar, c_bar, 0)
+        out[i, 0], out[i, 1] = project_all(conditions, i, held[i], at)
+        v_bar[i, 0], v_bar[i, 1] = project_all_vjp(conditions, i, held[i], at, bar, c_bar, 0)
 
 
 @kernel
 def walls_3d(conditions, held, v, out_bar, out, v_bar, c_bar):
     for i in range(len(v)):
         at, bar = (v[i, 0], v[i, 1], v[i, 2]), (out_bar[i, 0], out_bar[i, 1], out_bar[i, 2])
-        out[i, 0], out[i, 1], out[i, 2] = project_all(conditions, held[i], at)
-        v_bar[i, 0], v_bar[i, 1], v_bar[i, 2] = project_all_vjp(conditions, held[i], at, bar, c_bar, 0)
+        out[i, 0], out[i, 1], out[i, 2] = project_all(conditions, i, held[i], at)
+        v_bar[i, 0], v_bar[i, 1], v_bar[i, 2] = project_all_vjp(conditions, i, held[i], at, bar, c_bar, 0)
 
 
 @pytest.mark.parametrize(("dim", "walls"), [(2, walls_2d), (3, walls_3d)], ids=["2D", "3D"])
 def test_compiled_walls_in_every_combination(dim, walls, rng):
-    """Bit k of a node's mask is condition k; they act in order, each on what the one before left."""
+    """Bit k of a node's mask is condition k; they act in order, each on what the one before left.
+
+    The last is terrain, with a normal of its own at every node.
+    """
     known = registry.plugins("boundary").values()
     given = tuple(make(cls, unit(rng.normal(size=dim))) for cls in known)
-    n = 8 * 2 ** len(given)
+    n = 8 * 2 ** (len(given) + 1)
+    slopes = np.array([unit(rng.normal(size=dim)) for _ in range(n)])
+    given += (Friction(face="x_min", coefficient=0.7).kernel_condition(NodeNormals(slopes, (0,) * dim)),)
     held, (v, out_bar) = np.tile(np.arange(2 ** len(given)), 8), rng.normal(size=(2, n, dim))
     out, v_bar, c_bar = np.zeros((n, dim)), np.zeros((n, dim)), np.zeros(len(given))
     walls(given, held, v, out_bar, out, v_bar, c_bar)
     c_want = np.zeros(len(given))
     for i in range(n):
-        trail = [tuple(v[i])]
-        for k, one in enumerate(given):
+        trail, here = [tuple(v[i])], [*given[:-1], make(Friction, slopes[i], 0.7)]
+        for k, one in enumerate(here):
             trail.append(project(one, trail[-1]) if held[i] >> k & 1 else trail[-1])
         bar = tuple(out_bar[i])
         np.testing.assert_allclose(out[i], trail[-1], atol=1e-14)
         for k in reversed(range(len(given))):
             if held[i] >> k & 1:
-                bar, c = project_vjp(given[k], trail[k], bar)
+                bar, c = project_vjp(here[k], trail[k], bar)
                 c_want[k] += c
         np.testing.assert_allclose(v_bar[i], bar, atol=1e-13)
         mine = np.zeros(len(given))
-        again = project_all_vjp(given, int(held[i]), tuple(v[i]), tuple(out_bar[i]), mine, 0)
+        again = project_all_vjp(given, i, int(held[i]), tuple(v[i]), tuple(out_bar[i]), mine, 0)
         np.testing.assert_allclose(again, bar, atol=1e-14)
-        np.testing.assert_allclose(project_all(given, int(held[i]), tuple(v[i])), trail[-1], atol=0)
+        np.testing.assert_allclose(project_all(given, i, int(held[i]), tuple(v[i])), trail[-1], atol=0)
     np.testing.assert_allclose(c_bar, c_want, atol=1e-12)
 
 
@@ -282,3 +287,16 @@ def test_a_half_space_brings_its_normal_and_sticky_needs_none():
     box = {"box": {"corner": [0.0, 0.0], "size": [0.25, 0.25]}}
     [(held, _)] = Sticky.model_validate({"region": box}).places(at, np.full(2, 0.9))
     assert held.sum() == 9
+
+
+def test_terrain_gives_every_node_the_normal_of_its_place():
+    """The region of a height field: nodes below it, each with the normal of the slope above it."""
+    hills = {"sinusoid": {"amplitude": 0.1, "wavelength": 0.6, "base": 0.4}}
+    ground = Friction.model_validate({"region": {"height_field": hills}, "coefficient": 0.5})
+    at, size = nodes(2), np.full(2, 0.9)
+    ((held, normals),) = ground.places(at, size)
+    height = 0.4 + 0.1 * np.sin(2 * np.pi * at[:, 0] / 0.6)
+    np.testing.assert_array_equal(held, at[:, 1] <= height)
+    slope = 0.1 * 2 * np.pi / 0.6 * np.cos(2 * np.pi * at[:, 0] / 0.6)
+    np.testing.assert_allclose(normals[:, 0] / normals[:, 1], -slope, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
