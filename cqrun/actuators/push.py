@@ -1,7 +1,7 @@
 """What a kernel asks of an actuator that exerts forces on particles.
 
 A kind of force reaches the kernels as a `NamedTuple` of its own class that holds all actuators of the kind:
-`columns` are their particles, `actuators` which of the scene's they are. The class picks the functions:
+`columns` are their particles, `actuators` which of the scene's they are. The class picks two kernels:
 
     push(kernel, drive, control, q, fields, force)
     push_vjp(kernel, drive, drive_bar, control, q, q_bar, fields, fields_bar)
@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numba.extending import overload, register_jitable
+from numba.extending import overload
 
 from cqrun.compile import named, own_symbols
 from cqrun.contract import Array
@@ -66,7 +66,7 @@ def push_vjp(
 @overload(push)
 def _push(kernel, drive, control, q, fields, force):
     kind = kernel.instance_class
-    body = register_jitable(_PUSH[kind][0])
+    body = _PUSH[kind][0]
 
     def run(kernel, drive, control, q, fields, force):
         body(kernel, drive, control, q, fields, force)
@@ -77,7 +77,7 @@ def _push(kernel, drive, control, q, fields, force):
 @overload(push_vjp)
 def _push_vjp(kernel, drive, drive_bar, control, q, q_bar, fields, fields_bar):
     kind = kernel.instance_class
-    body = register_jitable(_PUSH[kind][1])
+    body = _PUSH[kind][1]
 
     def run(kernel, drive, drive_bar, control, q, q_bar, fields, fields_bar):
         body(kernel, drive, drive_bar, control, q, q_bar, fields, fields_bar)
