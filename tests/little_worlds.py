@@ -1,8 +1,8 @@
 """Small models for the engine's tests, all of one kind, so that few kernels are compiled.
 
 A kernel is compiled for the types it meets: the dimension, the terms of the stress, the boundary conditions, the
-precision. So every model here has the same terms and the same conditions, those that a test does not want switched
-off by their numbers: a modulus or a viscosity of zero, a condition that holds no node.
+kinds of actuators, the precision. So every model here has the same of all of them, those that a test does not want
+switched off by their numbers: a modulus or a viscosity of zero, a condition that holds no node, an actuator of nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import pytest
 from numba import config
 from scipy import sparse
 
-from cqrun.actuators import muscle
+from cqrun.actuators import body_force, cable, muscle, pressure
+from cqrun.actuators.actuator import Actuator
 from cqrun.actuators.muscle import symmetric_rows
 from cqrun.boundaries.friction import Friction
 from cqrun.boundaries.separate import Separate
@@ -33,10 +34,13 @@ TERMS = (
     lambda theta: viscosity.Kernel(theta, (0, 0)),
     lambda theta: incompressibility.Kernel(theta, (0, 0), 2),
 )
-"""The terms of every body, in the order of `Inputs.terms`; muscles follow."""
+"""The terms of every body, in the order of `Inputs.terms`; active stresses follow."""
 
 CONDITIONS = (Friction,) * 4 + (Slip,) * 3 + (Separate, Sticky)
 """The kinds of boundary condition of every model, in the order of `Inputs.coefficients`."""
+
+STRESSES, FORCES = (muscle.Kernel, pressure.Kernel), (cable.Kernel, body_force.Kernel)
+"""The kinds of actuators of every model, in the order of `Inputs.activation`."""
 
 needs_jit = pytest.mark.skipif(config.DISABLE_JIT, reason="threads and speed need compiled kernels")
 """Marks a test that is of threads, or that would take minutes in plain Python."""
@@ -50,6 +54,32 @@ class Wall:
     normal: tuple[float, ...]
     nodes: Callable[[np.ndarray], np.ndarray]
     coefficient: float = 0.0
+
+
+@dataclass(eq=False)
+class Acting:
+    """A part of an actuator to use: `kind` is one of STRESSES or FORCES, `constants` what its kernel asks for."""
+
+    kind: type
+    particles: np.ndarray
+    constants: np.ndarray
+
+    @classmethod
+    def of(cls, spec: Actuator, particles: np.ndarray, x: np.ndarray) -> Acting:
+        """Return a plug-in on some of the particles at rest at x (N, D)."""
+        particles = np.asarray(particles, np.int64)
+        return cls(spec.kernel(x.shape[1]), particles, spec.constants(x[particles]))
+
+
+def every_kind(wanted: list[Acting], dim: int) -> tuple[list[Acting], np.ndarray]:
+    """Return actuators of all kinds in order, one of nothing where none is wanted, and which are the wanted (A,)."""
+    found: list[Acting] = []
+    for kind, size in zip((*STRESSES, *FORCES), (dim * (dim + 1) // 2, 1, 1, dim), strict=True):
+        own = [a for a in wanted if a.kind is kind]
+        found += own or [Acting(kind, np.zeros(0, np.int64), np.zeros(size))]
+    if [a for a in found if a in wanted] != wanted:
+        raise ValueError("actuators stand in the order of their kinds")
+    return found, np.array([a in wanted for a in found])
 
 
 def below(axis: int, level: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -85,27 +115,26 @@ def world(
     mass: Any = 1.0, volume: Any = 1.0, E: Any = 0.0, nu: Any = 0.3, neo_hookean: Any = 0.0, eta: Any = 0.0,
     zeta: Any = 0.0, incompressible: Any = 0.0, damping: Any = 0.0, gravity: Any = None,
     walls: list[Wall] | None = None, muscles: tuple[tuple[np.ndarray, np.ndarray], ...] = (),
-    activation: np.ndarray | None = None, probe: Any = None, real: Any = np.float64, budget: int = 2**30,
+    actuators: tuple[Acting, ...] = (), activation: np.ndarray | None = None, probe: Any = None,
+    real: Any = np.float64, budget: int = 2**30,
 ) -> tuple[Model, Inputs]:  # fmt: skip
     """Return a model and its inputs: bodies at rest at x (N, D) each.
 
     Numbers are one for all particles or one each; `neo_hookean` and `incompressible` are the Young's moduli of
-    those terms; `muscles` are (particles, direction matrix).
+    those terms; `muscles` are (particles, direction matrix), `actuators` others after them, in the order of their
+    kinds, and `activation` (T, A) is of both.
     """
     bodies = x if isinstance(x, list) else [x]
     x = np.concatenate(bodies)
     (n, dim), size_ = x.shape, np.asarray(size, float)
     layout = Layout(dim, tuple(len(b) for b in bodies))
     planes, coefficients = conditions(walls or [], size_, dx)
-    # never without a muscle, be it one of nothing: another kind of drive would be other kernels
-    muscles = muscles or ((np.zeros(0, np.int64), np.zeros((dim, dim))),)
-    actuators = tuple(
-        ActuatorModel(f"muscle {k}", muscle.Kernel, np.asarray(particles), symmetric_rows(np.asarray(direction, float)))
-        for k, (particles, direction) in enumerate(muscles)
-    )
+    wanted = [Acting(muscle.Kernel, np.asarray(p), symmetric_rows(np.asarray(S, float))) for p, S in muscles]
+    acting, chosen = every_kind([*wanted, *actuators], dim)
+    parts = tuple(ActuatorModel(f"actuator {k}", a.kind, a.particles, a.constants) for k, a in enumerate(acting))
     model = Model(
         size_, dx, dt, substeps, controls, tuple(f"body {k}" for k in range(len(bodies))), layout,
-        (GroupModel(tuple(range(len(bodies))), TERMS, (muscle.Kernel,)),), planes, actuators,
+        (GroupModel(tuple(range(len(bodies))), TERMS, STRESSES),), planes, parts,
         None if probe is None else sparse.csr_array(probe), real, budget,
     )  # fmt: skip
     fields = ParticleFields.zeros(n, dim)
@@ -114,5 +143,7 @@ def world(
         fields.force[:] = fields.mass[:, None] * np.asarray(gravity, float)
     pairs = ((E, nu), (neo_hookean, nu), (eta, zeta), (incompressible, nu))
     terms = [np.array([np.broadcast_to(np.asarray(a, float), n) for a in pair]) for pair in pairs]
-    activation = np.zeros((controls, len(actuators))) if activation is None else activation
-    return model, Inputs(State.at_rest(x), fields, [terms], activation, np.ones(len(actuators)), coefficients)
+    signals = np.zeros((controls, len(acting)))
+    if activation is not None:
+        signals[:, chosen] = activation
+    return model, Inputs(State.at_rest(x), fields, [terms], signals, np.ones(len(acting)), coefficients)

@@ -1,9 +1,9 @@
 """The substep written from the papers' equations in plain NumPy: slow, complex, and sharing no code with the engine.
 
 MLS-MPM with APIC and quadratic B-splines (CQ1 eqs 3-10), a material that is the sum of fixed corotated and
-Neo-Hookean elasticity (CQ2 eqs 12, 13), Kelvin-Voigt viscosity, the penalty of CQ2 eq 14 and muscles, the
-boundaries of CQ1's supplement XI. Every input may carry an imaginary part of 1e-30, whose image in the output is an
-exact derivative (complex step): branches look at real parts alone.
+Neo-Hookean elasticity (CQ2 eqs 12, 13), Kelvin-Voigt viscosity, the penalty of CQ2 eq 14, muscles and pressures,
+cables (CQ2 eqs 16, 17) and body forces, the boundaries of CQ1's supplement XI. Every input may carry an imaginary
+part of 1e-30, whose image in the output is an exact derivative (complex step): branches look at real parts alone.
 """
 
 from __future__ import annotations
@@ -11,11 +11,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from cqrun.engine.model import Inputs, Model, Records
+from cqrun.actuators import body_force, cable, muscle, pressure
+from cqrun.engine.model import ActuatorModel, Inputs, Model, Records
+from cqrun.engine.policy import Policy
 from cqrun.engine.setting import MARGIN
+from cqrun.state import State
 
 EPSILON = 1e-7  # of the friction law, both papers
 
@@ -82,14 +86,46 @@ def matrix(rows: Array) -> Array:
     return S
 
 
-def active_stress(model: Model, inputs: Inputs, step: int) -> Array:
-    """Return the second Piola-Kirchhoff stress of the muscles, (N, D, D)."""
-    n, dim = inputs.state.x.shape
-    S = np.zeros((n, dim, dim), np.result_type(inputs.activation, inputs.strength))
+def driven(model: Model, inputs: Inputs, kind: type, step: int) -> Iterator[tuple[ActuatorModel, Any, Any]]:
+    """Yield (actuator, activation, strength) of every actuator of one kind."""
     for a, actuator in enumerate(model.actuators):
-        tension = inputs.activation[step // model.substeps, a] * inputs.strength[a]
-        S[actuator.particles] += tension * matrix(actuator.constants)
-    return S
+        if actuator.kernel is kind:
+            yield actuator, inputs.activation[step // model.substeps, a], inputs.strength[a]
+
+
+def active_stress(model: Model, inputs: Inputs, step: int) -> tuple[Array, Array]:
+    """Return the second Piola-Kirchhoff stress of the muscles (N, D, D), and the pressures (N, 1, 1)."""
+    n, dim = inputs.state.x.shape
+    kind = np.result_type(inputs.activation, inputs.strength)
+    S, p = np.zeros((n, dim, dim), kind), np.zeros((n, 1, 1), kind)
+    for actuator, u, strength in driven(model, inputs, muscle.Kernel, step):
+        S[actuator.particles] += u * strength * matrix(actuator.constants)
+    for actuator, u, strength in driven(model, inputs, pressure.Kernel, step):
+        p[actuator.particles] += u * strength * actuator.constants
+    return S, p
+
+
+def active_force(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Array, list[tuple[Any, ...]]]:
+    """Return the forces of cables and of body forces (N, D), and which cables pull.
+
+    The energy of a cable is E = k/2 max(0, L - max(0, u) R)^2, and f = -dE/dx.
+    """
+    f = np.zeros(s.x.shape, np.result_type(s.x, inputs.activation, inputs.strength, inputs.fields.mass))
+    taut = []
+    for actuator, u, k in driven(model, inputs, cable.Kernel, step):
+        route = s.x[actuator.particles]
+        gaps = route[1:] - route[:-1]
+        lengths = np.sqrt((gaps * gaps).sum(axis=1))
+        stretch = lengths.sum() - (u if u.real > 0 else 0.0) * actuator.constants[0]
+        taut.append(("cable", actuator.name, stretch.real > 0, u.real > 0))
+        if stretch.real > 0:
+            pull = k * stretch * gaps / lengths[:, None]
+            np.add.at(f, actuator.particles[:-1], pull)
+            np.add.at(f, actuator.particles[1:], -pull)
+    for actuator, u, acceleration in driven(model, inputs, body_force.Kernel, step):
+        own = actuator.particles
+        f[own] += u * acceleration * inputs.fields.mass[own, None] * actuator.constants
+    return f, taut
 
 
 def kirchhoff(model: Model, inputs: Inputs, s: Moving, step: int) -> Array:
@@ -99,11 +135,12 @@ def kirchhoff(model: Model, inputs: Inputs, s: Moving, step: int) -> Array:
     P = first_piola(*fixed, F, "fixed_corotated") + first_piola(*neo, F, "neo_hookean")
     E, nu = (a[:, None, None] for a in penalty)
     P = P + E / (3 * (2 - 4 * nu)) * 2 * (J - 1) * J * F_inv_t
-    P = P + F @ active_stress(model, inputs, step)
+    S, p = active_stress(model, inputs, step)
+    P = P + F @ S
     eta, zeta = (a[:, None, None] for a in viscous)
     d = (s.C + t(s.C)) / 2
     tr = np.trace(d, axis1=1, axis2=2)[:, None, None]
-    return P @ t(F) + J * (2 * eta * (d - tr / 3 * eye) + zeta * tr * eye)
+    return P @ t(F) - p * J * eye + J * (2 * eta * (d - tr / 3 * eye) + zeta * tr * eye)
 
 
 def spline(r: Array) -> Array:
@@ -123,13 +160,15 @@ def stencil(model: Model, x: Array) -> Iterator[tuple[Array, Array, Array]]:
         yield node, weight, place * model.dx - x
 
 
-def to_grid(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Array, Array]:
-    """Return (momentum, mass) of the nodes: CQ1 eqs 3-5, with damping and external forces."""
+def to_grid(
+    model: Model, inputs: Inputs, s: Moving, step: int, pushed: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Return (momentum, mass) of the nodes: CQ1 eqs 3-5, with damping, external forces and those of actuators."""
     dt, fields = model.dt, inputs.fields
     kept = np.exp(-fields.damping * dt) * fields.mass
     tau = kirchhoff(model, inputs, s, step)
     G = kept[:, None, None] * s.C - (4 / model.dx**2) * dt * fields.volume[:, None, None] * tau
-    p = kept[:, None] * s.v + dt * fields.force
+    p = kept[:, None] * s.v + dt * (fields.force + pushed)
     kind = np.result_type(G, p, s.x)
     n_nodes = int(np.prod(model.grid_shape))
     mv, m = np.zeros((n_nodes, model.dim), kind), np.zeros(n_nodes, kind)
@@ -139,7 +178,7 @@ def to_grid(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Array, 
     return mv, m
 
 
-def grid_velocity(model: Model, inputs: Inputs, mv: Array, m: Array) -> tuple[Array, list[tuple[int, ...]]]:
+def grid_velocity(model: Model, inputs: Inputs, mv: Array, m: Array) -> tuple[Array, list[tuple[Any, ...]]]:
     """Return node velocities after the boundaries, and the branch that each held node took."""
     present = m.real > 0
     v = np.zeros_like(mv)
@@ -149,7 +188,7 @@ def grid_velocity(model: Model, inputs: Inputs, mv: Array, m: Array) -> tuple[Ar
         n = np.array(condition.normal)
         for i in np.flatnonzero(condition.nodes & present):
             v[i], branch = after(condition.spec.name, n, inputs.coefficients[k], v[i])
-            branches.append((k, int(i), branch))
+            branches.append((condition.spec.name, k, int(i), branch))
     return v, branches
 
 
@@ -171,10 +210,11 @@ def after(kind: str, n: Array, c: float, v: Array) -> tuple[Array, int]:
     return tangent * left / speed + (normal * n if leaves else 0), leaves
 
 
-def substep(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Moving, list[tuple[int, ...]]]:
-    """Return the state after one substep (CQ1 eqs 8-10), and the branches taken on the grid."""
+def substep(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Moving, list[tuple[Any, ...]]]:
+    """Return the state after one substep (CQ1 eqs 8-10), and the branches taken by cables and on the grid."""
     dt = model.dt
-    v_grid, branches = grid_velocity(model, inputs, *to_grid(model, inputs, s, step))
+    pushed, taut = active_force(model, inputs, s, step)
+    v_grid, branches = grid_velocity(model, inputs, *to_grid(model, inputs, s, step, pushed))
     kind = np.result_type(v_grid, s.x)
     v, B = np.zeros(s.v.shape, kind), np.zeros(s.C.shape, kind)
     for node, weight, arm in stencil(model, s.x):
@@ -182,20 +222,37 @@ def substep(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Moving,
         v += share
         B += share[:, :, None] * arm[:, None, :]
     C = 4 / model.dx**2 * B
-    return Moving(s.x + dt * v, v, C, s.F + dt * C @ s.F), branches
+    return Moving(s.x + dt * v, v, C, s.F + dt * C @ s.F), taut + branches
 
 
-def rollout(model: Model, inputs: Inputs) -> tuple[Records, Moving, list[list[tuple[int, ...]]]]:
-    """Return the probe's records, the last state, and the branches of every substep."""
-    state = inputs.state
+def rollout(
+    model: Model, inputs: Inputs, policy: Policy | None = None
+) -> tuple[Records, Moving, list[list[tuple[Any, ...]]]]:
+    """Return the probe's records, the last state, and the branches of every substep.
+
+    A policy, if there is one, writes the activations of the inputs as it decides them.
+    """
+    state, memory = inputs.state, inputs.state.memory
     s = Moving(state.x, state.v, state.C, state.F)
+    W = np.zeros((0, len(state.x))) if model.probe is None else model.probe.toarray()
     rows, branches = [], []
     for step in range(model.n_steps):
         if step % model.substeps == 0:
-            rows.append(s)
+            rows.append(seen(W, s))
+            if policy is not None:
+                k, here = step // model.substeps, State(s.x, s.v, s.C, s.F)
+                inputs.activation[k], memory = policy.act(k, flat(rows[-1]), memory, lambda now=here: now)
         s, taken = substep(model, inputs, s, step)
         branches.append(taken)
-    rows.append(s)
-    W = np.zeros((0, len(state.x))) if model.probe is None else model.probe.toarray()
-    recorded = (np.array([np.einsum("kp,p...->k...", W, getattr(r, name)) for r in rows]) for name in "xvCF")
-    return Records(*recorded), s, branches
+    rows.append(seen(W, s))
+    return Records(*(np.array([r[name] for r in rows]) for name in "xvCF")), s, branches
+
+
+def seen(W: Array, s: Moving) -> dict[str, Array]:
+    """Return the probe's weighted sums over particles."""
+    return {name: np.einsum("kp,p...->k...", W, getattr(s, name)) for name in "xvCF"}
+
+
+def flat(record: dict[str, Array]) -> Array:
+    """Return the sums as the engine's rows (rows, K): x, v, C, F, row-major."""
+    return np.concatenate([record[name].reshape(len(record["x"]), -1) for name in "xvCF"], axis=1).T

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from little_worlds import Wall, above, below, world
+from little_worlds import Acting, Wall, above, below, world
 
+from cqrun.actuators import body_force, cable, pressure
 from cqrun.boundaries.friction import Friction
 from cqrun.boundaries.separate import Separate
 from cqrun.boundaries.slip import Slip
@@ -36,6 +37,42 @@ def walls(dim: int) -> list[Wall]:
     return found
 
 
+def tendons(x: np.ndarray) -> tuple[Acting, ...]:
+    """Return a chamber in each body, three cables and two body forces.
+
+    The cables start taut by a seventh, slack by a seventh, and with a signal below nought; one ties the bodies.
+    """
+    first, both = np.arange(COUNTS[0]), np.arange(len(x))
+    routes = ([0, 5, 9, 12], [20, 31, 40], [3, 44])
+    ways = np.eye(x.shape[1])[0], np.ones(x.shape[1])
+    return (
+        Acting(pressure.Kernel, both[COUNTS[0] :: 2], np.ones(1)),
+        Acting(pressure.Kernel, both[::4], np.ones(1)),
+        *(Acting(cable.Kernel, np.array(r), length(x[r])) for r in routes),
+        Acting(body_force.Kernel, first, ways[0]),
+        Acting(body_force.Kernel, both[5::3], ways[1]),
+    )
+
+
+def length(route: np.ndarray) -> np.ndarray:
+    """Return the length of a route through points (r, D), as (1,)."""
+    return np.array([np.sqrt((np.diff(route, axis=0) ** 2).sum(axis=1)).sum()])
+
+
+STIFFNESS = {2: 0.2, 3: 0.01}
+"""Of cables by dimension [N/m]: they pull as hard as the body is heavy."""
+
+ACTUATORS = {"muscle": slice(0, 2), "pressure": slice(2, 4), "cable": slice(4, 7), "body_force": slice(7, 9)}
+"""Where the actuators of each kind stand."""
+
+
+def signals(controls: int, rng: np.random.Generator) -> np.ndarray:
+    """Return activations (T, 9): the first cable stays taut, the second slack, the third fully reeled in."""
+    out = rng.normal(size=(controls, 9)) * 0.5
+    out[:, ACTUATORS["cable"]] = np.array([0.85, 1.15, -0.2]) + 0.05 * rng.random((controls, 3))
+    return out
+
+
 def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **options: Any) -> tuple[Model, Inputs]:
     """Return the model and its inputs; `options` go to `world`."""
     rng = np.random.default_rng(seed)
@@ -47,13 +84,15 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
     n = sum(COUNTS)
     volume = 0.05**dim * rng.uniform(0.8, 1.2, n)
     mass = volume * rng.uniform(0.8, 1.2, n)
+    x = np.concatenate(bodies)
     axis, oblique = np.diag(np.eye(dim)[-1]), np.full((dim, dim), 0.3)
     model, inputs = world(
         bodies, size=[0.9] * dim, dx=DX, dt=4e-3, substeps=substeps, controls=controls, mass=mass, volume=volume,
         E=rng.uniform(8, 12, n), nu=rng.uniform(0.2, 0.4, n), neo_hookean=rng.uniform(2, 3, n),
         eta=rng.uniform(0.01, 0.02, n), zeta=rng.uniform(0.01, 0.02, n), incompressible=rng.uniform(1, 2, n),
         damping=rng.random(n), muscles=((np.arange(0, n, 3), axis), (np.arange(0, n, 2), oblique)),
-        activation=rng.normal(size=(controls, 2)) * 0.5, walls=walls(dim), probe=rng.random((3, n)) / n, **options,
+        actuators=tendons(x), activation=signals(controls, rng), walls=walls(dim), probe=rng.random((3, n)) / n,
+        **options,
     )  # fmt: skip
     s = inputs.state
     s.v = rng.normal(size=s.x.shape) * 0.3
@@ -61,7 +100,8 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
     s.v[:, 0] += np.where(np.arange(n) < COUNTS[0], -0.5, 0.5)
     s.C, s.F = rng.normal(size=s.C.shape) * 0.2, s.F + rng.normal(size=s.F.shape) * 0.05
     s.memory = rng.normal(size=4)
-    inputs.strength[:] = rng.uniform(0.8, 1.2, 2)
+    inputs.strength[:] = rng.uniform(0.8, 1.2, 9)
+    inputs.strength[ACTUATORS["cable"]] *= STIFFNESS[dim]
     inputs.fields.force[:] = mass[:, None] * rng.normal(size=s.x.shape)
     return model, inputs
 
@@ -69,7 +109,8 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
 KINDS = (
     "x", "v", "C", "F", "mass", "volume", "damping", "force", "fixed_corotated.E", "fixed_corotated.nu",
     "neo_hookean.E", "neo_hookean.nu", "viscosity.shear", "viscosity.bulk", "incompressibility.E",
-    "incompressibility.nu", "activation", "strength", "friction",
+    "incompressibility.nu", "friction",
+    *(f"{kind}.{what}" for kind in ACTUATORS for what in ("activation", "strength")),
 )  # fmt: skip
 """What a rollout depends on, in the order of `arrays`."""
 
@@ -78,8 +119,8 @@ def arrays(inputs: Inputs) -> list[np.ndarray]:
     """Return the arrays of inputs or of a cotangent, views where they are rows, one for each of KINDS."""
     s, f = inputs.state, inputs.fields
     terms = [row for theta in inputs.terms[0] for row in theta]
-    drive = (inputs.activation, inputs.strength)
-    return [s.x, s.v, s.C, s.F, f.mass, f.volume, f.damping, f.force, *terms, *drive, inputs.coefficients]
+    drive = [a for at in ACTUATORS.values() for a in (inputs.activation[:, at], inputs.strength[at])]
+    return [s.x, s.v, s.C, s.F, f.mass, f.volume, f.damping, f.force, *terms, inputs.coefficients, *drive]
 
 
 def direction(inputs: Inputs, kind: str, rng: np.random.Generator) -> np.ndarray:

@@ -28,9 +28,14 @@ def test_a_rollout_is_that_of_the_equations(dim):
     for got, want in zip(parts(seen[model.n_controls]), parts(last), strict=True):
         np.testing.assert_allclose(got, want, rtol=0, atol=TOLERANCE * np.abs(want).max())
     # every kind of wall was met, and every branch of friction and of separation
-    met = {(model.conditions[k].spec.name, branch) for taken in branches for k, _, branch in taken}
-    assert met == {
+    met = {(kind, *last) for taken in branches for kind, _, *last in taken}
+    walls = {(kind, branch) for kind, *_, branch in met if kind != "cable"}
+    assert walls == {
         ("friction", 0), ("friction", 1), ("friction", 2), ("slip", 0), ("separate", 0), ("separate", 1), ("sticky", 0),
+    }  # fmt: skip
+    # and each side of a cable: taut and slack, and taut though its signal is below nought
+    assert {cable for cable in met if cable[0] == "cable"} == {
+        ("cable", True, True), ("cable", False, True), ("cable", True, False),
     }  # fmt: skip
 
 
@@ -59,7 +64,7 @@ def test_bodies_with_other_terms_than_their_neighbours(dim, rng):
         one[term][0, gone] = 0.0
     one[2][:, second] = 0.0
     inputs.terms = [one]
-    inputs.activation[:] = 0.0
+    inputs.activation[:], inputs.strength[:] = 0.0, 0.0
     expected, _, _ = reference.rollout(model, inputs)
     groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1], TERMS[3])))
     apart = replace(model, groups=groups, actuators=())
