@@ -27,20 +27,29 @@ def save_controller(path: Path, parameters: Mapping[str, Array], meta: Mapping[s
     write_arrays(path, {META: np.array(json.dumps(dict(meta), sort_keys=True, allow_nan=False)), **parameters})
 
 
-def load_controller(path: Path, blocks: Sequence[ParameterBlock]) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Return the parameters in a file, for a controller with these blocks, and what was noted with them.
+def read_controller(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Return the parameters in a file by name, of whatever controller, and what was noted with them.
 
     Raises:
-        UsageError: the file is no controller's, of one of another shape, or holds what is not finite.
+        UsageError: the file is no controller's.
     """
     arrays = read_arrays(path, WHAT)
     text = arrays.pop(META, np.zeros(0))
     if text.ndim or text.dtype.kind != "U":
         raise UsageError(f"{path}: is no {WHAT}: it lacks the entry '{META}' that cqrun writes")
     try:
-        meta = json.loads(text.item())
+        return arrays, json.loads(text.item())
     except ValueError as error:
         raise UsageError(f"{path}: is no {WHAT}: its entry '{META}' is no JSON: {error}") from error
+
+
+def load_controller(path: Path, blocks: Sequence[ParameterBlock]) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Return the parameters in a file, for a controller with these blocks, and what was noted with them.
+
+    Raises:
+        UsageError: the file is no controller's, of one of another shape, or holds what is not finite.
+    """
+    arrays, meta = read_controller(path)
     held = {name: array.shape for name, array in arrays.items()}
     wanted = {block.name: np.shape(block.initial) for block in blocks}
     if held != wanted:

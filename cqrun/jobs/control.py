@@ -8,8 +8,6 @@ result.json       the objective's terms at the start and at the end, on goals th
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.controllers.saved import save_controller
-from cqrun.errors import Problem, SceneError
-from cqrun.jobs.episodes import CONTROLLER, Attempt, EpisodeProblem, Goals
+from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.jobs.agent import CONTROLLER, FILE, Attempt, Goals
+from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.memory import gradient_plan
 from cqrun.jobs.problem import side_by_side
@@ -33,13 +31,12 @@ from cqrun.jobs.runs import (
     require_extension,
     saved_scene,
 )
-from cqrun.jobs.trajectories import write_trajectory
+from cqrun.jobs.trajectories import write_activation, write_trajectory
 from cqrun.optimizers.base import Optimizer, Outcome
 from cqrun.registry import plugins
 from cqrun.scene.build import Built
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
-from cqrun.store.atomic import disk_errors, write_text
 from cqrun.store.run import RunDirectory
 from cqrun.store.session import RunSession
 
@@ -83,7 +80,7 @@ def prepare(scene: Scene, threads: int, talk: Reporter) -> EpisodeProblem:
     """Return the problem of a scene, its optimizer chosen.
 
     Raises:
-        SceneError: it lacks something, or has too little memory for gradients.
+        SceneError: it lacks something, its optimizer is not for it, or it has too little memory for gradients.
     """
     missing = [key for key in NEEDED if not getattr(scene, key)]
     if missing:
@@ -91,9 +88,18 @@ def prepare(scene: Scene, threads: int, talk: Reporter) -> EpisodeProblem:
     if scene.optimizer is None:
         scene = scene.with_optimizer("adam", plugins("optimizer")["adam"]())
     built = build_and_warn(scene, talk)
-    if optimizer_of(built).gradients:
+    optimizer = optimizer_of(built)
+    if optimizer.gradients:
         gradient_plan(built)
-    return EpisodeProblem(built, threads=threads)
+    problem = EpisodeProblem(built, threads=threads)
+    try:
+        optimizer.require(problem)
+        if optimizer.squares:
+            raise UsageError("fits data by least squares; for an objective take adam, sgd, lbfgs or cma_es")
+    except UsageError as error:
+        path = f"optimizer.{optimizer.name}"
+        raise SceneError([Problem(scene.where(path), path, str(error))]) from error
+    return problem
 
 
 def optimizer_of(built: Built) -> Optimizer:
@@ -167,14 +173,14 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         "unseen": None,
     }
     if not failed:
-        _write_controller(run, problem, values)
+        problem.save(run.path / FILE, values)
         goals, unseen = problem.goals(None), problem.unseen()
         before = _run_all(problem, problem.values(problem.start), goals)
         after = _run_all(problem, values, [*goals, *unseen])
         result["start"] = _summary(problem, before)
         result["trained"] = _summary(problem, after[: len(goals)])
         result["unseen"] = _summary(problem, after[len(goals) :]) if unseen else None
-        _write_activation(run, problem, after[0])
+        write_activation(run.path / "activation.csv", problem.built, after[0].rollout.activation)
         rollout = problem.rollout(values, goals[0], problem.threads)
         drawn = {"goals": {name: goal.tolist() for name, goal in goals[0].items()}}
         write_trajectory(run.path / "trajectory.h5", problem.built, rollout, provenance=drawn)
@@ -203,29 +209,3 @@ def _summary(problem: EpisodeProblem, attempts: Sequence[Attempt]) -> dict[str, 
             for a in attempts
         ],
     }
-
-
-def _write_controller(run: RunDirectory, problem: EpisodeProblem, values: dict[str, Array]) -> None:
-    parameters = {p.removeprefix(CONTROLLER): v for p, v in values.items() if p.startswith(CONTROLLER)}
-    observation, drive = problem.observation, problem.built.assembly.actuation
-    meta = {
-        "controller": problem.controller.name,
-        "actuators": [part.name for part in drive.parts],
-        "observers": list(problem.built.scene.observers),
-        "middle": observation.middle.tolist(),
-        "half": observation.half.tolist(),
-        "control_step": problem.matter.control_step,
-        "n_controls": problem.model.n_controls,
-    }
-    path = run.path / "controller.npz"
-    with disk_errors(path):
-        save_controller(path, parameters, meta)
-
-
-def _write_activation(run: RunDirectory, problem: EpisodeProblem, attempt: Attempt) -> None:
-    text = io.StringIO(newline="")
-    table = csv.writer(text)
-    table.writerow(["time", *(part.name for part in problem.built.assembly.actuation.parts)])
-    for k, row in enumerate(attempt.rollout.activation):
-        table.writerow([repr(float(a)) for a in (k * problem.matter.control_step, *row)])
-    write_text(run.path / "activation.csv", text.getvalue())

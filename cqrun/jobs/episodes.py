@@ -7,48 +7,24 @@ one thread; a single one takes all threads. Neither changes a bit of the result.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from cqrun.contract import Array
-from cqrun.controllers.policy import ControlPolicy, Limits
-from cqrun.design.params import Block, Params, Plain
-from cqrun.engine.model import LossBar, Records
-from cqrun.engine.rollout import Rollout
-from cqrun.errors import Problem, RolloutError, SceneError, UsageError
+from cqrun.errors import RolloutError, UsageError
+from cqrun.jobs.agent import Agent, Attempt, Goals, Values
 from cqrun.jobs.memory import least_budget, state_bytes
-from cqrun.jobs.problem import Effort, make_params, side_by_side
-from cqrun.objectives.term import Objective, Track, TrackBar
-from cqrun.observers.matter import Matter
-from cqrun.observers.observer import Observation
+from cqrun.jobs.problem import Effort, side_by_side
 from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import Built
-from cqrun.state import State
-
-CONTROLLER = "controller."
-"""Before the name of a block of the controller, as before a key path of the scene."""
 
 UNSEEN = 1_000_003
 """Where the seeds of unseen goals begin, far from any iteration's."""
 
-Goals = Mapping[str, Array]
 
-
-@dataclass
-class Attempt:
-    """One rollout under the policy: its loss, the values of the terms, and the rollout."""
-
-    loss: float
-    terms: dict[str, float]
-    rollout: Rollout
-    track: Track
-
-
-class EpisodeProblem:
+class EpisodeProblem(Agent):
     """A `Problem` (optimizers/base.py) over the episodes of a scene.
 
     Args:
@@ -60,22 +36,8 @@ class EpisodeProblem:
     """
 
     def __init__(self, built: Built, *, threads: int = 1) -> None:
-        self.built, self.threads = built, threads
-        scene = built.scene
-        self.matter = matter_of(built)
-        self.observation = self._bind(
-            "observers", lambda: Observation.of({n: c.value for n, c in scene.observers.items()}, self.matter)  # type: ignore[misc]
-        )
-        self.objective = self._bind(
-            "objective", lambda: Objective({n: c.value for n, c in scene.objective.items()}, self.matter)  # type: ignore[misc]
-        )
-        assert scene.controller is not None
-        self.controller: Any = scene.controller.value
-        drive = built.assembly.actuation
-        self.limits = Limits(drive.low, drive.high, drive.change)
-        rows = sparse.vstack([self.observation.rows, self.objective.rows]).tocsr()
-        self.model = replace(built.model, probe=sparse.csr_array(rows))
-        self.params = self._params()
+        super().__init__(built)
+        scene, self.threads = built.scene, threads
         self.start = self.params.start
         self.lower, self.upper = self.params.bounds
         self.stochastic = scene.episodes.fresh and any(g.drawn for g in scene.goals.values())
@@ -84,25 +46,6 @@ class EpisodeProblem:
         self.effort = Effort()
         self.interrupt: Callable[[], None] = lambda: None
         self._terms = np.full(len(self.term_names), np.nan)
-
-    def _bind(self, key: str, make: Callable[[], Any]) -> Any:
-        try:
-            return make()
-        except UsageError as error:
-            raise SceneError([Problem(self.built.scene.where(key), key, str(error))]) from error
-
-    def _params(self) -> Params:
-        scene = self.built.scene
-        rng = np.random.default_rng([scene.seed])
-        blocks = self._bind(
-            "controller",
-            lambda: self.controller.blocks(
-                self.observation.size, len(self.limits.low), self.model.n_controls, self.limits.low, self.limits.high,
-                rng,
-            ),
-        )  # fmt: skip
-        own: list[Block] = [Plain(CONTROLLER + b.name, b.lower, b.upper, False, np.array(b.initial)) for b in blocks]
-        return Params((*own, *make_params(self.built).blocks))
 
     # --- goals ------------------------------------------------------------------------------------------------
 
@@ -132,73 +75,27 @@ class EpisodeProblem:
             drawn[name] = np.array(goal.position) + spread * rng.uniform(-1.0, 1.0, len(spread))
         return drawn
 
-    # --- rollouts -----------------------------------------------------------------------------------------------
+    # --- the problem ----------------------------------------------------------------------------------------------
 
     def values(self, x: Array) -> dict[str, Array]:
         """Return the controller's parameters and the unknowns by path."""
         return self.params.unpack(x)
 
-    def rollout(self, values: Mapping[str, Array], goals: Goals, threads: int, *, adjoint: bool = False) -> Rollout:
-        """Return a rollout under the policy with these values; nothing is run yet."""
-        parameters = {p.removeprefix(CONTROLLER): v for p, v in values.items() if p.startswith(CONTROLLER)}
-        policy = ControlPolicy(
-            self.observation, self.controller, parameters, self.limits, goals, self.matter.control_step, self.model.dim
-        )
-        inputs = self.built.assembly.inputs({p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
-        inputs.state.memory = np.zeros(policy.n_memory)
-        return Rollout(self.model, inputs, threads=threads, adjoint=adjoint, policy=policy)
-
-    def track(self, records: Records, activation: Array, goals: Goals) -> Track:
-        """Return a run as the objective sees it."""
-        k = self.observation.rows.shape[0]
-        return Track(
-            records.x[:, k:], records.v[:, k:], records.C[:, k:], records.F[:, k:], activation, goals,
-            self.matter.control_step,
-        )  # fmt: skip
-
-    def attempt(
-        self, values: Mapping[str, Array], goals: Goals, threads: int,
-        observe: Callable[[int, State], None] | None = None,
-    ) -> Attempt:  # fmt: skip
-        """Run one episode forward."""
-        rollout = self.rollout(values, goals, threads)
-        track = self.track(rollout.run(observe), rollout.activation, goals)
-        return Attempt(self.objective.loss(track), self.objective.values(track), rollout, track)
-
-    def attempt_with_gradient(
-        self, values: Mapping[str, Array], goals: Goals, threads: int, budget: int
-    ) -> tuple[Attempt, dict[str, Array]]:
-        """Run one episode forward and backward; return it and the gradient of its loss by path."""
-        rollout = self.rollout(values, goals, threads, adjoint=True)
-        rollout.model = replace(self.model, memory_budget=budget)
-        found: list[Track] = []
-
-        def loss_bar(records: Records, final: State) -> LossBar:
-            found.append(self.track(records, rollout.activation, goals))
-            return self._loss_bar(records, self.objective.loss_vjp(found[0]))
-
-        _, inputs_bar = rollout.gradient(loss_bar)
-        policy: Any = rollout.policy
-        gradient = {CONTROLLER + name: bar for name, bar in policy.parameters_bar.items()}
-        own = {p: v for p, v in values.items() if not p.startswith(CONTROLLER)}
-        gradient |= self.built.assembly.gradient(own, inputs_bar)
-        track = found[0]
-        return Attempt(self.objective.loss(track), self.objective.values(track), rollout, track), gradient
-
-    def _loss_bar(self, records: Records, bar: TrackBar) -> LossBar:
-        k = self.observation.rows.shape[0]
-        full = Records(*(np.zeros_like(a) for a in (records.x, records.v, records.C, records.F)))
-        for name in ("x", "v", "C", "F"):
-            part = getattr(bar, name)
-            if part is not None:
-                getattr(full, name)[:, k:] = part
-        return LossBar(full, activation=bar.activation)
-
-    # --- the problem ----------------------------------------------------------------------------------------------
-
     def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
         """Return the mean loss of a batch of episodes and its gradient (n,)."""
-        values, goals = self.values(x), self.goals(batch)
+        values = self.values(x)
+        found, gradient = self._guarded(x, lambda: self.attempts_with_gradient(values, self.goals(batch)))
+        self._note(found)
+        return float(np.mean([a.loss for a in found])), self.params.gradient(x, gradient)
+
+    def attempts_with_gradient(
+        self, values: Values, goals: Sequence[Goals]
+    ) -> tuple[list[Attempt], dict[str, Array]]:
+        """Run episodes forward and backward, side by side; return them and the gradient of their mean loss by path.
+
+        Raises:
+            RolloutError: one blows up.
+        """
         least = least_budget(state_bytes(self.model))
         at_once = max(1, min(self.threads, len(goals), self.model.memory_budget // least))
         budget = self.model.memory_budget // at_once
@@ -206,16 +103,15 @@ class EpisodeProblem:
         def task(goal: Goals) -> Callable[[int], tuple[Attempt, dict[str, Array]]]:
             def run(threads: int) -> tuple[Attempt, dict[str, Array]]:
                 self.interrupt()
-                return self._guarded(x, lambda: self.attempt_with_gradient(values, goal, threads, budget))
+                return self.attempt_with_gradient(values, goal, threads, budget)
 
             return run
 
         found = side_by_side([task(goal) for goal in goals], self.threads, at_once)
         for attempt, _ in found:
             self.effort.add(attempt.rollout)
-        self._note([attempt for attempt, _ in found])
-        total = {path: np.mean([gradient[path] for _, gradient in found], axis=0) for path in values}
-        return float(np.mean([a.loss for a, _ in found])), self.params.gradient(x, total)
+        mean = {path: np.mean([gradient[path] for _, gradient in found], axis=0) for path in values}
+        return [attempt for attempt, _ in found], mean
 
     def value(self, x: Array, batch: tuple[int, ...] | None = None) -> float:
         """Return the mean loss of a batch of episodes."""
@@ -274,21 +170,3 @@ class EpisodeProblem:
     def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
         """Refuse, as `residuals`."""
         raise UsageError("least squares fits data; for an objective take adam, sgd, lbfgs or cma_es")
-
-
-def matter_of(built: Built) -> Matter:
-    """Return what observers and objectives may know of a scene."""
-    scene, particles = built.scene, built.particles
-    return Matter(
-        x=particles.x,
-        mass=built.assembly.inputs({}).fields.mass,
-        size=np.array(scene.world.size),
-        control_step=scene.time.control_step,
-        n_controls=scene.time.control_steps,
-        bodies={name: particles.of(name) for name in particles.names},
-        groups={name: particles.groups(name) for name in particles.names},
-        select=particles.inside,
-        goals={name: len(goal.position) for name, goal in scene.goals.items()},
-        n_actuators=len(built.assembly.actuation.parts),
-        resolve=scene.resolve_path,
-    )

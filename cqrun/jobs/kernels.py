@@ -26,13 +26,20 @@ def composition(built: Built, *, adjoint: bool) -> str:
     """Return in words which kernels a scene needs: scenes with the same words share them."""
     scene, model = built.scene, built.model
     groups = []
+    _, forces = model.kinds()
     for group in model.groups:
         material = scene.bodies[model.body_names[group.bodies[0]]].material
-        terms = [material.elastic.name, *material.terms, *(kind.__name__ for kind in group.active)]
-        groups.append(" + ".join(terms))
+        active = [_kind(kind) for kind in group.active]
+        groups.append(" + ".join([material.elastic.name, *material.terms, *active]))
+    groups += [_kind(kind) for kind in forces]
     planes = [condition.spec.name for condition in model.conditions]
     kind = "forward and backward" if adjoint else "forward"
     return f"{model.dim}D {scene.precision}, {'; '.join(groups)}, {', '.join(planes) or 'no boundaries'}, {kind}"
+
+
+def _kind(kernel_class: type) -> str:
+    """Return the name of the file that has an actuator's kernels."""
+    return kernel_class.__module__.rpartition(".")[2]
 
 
 def mark_of(words: str) -> Path:

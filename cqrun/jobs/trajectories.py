@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from cqrun.fingerprint import engine_hash
 from cqrun.scene.build import Built
 from cqrun.scene.load import dump, resolve
 from cqrun.state import State
+from cqrun.store.atomic import write_text
 from cqrun.store.trajectory import TrajectoryWriter
 
 FRAMES = 300
@@ -67,6 +70,16 @@ def write_trajectory(
         if not complete:
             writer.abandon()
     return records, complete
+
+
+def write_activation(path: Path, built: Built, activation: Array) -> None:
+    """Write a table of what drove the actuators (T, A): a row a control step, a column for every part of one."""
+    text = io.StringIO(newline="")
+    table = csv.writer(text)
+    table.writerow(["time", *(part.name for part in built.assembly.actuation.parts)])
+    for k, row in enumerate(activation):
+        table.writerow([repr(float(a)) for a in (k * built.scene.time.control_step, *row)])
+    write_text(path, text.getvalue())
 
 
 def on_particles(rollout: Rollout, control: int) -> Array:

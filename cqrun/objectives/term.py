@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array, Plugin
-from cqrun.observers.matter import Matter
+from cqrun.observers.matter import Matter, bind_each
 from cqrun.observers.rows import slices, stacked
 
 if TYPE_CHECKING:
@@ -105,10 +105,10 @@ class ObjectiveTerm(Plugin):
 
 
 class Objective:
-    """A weighted sum of terms."""
+    """A weighted sum of terms; `Unfit` where one does not fit the scene."""
 
     def __init__(self, terms: Mapping[str, ObjectiveTerm], matter: Matter) -> None:
-        self.terms = {name: term.bind(matter) for name, term in terms.items()}
+        self.terms = bind_each(terms, matter)
         self.factors = {name: term.sense * term.weight for name, term in terms.items()}
         bound = list(self.terms.values())
         self.rows = stacked([term.rows for term in bound], matter.n_particles)

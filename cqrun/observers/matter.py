@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
@@ -88,6 +88,39 @@ class Matter:
         if group not in known:
             raise UsageError(_unknown(f"group of the body '{body}'", group, known))
         return known[group]
+
+
+B = TypeVar("B", covariant=True)
+
+
+class Bindable(Protocol[B]):
+    """A plug-in that is bound to a scene's particles."""
+
+    def bind(self, matter: Matter) -> B:
+        """Return it over the particles; UsageError where it does not fit them."""
+
+
+class Unfit(UsageError):
+    """A plug-in that does not fit the scene; `name` is what the scene calls it."""
+
+    def __init__(self, name: str, message: str) -> None:
+        super().__init__(message)
+        self.name = name
+
+
+def bind_each(specs: Mapping[str, Bindable[B]], matter: Matter) -> dict[str, B]:
+    """Return plug-ins over a scene's particles, by name.
+
+    Raises:
+        Unfit: one does not fit the scene.
+    """
+    bound = {}
+    for name, spec in specs.items():
+        try:
+            bound[name] = spec.bind(matter)
+        except UsageError as error:
+            raise Unfit(name, str(error)) from error
+    return bound
 
 
 def _held(indices: Array, body: str | None, place: str | None) -> Array:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.contract import Array, Plugin
-from cqrun.observers.matter import Matter
+from cqrun.observers.matter import Matter, bind_each
 from cqrun.observers.rows import slices, stacked
 from cqrun.state import State
 
@@ -122,8 +122,8 @@ class Observation(BoundObserver):
 
     @classmethod
     def of(cls, observers: Mapping[str, Observer], matter: Matter) -> Observation:
-        """Bind plug-ins to a scene's particles."""
-        return cls({name: observer.bind(matter) for name, observer in observers.items()}, matter.n_particles)
+        """Bind plug-ins to a scene's particles; `Unfit` where one does not fit them."""
+        return cls(bind_each(observers, matter), matter.n_particles)
 
     def observe(self, moment: Moment) -> tuple[Array, Array]:
         seen = [o.observe(self._share(moment, k)) for k, o in enumerate(self.observers)]

@@ -132,10 +132,15 @@ class Optimizer(Plugin):
     """Base of the plug-ins of kind `optimizer`.
 
     `gradients` says whether the method asks for `value_and_grad`: without, no adjoint need be compiled or planned.
+    `squares` says that it asks for residuals, which only a fit to data has.
     """
 
     gradients: ClassVar[bool] = True
+    squares: ClassVar[bool] = False
     max_iterations: int
+
+    def require(self, problem: Problem) -> None:
+        """Refuse, with a UsageError, a problem that the method cannot minimise; `minimise` begins with it."""
 
     @abstractmethod
     def minimise(self, problem: Problem, session: Session) -> Outcome:

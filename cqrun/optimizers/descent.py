@@ -117,12 +117,8 @@ class Descent(Optimizer):
     def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
         """Return what to subtract from x at learning rate 1 (n,), and the new memory."""
 
-    def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise with exact resume through the session's state file.
-
-        Raises:
-            UsageError: a mini-batch has more parts than there are, or parts of data that is drawn anew anyway.
-        """
+    def require(self, problem: Problem) -> None:
+        """Refuse mini-batches with more parts than there are, or of data that is drawn anew anyway."""
         if self.batch_size is not None and problem.stochastic:
             raise UsageError(
                 f"optimizer.{self.name}.batch_size takes parts of a fixed set, but the objective draws fresh goals at "
@@ -133,6 +129,10 @@ class Descent(Optimizer):
                 f"optimizer.{self.name}.batch_size is {self.batch_size}, but the data falls into {problem.n_batches} "
                 f"parts (recordings, goals): give at most {problem.n_batches}"
             )
+
+    def minimise(self, problem: Problem, session: Session) -> Outcome:
+        """Minimise with exact resume through the session's state file; UsageError as `require`."""
+        self.require(problem)
         saved = session.restore()
         state = self._begin(problem, session.seed) if saved is None else DescentState.from_arrays(saved)
         while True:

@@ -33,13 +33,17 @@ class Lbfgs(Optimizer):
     )
     line_search_steps: int = Field(20, ge=1, description="trials of one line search at most")
 
+    def require(self, problem: Problem) -> None:
+        """Refuse an objective that is another one at every iteration."""
+        refuse_stochastic(problem, self)
+
     def minimise(self, problem: Problem, session: Session) -> Outcome:
         """Minimise with exact resume through the session's log.
 
         Raises:
             UsageError: the objective is stochastic.
         """
-        refuse_stochastic(problem, self)
+        self.require(problem)
         import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
 
         return minimise_with_restarts(self._attempt, problem, session, self.max_iterations)

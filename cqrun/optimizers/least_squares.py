@@ -23,6 +23,7 @@ class LeastSquares(Optimizer):
     """
 
     gradients: ClassVar[bool] = False
+    squares: ClassVar[bool] = True
     max_iterations: int = Field(30, ge=1, description="iterations at most")
     function_tolerance: float = Field(
         1e-8,
@@ -36,13 +37,17 @@ class LeastSquares(Optimizer):
         1e-8, ge=2.3e-16, description="converged when no component of the scaled gradient is larger"
     )
 
+    def require(self, problem: Problem) -> None:
+        """Refuse an objective that is another one at every iteration."""
+        refuse_stochastic(problem, self)
+
     def minimise(self, problem: Problem, session: Session) -> Outcome:
         """Minimise with exact resume through the session's log.
 
         Raises:
             UsageError: the objective is stochastic.
         """
-        refuse_stochastic(problem, self)
+        self.require(problem)
         import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
 
         return minimise_with_restarts(self._attempt, problem, session, self.max_iterations)

@@ -1,0 +1,284 @@
+"""A scene that acts: its observers, controller, actuators and objective as one thing that rolls out.
+
+An episode is one rollout under the policy, with its own goals. What a controller learned is kept in a file with all
+that it must find again: the ranges of its observations, the length of the runs it was trained in, its actuators.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from cqrun.contract import Array
+from cqrun.controllers.policy import ControlPolicy, Limits
+from cqrun.controllers.saved import load_controller, read_controller, save_controller
+from cqrun.design.params import Block, Params, Plain
+from cqrun.engine.model import LossBar, Records
+from cqrun.engine.rollout import Rollout
+from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.explain import listed
+from cqrun.jobs.problem import make_params
+from cqrun.objectives.term import Objective, Track, TrackBar
+from cqrun.observers.matter import Matter, Unfit
+from cqrun.observers.observer import Observation
+from cqrun.scene.build import Built
+from cqrun.scene.paths import canonical
+from cqrun.scene.schema import Scene
+from cqrun.state import State
+from cqrun.store.atomic import disk_errors
+
+CONTROLLER = "controller."
+"""Before the name of a block of the controller, as before a key path of the scene."""
+
+FILE = "controller.npz"
+"""Where a run keeps its controller."""
+
+Goals = Mapping[str, Array]
+Values = Mapping[str, Array]
+
+
+@dataclass
+class Attempt:
+    """One rollout under the policy: its loss, the values of the terms, and the rollout."""
+
+    loss: float
+    terms: dict[str, float]
+    rollout: Rollout
+    track: Track
+
+
+class Agent:
+    """A scene's policy and objective, bound to its particles.
+
+    Args:
+        built: a scene with actuators and a controller; without an objective its loss is 0.
+        trained: file of a controller that is to act again; without, one acts that has yet to learn.
+
+    Attributes:
+        params: the controller's parameters, then the scene's unknowns, as they start.
+        acting: values by path that it acts with where nothing is learned: the controller's parameters as they start
+            or as the file has them, and what was learned with them for every group or particle.
+        model: the scene's, recording what observers and objective need.
+
+    Raises:
+        SceneError: an observer, the controller or a term of the objective does not fit the scene.
+        UsageError: the file is of another controller.
+    """
+
+    def __init__(self, built: Built, trained: Path | None = None) -> None:
+        self.built = built
+        scene = built.scene
+        assert scene.controller is not None
+        self.controller: Any = scene.controller.value
+        drive = built.assembly.actuation
+        self.limits = Limits(drive.low, drive.high, drive.change)
+        self.actuators = [part.name for part in drive.parts]
+        said = None if trained is None else self._noted(trained)
+        self.matter = matter_of(built)
+        # what observers take for the run is the one they were trained in: a clock's period does not stretch
+        steps = self.matter.n_controls if said is None else int(said["n_controls"])
+        self.learning = replace(self.matter, n_controls=steps)
+        self.observation: Observation = self._bind(
+            "observers", lambda: Observation.of({n: c.value for n, c in scene.observers.items()}, self.learning)  # type: ignore[misc]
+        )
+        self.objective: Objective = self._bind(
+            "objective", lambda: Objective({n: c.value for n, c in scene.objective.items()}, self.matter)  # type: ignore[misc]
+        )
+        rows = sparse.vstack([self.observation.rows, self.objective.rows]).tocsr()
+        self.model = replace(built.model, probe=sparse.csr_array(rows))
+        self.params = self._params()
+        self.acting = {b.path: np.array(b.initial) for b in self.params.blocks if b.path.startswith(CONTROLLER)}
+        if trained is not None and said is not None:
+            self.acting = self._taken_up(trained, said)
+
+    def _bind(self, key: str, make: Callable[[], Any]) -> Any:
+        try:
+            return make()
+        except Unfit as error:
+            path = f"{key}.{error.name}"
+            raise SceneError([Problem(self.built.scene.where(path), path, str(error))]) from error
+        except UsageError as error:
+            raise SceneError([Problem(self.built.scene.where(key), key, str(error))]) from error
+
+    def _params(self) -> Params:
+        rng = np.random.default_rng([self.built.scene.seed])
+        low, high, n_in = self.limits.low, self.limits.high, self.observation.size
+        self.blocks = self._bind(
+            "controller", lambda: self.controller.blocks(n_in, len(low), self.learning.n_controls, low, high, rng)
+        )
+        own: list[Block] = [
+            Plain(CONTROLLER + b.name, b.lower, b.upper, False, np.array(b.initial)) for b in self.blocks
+        ]
+        return Params((*own, *make_params(self.built).blocks))
+
+    # --- a controller's file ------------------------------------------------------------------------------------
+
+    def _facts(self) -> dict[str, Any]:
+        """Return what must be the same where a controller acts again."""
+        return {
+            "controller": self.controller.name,
+            "actuators": self.actuators,
+            "observers": list(self.built.scene.observers),
+            "control_step": self.built.scene.time.control_step,
+        }
+
+    def save(self, path: Path, values: Values) -> None:
+        """Write a controller's parameters, and the values learned beside them, to a file; RunError on a full disk."""
+        parameters = {p.removeprefix(CONTROLLER): v for p, v in values.items() if p.startswith(CONTROLLER)}
+        meta = self._facts() | {
+            "middle": self.observation.middle.tolist(),
+            "half": self.observation.half.tolist(),
+            "n_controls": self.learning.n_controls,
+            "unknowns": {p: np.asarray(v).tolist() for p, v in values.items() if not p.startswith(CONTROLLER)},
+        }
+        with disk_errors(path):
+            save_controller(path, parameters, meta)
+
+    def _noted(self, path: Path) -> dict[str, Any]:
+        """Return what a file says of its controller; UsageError where that is not this scene's."""
+        _, meta = read_controller(path)
+        absent = {*self._facts(), "middle", "half", "n_controls", "unknowns"} - meta.keys()
+        if absent:
+            raise UsageError(f"{path}: does not say the controller's {listed(sorted(absent))}: no run wrote it")
+        for name, here in self._facts().items():
+            if meta[name] != here:
+                then, now = (listed(v) if isinstance(v, list) else v for v in (meta[name], here))
+                raise UsageError(
+                    f"{path}: was trained with another {name.replace('_', ' ').removesuffix('s')}: {then}; this scene "
+                    f"has {now}"
+                )
+        return meta
+
+    def _taken_up(self, path: Path, said: Mapping[str, Any]) -> dict[str, Array]:
+        """Take the ranges that a file has, and return the values that were learned for more than one number each."""
+        parameters, _ = load_controller(path, self.blocks)
+        middle, half = np.array(said["middle"], float), np.array(said["half"], float)
+        if not len(middle) == len(half) == self.observation.size:
+            raise UsageError(
+                f"{path}: holds a controller of another shape: it saw {len(middle)} numbers, and this scene's "
+                f"observers give {self.observation.size}"
+            )
+        self.observation.middle, self.observation.half = middle, half
+        known = {CONTROLLER + name: array for name, array in parameters.items()}
+        sizes = {block.path: block.initial.shape for block in self.params.blocks}
+        for name, value in said["unknowns"].items():
+            array = np.array(value, float)
+            if name in sizes and array.shape != sizes[name]:
+                raise UsageError(
+                    f"{path}: holds {array.size} numbers of {name} that were learned with the controller, and this "
+                    f"scene needs {sizes[name]}: bodies and particles must be those it was trained with"
+                )
+            if name in sizes and array.ndim:
+                known[name] = array
+        return known
+
+    # --- rollouts -----------------------------------------------------------------------------------------------
+
+    @property
+    def goals_in_the_middle(self) -> Goals:
+        """Every goal at its position, the middle of its range."""
+        return {name: np.array(goal.position) for name, goal in self.built.scene.goals.items()}
+
+    def rollout(self, values: Values, goals: Goals, threads: int, *, adjoint: bool = False) -> Rollout:
+        """Return a rollout under the policy with these values; nothing is run yet."""
+        parameters = {p.removeprefix(CONTROLLER): v for p, v in values.items() if p.startswith(CONTROLLER)}
+        policy = ControlPolicy(
+            self.observation, self.controller, parameters, self.limits, goals, self.matter.control_step, self.model.dim
+        )
+        inputs = self.built.assembly.inputs({p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
+        inputs.state.memory = np.zeros(policy.n_memory)
+        return Rollout(self.model, inputs, threads=threads, adjoint=adjoint, policy=policy)
+
+    def track(self, records: Records, activation: Array, goals: Goals) -> Track:
+        """Return a run as the objective sees it."""
+        k = self.observation.rows.shape[0]
+        return Track(
+            records.x[:, k:], records.v[:, k:], records.C[:, k:], records.F[:, k:], activation, goals,
+            self.matter.control_step,
+        )  # fmt: skip
+
+    def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:
+        """Return an episode that has been run, with its loss."""
+        track = self.track(records, rollout.activation, goals)
+        return Attempt(self.objective.loss(track), self.objective.values(track), rollout, track)
+
+    def attempt(
+        self, values: Values, goals: Goals, threads: int, observe: Callable[[int, State], None] | None = None
+    ) -> Attempt:
+        """Run one episode forward; RolloutError where it blows up."""
+        rollout = self.rollout(values, goals, threads)
+        return self.judged(rollout, rollout.run(observe), goals)
+
+    def attempt_with_gradient(
+        self, values: Values, goals: Goals, threads: int, budget: int
+    ) -> tuple[Attempt, dict[str, Array]]:
+        """Run one episode forward and backward; return it and the gradient of its loss by path.
+
+        Args:
+            values: the controller's parameters, and any other numbers that gradients reach, by path.
+            goals: of the episode.
+            threads: to use.
+            budget: for states that are kept [bytes].
+        """
+        rollout = self.rollout(values, goals, threads, adjoint=True)
+        rollout.model = replace(self.model, memory_budget=budget)
+        found: list[Attempt] = []
+
+        def loss_bar(records: Records, final: State) -> LossBar:
+            found.append(self.judged(rollout, records, goals))
+            return self._loss_bar(records, self.objective.loss_vjp(found[0].track))
+
+        _, inputs_bar = rollout.gradient(loss_bar)
+        policy: Any = rollout.policy
+        gradient = {CONTROLLER + name: bar for name, bar in policy.parameters_bar.items()}
+        own = {p: v for p, v in values.items() if not p.startswith(CONTROLLER)}
+        return found[0], gradient | self.built.assembly.gradient(own, inputs_bar)
+
+    def _loss_bar(self, records: Records, bar: TrackBar) -> LossBar:
+        k = self.observation.rows.shape[0]
+        full = Records(*(np.zeros_like(a) for a in (records.x, records.v, records.C, records.F)))
+        for name in ("x", "v", "C", "F"):
+            part = getattr(bar, name)
+            if part is not None:
+                getattr(full, name)[:, k:] = part
+        return LossBar(full, activation=bar.activation)
+
+
+def matter_of(built: Built) -> Matter:
+    """Return what observers and objectives may know of a scene."""
+    scene, particles = built.scene, built.particles
+    return Matter(
+        x=particles.x,
+        mass=built.assembly.inputs({}).fields.mass,
+        size=np.array(scene.world.size),
+        control_step=scene.time.control_step,
+        n_controls=scene.time.control_steps,
+        bodies={name: particles.of(name) for name in particles.names},
+        groups={name: particles.groups(name) for name in particles.names},
+        select=particles.inside,
+        goals={name: len(goal.position) for name, goal in scene.goals.items()},
+        n_actuators=len(built.assembly.actuation.parts),
+        resolve=scene.resolve_path,
+    )
+
+
+def learned_values(file: Path, scene: Scene, overrides: Sequence[str]) -> list[str]:
+    """Return overrides that give a scene the single numbers that were learned with a controller.
+
+    Raises:
+        UsageError: the file is no controller's, or an override is of numbers that were learned for each group or
+            particle.
+    """
+    _, meta = read_controller(file)
+    unknowns = {canonical(scene, path) for path in scene.unknowns}
+    learned = {path: value for path, value in meta.get("unknowns", {}).items() if path in unknowns}
+    for override in overrides:
+        key = override.partition("=")[0].strip()
+        if isinstance(learned.get(key), list):
+            raise UsageError(f"-o {override}: {file} has a value of it for every group or particle, which were learned")
+    return [f"{path}={value!r}" for path, value in learned.items() if not isinstance(value, list)]

@@ -1,0 +1,46 @@
+"""A finger of 48 particles that learns to reach: whole jobs of control in a second, with the kernels of the finger."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+FINGER = """\
+cqrun: 1
+title: a small finger
+job: control
+world: {size: [1, 1], dx: 0.1}
+bodies:
+  finger:
+    parts:
+      left: {box: {corner: [1, 0], size: [0.5, 2]}}
+      right: {box: {corner: [1.5, 0], size: [0.5, 2]}}
+      tip: {box: {corner: [1, 2], size: [1, 1]}}
+    place: {scale: 0.2, offset: [0.2, 0.2]}
+    sampling: {lattice: {count: 4}}
+    unit_mass: true
+    material: {density: 1, elastic: {fixed_corotated: {youngs_modulus: 10, poissons_ratio: 0.3}}}
+boundaries:
+  walls: {friction: {face: all, coefficient: 0.5}}
+  base: {sticky: {region: {box: {corner: [-1, -1], size: [3, 1.31]}}}}
+actuators:
+  muscle: {muscle: {body: finger, each: [left, right], axis: [0, 1], strength: 4}}
+observers:
+  parts: {centroids: {body: finger, of: [position, velocity]}}
+  goal: {goal: {goal: target}}
+  clock: {clock: {}}
+controller: {linear_tanh: {}}
+goals: {target: {position: [0.6, 0.6], spread: [0.05, 0.05]}}
+episodes: {count: 2, unseen: 1}
+objective:
+  tip: {reach: {body: finger, group: tip, goal: target}}
+  effort: {effort: {weight: 1.0e-3}}
+time: {duration: 0.1, control_step: 0.01, substeps: 2}
+optimizer: {adam: {learning_rate: 0.1, max_iterations: 4}}
+"""
+
+
+def written(folder: Path, text: str = FINGER) -> Path:
+    """Return a scene file of the small finger."""
+    path = folder / "finger.yaml"
+    path.write_text(text)
+    return path
