@@ -123,6 +123,8 @@ def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict
         moving = motion_limit(f"bodies.{name}.velocity", scene.world.dx, assembly.velocities(name, values))
         limits += [moving] if moving else []
         lightest = float(density.min()) * scene.world.dx**scene.dim
+        if scene.bodies[name].unit_mass:  # its particles fill less than the volume of 1 that they count for
+            lightest /= particles.spacing[name] ** scene.dim
         for driven, strength in zip(actuation.parts, actuation.strengths(values), strict=True):
             if driven.spec.body == name and np.isfinite(step := driven.spec.step_limit(strength, lightest)):
                 limits.append(Limit(driven.path, step))
