@@ -65,6 +65,19 @@ class SceneError(CqrunError):
         super().__init__("\n".join(str(p) for p in self.problems))
 
 
+class CrushedError(RunError):
+    """A rollout whose end is of no use: the material at a marker is inside out or flat.
+
+    Args:
+        reason: where, in words.
+        advice: what to change.
+    """
+
+    def __init__(self, reason: str, advice: str) -> None:
+        self.reason, self.advice = reason, advice
+        super().__init__(f"{reason}; {advice}")
+
+
 class RolloutError(RunError):
     """A rollout that could not go on: a non-finite value, or a particle at the edge of the grid.
 

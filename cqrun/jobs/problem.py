@@ -20,7 +20,7 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.design.params import Block, Params
 from cqrun.engine.rollout import Rollout
-from cqrun.errors import RolloutError
+from cqrun.errors import CrushedError, RolloutError
 from cqrun.jobs.cases import Case
 from cqrun.jobs.memory import least_budget, state_bytes
 from cqrun.objectives.markers import MarkerObjective
@@ -126,6 +126,8 @@ class FitProblem:
                 f"{error.reason}; {error.advice}", body=error.body, particle=error.particle, time=error.time,
                 values=self.params.describe(x),
             ) from error  # fmt: skip
+        except CrushedError as error:
+            raise TrialFailed(str(error), values=self.params.describe(x)) from error
 
     # --- values ---------------------------------------------------------------------------------------------
 
@@ -219,14 +221,20 @@ class FitProblem:
         records = self._records_at(points, by_point, cases)
         scales = [self._scales(case, weights) for case, weights in zip(self.cases, self.weights, strict=True)]
         out = []
-        for values in by_point:
-            parts = [case.residuals(records[self._rollout_key(case, values)], values) for case in cases]
+        for x, values in zip(points, by_point, strict=True):
+            parts = [self._residuals_of(case, x, values, records) for case in cases]
             out.append(
                 np.concatenate(
                     [s * r for rs, ss in zip(parts, scales, strict=True) for r, s in zip(rs, ss, strict=True)]
                 )
             )
         return out
+
+    def _residuals_of(
+        self, case: Case, x: Array, values: Mapping[str, Array], records: Mapping[tuple[int, bytes], Record]
+    ) -> list[Array]:
+        record = records[self._rollout_key(case, values)]
+        return self._attempt(x, lambda: case.residuals(record, values))
 
     def _rollout_key(self, case: Case, values: Mapping[str, Array]) -> tuple[int, bytes]:
         """Return what tells rollouts apart: a recording's start moves the data, not the model."""

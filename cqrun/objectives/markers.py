@@ -140,15 +140,6 @@ class MarkerObjective:
         return [dim * track + axis for track in tracks if track.size for axis in range(dim)]
 
 
-def residual_scales(objectives: Sequence[MarkerObjective]) -> list[float]:
-    """Return a factor for the residuals of each recording.
-
-    The sum of squares of all scaled residuals is then the mean of the recordings' losses by weight.
-    """
-    total = sum(objective.weight for objective in objectives)
-    return [float(np.sqrt(o.weight / (total * o.count))) for o in objectives]
-
-
 def _frames(time: Array, start: float, bounds: tuple[float, float], length: float, skip: float, source: str) -> Array:
     """Return the indices of the frames that count, whatever start inside `bounds` is tried."""
     first, last = float(time[0]), float(time[-1])

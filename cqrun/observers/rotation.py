@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.errors import RunError
+from cqrun.errors import CrushedError
 
 _SINGULAR = 1e-12
 
@@ -18,7 +18,7 @@ def rotation(F: Array) -> Array:
     """Return the rotations R (..., D, D) of F (..., D, D), D = 2 or 3.
 
     Raises:
-        RunError: an F is so crushed that its rotation is undefined.
+        CrushedError: an F is so crushed that its rotation is undefined.
     """
     if F.shape[-1] == 2:
         cosine, sine = F[..., 0, 0] + F[..., 1, 1], F[..., 1, 0] - F[..., 0, 1]
@@ -62,7 +62,7 @@ def _check(denominator: Array, scale: Array) -> None:
     bad = ~(denominator > _SINGULAR * scale)
     if bad.any():
         where = tuple(int(i[0]) for i in np.nonzero(bad))
-        raise RunError(
-            f"the material at a marker is crushed (time and marker indices {where}): it has no rotation; "
-            "narrow the bounds of the unknowns or shorten the substep"
+        raise CrushedError(
+            f"the material at a marker is crushed (time and marker indices {where}): it has no rotation",
+            "narrow the bounds of the unknowns or shorten the substep",
         )

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cqrun.errors import RolloutError
+from cqrun.errors import CrushedError, RolloutError
 from cqrun.jobs.cases import Case, make_cases
 from cqrun.jobs.problem import FitProblem, make_params
 from cqrun.optimizers.base import TrialFailed
@@ -76,3 +76,12 @@ def test_a_trial_that_blows_up_spoils_no_other(problem, monkeypatch):
     assert value == problem.value(x)
     with pytest.raises(TrialFailed):
         problem.value(bad)
+
+
+def test_a_crushed_marker_fails_the_trial_not_the_run(problem, monkeypatch):
+    def crushed(self, record, values):
+        raise CrushedError("the material at a marker is crushed", "narrow the bounds")
+
+    monkeypatch.setattr(Case, "residuals", crushed)
+    with pytest.raises(TrialFailed, match="crushed; narrow the bounds; trial values: bodies"):
+        problem.residuals(problem.start)

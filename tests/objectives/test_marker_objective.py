@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cqrun.errors import DataError
-from cqrun.objectives.markers import MarkerObjective, residual_scales
+from cqrun.objectives.markers import MarkerObjective
 from cqrun.observers.markers import Points
 from cqrun.observers.record import Record
 
@@ -161,13 +161,3 @@ def test_series_are_single_coordinates_in_order_of_time(rng):
     series = objective.series()
     assert sorted(np.concatenate(series)) == list(range(r.size))
     np.testing.assert_array_equal(r[series[3 * 1 + 2]], errors[objective.seen[:, 1], 1, 2])
-
-
-def test_scales_make_the_sum_of_squares_the_weighted_mean_loss(rng):
-    record = smooth_record(rng, 3)
-    objectives = [make(rng, weight=3.0), make(rng, start_bounds=None, gaps=False)]
-    scaled = [
-        scale * o.residuals(record, 0.3) for scale, o in zip(residual_scales(objectives), objectives, strict=True)
-    ]
-    expected = (3 * objectives[0].loss(record, 0.3) + objectives[1].loss(record, 0.3)) / 4
-    assert sum(np.sum(r**2) for r in scaled) == pytest.approx(expected)

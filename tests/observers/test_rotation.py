@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cqrun.errors import RunError
+from cqrun.errors import CrushedError
 from cqrun.observers.rotation import rotation, rotation_vjp
 
 
@@ -68,5 +68,5 @@ def test_adjoint(dim, rng, case):
 def test_crushed_material_is_named(dim):
     F = np.tile(np.eye(dim), (4, 2, 1, 1))
     F[3, 1] = np.diag([1.0, 0.5, -0.5][3 - dim :])
-    with pytest.raises(RunError, match=r"crushed .*indices \(3, 1\)"):
+    with pytest.raises(CrushedError, match=r"crushed .*indices \(3, 1\)"):
         rotation(F)
