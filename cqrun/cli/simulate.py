@@ -2,19 +2,35 @@
 
 from __future__ import annotations
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Scene, Threads
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Threads
 
 
 def simulate(
-    scene: Scene,
+    scene: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENE|RUN", help="Scene file (YAML), or the run that trained a controller.", show_default=False
+        ),
+    ],
     overrides: Overrides = None,
     out: Out = DEFAULT_OUT,
     fresh: Fresh = False,
     threads: Threads = None,
+    controller: Annotated[
+        Path | None, typer.Option("--controller", metavar="FILE", help="A trained controller (controller.npz) to act.")
+    ] = None,
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run a scene forward and keep its trajectory (HDF5; ParaView opens it)."""
+    """Run a scene forward and keep its trajectory (HDF5; ParaView opens it).
+
+    A run of `cqrun control` in the place of a scene is replayed: with -o longer, elsewhere, or with another goal.
+    """
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import draw_and_print_run
     from cqrun.jobs.simulate import run_simulate
@@ -22,5 +38,7 @@ def simulate(
 
     with plugins_allowed(allow_plugins):
         with reporting(quiet) as reporter:
-            run = run_simulate(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
+            run = run_simulate(
+                scene, overrides or [], out, fresh, threads, quiet, controller=controller, reporter=reporter
+            )
         draw_and_print_run(run)

@@ -66,7 +66,7 @@ def run_control(
     talk, n_threads = reporter or Silent(), cores(threads)
     problem = prepare(load_scene(scene_source, overrides), n_threads, talk)
     with open_run(
-        scene_source, problem.built.scene, out, job="control", threads=n_threads, fresh=fresh, with_data=False
+        scene_source.stem, problem.built.scene, out, job="control", threads=n_threads, fresh=fresh, with_data=False
     ) as run:
         if run.finished:
             talk.phase(f"finished already ({run.status}); --fresh starts over")

@@ -99,7 +99,7 @@ def run_gradcheck(
     with_data = has_data(built)
     cases = given_cases(built) if with_data else None
     with open_run(
-        scene_source, built.scene, out, job="gradcheck", threads=n_threads, fresh=fresh, with_data=with_data
+        scene_source.stem, built.scene, out, job="gradcheck", threads=n_threads, fresh=fresh, with_data=with_data
     ) as run:
         if run.finished:
             talk.phase(f"finished already ({run.status}); --fresh starts over")

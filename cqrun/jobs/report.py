@@ -137,6 +137,10 @@ def _simulate(result: dict[str, Any]) -> Iterator[str]:
         for body, entry in result["bodies"].items()
     ]
     yield from table(("body", "centroid at the end [m]", "fastest [m/s]", "least volume ratio", "kinetic energy"), rows)
+    if "terms" in result:
+        values = {**result["terms"], "loss": result["loss"]}
+        yield ""
+        yield from table(("term", "value"), [(name, number(value)) for name, value in values.items()])
     yield from (f"note: {sentence}" for sentence in result["findings"])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,22 +37,30 @@ def build_and_warn(scene: Scene, talk: Reporter) -> Built:
 
 
 def open_run(
-    source: Path, scene: Scene, out: Path, *, job: str, threads: int, fresh: bool, with_data: bool = True
-) -> RunDirectory:
+    stem: str, scene: Scene, out: Path, *, job: str, threads: int, fresh: bool, with_data: bool = True,
+    files: Mapping[str, Path] | None = None,
+) -> RunDirectory:  # fmt: skip
     """Make the run of a resolved scene below `out`, or take up the one that is there.
 
     Args:
+        stem: name of the scene, and of the folder of its runs.
         with_data: whether the job reads the recordings that the scene names.
+        files: what else the run depends on, by name.
 
     Raises:
         SceneError: a recording is missing. UsageError, RunError: as `RunDirectory.open`.
     """
-    files = shape_files(scene) | (data_files(scene) if with_data else {})
+    inputs = run_scene(stem, scene, job=job, with_data=with_data, files=files)
+    return RunDirectory.open(inputs, out, argv=sys.argv, seed=scene.seed, threads=threads, fresh=fresh)
+
+
+def run_scene(
+    stem: str, scene: Scene, *, job: str, with_data: bool, files: Mapping[str, Path] | None = None
+) -> RunScene:
+    """Return what names the run of a resolved scene; arguments and errors as `open_run`."""
+    read = {**shape_files(scene), **(data_files(scene) if with_data else {}), **(files or {})}
     base = str(scene.resolve_path("").resolve())
-    run_scene = RunScene(
-        Path(source).stem, dump(resolve(scene)), scene.text, files, base, job, scene.plugin_paths()
-    )  # fmt: skip
-    return RunDirectory.open(run_scene, out, argv=sys.argv, seed=scene.seed, threads=threads, fresh=fresh)
+    return RunScene(stem, dump(resolve(scene)), scene.text, read, base, job, scene.plugin_paths())
 
 
 def shape_files(scene: Scene) -> dict[str, Path]:

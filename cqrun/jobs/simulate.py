@@ -1,18 +1,22 @@
-"""`cqrun simulate`: run a scene forward; keep its trajectory and what its bodies did.
+"""`cqrun simulate`: run a scene forward, or what a run has trained; keep the trajectory and what the bodies did.
 
 trajectory.h5     x, v and J of every particle, at most 300 frames
 observables.csv   one row a control step (observables.py)
-result.json       where the bodies ended, their extremes, what went wrong
+result.json       where the bodies ended, their extremes, what went wrong; the objective's terms
+controller.npz    what acted, and activation.csv what drove the actuators, where there is a controller
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
-from cqrun.errors import RolloutError, RunError
+from cqrun.errors import RolloutError, RunError, UsageError
+from cqrun.jobs.agent import FILE, Agent, learned_values
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.observables import Observables
 from cqrun.jobs.reporter import Reporter, Silent
@@ -24,40 +28,90 @@ from cqrun.jobs.runs import (
     refuse_overrides,
     saved_scene,
 )
-from cqrun.jobs.trajectories import write_trajectory
+from cqrun.jobs.trajectories import write_activation, write_trajectory
 from cqrun.scene.build import Built
 from cqrun.scene.load import load_scene
+from cqrun.scene.schema import Scene
 from cqrun.state import State
-from cqrun.store.run import RunDirectory
+from cqrun.store.atomic import write_bytes
+from cqrun.store.run import RunDirectory, read_record
+
+UNTRAINED = "the controller has learned nothing yet: it acts with the parameters that it starts from"
 
 
 def run_simulate(
-    scene_source: Path,
+    source: Path,
     overrides: Sequence[str],
     out: Path,
     fresh: bool,
     threads: int | None,
     quiet: bool,
     *,
+    controller: Path | None = None,
     reporter: Reporter | None = None,
 ) -> Path:
     """Run a scene forward with its own values; return the run's directory.
 
-    Of several random activations the first one drives the actuators.
+    Of several random activations the first one drives the actuators. A controller acts as a file has it, or as it
+    starts, with every goal at its position.
+
+    Args:
+        source: a scene, or the directory of a run: its scene is run, under the controller that it trained.
+        controller: file of a controller that acts in the place of the scene's, or of the run's own.
 
     Raises:
         SceneError, UsageError: bad input. RunError: it blew up. Stopped: it was asked to stop.
     """
-    talk = reporter or Silent()
-    built = build_and_warn(load_scene(scene_source, overrides), talk)
-    n_threads = cores(threads)
+    talk, n_threads = reporter or Silent(), cores(threads)
+    trained = controller if controller is not None or not source.is_dir() else _controller_of(source)
+    scene = _scene(source, overrides)
+    if trained is not None:
+        scene = _scene(source, [*learned_values(trained, scene, overrides), *overrides])
+    built = build_and_warn(scene, talk)
+    agent = make_agent(built, trained)
+    stem = source.resolve().parent.name if source.is_dir() else source.stem
+    files = {} if trained is None else {FILE: trained}
     with open_run(
-        scene_source, built.scene, out, job="simulate", threads=n_threads, fresh=fresh, with_data=False
+        stem, built.scene, out, job="simulate", threads=n_threads, fresh=fresh, with_data=False, files=files
     ) as run:
         if run.finished:
             talk.phase(f"finished already ({run.status}); --fresh starts over")
             return raise_if_failed(run)
-        return simulate(run, built, n_threads, talk)
+        if trained is not None:
+            write_bytes(run.path / FILE, trained.read_bytes())
+        return simulate(run, built, agent, n_threads, talk)
+
+
+def _scene(source: Path, overrides: Sequence[str]) -> Scene:
+    """Return the scene in a file, or that of a run."""
+    if not source.is_dir():
+        return load_scene(source, overrides)
+    return load_scene(source / "scene.yaml", overrides, Path(str(read_record(source).get("base", ""))))
+
+
+def _controller_of(run: Path) -> Path:
+    """Return the file of the controller that a run has trained."""
+    record, file = read_record(run), run / FILE
+    if not file.is_file():
+        why = f"it is {record['status']}" if record.get("job") == "control" else f"it is a run of {record.get('job')}"
+        raise UsageError(
+            f"{run}: has no trained controller ({why}): `cqrun simulate RUN` replays a finished run of control; "
+            "to run a scene give its file"
+        )
+    return file
+
+
+def make_agent(built: Built, trained: Path | None) -> Agent | None:
+    """Return what drives a scene's actuators: none where no controller does.
+
+    Raises:
+        UsageError: a controller is given for a scene without one, or for another one.
+    """
+    if built.scene.controller is None:
+        if trained is not None:
+            raise UsageError(f"{trained}: a controller for a scene that has none: add `controller` to the scene")
+        return None
+    return Agent(built, trained)
 
 
 def resume_simulate(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
@@ -70,11 +124,22 @@ def resume_simulate(run: RunDirectory, overrides: Sequence[str], threads: int, t
     if run.finished:
         talk.phase(f"finished already ({run.status})")
         return raise_if_failed(run)
-    return simulate(run, build_and_warn(saved_scene(run), talk), threads, talk)
+    built = build_and_warn(saved_scene(run), talk)
+    return simulate(run, built, make_agent(built, _kept(run)), threads, talk)
 
 
-def simulate(run: RunDirectory, built: Built, threads: int, talk: Reporter) -> Path:
-    """Run a scene into a run directory."""
+def _kept(run: RunDirectory) -> Path | None:
+    """Return the copy of the controller that a run began with, if it began with one."""
+    began_with, file = run.record["files"].get(FILE), run.path / FILE
+    if began_with is None:
+        return None
+    if not file.is_file() or hashlib.sha256(file.read_bytes()).hexdigest() != began_with:
+        raise UsageError(f"{file}: this copy of the controller is not what the run began with; run the scene again")
+    return file
+
+
+def simulate(run: RunDirectory, built: Built, agent: Agent | None, threads: int, talk: Reporter) -> Path:
+    """Run a scene into a run directory, under its controller if it has one."""
     run.begin(threads)
     compile_kernels([built], talk, adjoint=False)
     time, model = built.scene.time, built.model
@@ -89,10 +154,14 @@ def simulate(run: RunDirectory, built: Built, threads: int, talk: Reporter) -> P
             talk.advance(control, model.n_controls, f"t = {reached:.4g} of {time.duration:.4g} s")
 
         path = run.path / "trajectory.h5"
-        rollout = Rollout(model, built.assembly.inputs({}), threads=threads)
+        if agent is None:
+            rollout, seen = Rollout(model, built.assembly.inputs({}), threads=threads), None
+        else:
+            rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, threads)
+            seen = {"goals": {name: goal.tolist() for name, goal in agent.goals_in_the_middle.items()}}
         try:
-            _, complete = write_trajectory(
-                path, built, rollout, should_stop=lambda: talk.stop.asked, progress=observe
+            records, complete = write_trajectory(
+                path, built, rollout, should_stop=lambda: talk.stop.asked, progress=observe, provenance=seen
             )
         except RolloutError as error:
             run.write_result(_result(built, watch, "failed", str(error), reached))
@@ -105,12 +174,27 @@ def simulate(run: RunDirectory, built: Built, threads: int, talk: Reporter) -> P
                 f"{message}; what there is so far lies in {path}.part; `cqrun resume {run.path}` runs it again"
             )
     result = _result(built, watch, "done", f"{time.duration:g} s simulated", reached)
+    if agent is not None and FILE not in run.record["files"]:
+        result["findings"].append(UNTRAINED)
+    if agent is not None:
+        result |= _acted(run, agent, rollout, records)
     for sentence in result["findings"]:
         talk.warn(sentence)
         run.log(sentence)
     run.write_result(result)
     run.finish("done", result["message"])
     return run.path
+
+
+def _acted(run: RunDirectory, agent: Agent, rollout: Rollout, records: Records) -> dict[str, Any]:
+    """Write what drove the actuators; return what a result says of an agent: its goals, and the objective's terms."""
+    write_activation(run.path / "activation.csv", agent.built, rollout.activation)
+    goals = agent.goals_in_the_middle
+    found = agent.judged(rollout, records, goals)
+    said: dict[str, Any] = {"goals": {name: goal.tolist() for name, goal in goals.items()}}
+    if found.terms:
+        said |= {"loss": float(found.loss), "terms": {name: float(value) for name, value in found.terms.items()}}
+    return said
 
 
 def _result(built: Built, watch: Observables, status: str, message: str, time: float) -> dict[str, Any]:

@@ -53,7 +53,7 @@ def run_sysid(
     talk = reporter or Silent()
     built = prepare(load_scene(scene_source, overrides), talk)
     cases, n_threads = given_cases(built), cores(threads)
-    with open_run(scene_source, built.scene, out, job="sysid", threads=n_threads, fresh=fresh) as run:
+    with open_run(scene_source.stem, built.scene, out, job="sysid", threads=n_threads, fresh=fresh) as run:
         if run.finished:
             talk.phase(f"finished already ({run.status}); --fresh starts over")
             return raise_if_failed(run)

@@ -12,7 +12,7 @@ from cqrun.scene.region_names import findings_of_regions, unknown
 from cqrun.scene.walk import parts
 
 if TYPE_CHECKING:
-    from cqrun.scene.schema import Scene
+    from cqrun.scene.schema import Activation, Scene
 
 
 def findings_between(scene: Scene) -> list[InitErrorDetails]:
@@ -22,7 +22,8 @@ def findings_between(scene: Scene) -> list[InitErrorDetails]:
         for loc, part in parts(scene)
         for place, message in part.dim_problems(scene.dim)
     ]
-    return [*found, *_faces(scene), *_bodies(scene), *findings_of_regions(scene), *_signals(scene), *_target(scene)]
+    named = [*_faces(scene), *_bodies(scene), *_groups(scene), *findings_of_regions(scene), *_goals_named(scene)]
+    return [*found, *named, *_signals(scene), *_controller(scene), *_goals_outside(scene), *_target(scene)]
 
 
 def _faces(scene: Scene) -> Iterator[InitErrorDetails]:
@@ -41,6 +42,55 @@ def _bodies(scene: Scene) -> Iterator[InitErrorDetails]:
             yield finding(unknown("body", name, list(scene.bodies)), (*loc, "body"))
 
 
+def _groups(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield every group that the body beside it has not; `each` of an actuator may name regions as well."""
+    for loc, part in parts(scene):
+        for owner, key in (("body", "group"), ("body", "groups"), ("body", "each"), ("target", "target_group")):
+            body, names = getattr(part, owner, None), getattr(part, key, None)
+            if not isinstance(body, str) or body not in scene.bodies or names in (None, "all"):
+                continue
+            legal = [*scene.bodies[body].group_names, *(scene.regions if key == "each" else ())]
+            listed = isinstance(names, list)
+            for k, name in enumerate(names if listed else [names]):
+                if name not in legal:
+                    message = unknown(f"group of the body '{body}'", name, legal)
+                    yield finding(message, (*loc, key, k) if listed else (*loc, key))
+
+
+def _goals_named(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield every `goal` that names none of the scene's."""
+    for loc, part in parts(scene):
+        name = getattr(part, "goal", None)
+        if isinstance(name, str) and name not in scene.goals:
+            yield finding(unknown("goal", name, list(scene.goals)), (*loc, "goal"))
+
+
+def _goals_outside(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield goals that are, or may be drawn, outside the world; one with fewer or more entries is no position."""
+    for name, goal in scene.goals.items():
+        if len(goal.position) != scene.dim:
+            continue
+        spread = goal.spread if goal.spread is not None else [0.0] * scene.dim
+        for k, (at, half, size) in enumerate(zip(goal.position, spread, scene.world.size, strict=True)):
+            if at - half < 0 or at + half > size:
+                reach = f"{at:g}" if half == 0 else f"{at - half:g} to {at + half:g}"
+                message = f"lies outside the world: {'xyz'[k]} = {reach} m; it holds 0 to {size:g} m, move it inside"
+                yield finding(message, ("goals", name, "position"), involves=("spread",))
+
+
+def _controller(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield what a controller cannot have beside it, or without it."""
+    if scene.controller is None:
+        return
+    if scene.activation is not None:
+        yield finding(
+            f"the controller '{scene.controller.name}' drives the actuators already: remove one of the two",
+            ("activation",), kind=KEY, involves=("controller",),
+        )  # fmt: skip
+    if not scene.actuators:
+        yield finding("has no actuator to drive: say what it moves, in `actuators`", ("controller",), kind=KEY)
+
+
 def _signals(scene: Scene) -> Iterator[InitErrorDetails]:
     if scene.activation is None:
         return
@@ -48,8 +98,24 @@ def _signals(scene: Scene) -> Iterator[InitErrorDetails]:
         if name not in scene.actuators:
             place: Loc = ("activation", "signals", name)
             yield finding(unknown("actuator", name, list(scene.actuators)), place, kind=KEY)
+    yield from _limits(scene, scene.activation)
     if scene.activation.random is not None and not scene.actuators:
         yield finding("has no actuator to drive", ("activation", "random"))
+
+
+def _limits(scene: Scene, activation: Activation) -> Iterator[InitErrorDetails]:
+    """Yield knots, or ends of a random range, beyond what an actuator takes."""
+    for name, chosen in scene.actuators.items():
+        low, high = chosen.value.limits  # type: ignore[attr-defined]
+        asked: dict[Loc, float] = {}
+        if activation.random is not None:
+            asked = {("random", end): getattr(activation.random, end) for end in ("low", "high")}
+        for k, knot in enumerate((activation.signals or {}).get(name, [])):
+            asked["signals", name, k] = knot
+        for place, a in asked.items():
+            if not low <= a <= high:
+                message = f"must be between {low:g} and {high:g}, the limits of the {chosen.name} '{name}', is {a:g}"
+                yield finding(message, ("activation", *place))
 
 
 def _target(scene: Scene) -> Iterator[InitErrorDetails]:
