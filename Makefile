@@ -11,7 +11,7 @@ PYTEST := NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest
 PARALLEL := -n 2 --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help setup lint types test test-nojit test-slow bench profile demo clean-cache clean
+.PHONY: help setup lint types test test-nojit test-slow test-rl bench profile demo clean-cache clean
 
 help: ## list these targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -40,6 +40,10 @@ test-nojit: $(READY) ## the fast tests without whole jobs, in plain Python: slow
 
 test-slow: $(READY) ## the tests that take minutes
 	$(PYTEST) $(PARALLEL) -m slow
+
+test-rl: $(READY) ## scenes as environments and PPO; installs the extra `rl` (plain torch: several GB; install a CPU build first)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[rl]'
+	$(PYTEST) -n0 -m rl
 
 bench: $(READY) ## ns per particle and substep, pass by pass -> benchmarks/measured/bench.json
 	$(BIN)/cqrun bench --output benchmarks/measured/bench.json

@@ -59,8 +59,16 @@ class ControlPolicy:
 
     def act(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
         """Return the activations (A,) of a control step, and the next memory (M,)."""
-        z, remembered = self.observation.observe(self._moment(control, record, memory, state))
+        z, remembered = self.seen(control, record, memory, state)
         u = self.controller.act(self.parameters, z, control, control * self.control_step)
+        return self.driven(control, u, remembered, memory)
+
+    def seen(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
+        """Return what the observers see, and what they remember of it."""
+        return self.observation.observe(self._moment(control, record, memory, state))
+
+    def driven(self, control: int, u: Array, remembered: Array, memory: Array) -> tuple[Array, Array]:
+        """Return the activations that a controller's answer u (A,) gives, and the next memory."""
         given, _, _ = self._held(control, u, memory)
         return given, np.concatenate([remembered, given]) if self.slow else remembered
 

@@ -86,7 +86,7 @@ def prepare(scene: Scene, threads: int, talk: Reporter) -> EpisodeProblem:
     if missing:
         raise SceneError([Problem(scene.where(key), key, f"control needs it: {NEEDED[key]}") for key in missing])
     if scene.optimizer is None:
-        scene = scene.with_optimizer("adam", plugins("optimizer")["adam"]())
+        scene = scene.with_plugin("optimizer", plugins("optimizer")["adam"]())
     built = build_and_warn(scene, talk)
     optimizer = optimizer_of(built)
     if optimizer.gradients:

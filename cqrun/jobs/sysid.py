@@ -94,7 +94,7 @@ def with_optimizer(scene: Scene) -> Scene:
     per_body = all(unknown.per == "body" for unknown in scene.unknowns.values())
     suited = scene.data.target is None and len(scene.unknowns) <= FEW and per_body
     name = "least_squares" if suited else "lbfgs"
-    return scene.with_optimizer(name, plugins("optimizer")[name]())
+    return scene.with_plugin("optimizer", plugins("optimizer")[name]())
 
 
 def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads: int, talk: Reporter) -> Path:

@@ -271,9 +271,9 @@ class Scene(Spec):
         """Return the paths of the scene's plug-in files, by the names it uses."""
         return dict(zip(self.plugins, self._origin.plugin_paths(self.plugins), strict=True))
 
-    def with_optimizer(self, name: str, optimizer: Plugin) -> Scene:
-        """Return this scene with an optimizer."""
-        changed = self.model_copy(update={"optimizer": Chosen(name, optimizer)})
+    def with_plugin(self, key: str, plugin: Plugin) -> Scene:
+        """Return this scene with another optimizer or controller."""
+        changed = self.model_copy(update={key: Chosen(plugin.name, plugin)})
         changed._origin = self._origin
         return changed
 

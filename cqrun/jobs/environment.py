@@ -1,0 +1,146 @@
+"""A scene as a Gymnasium environment: for learners without gradients, such as PPO (extra `rl`).
+
+    env = cqrun.environment("scenes/control/finger.yaml")
+    observation, info = env.reset(seed=0)
+    observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+
+A step is a control step. Observations are those of the scene's observers, actions those of a bounded controller:
+numbers in [-1, 1], mapped to the actuators' limits. The reward is by how much the loss falls, were the run to end here
+and stay as it is; so an episode's rewards sum to what its end improves on its beginning, whatever the objective.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.controllers.linear_tanh import LinearTanh
+from cqrun.controllers.policy import ControlPolicy
+from cqrun.engine.model import Records
+from cqrun.errors import MissingExtra, Problem, RolloutError, SceneError
+from cqrun.jobs.agent import Agent, Goals
+from cqrun.jobs.runs import cores
+from cqrun.objectives.term import Track
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
+from cqrun.scene.plugin_files import plugins_allowed
+from cqrun.scene.schema import Scene
+
+try:
+    import gymnasium
+except ImportError as error:
+    raise MissingExtra(f"an environment needs {error.name}, which is not installed: pip install 'cqrun[rl]'") from None
+
+NEEDED = {
+    "actuators": "say what drives the body",
+    "observers": "say what is seen",
+    "objective": "say what the motion is for",
+}
+"""What a scene must have to be an environment, and the advice where it is missing."""
+
+
+class SceneEnvironment(gymnasium.Env[Array, Array]):
+    """One scene, one body of particles, one episode at a time.
+
+    Args:
+        scene: with actuators, observers and an objective; its controller, if it has one, does not act.
+        threads: how many to use. Results do not depend on it.
+
+    Raises:
+        SceneError: it lacks one of them.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012  gymnasium's own name for it
+
+    def __init__(self, scene: Scene, threads: int = 1) -> None:
+        missing = [key for key in NEEDED if not getattr(scene, key)]
+        if missing:
+            told = [Problem(scene.where(key), key, f"an environment needs it: {NEEDED[key]}") for key in missing]
+            raise SceneError(told)
+        # one that answers in [-1, 1], as whoever calls `step` does in its place
+        self.agent, self.threads = Agent(build(scene.with_plugin("controller", LinearTanh()))), threads
+        n, a = self.agent.observation.size, len(self.agent.limits.low)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (n,), np.float64)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (a,), np.float64)
+
+    # --- gymnasium's interface ------------------------------------------------------------------------------------
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Begin an episode with goals drawn from their ranges; return what is seen, and the goals."""
+        super().reset(seed=seed)
+        agent = self.agent
+        self.goals = self._draw()
+        self.rollout = agent.rollout(agent.acting, self.goals, self.threads)
+        policy: Any = self.rollout.policy
+        self.policy: ControlPolicy = policy
+        self.states, self.control = self.rollout.start[None].copy(), 0
+        self.loss = self._loss_if_it_ended()
+        return self._see(), {"goals": dict(self.goals)}
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Run one control step; return (what is seen, reward, whether it blew up, whether time is over, facts)."""
+        rollout, model, control = self.rollout, self.agent.model, self.control
+        u = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        rollout.activation[control], rollout.memory[control + 1] = self.policy.driven(
+            control, u, self.remembered, rollout.memory[control]
+        )
+        rollout.decided = control + 1
+        try:
+            rollout.advance(control * model.substeps, (control + 1) * model.substeps, self.states, keep=False)
+        except RolloutError as error:
+            return self.seen, 0.0, True, False, {"failed": str(error), "loss": self.loss}
+        self.control += 1
+        before, self.loss = self.loss, self._loss_if_it_ended()
+        over = self.control == model.n_controls
+        return self._see(), before - self.loss, False, over, {"loss": self.loss}
+
+    # --- what it is made of ------------------------------------------------------------------------------------------
+
+    def _draw(self) -> Goals:
+        drawn = {}
+        for name, goal in self.agent.built.scene.goals.items():
+            spread = np.array(goal.spread if goal.spread is not None else [0.0] * len(goal.position))
+            drawn[name] = np.array(goal.position) + spread * self.np_random.uniform(-1.0, 1.0, len(spread))
+        return drawn
+
+    def _see(self) -> Array:
+        rollout, control = self.rollout, self.control
+        self.seen, self.remembered = self.policy.seen(
+            control, rollout.records[control], rollout.memory[control], lambda: rollout.unpack(self.states[0], control)
+        )
+        return self.seen
+
+    def _loss_if_it_ended(self) -> float:
+        """Return the loss of the run so far, its last record standing for all that is to come, without effort."""
+        records = Records.from_rows(self.rollout.records, self.agent.model.dim)
+        activation = self.rollout.activation.copy()
+        activation[self.control :] = 0.0
+        parts = {}
+        for name in ("x", "v", "C", "F"):
+            parts[name] = getattr(records, name).copy()
+            parts[name][self.control + 1 :] = parts[name][self.control]
+        track: Track = self.agent.track(Records(**parts), activation, self.goals)
+        return float(self.agent.objective.loss(track))
+
+
+def environment(
+    scene: str | Path | dict[str, Any], overrides: Sequence[str] = (), *, threads: int | None = None,
+    allow_plugins: bool = False,
+) -> SceneEnvironment:  # fmt: skip
+    """Return a scene as a Gymnasium environment.
+
+    Args:
+        scene: a file, or the scene's data.
+        overrides: `key=value`, as on the command line.
+        threads: how many to use; all cores if not given.
+        allow_plugins: run the Python files that the scene names.
+
+    Raises:
+        MissingExtra: gymnasium is not installed. SceneError: the scene cannot be one.
+    """
+    with plugins_allowed(allow_plugins):
+        return SceneEnvironment(load_scene(scene, overrides), cores(threads))

@@ -1,0 +1,66 @@
+"""A scene as a Gymnasium environment, and PPO on it (extra `rl`; `make test-rl`)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import cqrun
+
+pytestmark = pytest.mark.rl
+FINGER = "scenes/control/finger.yaml"
+SMALL = ["bodies.finger.sampling.lattice.count=8", "time.duration=0.05"]
+
+
+@pytest.fixture
+def env():
+    """Return a small finger that reaches for a goal drawn anew."""
+    return cqrun.environment(FINGER, [*SMALL, "goals.target.spread=[0.1, 0.1]"], threads=1)
+
+
+@pytest.mark.filterwarnings("ignore:.*infinity")  # observations have no bounds: a body may go anywhere
+def test_gymnasium_accepts_it(env):
+    from gymnasium.utils.env_checker import check_env
+
+    check_env(env, skip_render_check=True)
+
+
+def test_rewards_sum_to_what_the_loss_fell_by(env):
+    env.reset(seed=3)
+    first, total, over, steps = env.loss, 0.0, False, 0
+    while not over:
+        seen, reward, failed, over, facts = env.step(env.action_space.sample())
+        total, steps = total + reward, steps + 1
+        assert not failed
+        assert env.observation_space.contains(seen)
+    assert steps == env.agent.model.n_controls
+    assert total == pytest.approx(first - facts["loss"], abs=1e-15)
+
+
+def test_it_moves_as_the_policy_does(env):
+    """The same activations, one control step at a time, give the bits of a whole rollout."""
+    agent = env.agent
+    env.reset(seed=5)
+    while env.control < agent.model.n_controls:
+        values = {p.removeprefix("controller."): v for p, v in agent.acting.items()}
+        env.step(agent.controller.act(values, env.seen, env.control, 0.0))
+    whole = agent.attempt(agent.acting, env.goals, 1)
+    np.testing.assert_array_equal(env.rollout.records, whole.rollout.records)
+    assert env.loss == whole.loss
+
+
+def test_a_blow_up_ends_the_episode(env):
+    env.reset(seed=1)
+    env.states[...] = np.nan
+    *_, reward, failed, over, facts = env.step(np.zeros(2))
+    assert (reward, failed, over) == (0.0, True, False)
+    assert "not finite" in facts["failed"]
+
+
+def test_ppo_learns_on_it(env):
+    from stable_baselines3 import PPO
+
+    model = PPO("MlpPolicy", env, n_steps=40, batch_size=20, n_epochs=1, device="cpu", seed=0)
+    model.learn(80)
+    action, _ = model.predict(env.reset(seed=0)[0])
+    assert env.action_space.contains(action)
