@@ -54,7 +54,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
         SceneError: it lacks one of them.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012  gymnasium's own name for it
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  the name and form that gymnasium wants
 
     def __init__(self, scene: Scene, threads: int = 1) -> None:
         missing = [key for key in NEEDED if not getattr(scene, key)]
