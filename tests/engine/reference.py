@@ -230,7 +230,7 @@ def rollout(
 ) -> tuple[Records, Moving, list[list[tuple[Any, ...]]]]:
     """Return the probe's records, the last state, and the branches of every substep.
 
-    A policy, if there is one, writes the activations of the inputs as it decides them.
+    A policy, if there is one, writes the activations of the inputs as it decides them, and what it last remembers.
     """
     state, memory = inputs.state, inputs.state.memory
     s = Moving(state.x, state.v, state.C, state.F)
@@ -245,6 +245,7 @@ def rollout(
         s, taken = substep(model, inputs, s, step)
         branches.append(taken)
     rows.append(seen(W, s))
+    inputs.state.memory = memory
     return Records(*(np.array([r[name] for r in rows]) for name in "xvCF")), s, branches
 
 

@@ -13,7 +13,7 @@ from rich_scene import KINDS, arrays, parts, random_records, rich
 
 from cqrun.engine.blocks import SORT_EVERY
 from cqrun.engine.checkpoint import make_plan, repetitions
-from cqrun.engine.model import Records
+from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RunError
 
@@ -27,7 +27,7 @@ def everything_kept():
     model, inputs = rich(2, **MODEL)
     records_bar = random_records(Records.zeros(model.n_controls, 3, 2), np.random.default_rng(5))
     rollout = Rollout(model, inputs, adjoint=True)
-    records, bar = rollout.gradient(lambda records, state: (records_bar, state))
+    records, bar = rollout.gradient(lambda records, state: LossBar(records_bar, state))
     assert rollout.plan.n_chunks == 1
     return model, inputs, records_bar, records, bar
 
@@ -42,7 +42,7 @@ def test_a_gradient_in_little_memory_has_the_same_bits(everything_kept, states):
     model, inputs, records_bar, records, bar = everything_kept
     small = replace(model, memory_budget=states * state_bytes(model) + 8)
     rollout = Rollout(small, inputs, adjoint=True)
-    again, bar_again = rollout.gradient(lambda records, state: (records_bar, state))
+    again, bar_again = rollout.gradient(lambda records, state: LossBar(records_bar, state))
     assert rollout.plan.n_chunks > 1
     assert rollout.plan.states <= states
     for a, b in zip(parts(again), parts(records), strict=True):
@@ -63,7 +63,7 @@ def test_fast_particles_are_sorted_out_of_turn_and_repeat_their_bits_too(everyth
     found = []
     for states in (12, 100):
         small = replace(open_world, memory_budget=states * state_bytes(model))
-        _, bar = Rollout(small, inputs, adjoint=True).gradient(lambda records, state: (records_bar, state))
+        _, bar = Rollout(small, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar, state))
         found.append(bar)
     for kind, a, b in zip(KINDS, *map(arrays, found), strict=True):
         np.testing.assert_array_equal(a, b, err_msg=kind)
@@ -78,7 +78,7 @@ def test_the_budget_is_what_is_used(rng):
     for states in (12, 12, 92):  # the first one compiles
         rollout = Rollout(replace(model, memory_budget=states * state_bytes(model)), inputs, adjoint=True)
         tracemalloc.start()
-        rollout.gradient(lambda records, state: (None, state))
+        rollout.gradient(lambda records, state: LossBar(final=state))
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         plans.append(rollout.plan.states)
@@ -113,6 +113,7 @@ def test_too_small_a_budget_is_refused_with_the_one_that_would_do():
     need = (SORT_EVERY + 2) * state_bytes(model)
     tight = replace(model, memory_budget=need - 1)
     with pytest.raises(RunError, match=r"set `memory: (\d+)MiB` or more, or use fewer particles") as caught:
-        Rollout(tight, inputs, adjoint=True).gradient(lambda records, state: (None, state))
+        Rollout(tight, inputs, adjoint=True).gradient(lambda records, state: LossBar(final=state))
     advised = int(str(caught.value).split("memory: ")[1].split("MiB")[0]) * 2**20
-    Rollout(replace(model, memory_budget=advised), inputs, adjoint=True).gradient(lambda records, state: (None, state))
+    enough = replace(model, memory_budget=advised)
+    Rollout(enough, inputs, adjoint=True).gradient(lambda records, state: LossBar(final=state))

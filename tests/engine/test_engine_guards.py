@@ -12,6 +12,7 @@ import pytest
 from little_worlds import needs_jit, world
 from rich_scene import ACTUATORS, KINDS, arrays, rich
 
+from cqrun.engine.model import LossBar
 from cqrun.engine.rollout import Rollout
 from cqrun.engine.setting import MARGIN
 from cqrun.errors import RolloutError
@@ -74,7 +75,7 @@ def test_a_particle_that_leaves_is_named(dim, axis, towards, threads):
 @needs_jit
 def test_a_gradient_of_such_a_rollout_stops_as_well():
     model, inputs = thrown(2, np.array([1.0, 0.0]))
-    error = outcome(lambda: Rollout(model, inputs, threads=2, adjoint=True).gradient(lambda r, s: (None, s)))
+    error = outcome(lambda: Rollout(model, inputs, threads=2, adjoint=True).gradient(lambda r, s: LossBar(final=s)))
     assert isinstance(error, RolloutError)
     assert error.particle == 37
 

@@ -1,0 +1,154 @@
+"""The rich scene as a robot: every kind of observer sees it, and a controller drives all of its actuators."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import reference
+from rich_scene import ACTUATORS, COUNTS, make_complex, product, random_records, random_state, rich
+from scipy import sparse
+
+from cqrun.controllers.controller import Controller
+from cqrun.controllers.policy import ControlPolicy, Limits
+from cqrun.engine.model import Inputs, LossBar, Model, Records
+from cqrun.engine.rollout import Rollout
+from cqrun.observers.centroids import Centroids
+from cqrun.observers.clock import Clock
+from cqrun.observers.clusters import Clusters
+from cqrun.observers.goal import Goal
+from cqrun.observers.matter import Matter
+from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observation
+from cqrun.observers.pca import Pca, fit_components
+from cqrun.observers.rows import means
+from cqrun.observers.strain import Strain
+from cqrun.state import State
+
+TINY = 1e-30
+GOALS = {"target": np.array([0.5, 0.6, 0.4])}
+
+
+class Everything(BoundObserver):
+    """Two numbers from the whole state, as an observer that looks at all particles would make them."""
+
+    size, n_memory, needs_state = 2, 0, True
+
+    def __init__(self, n: int, dim: int, rng: np.random.Generator) -> None:
+        self.rows, self.low, self.high = means([], n), np.full(2, -1.0), np.full(2, 1.0)
+        shapes = {"x": (2, n, dim), "v": (2, n, dim), "C": (2, n, dim, dim), "F": (2, n, dim, dim)}
+        self.weights = {name: rng.normal(size=shape) / n for name, shape in shapes.items()}
+
+    def observe(self, moment: Moment) -> tuple[np.ndarray, np.ndarray]:
+        return np.sin(self._sum(moment.state())), np.zeros(0)
+
+    def observe_vjp(self, moment: Moment, z_bar: np.ndarray, memory_next_bar: np.ndarray) -> MomentBar:
+        sum_bar = z_bar * np.cos(self._sum(moment.state()))
+        parts = (np.tensordot(sum_bar, w, 1) for w in self.weights.values())
+        return MomentBar(state=State(*parts, np.zeros(len(moment.state().memory))))
+
+    def _sum(self, state: State) -> np.ndarray:
+        return sum((w * getattr(state, name)).reshape(2, -1).sum(axis=1) for name, w in self.weights.items())
+
+
+def matter_of(model: Model, inputs: Inputs) -> Matter:
+    """Return the two bodies of a rich scene, the second one with groups."""
+    x, dim = inputs.state.x, model.dim
+    bodies = {"first": slice(0, COUNTS[0]), "second": slice(COUNTS[0], len(x))}
+    groups = {"low": np.arange(17, 30), "high": np.arange(30, 47)}
+
+    def select(body: str | None, region: Any) -> np.ndarray:
+        return np.arange(len(x)) if body is None else np.arange(len(x))[bodies[body]]
+
+    return Matter(
+        x, inputs.fields.mass, model.size, model.substeps * model.dt, model.n_controls, bodies,
+        {"first": {}, "second": groups}, select, {"target": dim}, len(model.actuators),
+    )  # fmt: skip
+
+
+def observation_of(matter: Matter, rng: np.random.Generator) -> Observation:
+    """Return every kind of observer side by side, some that remember among them."""
+    dim, second = matter.dim, matter.members("second")
+    axis, motion = [1.0, 2.0, -1.0][:dim], ["position", "velocity", "acceleration"]
+    shapes = matter.x[second] + 0.1 * rng.normal(size=(5, len(second), dim))
+    bound: dict[str, BoundObserver] = {
+        "parts": Centroids(body="second", of=motion).bind(matter),
+        "clusters": Clusters(body="first", count=2, of=["acceleration", "position"], range=None).bind(matter),
+        "strain": Strain(body="second").bind(matter),
+        "stretch": Strain(body="first", axis=axis, range=[-0.5, 0.5]).bind(matter),
+        "clock": Clock(period=0.05, harmonics=2).bind(matter),
+        "time": Clock().bind(matter),
+        "goal": Goal(goal="target", body="second", group="high").bind(matter),
+        "place": Goal(goal="target").bind(matter),
+        "shape": Pca(body="second", components=2).bind_to(matter, fit_components(shapes, 3)),
+        "everything": Everything(matter.n_particles, dim, rng),
+    }
+    return Observation(bound, matter.n_particles)
+
+
+def limits_of(*, slow: bool) -> Limits:
+    """Return the limits of the rich scene's actuators; `slow` ones of each kind have a rate."""
+    low, change = np.full(9, -1.0), np.full(9, np.inf)
+    low[ACTUATORS["pressure"]] = low[ACTUATORS["cable"]] = 0.0
+    if slow:
+        change[[0, 2, 4, 6, 8]] = (0.05, 0.02, 0.03, 10.0, 0.1)
+    return Limits(low, np.ones(9), change)
+
+
+@dataclass
+class Robot:
+    """A rollout's model and inputs, what decides its activations, and cotangents of what it gives."""
+
+    model: Model
+    inputs: Inputs
+    observation: Observation
+    controller: Controller
+    parameters: dict[str, np.ndarray]
+    limits: Limits
+    bars: dict[str, Any] = field(default_factory=dict)
+
+    def policy(self, parameters: Mapping[str, np.ndarray] | None = None) -> ControlPolicy:
+        """Return the policy of one rollout, with these parameters or its own."""
+        goals = {name: value[: self.model.dim] for name, value in GOALS.items()}
+        step = self.model.substeps * self.model.dt
+        given = self.parameters if parameters is None else parameters
+        return ControlPolicy(self.observation, self.controller, given, self.limits, goals, step, self.model.dim)
+
+    def gradient(self, *, threads: int = 1, states: int | None = None) -> tuple[Rollout, Records, Inputs]:
+        """Return the rollout, its records and the gradient; `states` is the budget of kept states."""
+        model = self.model
+        if states is not None:
+            model = replace(model, memory_budget=states * 2 * model.dim * (1 + model.dim) * model.layout.n * 8)
+        rollout = Rollout(model, self.inputs, threads=threads, adjoint=True, policy=self.policy())
+        bar = LossBar(self.bars["records"], self.bars["state"], self.bars["activation"])
+        return (rollout, *rollout.gradient(lambda records, state: bar))
+
+    def derivative(self, inputs: Inputs, parameters: Mapping[str, np.ndarray]) -> float:
+        """Return the derivative along the imaginary parts of inputs or parameters, by complex step."""
+        turned = copy.deepcopy(inputs)
+        make_complex(turned)
+        records, last, _ = reference.rollout(self.model, turned, self.policy(parameters))
+        total = product(records, self.bars["records"]) + product(last, self.bars["state"])
+        total += (turned.activation * self.bars["activation"]).sum()
+        total += (turned.state.memory * self.bars["state"].memory).sum()
+        return float(total.imag / TINY)
+
+
+def robot(controller: Controller, dim: int = 2, *, slow: bool = True, controls: int = 6, substeps: int = 3) -> Robot:
+    """Return a robot with random cotangents of everything that its rollout gives."""
+    rng = np.random.default_rng(11)
+    model, inputs = rich(dim, controls=controls, substeps=substeps)
+    observation = observation_of(matter_of(model, inputs), rng)
+    rows = sparse.vstack([observation.rows, model.probe]).tocsr()
+    model, limits = replace(model, probe=sparse.csr_array(rows)), limits_of(slow=slow)
+    blocks = controller.blocks(observation.size, 9, controls, limits.low, limits.high, rng)
+    found = Robot(model, inputs, observation, controller, {b.name: b.initial.copy() for b in blocks}, limits)
+    inputs.state.memory = np.zeros(found.policy().n_memory)
+    found.bars = {
+        "records": random_records(Records.zeros(controls, rows.shape[0], dim), rng),
+        "state": random_state(inputs.state, rng),
+        "activation": rng.normal(size=(controls, 9)),
+    }
+    return found
