@@ -208,7 +208,7 @@ class Scene(Spec):
         default_factory=dict,
     )
     boundaries: dict[Name, Annotated[Chosen[Plugin], Choice("boundary")]] = Field(
-        description="Name -> boundary", default_factory=dict
+        description="Name -> boundary; where several hold a node they act in this order", default_factory=dict
     )
     loads: dict[Name, Annotated[Chosen[Plugin], Choice("load")]] = Field(
         description="Name -> load", default_factory=dict
