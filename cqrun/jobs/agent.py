@@ -180,6 +180,12 @@ class Agent:
     # --- rollouts -----------------------------------------------------------------------------------------------
 
     @property
+    def n_memory(self) -> int:
+        """How many numbers the policy remembers from one control step to the next."""
+        slow = bool(np.isfinite(self.limits.change).any())
+        return self.observation.n_memory + len(self.limits.low) * slow
+
+    @property
     def goals_in_the_middle(self) -> Goals:
         """Every goal at its position, the middle of its range."""
         return {name: np.array(goal.position) for name, goal in self.built.scene.goals.items()}

@@ -3,6 +3,13 @@
     problem = cqrun.load("scenes/sysid/beam_twin.yaml", ["time.duration=0.3"])
     loss, gradient, aux = problem.value_and_grad({"loads.air.damping.rate": 2.0})
     motion = problem.simulate()
+
+A scene with a controller and an objective is a function of the controller's parameters too, by the names of its blocks:
+
+    problem = cqrun.load("scenes/control/finger.yaml")
+    weights = problem.params["controller.weights"]       # (actuators, observations)
+    loss, gradient, aux = problem.value_and_grad({"controller.weights": 0.5 * weights})
+    motion = problem.simulate(goals={"target": [0.55, 0.6]})
 """
 
 from __future__ import annotations
@@ -19,7 +26,9 @@ from cqrun.contract import Array
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import SceneError, UsageError
 from cqrun.explain import listed, suggest
+from cqrun.jobs.agent import CONTROLLER, Agent
 from cqrun.jobs.cases import given_cases, make_cases
+from cqrun.jobs.episodes import EpisodeProblem, has_episodes
 from cqrun.jobs.problem import FitProblem, make_params
 from cqrun.jobs.runs import cores
 from cqrun.scene.build import Built, build
@@ -30,7 +39,7 @@ from cqrun.scene.schema import Scene
 from cqrun.state import State
 
 Values = Mapping[str, Any]
-"""Key path -> number, or an array with one number a group or a particle of the body."""
+"""Key path -> number, or an array with one number a group or a particle of the body; `controller.<block>` -> array."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +51,14 @@ class Motion:
         x: positions (T + 1, N, D) [m].
         v: velocities (T + 1, N, D) [m/s].
         bodies: each body's slice of the N particles.
+        activation: of the actuators' A parts in every control step (T, A), as the controller or the signals drove them.
     """
 
     time: Array
     x: Array
     v: Array
     bodies: dict[str, slice]
+    activation: Array
 
 
 class Experiment:
@@ -59,13 +70,23 @@ class Experiment:
 
     Attributes:
         built: the scene's particles and model.
-        params: its unknowns at their starts, by key path; arrays where there is one number a group or particle.
+        params: its unknowns at their starts, by key path; arrays where there is one number a group or particle. Before
+            them the controller's parameters, if it has one, as `controller.<block>`: arrays of the block's shape, such
+            as (A, observations) for the weights of `linear_tanh`, with A the parts of all actuators.
+
+    Raises:
+        SceneError: the scene cannot be built, or an observer or a term of the objective does not fit it.
     """
 
     def __init__(self, scene: Scene, threads: int | None = None) -> None:
         self.built: Built = build(scene)
         self.threads = cores(threads)
-        self._params = make_params(self.built)
+        self._agent: Agent | None = None
+        if has_episodes(self.scene):
+            self._agent = EpisodeProblem(self.built, threads=self.threads)
+        elif self.scene.controller is not None:
+            self._agent = Agent(self.built)
+        self._params = make_params(self.built) if self._agent is None else self._agent.params
         self.params: dict[str, Any] = {b.path: _plain(b.initial) for b in self._params.blocks}
 
     @property
@@ -74,30 +95,60 @@ class Experiment:
         return self.built.scene
 
     def value_and_grad(self, params: Values | None = None) -> tuple[float, dict[str, Any], dict[str, Any]]:
-        """Return the loss of the scene's data, its gradient, and what else is known.
+        """Return the loss of the scene's data, or the mean loss of its episodes, its gradient, and what else is known.
+
+        Episodes are those of the first iteration of `cqrun control`: goals that are drawn are the same at every call.
 
         Args:
-            params: values by key path: of any numbers that gradients reach, not of the unknowns alone. Unknowns
-                that are left out keep their start; bounds are not enforced.
+            params: values by key path: of any numbers that gradients reach, not of the unknowns alone, and of the
+                controller's parameters. Those that are left out keep their start; bounds are not enforced.
 
         Returns:
-            The loss; its derivative by every unknown and every number in `params`, of the shape of its value; and
-            {"losses": part of the loss by recording or sequence, "gradient": {"recompute_factor", "peak_bytes"}}.
+            The loss; its derivative by every unknown, every parameter of the controller and every number in `params`,
+            of the shape of its value; and {"losses": part of the loss by recording or sequence, or the loss of each
+            episode, "gradient": {"recompute_factor", "peak_bytes"}}, with "terms" (mean of each term over the
+            episodes, by name) and "goals" (of each episode) where there are episodes.
 
         Raises:
-            UsageError: a path or a shape that cannot be, or a scene without data.
+            UsageError: a path or a shape that cannot be, or a scene with neither data nor a controller's objective.
             RolloutError: the scene blows up.
         """
+        if isinstance(self._agent, EpisodeProblem):
+            return self._episodes(self._agent, self._values(params))
         if self.scene.data is None:
-            raise UsageError("this scene has no `data`, so there is no loss: add some, or use simulate()")
+            raise UsageError(
+                "this scene has no `data`, and no `controller` with an `objective`, so there is no loss: add one, or "
+                "use simulate()"
+            )
         problem, values = self._problem, self._values(params)
         losses, gradient = problem.losses_and_gradient(values)
         effort = {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak}
         aux = {"losses": losses, "gradient": effort}
         return float(sum(losses.values())), {path: _plain(bar) for path, bar in gradient.items()}, aux
 
-    def simulate(self, params: Values | None = None) -> Motion:
-        """Run the scene forward with values by key path; arguments and errors as `value_and_grad`."""
+    def _episodes(
+        self, agent: EpisodeProblem, values: dict[str, Array]
+    ) -> tuple[float, dict[str, Any], dict[str, Any]]:
+        goals = agent.goals(None)
+        found, gradient = agent.attempts_with_gradient(values, goals)
+        aux = {
+            "losses": {f"episode {k}": float(attempt.loss) for k, attempt in enumerate(found)},
+            "terms": {name: float(np.mean([a.terms[name] for a in found])) for name in self.scene.objective},
+            "goals": [{name: goal.copy() for name, goal in drawn.items()} for drawn in goals],
+            "gradient": {"recompute_factor": agent.effort.recompute, "peak_bytes": agent.effort.peak},
+        }
+        return float(np.mean([a.loss for a in found])), {path: _plain(bar) for path, bar in gradient.items()}, aux
+
+    def simulate(self, params: Values | None = None, goals: Mapping[str, Any] | None = None) -> Motion:
+        """Run the scene forward, under its controller if it has one.
+
+        Args:
+            params: values by key path, as for `value_and_grad`.
+            goals: goal -> its entries [m]; a goal that is left out is at its position, the middle of its range.
+
+        Raises:
+            UsageError: a path, a goal or a shape that cannot be. RolloutError: the scene blows up.
+        """
         n_controls, step = self.built.model.n_controls, self.scene.time.control_step
         n, dim = self.built.particles.x.shape
         x, v = np.zeros((n_controls + 1, n, dim)), np.zeros((n_controls + 1, n, dim))
@@ -105,11 +156,24 @@ class Experiment:
         def keep(control: int, state: State) -> None:
             x[control], v[control] = state.x, state.v
 
-        inputs = self.built.assembly.inputs(self._values(params))
-        Rollout(self.built.model, inputs, threads=self.threads).run(keep)
+        rollout = self._rollout(self._values(params), goals or {})
+        rollout.run(keep)
         particles = self.built.particles
         bodies = {name: particles.of(name) for name in particles.names}
-        return Motion(np.arange(n_controls + 1) * step, x, v, bodies)
+        return Motion(np.arange(n_controls + 1) * step, x, v, bodies, rollout.activation.copy())
+
+    def _rollout(self, values: dict[str, Array], goals: Mapping[str, Any]) -> Rollout:
+        known = {} if self._agent is None else dict(self._agent.goals_in_the_middle)
+        for name, entries in goals.items():
+            if name not in known:
+                raise UsageError(f"goals: there is no '{name}'{suggest(name, known)}; there are: {listed(known)}")
+            goal = np.array(entries, dtype=float)
+            if goal.shape != known[name].shape or not np.isfinite(goal).all():
+                raise UsageError(f"goals: '{name}' must be {len(known[name])} finite numbers, is {entries!r}")
+            known[name] = goal
+        if self._agent is not None:
+            return self._agent.rollout(values, known, self.threads)
+        return Rollout(self.built.model, self.built.assembly.inputs(values), threads=self.threads)
 
     @cached_property
     def _problem(self) -> FitProblem:
@@ -123,7 +187,13 @@ class Experiment:
         return values
 
     def _known(self, path: str) -> str:
-        """Return the long spelling of a path that gradients reach."""
+        """Return the long spelling of a path that gradients reach; a block of the controller has but one."""
+        own = [b.path for b in self._params.blocks]
+        if path.startswith(CONTROLLER):
+            if path in own:
+                return path
+            blocks = [p for p in own if p.startswith(CONTROLLER)]
+            raise UsageError(f"{path}: no block of the controller{suggest(path, blocks)}; there are: {listed(blocks)}")
         reached = list(leaves(self.scene, differentiable=True))
         try:
             if leaf(self.scene, path).differentiable:
@@ -133,10 +203,12 @@ class Experiment:
         raise UsageError(f"{path}: no gradient reaches it{suggest(path, reached)}; there are: {listed(reached)}")
 
     def _shaped(self, path: str, value: Array) -> Array:
-        """Return a value of a legal shape: () or, for a body's material, one a group or a particle."""
+        """Return a value of a legal shape: a block's or () or, for a body's material, one a group or a particle."""
         keys = path.split(".")
         legal: list[tuple[int, ...]] = [()]
-        if keys[0] == "bodies" and keys[2] == "material":
+        if path.startswith(CONTROLLER):
+            legal = [b.initial.shape for b in self._params.blocks if b.path == path]
+        elif keys[0] == "bodies" and keys[2] == "material":
             part = self.built.particles.of(keys[1])
             groups = len(self.scene.bodies[keys[1]].group_names)
             legal += [(part.stop - part.start,), *[(groups,)] * (groups > 0)]

@@ -1,4 +1,4 @@
-"""What `cqrun gradcheck` differentiates: the loss of a fit, or a random linear function of the final state."""
+"""What `cqrun gradcheck` differentiates: the loss of a fit or of an episode, or a function of the final state."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from cqrun.design.params import Block, Params
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.jobs.cases import Case
+from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.problem import FitProblem, make_params
 from cqrun.scene.build import Built
 from cqrun.scene.paths import canonical, leaf, leaves
@@ -58,6 +59,27 @@ def fit_loss(built: Built, cases: Sequence[Case], threads: int) -> Loss:
     moved = "" if np.array_equal(x, params.start) else ", a little inside the bounds"
     words = f"the fit's loss, in units of {problem.unit:.4g} m^2{moved},"
     return Loss(words, params, x, value, problem.value_and_grad, 0.0)
+
+
+def episode_loss(problem: EpisodeProblem) -> Loss:
+    """Return the loss of the first episode, by the controller's parameters and the unknowns, at their start."""
+    lower, upper = problem.params.bounds
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    inset = INSIDE * np.where(bounded, upper, 0.0) - INSIDE * np.where(bounded, lower, 0.0)
+    x = np.clip(problem.params.start, lower + inset, upper - inset)
+    goals, budget = problem.goals(None)[0], problem.model.memory_budget
+
+    def value(x: Array) -> float:
+        return problem.attempt(problem.values(x), goals, problem.threads).loss
+
+    def value_and_grad(x: Array) -> tuple[float, Array]:
+        attempt, gradient = problem.attempt_with_gradient(problem.values(x), goals, problem.threads, budget)
+        return attempt.loss, problem.params.gradient(x, gradient)
+
+    terms = problem.attempt(problem.values(x), goals, problem.threads).terms
+    scale = sum(abs(problem.objective.factors[name] * value) for name, value in terms.items())
+    moved = "" if np.array_equal(x, problem.params.start) else ", a little inside the bounds"
+    return Loss(f"the first episode's loss{moved}", problem.params, x, value, value_and_grad, float(scale))
 
 
 def state_loss(built: Built, threads: int) -> Loss:

@@ -19,9 +19,15 @@ from cqrun.jobs.memory import least_budget, state_bytes
 from cqrun.jobs.problem import Effort, side_by_side
 from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import Built
+from cqrun.scene.schema import Scene
 
 UNSEEN = 1_000_003
 """Where the seeds of unseen goals begin, far from any iteration's."""
+
+
+def has_episodes(scene: Scene) -> bool:
+    """Say whether a scene has a controller, and an objective for it."""
+    return scene.controller is not None and bool(scene.objective)
 
 
 class EpisodeProblem(Agent):

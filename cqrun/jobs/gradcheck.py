@@ -9,8 +9,9 @@ Large steps err by curvature, small ones by rounding; in between lies a plateau.
 adjoint, where E changes least from one step to the next, and there the two must agree. Where a branch changes
 between the points (contact, stick and slip) the plateau begins at smaller steps.
 
-With data the loss is that of the fit, its unknowns in scaled coordinates (bounds are 1 apart). Without, it is a
-random linear function of the final state, by every number of the scene that gradients reach.
+With data the loss is that of the fit, its unknowns in scaled coordinates (bounds are 1 apart). With a controller and
+an objective it is that of the first episode, by the controller's parameters as they are, and the unknowns. Without, it
+is a random linear function of the final state, by every number of the scene that gradients reach.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from cqrun.contract import Array
 from cqrun.design.params import Params
 from cqrun.errors import RolloutError, RunError
 from cqrun.jobs.cases import Case, given_cases, made_cases
-from cqrun.jobs.checked_losses import Loss, fit_loss, state_loss
+from cqrun.jobs.checked_losses import Loss, episode_loss, fit_loss, state_loss
+from cqrun.jobs.episodes import EpisodeProblem, has_episodes
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.memory import gradient_plan
 from cqrun.jobs.reporter import Reporter, Silent
@@ -98,13 +100,14 @@ def run_gradcheck(
     n_threads = cores(threads)
     with_data = has_data(built)
     cases = given_cases(built) if with_data else None
+    episodes = _episodes(built, n_threads)
     with open_run(
         scene_source.stem, built.scene, out, job="gradcheck", threads=n_threads, fresh=fresh, with_data=with_data
     ) as run:
         if run.finished:
             talk.phase(f"finished already ({run.status}); --fresh starts over")
             return run.path, run.status == "done"
-        return check_gradient(run, built, cases, n_threads, talk)
+        return check_gradient(run, built, cases, episodes, n_threads, talk)
 
 
 def resume_gradcheck(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
@@ -116,18 +119,24 @@ def resume_gradcheck(run: RunDirectory, overrides: Sequence[str], threads: int, 
     refuse_overrides(run, overrides)
     if not run.finished:
         built = build_and_warn(saved_scene(run), talk)
-        check_gradient(run, built, given_cases(built) if has_data(built) else None, threads, talk)
+        cases = given_cases(built) if has_data(built) else None
+        check_gradient(run, built, cases, _episodes(built, threads), threads, talk)
     return raise_if_failed(run)
 
 
 def has_data(built: Built) -> bool:
     """Say whether a scene has a fit to differentiate."""
-    return built.scene.data is not None and bool(built.scene.unknowns)
+    return built.scene.data is not None and bool(built.scene.unknowns) and not has_episodes(built.scene)
+
+
+def _episodes(built: Built, threads: int) -> EpisodeProblem | None:
+    return EpisodeProblem(built, threads=threads) if has_episodes(built.scene) else None
 
 
 def check_gradient(
-    run: RunDirectory, built: Built, cases: list[Case] | None, threads: int, talk: Reporter
-) -> tuple[Path, bool]:
+    run: RunDirectory, built: Built, cases: list[Case] | None, episodes: EpisodeProblem | None, threads: int,
+    talk: Reporter,
+) -> tuple[Path, bool]:  # fmt: skip
     """Check every direction; write gradcheck.json."""
     run.begin(threads)
     compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=True)
@@ -135,7 +144,10 @@ def check_gradient(
         talk.phase("making data")
         cases = made_cases(run, built)
     try:
-        loss = state_loss(built, threads) if cases is None else fit_loss(built, cases, threads)
+        if episodes is not None:
+            loss = episode_loss(episodes)
+        else:
+            loss = state_loss(built, threads) if cases is None else fit_loss(built, cases, threads)
         value, gradient = loss.value_and_grad(loss.x)
     except (RolloutError, TrialFailed) as error:
         run.finish("failed", f"at the start itself: {error}")

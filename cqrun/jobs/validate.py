@@ -8,18 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import SceneError
 from cqrun.explain import listed
+from cqrun.jobs.agent import Agent
 from cqrun.jobs.cases import Case, given_cases
+from cqrun.jobs.control import optimizer_of
+from cqrun.jobs.control import prepare as prepare_control
+from cqrun.jobs.episodes import EpisodeProblem, has_episodes
 from cqrun.jobs.memory import gradient_plan, state_bytes
 from cqrun.jobs.report import number
 from cqrun.jobs.reporter import Silent
 from cqrun.jobs.sysid import prepare, with_optimizer
+from cqrun.jobs.validate_control import control_lines, line, point
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
+from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start
 from cqrun.units import format_bytes
 
@@ -38,9 +43,8 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     Raises:
         SceneError, UsageError: everything that a run would be refused for.
     """
-    scene = load_scene(scene_path, overrides)
-    built = prepare(scene, Silent()) if scene.job == "sysid" else build(scene)
-    cases = given_cases(built)
+    built, agent = _prepared(load_scene(scene_path, overrides))
+    scene, cases = built.scene, given_cases(built)
     yield f"{scene_path}: a valid scene" + (f": {scene.title}" if scene.title else "")
     yield from _world(built)
     for name in built.particles.names:
@@ -50,17 +54,20 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     if built.scene.unknowns:
         yield from _unknowns(built)
     yield from _data(built, cases)
-    yield from _cost(built)
+    if agent is not None:
+        yield from control_lines(agent)
+    yield from _cost(built, agent)
     for warning in built.warnings:
         yield f"warning: {warning}"
 
 
-def _line(what: str, text: str) -> str:
-    return f"  {what:10} {text}"
-
-
-def _point(x: Array | Sequence[float]) -> str:
-    return "(" + ", ".join(number(float(c)) for c in x) + ")"
+def _prepared(scene: Scene) -> tuple[Built, Agent | None]:
+    """Return what the scene's job would run, and what acts in it."""
+    if scene.job == "control" or has_episodes(scene):
+        problem = prepare_control(scene, 1, Silent())
+        return problem.built, problem
+    built = prepare(scene, Silent()) if scene.job == "sysid" else build(scene)
+    return built, None if scene.controller is None else Agent(built)
 
 
 # --- the world and what is in it ----------------------------------------------------------------------------
@@ -70,9 +77,9 @@ def _world(built: Built) -> Iterator[str]:
     world, shape = built.scene.world, built.model.grid_shape
     size = " x ".join(number(edge) for edge in world.size)
     nodes = " x ".join(map(str, shape))
-    yield _line("world", f"{size} m in cells of {number(world.dx)} m: {nodes} = {int(np.prod(shape)):,} nodes")
+    yield line("world", f"{size} m in cells of {number(world.dx)} m: {nodes} = {int(np.prod(shape)):,} nodes")
     held = ", ".join(f"{c.name} ({c.spec.name}, {int(c.nodes.sum()):,} nodes)" for c in built.model.conditions)
-    yield _line("boundaries", held or "none: a body that reaches the edge of the world stops the run")
+    yield line("boundaries", held or "none: a body that reaches the edge of the world stops the run")
 
 
 def _body(built: Built, name: str) -> Iterator[str]:
@@ -81,23 +88,23 @@ def _body(built: Built, name: str) -> Iterator[str]:
     x, mass = particles.x[part], built.assembly.inputs({}).fields.mass[part]
     in_cell = (dx / spacing) ** dim
     unit = "kg" if dim == 3 else "kg/m"
-    yield _line(
+    yield line(
         f"body {name}",
         f"{len(x):,} particles, {number(in_cell)} a cell, {number(spacing)} m apart; mass {number(mass.sum())} {unit}",
     )
     low, high = x.min(axis=0), x.max(axis=0)
     room = min(low.min(), (np.array(built.scene.world.size) - high).min())
-    yield _line("", f"from {_point(low)} to {_point(high)} m, {number(room)} m from the nearest face of the world")
+    yield line("", f"from {point(low)} to {point(high)} m, {number(room)} m from the nearest face of the world")
     groups = [f"{group} {len(held):,}" for group, held in particles.groups(name).items()]
     if groups:
-        yield _line("", f"groups: {listed(groups)}")
+        yield line("", f"groups: {listed(groups)}")
 
 
 def _actuators(built: Built) -> Iterator[str]:
     for actuator in built.model.actuators:
         chosen: Any = built.scene.actuators[actuator.name.partition(".")[0]]
         count = len(actuator.particles)
-        yield _line("actuator", f"{actuator.name} ({chosen.name}): {count:,} particles of '{chosen.value.body}'")
+        yield line("actuator", f"{actuator.name} ({chosen.name}): {count:,} particles of '{chosen.value.body}'")
 
 
 # --- time ---------------------------------------------------------------------------------------------------
@@ -105,7 +112,7 @@ def _actuators(built: Built) -> Iterator[str]:
 
 def _time(built: Built) -> Iterator[str]:
     time, model = built.scene.time, built.model
-    yield _line(
+    yield line(
         "time",
         f"{number(time.duration)} s in {model.n_controls} control steps of {number(time.control_step)} s, "
         f"each of {model.substeps} substeps of {number(model.dt)} s: {model.n_steps:,} substeps",
@@ -113,10 +120,10 @@ def _time(built: Built) -> Iterator[str]:
     least = min(built.limits, key=lambda limit: limit.dt)
     corner = " at the worst corner of the unknowns' bounds" if built.scene.unknowns else ""
     cause = f"{number(least.dt)} s ({least.part}{corner})"
-    yield _line("", f"{model.dt / least.dt:.2f} of the largest stable substep, {cause}")
+    yield line("", f"{model.dt / least.dt:.2f} of the largest stable substep, {cause}")
     for limit in built.limits:
         if limit is not least:
-            yield _line("", f"{limit.part} would allow {number(limit.dt)} s")
+            yield line("", f"{limit.part} would allow {number(limit.dt)} s")
 
 
 # --- unknowns and data --------------------------------------------------------------------------------------
@@ -130,11 +137,11 @@ def _unknowns(built: Built) -> Iterator[str]:
         unit = "" if unit == "1" else f" {unit}"
         per = "" if unknown.per == "body" else f", one a {unknown.per}"
         text = f"{path}: {number(low)} to {number(high)}{unit}, from {number(start(scene, path))}"
-        yield _line("unknown", f"{text}, {unknown.scale} scale{per}")
+        yield line("unknown", f"{text}, {unknown.scale} scale{per}")
     if scene.data is not None:
         chosen = with_optimizer(scene).optimizer
         assert chosen is not None
-        yield _line("optimizer", f"{chosen.name}, at most {chosen.value.max_iterations} iterations")  # type: ignore[attr-defined]
+        yield line("optimizer", f"{chosen.name}, at most {chosen.value.max_iterations} iterations")  # type: ignore[attr-defined]
 
 
 def _data(built: Built, cases: list[Case] | None) -> Iterator[str]:
@@ -146,15 +153,15 @@ def _data(built: Built, cases: list[Case] | None) -> Iterator[str]:
         random = built.scene.activation.random if built.scene.activation is not None else None
         sequences = random.sequences if random is not None else 1
         points = f"{len(made.markers)} markers" if made.markers is not None else f"{made.tracked} tracked particles"
-        yield _line(
+        yield line(
             "data",
             f"synthetic: {sequences} x {made.copies} recordings of {points} on '{made.body}', "
             f"noise {number(MILLI * made.noise)} mm",
         )
     if data.target is not None:
         goal = data.target
-        where = f"{_point(goal.position)} m, t = {number(goal.time)} s"
-        yield _line("data", f"target: the centroid of '{goal.body}' at {where}")
+        where = f"{point(goal.position)} m, t = {number(goal.time)} s"
+        yield line("data", f"target: the centroid of '{goal.body}' at {where}")
     for case in cases or []:
         yield from _recording(case)
 
@@ -163,23 +170,23 @@ def _recording(case: Case) -> Iterator[str]:
     for objective, measured in zip(case.objectives, case.measured, strict=False):  # a target has no measured motion
         assert isinstance(objective, MarkerObjective)
         use = "held out" if case.holdout else "fitted"
-        yield _line(
+        yield line(
             "recording",
             f"{case.name} ({use}): {len(measured.names)} markers, {len(objective.times)} frames from "
             f"{number(objective.times[0])} to {number(objective.times[-1])} s, release at {number(case.start)} s, "
             f"{objective.seen.mean():.1%} seen",
         )
         if measured.alignment is None:
-            yield _line("", "positions in the scene's own frame")
+            yield line("", "positions in the scene's own frame")
         else:
             residuals = MILLI * measured.alignment.residuals
-            yield _line("", f"aligned to the rest positions within {residuals.min():.2f} to {residuals.max():.2f} mm")
+            yield line("", f"aligned to the rest positions within {residuals.min():.2f} to {residuals.max():.2f} mm")
 
 
 # --- cost ---------------------------------------------------------------------------------------------------
 
 
-def _cost(built: Built) -> Iterator[str]:
+def _cost(built: Built, agent: Agent | None) -> Iterator[str]:
     model = built.model
     one, budget = state_bytes(model), format_bytes(model.memory_budget)
     forward = 1e-9 * NANOSECONDS[model.dim] * model.layout.n_particles * model.n_steps
@@ -187,20 +194,29 @@ def _cost(built: Built) -> Iterator[str]:
         plan = gradient_plan(built)
     except SceneError as error:  # a scene may be run forward all the same
         yield f"warning: no gradients: {error}"
-        yield _line("cost", f"an estimate, for one core: {_seconds(forward)} forward")
+        yield line("cost", f"an estimate, for one core: {_seconds(forward)} forward")
         return
     again = "none run twice" if plan.recompute == 1 else f"{plan.recompute:.2f} forward substeps for each"
-    yield _line(
+    yield line(
         "memory",
         f"a gradient keeps {plan.states:,} states of {format_bytes(one)}, {format_bytes(plan.states * one)} "
         f"of a budget of {budget}: {again}",
     )
     backward = forward * (GRADIENT + plan.recompute - 1)
-    yield _line(
+    yield line(
         "cost",
         f"an estimate, for one core: {_seconds(forward)} forward, {_seconds(backward)} with the gradient "
         f"({NANOSECONDS[model.dim]:g} ns a particle and substep; `cqrun bench` measures this machine)",
     )
+    if isinstance(agent, EpisodeProblem):
+        optimizer = optimizer_of(built)
+        if optimizer.gradients:
+            episodes = min(agent.n_episodes, getattr(optimizer, "batch_size", None) or agent.n_episodes)
+            of = f"{episodes} {'episode' if episodes == 1 else 'episodes'} with the gradient"
+            yield line("", f"an iteration of {optimizer.name}: {of}, {_seconds(episodes * backward)}")
+        else:
+            of = f"{agent.n_episodes} {'episode' if agent.n_episodes == 1 else 'episodes'} forward"
+            yield line("", f"a trial of {optimizer.name}: {of}, {_seconds(agent.n_episodes * forward)}")
 
 
 def _seconds(seconds: float) -> str:

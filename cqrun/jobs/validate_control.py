@@ -1,0 +1,76 @@
+"""What is known beforehand of a scene that acts: what it sees, decides, drives and is after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from cqrun.contract import Array
+from cqrun.explain import listed
+from cqrun.jobs.agent import CONTROLLER, Agent
+from cqrun.jobs.control import optimizer_of
+from cqrun.jobs.episodes import EpisodeProblem
+from cqrun.jobs.report import number
+from cqrun.units import format_bytes
+
+
+def line(what: str, text: str) -> str:
+    """Return a line of the table, with what it is about at its head."""
+    return f"  {what:10} {text}"
+
+
+def point(x: Array | Sequence[float]) -> str:
+    """Return a position as text."""
+    return "(" + ", ".join(number(float(c)) for c in x) + ")"
+
+
+def control_lines(agent: Agent) -> Iterator[str]:
+    """Yield lines on observers, controller, goals, episodes and objective."""
+    scene, seen = agent.built.scene, agent.observation
+    for name, place in seen.parts.items():
+        size = place.stop - place.start
+        yield line("observer", f"{name} ({scene.observers[name].name}): {_count(size, 'number')}")
+    yield from _controller(agent)
+    for name, goal in scene.goals.items():
+        spread = f", drawn within {point(goal.spread or [])} m to either side" if goal.drawn else ""
+        yield line("goal", f"{name}: {point(goal.position)} m{spread}")
+    if isinstance(agent, EpisodeProblem):
+        yield from _episodes(agent)
+    for name, chosen in scene.objective.items():
+        spec: Any = chosen.value
+        aim = "larger is better" if spec.sense < 0 else "smaller is better"
+        yield line("objective", f"{name} ({chosen.name}): {spec.over}, weight {number(spec.weight)}, {aim}")
+
+
+def _controller(agent: Agent) -> Iterator[str]:
+    scene, low, high = agent.built.scene, agent.limits.low, agent.limits.high
+    shapes = [
+        f"{b.path.removeprefix(CONTROLLER)} {' x '.join(map(str, b.initial.shape)) or '1'}"
+        for b in agent.params.blocks
+        if b.path.startswith(CONTROLLER)
+    ]
+    count = sum(b.size for b in agent.params.blocks if b.path.startswith(CONTROLLER))
+    sees = _count(agent.observation.size, "number") if agent.controller.closed_loop else "time alone"
+    yield line("controller", f"{agent.controller.name}: {_count(count, 'parameter')} ({listed(shapes)})")
+    pairs = [f"{number(a)} to {number(b)}" for a, b in sorted(set(zip(low.tolist(), high.tolist(), strict=True)))]
+    drives = f"{_count(len(low), 'activation')} within {listed(pairs)}"
+    yield line("", f"from {sees} to {drives}, every {number(scene.time.control_step)} s")
+    dim, rows = agent.model.dim, agent.model.probe.shape[0] if agent.model.probe is not None else 0
+    kept = 8 * (agent.model.n_controls + 1) * (2 * dim * (1 + dim) * rows + agent.n_memory)
+    yield line("", f"beside its states an episode keeps {format_bytes(kept)} of what is seen, remembered and judged")
+
+
+def _episodes(agent: EpisodeProblem) -> Iterator[str]:
+    episodes, optimizer = agent.built.scene.episodes, optimizer_of(agent.built)
+    how = "one, as no goal is drawn"
+    if agent.stochastic:
+        how = f"{agent.n_episodes}, with fresh goals at every iteration"
+    elif agent.n_episodes > 1 or any(g.drawn for g in agent.built.scene.goals.values()):
+        how = f"a fixed set of {agent.n_episodes}"
+    tested = f"; the result is tested on {episodes.unseen} more" if episodes.unseen else ""
+    yield line("episodes", f"{how}{tested}")
+    yield line("optimizer", f"{optimizer.name}, at most {_count(optimizer.max_iterations, 'iteration')}")
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n:,} {what}" + ("" if n == 1 else "s")
