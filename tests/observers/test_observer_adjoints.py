@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_encoders import made_encoder
 from made_matter import CONTROL_STEP, box_around_left, made_matter, mismatch, moved, slope
 
 from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observation
 from cqrun.observers.pca import Pca, fit_components
+from cqrun.observers.vae import Vae
 from cqrun.registry import plugins
 from cqrun.state import State
 
@@ -35,6 +37,7 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "goal": [{"goal": "target", "body": "arm"}, {"goal": "target", "body": "arm", "group": "tip"},
                  {"goal": "target"}],
         "pca": [{"body": "arm", "components": 2}],
+        "vae": [{"body": "arm", "file": "made by `make`"}],
     }  # fmt: skip
 
 
@@ -48,15 +51,19 @@ def make(name: str, k: int, dim: int, rng: np.random.Generator) -> BoundObserver
     if isinstance(spec, Pca):
         x = matter.x[matter.members("arm")] + 0.1 * rng.normal(size=(5, len(matter.members("arm")), dim))
         return spec.bind_to(matter, fit_components(x, 3))
+    if isinstance(spec, Vae):
+        return spec.bind_to(matter, made_encoder(dim, rng))
     return spec.bind(matter)
 
 
 def a_moment(bound: BoundObserver, dim: int, rng: np.random.Generator, control: int = 3) -> Moment:
     k, n = bound.rows.shape
     draw = lambda *shape: rng.normal(size=(k, *shape))  # noqa: E731
+    drawn = lambda *shape: rng.normal(size=(n, *shape))  # noqa: E731
+    state = State(0.3 * drawn(dim), drawn(dim), drawn(dim, dim), drawn(dim, dim))
     return Moment(
         draw(dim), draw(dim), draw(dim, dim), np.eye(dim) + 0.3 * draw(dim, dim), CONTROL_STEP * control, control,
-        {"target": rng.normal(size=dim)}, rng.normal(size=bound.n_memory), lambda: State.at_rest(np.zeros((n, dim))),
+        {"target": rng.normal(size=dim)}, rng.normal(size=bound.n_memory), lambda: state,
     )  # fmt: skip
 
 
@@ -66,14 +73,18 @@ def adjoint_error(bound: BoundObserver, moment: Moment, rng: np.random.Generator
     z_bar, memory_bar = rng.normal(size=z.shape), rng.normal(size=memory.shape)
     names = ("x", "v", "C", "F", "memory")
     directions = {name: rng.normal(size=getattr(moment, name).shape) for name in names}
+    state, pushes = moment.state(), {name: rng.normal(size=getattr(moment.state(), name).shape) for name in "xvCF"}
     tilted = replace(moment, **{name: moved(getattr(moment, name), directions[name]) for name in names})
+    tilted.state = lambda: State(*(moved(getattr(state, name), push) for name, push in pushes.items()))
     expected = slope(lambda: np.concatenate(bound.observe(tilted)), np.concatenate([z_bar, memory_bar]))
     bar = bound.observe_vjp(moment, z_bar, memory_bar)
     parts = [bar_of(bar, name, directions[name].shape) * directions[name] for name in names]
+    if bar.state is not None:
+        parts += [bar_of(bar.state, name, push.shape) * push for name, push in pushes.items()]
     return mismatch(sum(float(p.sum()) for p in parts), expected, sum(float(np.abs(p).sum()) for p in parts))
 
 
-def bar_of(bar: MomentBar, name: str, shape: tuple[int, ...]) -> np.ndarray:
+def bar_of(bar: MomentBar | State, name: str, shape: tuple[int, ...]) -> np.ndarray:
     """Return a cotangent, None as zeros; one of another shape than its value's is an error."""
     own = getattr(bar, name)
     assert own is None or own.shape == shape, name
@@ -101,7 +112,7 @@ def test_shapes(name, k, dim, rng):
     assert memory.shape == (bound.n_memory,)
     assert bound.rows.shape[1] == made_matter(dim).n_particles
     assert (bound.low < bound.high).all()
-    assert not bound.needs_state
+    assert bound.needs_state == (name == "vae")
 
 
 def test_a_wrong_adjoint_is_found(rng):

@@ -1,0 +1,94 @@
+"""A small convolutional encoder in NumPy, and its adjoint: layers of 3^D kernels with stride 2, ELU between, then a
+linear map to the latent numbers. It is trained elsewhere (`vae_training.py`); acting needs no other library.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cqrun.contract import Array
+
+KERNEL, STRIDE = 3, 2
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """Weights of the encoder.
+
+    Attributes:
+        kernels: (C_out, C_in, 3, ...) of each layer, as torch has them.
+        offsets: (C_out,) of each layer.
+        weights, shift: (k, n) and (k,) of the linear map.
+    """
+
+    kernels: tuple[Array, ...]
+    offsets: tuple[Array, ...]
+    weights: Array
+    shift: Array
+
+    def encode(self, image: Array) -> Array:
+        """Return the latent numbers (k,) of an image (C, G, ...)."""
+        return self.weights @ self._layers(image)[-1].reshape(-1) + self.shift
+
+    def encode_vjp(self, image: Array, z_bar: Array) -> Array:
+        """Return the cotangent of the image from that of the latent numbers."""
+        layers = self._layers(image)
+        bar = (self.weights.T @ z_bar).reshape(layers[-1].shape)
+        for kernel, before, after in reversed(list(zip(self.kernels, layers[:-1], layers[1:], strict=True))):
+            bar = convolved_vjp(kernel, before.shape, bar * elu_slope(after))
+        return bar
+
+    def _layers(self, image: Array) -> list[Array]:
+        layers = [image]
+        for kernel, offset in zip(self.kernels, self.offsets, strict=True):
+            layers.append(elu(convolved(kernel, layers[-1]) + offset.reshape(-1, *(1,) * (image.ndim - 1))))
+        return layers
+
+
+def elu(a: Array) -> Array:
+    """Return a where it is positive, else exp(a) - 1: once differentiable everywhere."""
+    return np.where(a.real > 0, a, np.expm1(np.where(a.real > 0, 0.0, a)))
+
+
+def elu_slope(out: Array) -> Array:
+    """Return the derivative of `elu` from its result."""
+    return np.where(out > 0, 1.0, out + 1.0)
+
+
+def size_after(cells: int) -> int:
+    """Return how many cells a layer leaves along an axis."""
+    return (cells + 1) // STRIDE
+
+
+def convolved(kernel: Array, image: Array) -> Array:
+    """Return the cross-correlation of an image (C, G, ...), padded by one, with a kernel, every other cell."""
+    return np.tensordot(kernel.reshape(len(kernel), -1), _columns(image), axes=1)
+
+
+def convolved_vjp(kernel: Array, shape: Sequence[int], out_bar: Array) -> Array:
+    """Return the cotangent of the image, of this shape, from that of `convolved`."""
+    dim = len(shape) - 1
+    bars = np.tensordot(kernel.reshape(len(kernel), -1).T, out_bar, axes=1)
+    bars = bars.reshape(shape[0], *(KERNEL,) * dim, *out_bar.shape[1:])
+    padded = np.zeros((shape[0], *(n + 2 for n in shape[1:])))
+    for offset in itertools.product(range(KERNEL), repeat=dim):
+        padded[_places(offset, out_bar.shape[1:])] += bars[(slice(None), *offset)]
+    return padded[(slice(None), *(slice(1, -1),) * dim)]
+
+
+def _columns(image: Array) -> Array:
+    """Return what each output cell sees (C * 3^D, G', ...)."""
+    dim = image.ndim - 1
+    padded = np.pad(image, [(0, 0), *[(1, 1)] * dim])
+    out = tuple(size_after(n) for n in image.shape[1:])
+    seen = [padded[_places(offset, out)] for offset in itertools.product(range(KERNEL), repeat=dim)]
+    return np.stack(seen, axis=1).reshape(-1, *out)
+
+
+def _places(offset: Sequence[int], out: Sequence[int]) -> tuple[slice, ...]:
+    """Return which padded cells lie at an offset in the stencils of all output cells."""
+    return (slice(None), *(slice(o, o + STRIDE * (n - 1) + 1, STRIDE) for o, n in zip(offset, out, strict=True)))
