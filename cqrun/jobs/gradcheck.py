@@ -191,7 +191,7 @@ def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Ar
     scan = extrapolated(lambda h: _central(loss, d, h))
     best = plateau(scan)
     differences, step = float(scan[best]), float(STEPS[best])
-    noise = NOISE * float(np.finfo(precision).eps) * max(abs(value), loss.scale) / step
+    noise = NOISE * float(np.finfo(precision).eps) * float(max(abs(value), loss.scale)) / step
     shown = [float(e) if np.isfinite(e) else None for e in scan]
     if not np.isfinite(differences):
         return Row(block, count, adjoint, None, None, step, noise, shown, False)
