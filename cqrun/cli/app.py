@@ -13,6 +13,7 @@ import typer
 
 from cqrun import __version__
 from cqrun.cli.bench import bench
+from cqrun.cli.compress import compress
 from cqrun.cli.control import control
 from cqrun.cli.describe import describe
 from cqrun.cli.doctor import doctor
@@ -28,7 +29,8 @@ from cqrun.cli.warmup import warmup
 from cqrun.errors import CqrunError, SceneError
 
 COMMANDS = (
-    sysid, control, simulate, gradcheck, resume, validate, describe, schema, plot, render, bench, warmup, doctor,
+    sysid, control, simulate, gradcheck, resume, validate, describe, schema, plot, render, compress, bench, warmup,
+    doctor,
 )  # fmt: skip
 
 app = typer.Typer(

@@ -23,12 +23,14 @@ class Encoder:
         kernels: (C_out, C_in, 3, ...) of each layer, as torch has them.
         offsets: (C_out,) of each layer.
         weights, shift: (k, n) and (k,) of the linear map.
+        middle: (C,) what is subtracted from each channel of an image first.
     """
 
     kernels: tuple[Array, ...]
     offsets: tuple[Array, ...]
     weights: Array
     shift: Array
+    middle: Array
 
     def encode(self, image: Array) -> Array:
         """Return the latent numbers (k,) of an image (C, G, ...)."""
@@ -43,9 +45,10 @@ class Encoder:
         return bar
 
     def _layers(self, image: Array) -> list[Array]:
-        layers = [image]
+        each = (-1, *(1,) * (image.ndim - 1))
+        layers = [image - self.middle.reshape(each)]
         for kernel, offset in zip(self.kernels, self.offsets, strict=True):
-            layers.append(elu(convolved(kernel, layers[-1]) + offset.reshape(-1, *(1,) * (image.ndim - 1))))
+            layers.append(elu(convolved(kernel, layers[-1]) + offset.reshape(each)))
         return layers
 
 
@@ -76,7 +79,8 @@ def convolved_vjp(kernel: Array, shape: Sequence[int], out_bar: Array) -> Array:
     bars = bars.reshape(shape[0], *(KERNEL,) * dim, *out_bar.shape[1:])
     padded = np.zeros((shape[0], *(n + 2 for n in shape[1:])))
     for offset in itertools.product(range(KERNEL), repeat=dim):
-        padded[_places(offset, out_bar.shape[1:])] += bars[(slice(None), *offset)]
+        at: tuple[int | slice, ...] = (slice(None), *offset)
+        padded[_places(offset, out_bar.shape[1:])] += bars[at]
     return padded[(slice(None), *(slice(1, -1),) * dim)]
 
 

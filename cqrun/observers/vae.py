@@ -86,18 +86,19 @@ def save_encoder(path: Path, trained: Trained) -> None:
     layers = {f"kernel{k}": a for k, a in enumerate(encoder.kernels)}
     layers |= {f"offset{k}": a for k, a in enumerate(encoder.offsets)}
     grid = np.array([raster.cells, raster.cell, raster.speed, raster.dim], float)
-    write_arrays(path, {"grid": grid, "weights": encoder.weights, "shift": encoder.shift, **layers})
+    own = {"weights": encoder.weights, "shift": encoder.shift, "middle": encoder.middle}
+    write_arrays(path, {"grid": grid, **own, **layers})
 
 
 def load_encoder(path: Path) -> Trained:
     """Read an encoder; UsageError where the file is none."""
     arrays = read_arrays(path, WHAT)
     depth = sum(name.startswith("kernel") for name in arrays)
-    names = ["grid", "weights", "shift", *(f"{part}{k}" for part in ("kernel", "offset") for k in range(depth))]
+    layers = [f"{part}{k}" for part in ("kernel", "offset") for k in range(depth)]
+    names = ["grid", "weights", "shift", "middle", *layers]
     if sorted(names) != sorted(arrays) or arrays["grid"].shape != (4,):
         raise UsageError(f"{path}: is no {WHAT}: it must hold the arrays {', '.join(names)}")
     cells, cell, speed, dim = (float(a) for a in arrays["grid"])
     kernels, offsets = (tuple(arrays[f"{part}{k}"] for k in range(depth)) for part in ("kernel", "offset"))
-    return Trained(
-        Raster(int(cells), cell, speed, int(dim)), Encoder(kernels, offsets, arrays["weights"], arrays["shift"])
-    )
+    encoder = Encoder(kernels, offsets, *(arrays[name] for name in ("weights", "shift", "middle")))
+    return Trained(Raster(int(cells), cell, speed, int(dim)), encoder)

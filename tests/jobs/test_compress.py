@@ -1,0 +1,51 @@
+"""`cqrun compress`: observers learned from runs."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+from small_beam import BEAM
+
+from cqrun.errors import MissingExtra, UsageError
+from cqrun.jobs.compress import compress, raster_of
+from cqrun.jobs.simulate import run_simulate
+from cqrun.observers.pca import load_components
+
+
+@pytest.fixture(scope="module")
+def swing(tmp_path_factory):
+    """Return a run of the small beam."""
+    folder = tmp_path_factory.mktemp("swing")
+    (folder / "beam.yaml").write_text(BEAM)
+    return run_simulate(folder / "beam.yaml", (), folder / "out", False, 1, True)
+
+
+def test_components_explain_a_swing(swing, tmp_path):
+    said = compress([swing, swing], "pca", 2, tmp_path / "pca.npz")
+    found = load_components(tmp_path / "pca.npz")
+    assert said == f"2 components explain {found.explained.sum():.1%} of the variance"
+    assert found.explained.sum() > 0.99
+    assert found.modes.shape[0] == 2
+
+
+def test_a_body_that_is_not_there_is_refused(swing, tmp_path):
+    with pytest.raises(UsageError, match="say whose motion with --body.*there are: beam"):
+        compress([swing], "pca", 2, tmp_path / "pca.npz", body="bean")
+
+
+def test_a_run_without_a_trajectory_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="trajectory.h5: no such trajectory"):
+        compress([tmp_path], "pca", 2, tmp_path / "pca.npz")
+
+
+def test_what_does_not_move_is_refused():
+    with pytest.raises(UsageError, match="does not move"):
+        raster_of(np.zeros((3, 4, 2)), np.zeros((3, 4, 2)), 8)
+
+
+def test_a_missing_torch_is_named(swing, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingExtra, match=r"'torch', which is not installed: pip install 'cqrun\[torch\]'"):
+        compress([swing], "vae", 2, tmp_path / "vae.npz")
