@@ -27,7 +27,7 @@ from cqrun.objectives.term import Objective, Track, TrackBar
 from cqrun.observers.matter import Matter, Unfit
 from cqrun.observers.observer import Observation
 from cqrun.scene.build import Built
-from cqrun.scene.paths import canonical
+from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
 from cqrun.state import State
 from cqrun.store.atomic import disk_errors
@@ -168,13 +168,14 @@ class Agent:
         sizes = {block.path: block.initial.shape for block in self.params.blocks}
         for name, value in said["unknowns"].items():
             array = np.array(value, float)
-            if name in sizes and array.shape != sizes[name]:
+            if array.ndim == 0:
+                continue  # the scene has it
+            if array.shape != sizes.get(name):
                 raise UsageError(
-                    f"{path}: holds {array.size} numbers of {name} that were learned with the controller, and this "
-                    f"scene needs {sizes[name]}: bodies and particles must be those it was trained with"
+                    f"{path}: holds {array.size} numbers of {name} that were learned with the controller; this scene's "
+                    f"unknowns have {sizes.get(name, 'none')}: bodies and particles must be those it was trained with"
                 )
-            if name in sizes and array.ndim:
-                known[name] = array
+            known[name] = array
         return known
 
     # --- rollouts -----------------------------------------------------------------------------------------------
@@ -277,12 +278,18 @@ def learned_values(file: Path, scene: Scene, overrides: Sequence[str]) -> list[s
     """Return overrides that give a scene the single numbers that were learned with a controller.
 
     Raises:
-        UsageError: the file is no controller's, or an override is of numbers that were learned for each group or
-            particle.
+        UsageError: the file is no controller's, the scene has no such number, or an override is of numbers that were
+            learned for each group or particle.
     """
     _, meta = read_controller(file)
-    unknowns = {canonical(scene, path) for path in scene.unknowns}
-    learned = {path: value for path, value in meta.get("unknowns", {}).items() if path in unknowns}
+    learned = meta.get("unknowns", {})
+    for path in learned:
+        try:
+            leaf(scene, path)
+        except SceneError:
+            raise UsageError(
+                f"{file}: {path} was learned with the controller; this scene has no such number"
+            ) from None
     for override in overrides:
         key = override.partition("=")[0].strip()
         if isinstance(learned.get(key), list):

@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -35,7 +35,7 @@ from cqrun.jobs.runs import cores, run_scene
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
-from cqrun.store.atomic import write_json, write_text
+from cqrun.store.atomic import make_directory, write_json, write_text
 from cqrun.store.run import RunScene
 
 CONFIDENCE = 0.9
@@ -50,13 +50,13 @@ STAGES = {"start": "before", "trained": "learned", "unseen": "on unseen goals"}
 
 @dataclass
 class Seed:
-    """One seed's run: its directory, and its process while there is one."""
+    """One seed's run: its directory, how it failed if it did, and its process while there is one."""
 
     seed: int
     run: Path
-    process: subprocess.Popen[bytes] | None = None
-    said: IO[bytes] = field(default_factory=tempfile.TemporaryFile)
     failure: str | None = None
+    process: subprocess.Popen[bytes] | None = None
+    said: IO[bytes] | None = None
 
     @property
     def iteration(self) -> int:
@@ -66,20 +66,36 @@ class Seed:
 
     def start(self, command: Sequence[str]) -> None:
         """Begin; out of reach of the terminal's Ctrl-C, which this process hands on once."""
+        self.said = tempfile.TemporaryFile()  # noqa: SIM115  closed when the process is over
         self.process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self.said, start_new_session=True
         )
 
+    def ask(self, number: signal.Signals) -> None:
+        """Ask it to stop at the next iteration."""
+        if self.process is not None:
+            self.process.send_signal(number)
+
     def ended(self) -> bool:
-        """Say whether its process is over; if so it has none any more, and a failure is known."""
-        if self.process is None or self.process.poll() is None:
-            return False
+        """Say whether its process is over; a failure is known then."""
+        return self.process is not None and self.process.poll() is not None and self._take_leave()
+
+    def kill(self) -> None:
+        """End it where it stands: it can be resumed from its last checkpoint."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+            self._take_leave()
+
+    def _take_leave(self) -> bool:
+        assert self.process is not None
+        assert self.said is not None
         if self.process.returncode != 0:
             self.said.seek(0)
             lines = self.said.read().decode(errors="replace").strip().splitlines()
             self.failure = lines[-1].removeprefix("error: ") if lines else f"ended with {self.process.returncode}"
-        self.process = None
         self.said.close()
+        self.process = self.said = None
         return True
 
 
@@ -124,6 +140,7 @@ def run_seeds(
         raise talk.stop.stopped(f"{len(good)} of {seeds} seeds are finished; the same command continues the others")
     path = out / source.stem / f"summary-{_inputs(source, scene, None).digest()}.json"
     summary = _summary(source.stem, all_of_them)
+    make_directory(path.parent)
     write_json(path, summary)
     write_text(path.with_suffix(".csv"), _table(summary))
     return path, len(good) == seeds
@@ -163,7 +180,8 @@ def _run_all(seeds: Sequence[Seed], command: Sequence[str], at_once: int, iterat
                 for seed in waiting:
                     seed.failure = "not begun"
                 waiting.clear()
-                _ask(running, talk.stop.exit_code)
+                for seed in running:
+                    seed.ask(signal.SIGINT if talk.stop.exit_code == EXIT_INTERRUPTED else signal.SIGTERM)
             while waiting and len(running) < at_once:
                 running.append(waiting.pop(0))
                 running[-1].start([*command, "-o", f"seed={running[-1].seed}"])
@@ -177,15 +195,7 @@ def _run_all(seeds: Sequence[Seed], command: Sequence[str], at_once: int, iterat
                 time.sleep(EVERY)
     finally:  # after a second Ctrl-C, or an error here
         for seed in running:
-            if seed.process is not None:
-                seed.process.kill()
-                seed.process.wait()
-
-
-def _ask(running: Sequence[Seed], code: int) -> None:
-    for seed in running:
-        if seed.process is not None:
-            seed.process.send_signal(signal.SIGINT if code == EXIT_INTERRUPTED else signal.SIGTERM)
+            seed.kill()
 
 
 def _tell(

@@ -1,0 +1,121 @@
+"""`cqrun control`: what it learns and writes, how it stops and goes on."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+from small_beam import Listener, assert_same, changed, result_of
+from small_finger import written
+
+from cqrun.controllers.saved import read_controller
+from cqrun.errors import RunError, Stopped, UsageError
+from cqrun.jobs.control import run_control
+from cqrun.jobs.report import report_lines
+from cqrun.jobs.resume import run_resume
+from cqrun.store.history import read_history
+from cqrun.store.run import read_record
+from cqrun.store.trajectory import read_trajectory
+
+
+@pytest.fixture
+def finger(tmp_path):
+    """Return the scene of the small finger."""
+    return written(tmp_path)
+
+
+def learn(scene, out, *overrides, reporter=None, threads=1, fresh=False):
+    return run_control(scene, overrides, out, fresh, threads, True, reporter=reporter)
+
+
+def test_it_learns_and_writes_what_it_learned(finger, tmp_path):
+    run = learn(finger, tmp_path)
+    result, history = result_of(run), read_history(run / "history.csv")
+    assert (result["job"], result["status"], result["iterations"]) == ("control", "iteration_limit", 4)
+    assert result["trained"]["loss"] < 0.8 * result["start"]["loss"]
+    assert result["loss"] == pytest.approx(result["trained"]["loss"], rel=1e-12)
+    assert history["loss"][0] == pytest.approx(result["start"]["loss"], rel=1e-12)
+    assert len(history["loss"]) == 5
+    for name in ("tip", "effort", "growth_at", "grad:controller.weights", "grad:controller.biases"):
+        assert np.isfinite(history[name]).all()
+    terms = [history["tip"][k] + 1e-3 * history["effort"][k] for k in range(5)]
+    np.testing.assert_allclose(history["loss"], terms, rtol=1e-12)
+    assert len(result["trained"]["episodes"]) == 2
+    assert len(result["unseen"]["episodes"]) == 1
+    goals = [tuple(e["goals"]["target"]) for key in ("trained", "unseen") for e in result[key]["episodes"]]
+    assert len(set(goals)) == 3
+    assert np.all(np.abs(np.array(goals) - 0.6) <= 0.05)
+    parameters, meta = read_controller(run / "controller.npz")
+    assert {name: array.shape for name, array in parameters.items()} == {"weights": (2, 15), "biases": (2,)}
+    assert meta["actuators"] == ["muscle.left", "muscle.right"]
+    motion = read_trajectory(run / "trajectory.h5")
+    assert (motion.complete, len(motion.time)) == (True, 11)
+    rows = list(csv.DictReader((run / "activation.csv").read_text().splitlines()))
+    assert list(rows[0]) == ["time", "muscle.left", "muscle.right"]
+    left = [float(row["muscle.left"]) for row in rows]
+    assert len(left) == 10
+    np.testing.assert_allclose(motion.fields["activation"][1:, 0], left, rtol=1e-6)
+    text = "\n".join(report_lines(run))
+    assert text.startswith("iteration_limit after 4 iterations")
+    assert "term    before" in text
+    assert "on unseen goals" in text
+
+
+def test_the_same_again_is_finished_and_more_iterations_extend_it(finger, tmp_path):
+    run = learn(finger, tmp_path / "out")
+    listener = Listener()
+    assert learn(finger, tmp_path / "out", reporter=listener) == run
+    assert listener.said == ["finished already (iteration_limit); --fresh starts over"]
+    assert run_resume(run, ["optimizer.adam.max_iterations=6"], 1, True) == run
+    assert_same_learning(run, learn(finger, tmp_path / "long", "optimizer.adam.max_iterations=6"))
+    with pytest.raises(UsageError, match="a run can only be extended"):
+        run_resume(run, ["time.duration=1"], 1, True)
+
+
+def assert_same_learning(run, other):
+    """Fail where two runs of differently written scenes learned different things."""
+    first, second = (read_controller(path / "controller.npz")[0] for path in (run, other))
+    assert all(np.array_equal(first[name], second[name]) for name in second)
+    assert {k: v for k, v in read_history(run / "history.csv").items() if k != "seconds"} == {
+        k: v for k, v in read_history(other / "history.csv").items() if k != "seconds"
+    }
+
+
+def test_threads_do_not_change_a_bit(finger, tmp_path):
+    assert_same(learn(finger, tmp_path / "1", threads=1), learn(finger, tmp_path / "2", threads=2))
+
+
+@pytest.mark.parametrize("fresh", ["true", "false"])
+def test_stopped_and_resumed_is_the_same(finger, tmp_path, fresh):
+    changed(finger, "unseen: 1", f"unseen: 1, fresh: {fresh}")
+    whole = learn(finger, tmp_path / "whole")
+    with pytest.raises(Stopped, match=r"asked to stop after iteration 2; `cqrun resume .*` continues"):
+        learn(finger, tmp_path, reporter=Listener(stop_after=2))
+    run = tmp_path / whole.relative_to(tmp_path / "whole")
+    assert read_record(run)["status"] == "stopped"
+    run_resume(run, [], 1, True)
+    assert_same(run, whole)
+
+
+def test_unknowns_are_learned_beside_the_controller(finger, tmp_path):
+    path = "actuators.muscle.muscle.strength"
+    run = learn(finger, tmp_path, f"unknowns={{{path}: {{bounds: [2, 8]}}}}")
+    learned = result_of(run)["unknowns"][path]
+    assert learned["initial"] == 4.0
+    assert learned["value"] != 4.0
+    assert read_controller(run / "controller.npz")[1]["unknowns"] == {path: learned["value"]}
+
+
+def test_a_start_that_blows_up_is_told(finger, tmp_path):
+    floor = "{friction: {face: y_min, coefficient: 0.5}}"  # four times, so that the kernels are those of four walls
+    floors = "\n  ".join(f"{name}: {floor}" for name in "abcd")
+    changed(finger, "walls: {friction: {face: all, coefficient: 0.5}}", floors)
+    changed(finger, "corner: [-1, -1], size: [3, 1.31]", "corner: [0.9, 0.9], size: [1, 1]")
+    changed(finger, "place:", "velocity: [10, 0]\n    place:")
+    changed(finger, "substeps: 2", "substeps: auto")
+    with pytest.raises(RunError, match=r"body 'finger', particle \d+, t = .* left the grid"):
+        learn(finger, tmp_path)
+    (run,) = (tmp_path / "finger").iterdir()
+    assert result_of(run)["trained"] is None
+    assert report_lines(run)[0].startswith("failed after 0 iterations")

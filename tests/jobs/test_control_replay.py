@@ -1,0 +1,164 @@
+"""`cqrun simulate RUN`: a trained controller acts again, as it was, longer, elsewhere and with another goal."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from small_beam import Listener, assert_same, changed, result_of
+from small_finger import FINGER, written
+
+from cqrun.controllers.saved import read_controller, save_controller
+from cqrun.errors import Stopped, UsageError
+from cqrun.jobs.control import run_control
+from cqrun.jobs.report import report_lines
+from cqrun.jobs.resume import run_resume
+from cqrun.jobs.simulate import UNTRAINED, run_simulate
+from cqrun.store.run import read_record
+from cqrun.store.trajectory import read_trajectory
+
+PNEUMATIC = "muscle: {pneumatic: {body: finger, each: [left, right], axis: [0, 1], max_pressure: 4, law: chainqueen}}"
+STRENGTH = "actuators.muscle.muscle.strength"
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """Return a run that learned a controller and a strength; its goal is not drawn."""
+    folder = tmp_path_factory.mktemp("trained")
+    text = FINGER.replace(", spread: [0.05, 0.05]", "") + f"unknowns: {{{STRENGTH}: {{bounds: [2, 8]}}}}\n"
+    return run_control(written(folder, text), [], folder / "out", False, 1, True)
+
+
+def replay(source, out, *overrides, **options):
+    return run_simulate(source, overrides, out, False, 1, True, **options)
+
+
+def position(run):
+    return read_trajectory(run / "trajectory.h5").fields["x"]
+
+
+def test_it_is_the_run_to_the_bit(trained, tmp_path):
+    run = replay(trained, tmp_path)
+    np.testing.assert_array_equal(position(run), position(trained))
+    assert (run / "activation.csv").read_bytes() == (trained / "activation.csv").read_bytes()
+    assert (run / "controller.npz").read_bytes() == (trained / "controller.npz").read_bytes()
+    result, learned = result_of(run), result_of(trained)
+    assert result["terms"] == learned["trained"]["terms"]
+    assert result["loss"] == learned["trained"]["loss"]
+    assert result["goals"] == {"target": [0.6, 0.6]}
+    assert (run.parent.name, read_record(run)["job"]) == ("finger", "simulate")
+    assert "tip" in "\n".join(report_lines(run))
+    np.testing.assert_array_equal(position(replay(run, tmp_path / "again")), position(run))  # of a replay, too
+
+
+def test_longer_it_begins_the_same(trained, tmp_path):
+    """The clock's period and the ranges are those of the training, not of the longer run."""
+    run = replay(trained, tmp_path, "time.duration=0.15")
+    x = position(run)
+    assert len(x) == 16
+    np.testing.assert_array_equal(x[:11], position(trained))
+
+
+def test_another_goal_and_another_place(trained, tmp_path):
+    away = replay(trained, tmp_path, "goals.target.position=[0.5, 0.7]")
+    assert result_of(away)["goals"] == {"target": [0.5, 0.7]}
+    assert result_of(away)["loss"] != result_of(trained)["loss"]
+    there = replay(trained, tmp_path, "bodies.finger.place.offset=[0.25, 0.2]")
+    here, moved = (position(run).mean(axis=1) for run in (trained, there))
+    np.testing.assert_allclose(moved[0], here[0] + [0.05, 0.0], rtol=0, atol=1e-14)
+    assert np.abs(moved[-1] - here[-1] - [0.05, 0.0]).max() > 1e-5  # it sees that it is elsewhere
+    assert len({run.name for run in (away, there, trained)}) == 3
+
+
+def test_what_was_learned_beside_it_comes_with_it_unless_overridden(trained, tmp_path):
+    learned = result_of(trained)["unknowns"][STRENGTH]["value"]
+    assert f"strength: {learned}" in (replay(trained, tmp_path) / "scene.yaml").read_text()
+    other = replay(trained, tmp_path, f"{STRENGTH}=5")
+    assert "strength: 5" in (other / "scene.yaml").read_text()
+    assert not np.array_equal(position(other), position(trained))
+
+
+def test_numbers_for_every_particle_come_with_it(tmp_path):
+    path = "bodies.finger.material.elastic.fixed_corotated.youngs_modulus"
+    text = FINGER.replace(", spread: [0.05, 0.05]", "") + f"unknowns: {{{path}: {{bounds: [5, 20], per: particle}}}}\n"
+    run = run_control(written(tmp_path, text), [], tmp_path / "out", False, 1, True)
+    assert len(read_controller(run / "controller.npz")[1]["unknowns"][path]) == 48
+    np.testing.assert_array_equal(position(replay(run, tmp_path)), position(run))
+    with pytest.raises(UsageError, match=r"-o bodies.*: .* has a value of it for every group or particle"):
+        replay(run, tmp_path, f"{path}=12")
+    with pytest.raises(UsageError, match="bodies and particles must be those it was trained with"):
+        replay(run, tmp_path, "bodies.finger.sampling.lattice.count=3")
+
+
+def test_an_untrained_controller_acts_and_says_so(tmp_path):
+    listener = Listener()
+    run = replay(written(tmp_path), tmp_path / "out", reporter=listener)
+    assert f"warning: {UNTRAINED}" in listener.said
+    assert f"note: {UNTRAINED}" in report_lines(run)
+    assert not (run / "controller.npz").exists()
+    assert result_of(run)["goals"] == {"target": [0.6, 0.6]}  # in the middle of its range
+
+
+def test_a_controller_of_another_scene_file(trained, tmp_path):
+    scene = written(tmp_path)
+    run = replay(scene, tmp_path / "out", controller=trained / "controller.npz")
+    np.testing.assert_array_equal(position(run), position(trained))
+    plain = replay(scene, tmp_path / "out")
+    assert plain.name != run.name
+    changed(scene, "muscle: {muscle: {body: finger, each: [left, right], axis: [0, 1], strength: 4}}", PNEUMATIC)
+    with pytest.raises(UsageError, match=f"{STRENGTH} was learned .*; this scene has no such number"):
+        replay(scene, tmp_path / "out", controller=trained / "controller.npz")
+
+
+def test_a_stopped_replay_runs_again_with_its_own_copy(trained, tmp_path):
+    whole = replay(trained, tmp_path / "whole", "time.duration=0.2")
+    source = tmp_path / "finger" / trained.name
+    shutil.copytree(trained, source)
+    with pytest.raises(Stopped, match=r"stopped at t = 0.02 s"):
+        replay(source, tmp_path / "out", "time.duration=0.2", reporter=Listener(stop_after=3))
+    shutil.rmtree(source)
+    (run,) = (tmp_path / "out" / "finger").iterdir()
+    assert_same(run_resume(run, [], 1, True), whole)
+    (run / "controller.npz").unlink()
+    (run / "run.json").write_text((run / "run.json").read_text().replace('"done"', '"stopped"'))
+    with pytest.raises(UsageError, match="this copy of the controller is not what the run began with"):
+        run_resume(run, [], 1, True)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("controller={mlp: {}}", "was trained with another controller: linear_tanh; this scene has mlp"),
+        ("time.control_step=0.02", "was trained with another control step: 0.01; this scene has 0.02"),
+        ("observers={parts: {centroids: {body: finger}}}", "another observer: parts, goal, clock; .* has parts"),
+        ("actuators.muscle.muscle.each=[left]", "another actuator: muscle.left, muscle.right; .* has muscle.left"),
+        ("observers.parts.centroids.of=[position]", "of another shape: weights 2 x 15, biases 2; .* has weights"),
+    ],
+)
+def test_a_controller_that_is_not_this_scenes_is_refused(trained, tmp_path, override, message):
+    with pytest.raises(UsageError, match=rf"controller.npz: .*{message}"):
+        replay(trained, tmp_path, override)
+
+
+def test_a_file_that_saw_other_numbers_or_says_nothing(trained, tmp_path):
+    parameters, meta = read_controller(trained / "controller.npz")
+    file = tmp_path / "other.npz"
+    save_controller(file, parameters, meta | {"middle": meta["middle"][1:]})
+    with pytest.raises(UsageError, match="it saw 14 numbers, and this scene's observers give 15"):
+        replay(trained, tmp_path, controller=file)
+    save_controller(file, parameters, {"controller": "linear_tanh"})
+    with pytest.raises(UsageError, match="does not say the controller's actuators, control_step"):
+        replay(trained, tmp_path, controller=file)
+
+
+def test_a_run_without_a_controller(trained, tmp_path):
+    scene = written(tmp_path)
+    untrained = replay(scene, tmp_path / "out")
+    with pytest.raises(UsageError, match=r"has no trained controller \(it is a run of simulate\)"):
+        replay(untrained, tmp_path / "out")
+    with pytest.raises(UsageError, match=r"no run \(it has no run.json\)"):
+        replay(tmp_path, tmp_path / "out")
+    changed(scene, "controller: {linear_tanh: {}}\n", "")
+    with pytest.raises(UsageError, match="a controller for a scene that has none"):
+        replay(scene, tmp_path / "out", controller=trained / "controller.npz")

@@ -1,0 +1,171 @@
+"""`cqrun control --seeds N`: runs of their own, side by side, and what they have in common."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_beam import Listener, assert_same, changed, result_of
+from small_finger import written
+
+from cqrun.errors import Stopped, UsageError
+from cqrun.jobs import seeds
+from cqrun.jobs.control import run_control
+from cqrun.jobs.seeds import Seed, _run_all, _summary, interval, run_seeds, summary_lines
+
+
+@pytest.fixture
+def finger(tmp_path):
+    """Return the scene of the small finger, of two iterations."""
+    path = written(tmp_path)
+    changed(path, "max_iterations: 4", "max_iterations: 2")
+    return path
+
+
+def test_the_interval_is_students():
+    """4 +- t_{0.95, 2} s / sqrt(3) with t = 2.919986 of the tables and s = 2."""
+    found = interval([2.0, 4.0, 6.0])
+    half = 2.919986 * 2.0 / np.sqrt(3.0)
+    assert [found[end] for end in ("mean", "low", "high")] == pytest.approx([4.0, 4.0 - half, 4.0 + half], rel=1e-6)
+    assert interval([3.0]) == {"mean": 3.0, "low": None, "high": None}
+
+
+def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
+    listener = Listener()
+    path, good = run_seeds(finger, [], tmp_path / "out", False, 2, seeds=2, jobs=2, reporter=listener)
+    assert good
+    summary = json.loads(path.read_text())
+    alone = run_control(finger, ["seed=1"], tmp_path / "alone", False, 1, True)
+    run = tmp_path / "out" / "finger" / alone.name
+    assert summary["seeds"]["1"]["run"] == str(run)
+    assert_same(run, alone)  # to the bit, also of its file of activations
+    losses = [entry["trained"]["loss"] for entry in summary["seeds"].values()]
+    assert losses[1] == result_of(alone)["trained"]["loss"] != losses[0]
+    assert summary["all"]["trained"]["loss"] == interval(losses)
+    assert set(summary["all"]) == {"start", "trained", "unseen"}
+    assert set(summary["all"]["unseen"]) == {"tip", "effort", "loss"}
+    rows = {row["seed"]: row for row in csv.DictReader(path.with_suffix(".csv").read_text().splitlines())}
+    assert list(rows) == ["0", "1", "mean", "low", "high"]
+    assert float(rows["high"]["trained:tip"]) == summary["all"]["trained"]["tip"]["high"]
+    text = "\n".join(summary_lines(path))
+    assert text.startswith("2 of 2 seeds learned; mean and 90% interval over them")
+    assert f"draw them together: cqrun plot {summary['seeds']['0']['run']} {run}" in text
+    assert "learning from 2 seeds, 2 at once" in listener.said
+    assert listener.parts[-1][2] == "2 of 2 seeds"
+    # and with one that failed, or with one alone
+    runs = [Seed(k, Path(entry["run"])) for k, entry in enumerate(summary["seeds"].values())]
+    runs[0].failure = "blew up"
+    path.write_text(json.dumps(_summary("finger", runs)))
+    lines = summary_lines(path)
+    assert lines[0].startswith("1 of 2 seeds learned")
+    assert "seed 0 failed: blew up" in lines
+    assert json.loads(path.read_text())["all"]["trained"]["loss"] == {"mean": losses[1], "low": None, "high": None}
+
+
+def test_seeds_that_change_nothing_are_told(tmp_path):
+    same = {"mean": 2.0, "low": 2.0, "high": 2.0}
+    seeds = {k: {"run": f"results/finger/{k}", "status": "converged"} for k in range(2)}
+    path = tmp_path / "summary.json"
+    path.write_text(json.dumps({"confidence": 0.9, "seeds": seeds, "all": {"trained": {"loss": same}}}))
+    assert "note: every seed found the same: nothing in this scene is drawn from its seed" in summary_lines(path)
+
+
+# --- processes: of a few lines, in the place of cqrun -------------------------------------------------------------
+
+FAILS_AT_ONE = "import sys; sys.exit('told before\\nerror: seed one blew up' if sys.argv[-1] == 'seed=1' else 0)"
+WAITS = """
+import pathlib, signal, sys, time
+def stop(number, frame): sys.exit(130 if number == signal.SIGINT else 75)
+signal.signal(signal.SIGINT, stop)
+signal.signal(signal.SIGTERM, stop)
+pathlib.Path(sys.argv[1], sys.argv[-1]).touch()
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def three(tmp_path):
+    """Return three seeds that have not begun."""
+    return [Seed(k, tmp_path / str(k)) for k in range(3)]
+
+
+def test_a_failed_seed_is_told_and_the_others_go_on(three):
+    listener = Listener()
+    _run_all(three, [sys.executable, "-c", FAILS_AT_ONE], 2, 5, listener)
+    assert [seed.failure for seed in three] == [None, "seed one blew up", None]
+    assert listener.said == ["warning: seed 1: seed one blew up"]
+    assert listener.parts[-1] == (15, 15, "3 of 3 seeds")
+    assert any(", seed 0 at 0/5, seed 1 at 0/5" in text for _, _, text in listener.parts)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
+def test_asked_to_stop_those_that_run_are_asked_and_no_other_begins(three, tmp_path, number, code):
+    listener = Listener()
+
+    def when_two_run() -> None:
+        while len(list(tmp_path.glob("seed=*"))) < 2:
+            time.sleep(0.01)
+        listener.stop.ask(number)
+
+    watcher = threading.Thread(target=when_two_run)
+    watcher.start()
+    _run_all(three, [sys.executable, "-c", WAITS, str(tmp_path)], 2, 5, listener)
+    watcher.join()
+    assert [seed.failure for seed in three] == [f"ended with {code}", f"ended with {code}", "not begun"]
+    assert [seed.process for seed in three] == [None] * 3
+    assert listener.said == []
+
+
+def test_no_process_outlives_what_ends_the_wait_for_it(three, tmp_path, monkeypatch):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(seeds, "_tell", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        _run_all(three, [sys.executable, "-c", WAITS, str(tmp_path)], 2, 5, Listener())
+    assert [seed.failure for seed in three] == ["ended with -9", "ended with -9", None]
+
+
+def test_a_stopped_command_says_how_to_go_on(finger, tmp_path, monkeypatch):
+    def stopped(runs, command, at_once, iterations, talk):
+        runs[1].failure = "asked to stop"
+        talk.stop.ask(signal.SIGINT)
+
+    monkeypatch.setattr(seeds, "_run_all", stopped)
+    with pytest.raises(Stopped, match="2 of 3 seeds are finished; the same command continues the others") as ended:
+        run_seeds(finger, [], tmp_path, False, 1, seeds=3)
+    assert ended.value.exit_code == 130
+    assert not list(tmp_path.glob("finger/summary*"))
+
+
+def test_permission_and_fresh_are_handed_on(finger, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(seeds, "_run_all", lambda runs, command, at_once, *rest: asked.append((command, at_once)))
+    monkeypatch.setattr(seeds, "_summary", lambda stem, all_of_them: {"seeds": {}, "all": {}})
+    run_seeds(finger, ["time.duration=0.05"], tmp_path, True, 4, seeds=3, jobs=2, allow_plugins=True)
+    command, at_once = asked[0]
+    assert at_once == 2
+    assert command[:5] == [sys.executable, "-m", "cqrun", "control", str(finger)]
+    assert command[command.index("--threads") + 1] == "2"
+    assert {"--fresh", "--allow-plugins", "time.duration=0.05"} <= set(command)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "options", "message"),
+    [
+        ([], {"seeds": 0}, "--seeds 0: must be at least 1"),
+        ([], {"seeds": 2, "jobs": 0}, "--jobs 0: must be at least 1"),
+        (["seed=3"], {"seeds": 2}, "-o seed=3: --seeds gives every run a seed of its own"),
+    ],
+)
+def test_what_cannot_be_is_refused(finger, tmp_path, overrides, options, message):
+    with pytest.raises(UsageError, match=message):
+        run_seeds(finger, overrides, tmp_path / "out", False, 1, **options)
+    assert not (tmp_path / "out").exists()
