@@ -59,7 +59,7 @@ SMALLER = {
     "biped_cable": ["bodies.biped.spacing=0.00625",
                     "boundaries={base: {sticky: {region: {box: {corner: [0, 0], size: [1, 0.1]}}}}}"],
     "rhino": ["bodies.rhino.spacing=0.01", "time.substeps=2", boundaries(2), *elastic("rhino")],
-    "biped_terrain": ["bodies.biped.sampling.lattice.count=6", "bodies.terrain.spacing=0.01", "time.substeps=10",
+    "biped_terrain": ["bodies.biped.sampling.lattice.count=4", "bodies.terrain.spacing=0.02", "time.substeps=10",
                       *elastic("biped", "terrain")],
     "quadruped": ["bodies.quadruped.sampling.lattice.count=4", boundaries(3)],
     "crawler": ["bodies.crawler.sampling.lattice.count=4", boundaries(3)],
