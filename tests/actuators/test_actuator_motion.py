@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from little_worlds import Acting, world
+from little_worlds import Acting, needs_jit, world
 
 from cqrun.actuators.actuator import Actuator
 from cqrun.actuators.body_force import BodyForce
@@ -120,6 +120,7 @@ def growth(spec: Actuator, dim: int, activation: float, **options: Any) -> np.nd
     return np.ptp(last.x, axis=0) / np.ptp(x, axis=0) - 1.0
 
 
+@needs_jit
 @DIM
 def test_a_muscle_contracts_along_its_axis(dim):
     along = Muscle(axis=[0.0] * (dim - 1) + [1.0], **MUSCLE)
@@ -131,6 +132,7 @@ def test_a_muscle_contracts_along_its_axis(dim):
     assert (growth(Muscle(axis="isotropic", **MUSCLE), dim, 0.5) < -0.01).all()
 
 
+@needs_jit
 @DIM
 def test_a_chamber_expands(dim):
     assert (growth(Pneumatic(**CHAMBER), dim, 0.5) > 0.01).all()
@@ -140,6 +142,7 @@ def test_a_chamber_expands(dim):
     assert (along[1:] < -0.002).all()
 
 
+@needs_jit
 @DIM
 def test_a_chamber_of_chainqueens_law_is_a_muscle_the_other_way_round(dim):
     axis = [1.0, 2.0, 2.0][:dim]
@@ -147,6 +150,7 @@ def test_a_chamber_of_chainqueens_law_is_a_muscle_the_other_way_round(dim):
     np.testing.assert_array_equal(chamber, growth(Muscle(axis=axis, **MUSCLE), dim, -0.5))
 
 
+@needs_jit
 @DIM
 def test_a_hydraulic_chamber_keeps_its_volume(dim):
     """With incompressibility in the material a pressure changes the volume less, the less the stiffer."""
@@ -157,6 +161,7 @@ def test_a_hydraulic_chamber_keeps_its_volume(dim):
     assert 0 < volumes[2] < 0.25 * volumes[1] < 0.25 * volumes[0]
 
 
+@needs_jit
 @DIM
 def test_a_cable_pulls_its_ends_together(dim):
     route = [[0.325] + [0.475] * (dim - 1), [0.675] + [0.475] * (dim - 1)]
@@ -171,6 +176,7 @@ def test_a_cable_pulls_its_ends_together(dim):
     assert spans[2] < spans[1] < 0.345
 
 
+@needs_jit
 @DIM
 @pytest.mark.parametrize("u", [1.0, 0.85])
 def test_a_cable_never_pushes(dim, u):

@@ -17,6 +17,8 @@ from cqrun.controllers.sinusoid import Sinusoid
 from cqrun.engine.rollout import Rollout
 from cqrun.registry import plugins
 
+pytestmark = needs_jit
+
 DOT_PRODUCT = 1e-9
 EXAMPLES: dict[str, Controller] = {
     "linear_tanh": LinearTanh(spread=0.3, gain=0.9),
@@ -130,7 +132,6 @@ def test_a_policy_is_asked_once_a_control_step_however_often_it_is_replayed():
     assert asked == [("act", k) for k in range(20)] + [("vjp", k) for k in reversed(range(20))]
 
 
-@needs_jit
 @pytest.mark.parametrize("name", CLOSED_LOOP)
 def test_one_thread_and_two_and_three_give_the_same_bits(name):
     found = robot(CLOSED_LOOP[name])
