@@ -11,6 +11,7 @@ t_i = (x_{i+1} - x_i) / |x_{i+1} - x_i|. It adds no net force and no net torque.
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,6 +63,10 @@ class Cable(Actuator):
             (("route", k), f"must have {dim} entries in this {dim}D world, has {len(point)}")
             for k, point in enumerate(self.route)
             if len(point) != dim
+        ] + [
+            (("route", k + 1), "is where the point before it is: remove one of the two")
+            for k, (one, next_one) in enumerate(itertools.pairwise(self.route))
+            if one == next_one
         ]
 
     def particles(self, part: str, x: Array, inside: Inside) -> Array:
