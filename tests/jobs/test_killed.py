@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_beam import BEAM, FIT, assert_same, changed, record, recorded, result_of
+from small_finger import FINGER, written
 
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.reporter import Silent
@@ -28,6 +29,14 @@ OPTIMIZERS = {
     "sgd": "optimizer={sgd: {max_iterations: 30, momentum: 0.5, clip: 1, mask: 0.2, batch_size: 2}}",
     "cma_es": "optimizer={cma_es: {max_iterations: 20, population: 6}}",
 }
+LEARNERS = {
+    "lbfgs": "optimizer={lbfgs: {max_iterations: 25}}",
+    "adam": "optimizer={adam: {learning_rate: 0.1, max_iterations: 40, batch_size: 1}}",
+    "sgd": "optimizer={sgd: {learning_rate: 1, max_iterations: 40, momentum: 0.5, clip_entries: 1, mask: 0.2}}",
+    "cma_es": "optimizer={cma_es: {max_iterations: 20, population: 6}}",
+}
+"""For control, where sgd draws fresh goals at every iteration."""
+
 PATIENCE = 120.0
 """Longest that one process may take [s]."""
 
@@ -35,7 +44,7 @@ PATIENCE = 120.0
 @pytest.fixture(scope="module", autouse=True)
 def _compiled():
     """Compile the kernels, so that kills meet the work and not the compiler."""
-    compile_kernels([build(load_scene(BEAM))], Silent(), adjoint=True)
+    compile_kernels([build(load_scene(BEAM)), build(load_scene(FINGER))], Silent(), adjoint=True)
 
 
 def start(*words: str | Path) -> subprocess.Popen[str]:
@@ -74,9 +83,11 @@ def _stamp(folder: Path) -> tuple[int, ...]:
     return tuple(path.stat().st_mtime_ns for path in sorted(folder.glob("*/*/run.json")))
 
 
-def killed_and_resumed(scene: Path, folder: Path, override: str, kills: int, rng: np.random.Generator) -> None:
+def killed_and_resumed(
+    scene: Path, folder: Path, override: str, kills: int, rng: np.random.Generator, job: str = "sysid"
+) -> None:
     begin = time.monotonic()
-    finish(start("sysid", scene, "-o", override, "--out", folder / "whole"))
+    finish(start(job, scene, "-o", override, "--out", folder / "whole"))
     (whole,) = (folder / "whole").glob("*/*")
     work = read_record(whole)["seconds"]  # of the job itself, without the start of Python
     out, done, alive = folder / "killed", 0, 0
@@ -84,9 +95,9 @@ def killed_and_resumed(scene: Path, folder: Path, override: str, kills: int, rng
         (run,) = list(out.glob("*/*")) or [None]
         finished = run is not None and read_record(run)["status"] == result_of(whole)["status"]
         if finished:  # before all kills were dealt: begin again, so that every kill hits something
-            words: tuple[str | Path, ...] = ("sysid", scene, "-o", override, "--out", out, "--fresh")
+            words: tuple[str | Path, ...] = (job, scene, "-o", override, "--out", out, "--fresh")
         elif run is None or done % 2:
-            words = ("sysid", scene, "-o", override, "--out", out)
+            words = (job, scene, "-o", override, "--out", out)
         else:
             words = ("resume", run)
         alive += kill_after(start(*words), out, float(rng.uniform(0.0, 0.9 * work)))
@@ -107,6 +118,19 @@ def recordings(fit, tmp_path):
 
 def test_killed_three_times(fit, tmp_path, rng):
     killed_and_resumed(fit, tmp_path, OPTIMIZERS["least_squares"], 3, rng)
+
+
+def test_learning_killed_three_times(tmp_path, rng):
+    killed_and_resumed(written(tmp_path), tmp_path, LEARNERS["adam"], 3, rng, "control")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LEARNERS)
+def test_learning_killed_twenty_times(tmp_path, rng, name):
+    scene = written(tmp_path)
+    if name == "sgd":
+        changed(scene, "unseen: 1", "unseen: 1, fresh: true")
+    killed_and_resumed(scene, tmp_path, LEARNERS[name], 20, rng, "control")
 
 
 @pytest.mark.slow
