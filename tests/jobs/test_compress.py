@@ -31,12 +31,12 @@ def test_components_explain_a_swing(swing, tmp_path):
 
 
 def test_a_body_that_is_not_there_is_refused(swing, tmp_path):
-    with pytest.raises(UsageError, match="say whose motion with --body.*there are: beam"):
+    with pytest.raises(UsageError, match=r"say whose motion with --body.*there are: beam"):
         compress([swing], "pca", 2, tmp_path / "pca.npz", body="bean")
 
 
 def test_a_run_without_a_trajectory_is_refused(tmp_path):
-    with pytest.raises(UsageError, match="trajectory.h5: no such trajectory"):
+    with pytest.raises(UsageError, match=r"trajectory.h5: no such trajectory"):
         compress([tmp_path], "pca", 2, tmp_path / "pca.npz")
 
 
