@@ -6,6 +6,7 @@ says. `inputs` is the map, `gradient` its adjoint; each part of one stands besid
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from typing import Any
 
@@ -159,12 +160,13 @@ class Assembly:
 
     def _fields_vjp(self, values: Values, bar: Inputs, out: dict[str, Array]) -> None:
         fields, loads = self._fields(values)
+        fields_bar = copy.deepcopy(bar.fields)  # loads add to what they read; the cotangent given stays as it is
         steps = list(zip(self.loads, loads, self.chosen, strict=True))
         for (path, _), load, chosen in reversed(steps):
-            collect(path, load.apply_vjp(fields, bar.fields, chosen), out)
+            collect(path, load.apply_vjp(fields, fields_bar, chosen), out)
         for body in self.particles.names:
             part = self.particles.of(body)
-            density_bar = bar.fields.mass[part] * self.particles.volume[part]
+            density_bar = fields_bar.mass[part] * self.particles.volume[part]
             self._spread_vjp(body, f"bodies.{body}.material.density", density_bar, values, out)
 
     # --- velocities ---------------------------------------------------------------------------------------------

@@ -12,15 +12,14 @@ from cqrun.actuators.push import pushes
 from cqrun.contract import Array
 from cqrun.engine.limits import REFUSE, WARN, Limit, auto_substeps, motion_limit, wave_limit
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
-from cqrun.engine.setting import grid_shape
 from cqrun.errors import Problem, SceneError
 from cqrun.scene.assembly import Assembly
+from cqrun.scene.memory import memory_problems
 from cqrun.scene.particles import Particles, sample, stress_key
 from cqrun.scene.paths import with_values
 from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start
-from cqrun.units import format_bytes
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,8 @@ def build(scene: Scene) -> Built:
     else:
         starts = {path: np.array(start(scene, path)) for path in scene.unknowns if assembly.reaches(path)}
         warnings += _check_substeps(scene, _limits(scene, particles, assembly, starts))
-    _check_memory(scene, particles)
+    if found := memory_problems(scene, particles):
+        raise SceneError(found)
     model = Model(
         size=np.array(scene.world.size),
         dx=scene.world.dx,
@@ -172,18 +172,3 @@ def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
     if share > REFUSE:
         raise SceneError([problem])
     return [problem]
-
-
-def _check_memory(scene: Scene, particles: Particles) -> None:
-    import psutil
-
-    nodes = float(np.prod(grid_shape(np.array(scene.world.size), scene.world.dx)))
-    itemsize = np.dtype(scene.precision).itemsize
-    need = nodes * (3 * 4 * itemsize + 8) + particles.layout.n * (100 + 4 * scene.dim**2) * itemsize
-    there = psutil.virtual_memory().available
-    if need > there:
-        message = (
-            f"{nodes:.3g} grid nodes and {particles.layout.n_particles} particles need {format_bytes(int(need))}; "
-            f"{format_bytes(there)} are free: use a larger dx or a smaller world"
-        )
-        raise SceneError([Problem(scene.where("world"), "world", message)])

@@ -10,6 +10,7 @@ import psutil
 import pytest
 
 from cqrun.errors import SceneError
+from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 
 Refused = Callable[..., list[str]]
@@ -328,3 +329,17 @@ def test_overrides_that_would_do_nothing(overrides: dict[str, Any], told: str) -
     with pytest.raises(SceneError) as info:
         load_scene({**_plain(), "data": data, "unknowns": unknowns})
     assert told in str(info.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("time.duration=1.0e+9", r"time.duration: the records of .* control steps need .* are free: use fewer"),
+        ("data={synthetic: {truth: {world.gravity.1: -9.0}, copies: 2000000000, markers: {tip: [0.1, 0.1]}, every: 1}}",
+         r"data.synthetic.copies: 2,000,000,000 recordings need .* are free: make fewer copies"),
+    ],
+)  # fmt: skip
+def test_more_than_fits_in_memory(override: str, told: str) -> None:
+    scene = load_scene(_plain(), [override])
+    with pytest.raises(SceneError, match=told):
+        build(scene)

@@ -1,0 +1,108 @@
+"""From every number of a scene that gradients reach to the engine's inputs, and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cqrun.engine.model import Inputs
+from cqrun.scene.build import Built, build
+from cqrun.scene.load import load_scene
+from cqrun.scene.paths import leaf, leaves
+
+STEP = 1e-3
+"""Of a fourth-order difference, relative: the map is linear, or smooth, in each number."""
+
+
+def everything(dim: int) -> dict[str, Any]:
+    """Return a scene with every load, a wall that rubs, terms of every kind, actuators of every kind and signals."""
+    ends = [0.0] * (dim - 1)
+    tip = {"box": {"corner": [0.35, *[0.2] * (dim - 1)], "size": [0.1, *[0.2] * (dim - 1)]}}
+    body = {
+        "shape": {"box": {"corner": [0.25] * dim, "size": [0.2] * dim}},
+        "particles_per_cell": 2**dim,
+        "velocity": [0.1] * dim,
+        "spin": [0.3] * (1 if dim == 2 else 3),
+        "groups": {"tip": tip},
+        "material": {
+            "density": 900.0,
+            "elastic": {"fixed_corotated": {"youngs_modulus": 1.0e4, "poissons_ratio": 0.3}},
+            "viscosity": {"shear": 2.0, "bulk": 3.0},
+            "incompressibility": {"power": 2},
+        },
+        "material_of": {
+            "tip": {"density": 1100, "elastic": {"fixed_corotated": {"youngs_modulus": 2e4, "poissons_ratio": 0.25}}}
+        },
+    }
+    return {
+        "cqrun": 1,
+        "world": {"size": [0.8] * dim, "dx": 0.05, "gravity": [0.2, *ends[1:], -9.0]},
+        "bodies": {"a": body},
+        "boundaries": {"floor": {"friction": {"face": "y_min", "coefficient": 0.4}}},
+        "loads": {
+            "air": {"damping": {"rate": 1.5}},
+            "weight": {"attached_mass": {"body": "a", "mass": 0.2, "region": "tip"}},
+            "pull": {"point_force": {"body": "a", "force": [1.0, *[2.0] * (dim - 1)], "region": "tip"}},
+        },
+        "actuators": {
+            "muscle": {"muscle": {"body": "a", "axis": [1.0, *ends], "strength": 50.0}},
+            "air": {"pneumatic": {"body": "a", "region": "tip", "max_pressure": 40.0}},
+            "cord": {"cable": {"body": "a", "route": [[0.27] * dim, [0.43] * dim], "stiffness": 30.0}},
+            "magnet": {"body_force": {"body": "a", "direction": [0.0, *[1.0] * (dim - 1)], "acceleration": 3.0}},
+        },
+        "activation": {"signals": {"muscle": [0.2, -0.4], "air": [0.5, 0.3], "cord": [0.9, 0.8], "magnet": [0.1, 0.7]}},
+        "time": {"duration": 0.04, "control_step": 0.01},
+    }
+
+
+@pytest.fixture(scope="module", params=[2, 3], ids=["2D", "3D"])
+def built(request) -> Built:
+    """Return the scene, built."""
+    return build(load_scene(everything(request.param)))
+
+
+def flat(inputs: Inputs) -> np.ndarray:
+    """Return all of the inputs as one vector."""
+    s, f = inputs.state, inputs.fields
+    parts = [s.x, s.v, s.C, s.F, f.mass, f.volume, f.damping, f.force, inputs.activation, inputs.strength,
+             inputs.coefficients, *(theta for group in inputs.terms for theta in group)]  # fmt: skip
+    return np.concatenate([part.reshape(-1) for part in parts])
+
+
+def random_bar(inputs: Inputs, rng: np.random.Generator) -> Inputs:
+    """Return a random cotangent of inputs, each part in units of its own size."""
+    bar = Inputs.zeros_like(inputs)
+    for whole, like in ((bar.state, inputs.state), (bar.fields, inputs.fields)):
+        for name in vars(whole):
+            size = np.abs(getattr(like, name)).max(initial=0.0) or 1.0
+            setattr(whole, name, rng.normal(size=getattr(like, name).shape) / size)
+    bar.terms = [[rng.normal(size=a.shape) / (np.abs(a).max() or 1.0) for a in group] for group in inputs.terms]
+    for name in ("activation", "strength", "coefficients"):
+        value = getattr(inputs, name)
+        setattr(bar, name, rng.normal(size=value.shape) / (np.abs(value).max() or 1.0))
+    return bar
+
+
+def test_dot_product_of_every_number(built, rng):
+    """A path that reaches nothing, or whose gradient is not the derivative of what it reaches, is named."""
+    assembly, scene = built.assembly, built.scene
+    paths = [path for path in leaves(scene, differentiable=True) if assembly.reaches(path)]
+    wanted = (
+        "world.gravity.0", "loads.pull.point_force.force.1", "loads.weight.attached_mass.mass",
+        "loads.air.damping.rate",
+        "boundaries.floor.friction.coefficient", "bodies.a.velocity.1", "bodies.a.spin.0",
+        "bodies.a.material_of.tip.density", "actuators.cord.cable.stiffness", "activation.signals.air.1",
+    )  # fmt: skip
+    assert set(wanted) <= set(paths)
+    bar = random_bar(assembly.inputs({}), rng)
+    values = {path: np.array(float(leaf(scene, path).value)) for path in paths}
+    gradient = assembly.gradient(values, bar)
+    for path, value in values.items():
+        h = STEP * (abs(float(value)) or 1.0)
+        at = {k: float(flat(assembly.inputs({**values, path: value + k * h})) @ flat(bar)) for k in (-2, -1, 1, 2)}
+        slope = (8 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12 * h)
+        assert slope != 0, path
+        rounding = 1e-14 * abs(at[1]) / h
+        assert abs(float(gradient[path]) - slope) <= 1e-9 * abs(slope) + rounding, path
