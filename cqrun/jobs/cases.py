@@ -144,14 +144,14 @@ def make_cases(built: Built, directory: Path | None = None) -> list[Case]:
         directory: where synthetic data is kept; without one it is made in memory.
 
     Raises:
-        DataError, SceneError: data that cannot be used.
+        SceneError: data that cannot be used.
     """
     data = built.scene.data
     if data is None:
         where = built.scene.where("")
         raise SceneError([Problem(where, "data", "there is none: give `recordings`, a `target` or `synthetic`")])
     if data.recordings is not None:
-        return [_recorded(built, name, spec) for name, spec in data.recordings.items()]
+        return _all_recorded(built, data.recordings)
     if data.target is not None:
         return [_targeted(built)]
     return _synthetic(built, directory)
@@ -163,7 +163,7 @@ def given_cases(built: Built) -> list[Case] | None:
     Read before there is a run: one whose data cannot be used leaves nothing behind.
 
     Raises:
-        DataError, SceneError: data that is missing or cannot be used, or of which nothing is fitted.
+        SceneError: data that is missing or cannot be used, or of which nothing is fitted.
     """
     data = built.scene.data
     if data is None or data.synthetic is not None:
@@ -192,25 +192,36 @@ def made_cases(run: RunDirectory, built: Built) -> list[Case]:
 # --- recordings ---------------------------------------------------------------------------------------------
 
 
+def _all_recorded(built: Built, specs: Mapping[str, RecordingSpec]) -> list[Case]:
+    """Return the cases of all recordings, or raise what is wrong with any of them."""
+    cases, problems = [], []
+    for name, spec in specs.items():
+        try:
+            cases.append(_recorded(built, name, spec))
+        except DataError as error:
+            path = f"data.recordings.{name}"
+            problems.append(Problem(built.scene.where(path), path, str(error)))
+    if problems:
+        raise SceneError(problems)
+    return cases
+
+
 def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
     scene, path = built.scene, f"data.recordings.{name}"
     step = scene.time.control_step
     length = scene.time.duration if spec.length is None else spec.length
     steps = int(np.ceil(length / step - 1e-9))
     own = build(with_values(scene, {**spec.overrides, "time.duration": steps * step}))
-    try:
-        recording = read_recording(scene.resolve_path(spec.file), units=spec.units)
-        measured = measure(recording, {k: np.array(v) for k, v in spec.markers.items()}, _still(spec))
-        observer = _observe_markers(own, spec.body, dict(zip(measured.names, measured.rest, strict=True)))
-        start_path = f"{path}.start"
-        unknown = scene.unknowns.get(start_path)
-        objective = MarkerObjective(
-            observer, measured.names, measured.time, measured.values, control_step=step, steps=steps,
-            start=spec.start, start_bounds=None if unknown is None else (unknown.bounds[0], unknown.bounds[1]),
-            skip=spec.skip, absolute=measured.absolute, weight=spec.weight, source=measured.source,
-        )  # fmt: skip
-    except DataError as error:
-        raise DataError(f"{scene.where(path)}: {path}: {error}") from error
+    recording = read_recording(scene.resolve_path(spec.file), units=spec.units)
+    measured = measure(recording, {k: np.array(v) for k, v in spec.markers.items()}, _still(spec))
+    observer = _observe_markers(own, spec.body, dict(zip(measured.names, measured.rest, strict=True)))
+    start_path = f"{path}.start"
+    unknown = scene.unknowns.get(start_path)
+    objective = MarkerObjective(
+        observer, measured.names, measured.time, measured.values, control_step=step, steps=steps,
+        start=spec.start, start_bounds=None if unknown is None else (unknown.bounds[0], unknown.bounds[1]),
+        skip=spec.skip, absolute=measured.absolute, weight=spec.weight, source=measured.source,
+    )  # fmt: skip
     return Case(
         name, _probed(own, spec.body, observer), (objective,), start_path, spec.start, spec.holdout, (measured,)
     )
@@ -273,12 +284,7 @@ def _synthetic(built: Built, directory: Path | None) -> list[Case]:
         observer = _observe_markers(built, spec.body, {k: np.array(v) for k, v in spec.markers.items()})
     else:
         count = part.stop - part.start
-        tracked = int(spec.tracked or 0)
-        if tracked > count:
-            path = "data.synthetic.tracked"
-            message = f"tracks {tracked} particles, but the body '{spec.body}' has only {count}"
-            raise SceneError([Problem(scene.where(path), path, message)])
-        chosen = np.sort(rng.choice(count, tracked, replace=False))
+        chosen = np.sort(rng.choice(count, int(spec.tracked or 0), replace=False))
         names = tuple(f"particle {index}" for index in chosen)
         observer = particles(chosen, count)
     base = _probed(built, spec.body, observer)

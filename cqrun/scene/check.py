@@ -55,6 +55,7 @@ def geometry_problems(scene: Scene, points: Points, margin: float = 0.0) -> list
         *overlapping_bodies(scene, points),
         *overlapping_parts(scene),
         *empty_regions(scene, points),
+        *points_to_track(scene, points),
     ]
 
 
@@ -190,6 +191,26 @@ def sparse_bodies(scene: Scene, volumes: Mapping[str, Array]) -> list[Problem]:
             key = "spacing" if scene.bodies[name].spacing is not None else key
             found.append(_problem(scene, f"bodies.{name}.{key}", message))
     return found
+
+
+def points_to_track(scene: Scene, points: Points) -> Iterator[Problem]:
+    """Yield what synthetic data would track that is not on its body."""
+    made = scene.data.synthetic if scene.data is not None else None
+    if made is None or not len(points[made.body].world):
+        return
+    x = points[made.body].world
+    if (made.tracked or 0) > len(x):
+        message = f"tracks {made.tracked:,} particles, but the body '{made.body}' has only {len(x):,}"
+        yield _problem(scene, "data.synthetic.tracked", message)
+    reach = float(np.linalg.norm(x.max(axis=0) - x.min(axis=0)))
+    for name, place in (made.markers or {}).items():
+        away = float(np.linalg.norm(x - np.array(place), axis=1).min())
+        if away > reach:
+            message = (
+                f"is {away:.3g} m from the body '{made.body}', which is {reach:.3g} m across: give its rest position "
+                "in the scene's own coordinates, in metres"
+            )
+            yield _problem(scene, joined(("data", "synthetic", "markers", name)), message)
 
 
 def _problem(scene: Scene, path: str, message: str) -> Problem:

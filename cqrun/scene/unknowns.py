@@ -22,7 +22,7 @@ def start(scene: Scene, path: str) -> float:
 def findings_of_paths(scene: Scene) -> list[InitErrorDetails]:
     """Return what is wrong with the unknowns, the synthetic truth and the recordings' overrides."""
     found = [item for path, unknown in scene.unknowns.items() for item in _unknown(scene, path, unknown)]
-    return [*found, *_twice(scene), *_truth(scene), *_overrides(scene)]
+    return [*found, *_twice(scene), *_held_out(scene), *_truth(scene), *_overrides(scene)]
 
 
 def _unknown(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails]:
@@ -90,6 +90,16 @@ def _twice(scene: Scene) -> Iterator[InitErrorDetails]:
             continue  # no such path: told above
         if same != path:
             message = f"is the same value as the unknown '{same}': name it once"
+            yield finding(message, ("unknowns", path), kind=KEY)
+
+
+def _held_out(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield unknown starts of recordings that nothing is fitted to."""
+    recordings = (scene.data.recordings if scene.data is not None else None) or {}
+    for name, recording in recordings.items():
+        path = f"data.recordings.{name}.start"
+        if recording.holdout and path in scene.unknowns:
+            message = f"the recording '{name}' is held out, so nothing tells its start: remove this unknown"
             yield finding(message, ("unknowns", path), kind=KEY)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import ezc3d
@@ -74,7 +75,7 @@ def refused(cqrun, tmp_path):
         assert out == ""
         assert err == err_too
         assert not (tmp_path / "scene").exists()
-        assert f"{scene}:" in err
+        assert re.match(rf"{re.escape(str(scene))}:\d+:\d+: data\.recordings\.swing", err), err
         assert "data.recordings.swing" in err
         return err
 
@@ -91,6 +92,24 @@ def test_the_recording_itself_is_fine(cqrun, tmp_path, positions):
     assert (code, err) == (0, "")
     assert "swing (fitted): 4 markers, 11 frames from 0.1 to 0.2 s" in out
     assert "aligned to the rest positions within 0.00 to 0.0" in out
+
+
+def test_all_bad_recordings_are_told_at_once(cqrun, tmp_path, positions):
+    """A truncated one, and one that is no C3D file: each on a line that begins with its place in the scene."""
+    cut = write_c3d(tmp_path / "cut.c3d", positions)
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
+    (tmp_path / "other.c3d").write_text("time,marker,x,y,z\n" * 200)
+    own = [f"{name}: {{file: {tmp_path / name}.c3d, start: 0, markers: {markers(REST)}}}" for name in ("cut", "other")]
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(BEAM_3D + f"data: {{recordings: {{{', '.join(own)}}}}}\n")
+    code, _, err = cqrun("validate", scene)
+    assert code == 2
+    lines = err.splitlines()
+    assert [re.match(rf"{re.escape(str(scene))}:\d+:\d+: data\.recordings\.(\w+): ", line)[1] for line in lines] == [
+        "cut", "other",
+    ]  # fmt: skip
+    assert "truncated" in lines[0]
+    assert "not a C3D file" in lines[1]
 
 
 def test_missing(refused, tmp_path):

@@ -7,7 +7,7 @@ import re
 import pytest
 from small_beam import changed, record, recorded
 
-from cqrun.errors import DataError, SceneError
+from cqrun.errors import SceneError
 from cqrun.jobs.validate import validate
 
 MUSCLES = """\
@@ -99,7 +99,7 @@ def test_recordings_are_read_and_aligned(fit, tmp_path):
 def test_a_recording_that_cannot_be_used_is_refused(fit, tmp_path):
     (file,) = record(fit, tmp_path / "data")
     scene = recorded(fit, {"one": file}, start="0.05")
-    with pytest.raises(DataError, match=r"data.recordings.one: .*the window, 0.05 to 0.15 s .* does not lie inside"):
+    with pytest.raises(SceneError, match=r"data.recordings.one: .*the window, 0.05 to 0.15 s .* does not lie inside"):
         told(scene)
 
 

@@ -335,7 +335,7 @@ def test_overrides_that_would_do_nothing(overrides: dict[str, Any], told: str) -
     ("override", "told"),
     [
         ("time.duration=1.0e+9", r"time.duration: the records of .* control steps need .* are free: use fewer"),
-        ("data={synthetic: {truth: {world.gravity.1: -9.0}, copies: 2000000000, markers: {tip: [0.1, 0.1]}, every: 1}}",
+        ("data={synthetic: {truth: {world.gravity.1: -9.0}, copies: 2000000000, tracked: 9, every: 1}}",
          r"data.synthetic.copies: 2,000,000,000 recordings need .* are free: make fewer copies"),
     ],
 )  # fmt: skip
@@ -343,3 +343,23 @@ def test_more_than_fits_in_memory(override: str, told: str) -> None:
     scene = load_scene(_plain(), [override])
     with pytest.raises(SceneError, match=told):
         build(scene)
+
+
+def test_an_unknown_start_of_a_recording_that_is_held_out() -> None:
+    recording = {"file": "a.csv", "start": 0.1, "holdout": True, "markers": {"m": [0.1, 0.1]}}
+    given = {"data": {"recordings": {"a": recording}}, "unknowns": {"data.recordings.a.start": {"bounds": [0, 1]}}}
+    with pytest.raises(SceneError, match=r"unknowns.*the recording 'a' is held out, so nothing tells its start"):
+        load_scene({**_plain(), **given})
+
+
+@pytest.mark.parametrize(
+    ("what", "told"),
+    [
+        ("tracked: 1000000", r"data.synthetic.tracked: tracks 1,000,000 particles, but the body 'beam' has only"),
+        ("markers: {tip: [100.0, 0.1]}", r"data.synthetic.markers.tip: is .* m from the body 'beam', which is"),
+    ],
+)
+def test_synthetic_data_of_what_is_not_there(what: str, told: str) -> None:
+    data = f"data={{synthetic: {{truth: {{world.gravity.1: -9.0}}, {what}, every: 1}}}}"
+    with pytest.raises(SceneError, match=told):
+        build(load_scene(_plain(), [data]))
