@@ -8,10 +8,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from cqrun.explain import Loc
+from cqrun.explain import Loc, listed
 
 KEYED_BY_PATHS = {"unknowns", "truth", "overrides"}
 """Mappings whose keys are key paths: a new key is all that remains of the path."""
+
+
+NAMED = {
+    "bodies", "regions", "boundaries", "loads", "actuators", "observers", "goals", "objective", "unknowns",
+    "data.recordings", "activation.signals",
+}  # fmt: skip
+"""Mappings from names that a user gives: an entry that is overridden by null is gone."""
 
 
 def joined(loc: Iterable[int | str]) -> str:
@@ -65,3 +72,21 @@ def replaced(data: Any, loc: Loc, value: Any) -> Any:
         return [replaced(item, rest, value) if i == key else item for i, item in enumerate(data)]
     inside = data if isinstance(data, dict) else {}
     return {**inside, key: replaced(inside.get(key), rest, value)}
+
+
+def is_named(loc: Loc) -> bool:
+    """Say whether a place is an entry of a mapping whose names a user gives."""
+    return joined(loc[:-1]) in NAMED
+
+
+def removed(data: Any, loc: Loc) -> Any:
+    """Return plain data without one entry of a mapping.
+
+    Raises:
+        KeyError: there is none; its argument says what there is.
+    """
+    key, rest = loc[0], loc[1:]
+    if not isinstance(data, dict) or key not in data:
+        there = listed(data) if isinstance(data, dict) and data else "nothing"
+        raise KeyError(f"cannot be removed: there is no '{key}'; there is: {there}")
+    return {**data, key: removed(data[key], rest)} if rest else {k: v for k, v in data.items() if k != key}

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from cqrun.errors import Problem, SceneError
 from cqrun.explain import complaint
 from cqrun.scene.document import Document, read, write
-from cqrun.scene.keypath import locate, replaced
+from cqrun.scene.keypath import is_named, locate, removed, replaced
 from cqrun.scene.origin import Origin, Override
 from cqrun.scene.paths import plain
 from cqrun.scene.plugin_files import findings_of_plugins
@@ -24,7 +24,7 @@ def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = (
 
     Args:
         source: a file's path, YAML text (a str with a line break), or plain data.
-        overrides: `key.path=value` each, the value in YAML; a later one wins.
+        overrides: `key.path=value` each, the value in YAML; a later one wins, and null removes a named part.
         base: folder of the files that the scene names, where a run keeps the scene; its plug-ins it keeps too, in
             `plugins/` beside it. Without, the folder of the scene's own file.
 
@@ -87,7 +87,8 @@ def _overridden(data: Any, overrides: Sequence[str]) -> tuple[Any, list[Override
             problems.append(Problem(where, path, "must be key.path=value"))
             continue
         try:
-            data = replaced(data, locate(data, path), read(value).data)
+            loc, new = locate(data, path), read(value).data
+            data = removed(data, loc) if new is None and is_named(loc) else replaced(data, loc, new)
         except SceneError as error:
             problems += [Problem(where, p.path or path, p.message) for p in error.problems]
         except KeyError as error:

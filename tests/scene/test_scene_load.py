@@ -141,3 +141,11 @@ def test_a_file_and_an_override_are_both_blamed_for_their_own(refused: Refused) 
         "beam.yaml:3:31: world.dx: must be greater than 0, is 0",
         "-o time.duration=-1: time.duration: must be greater than 0, is -1",
     ]
+
+
+def test_null_removes_a_named_part(beam: str) -> None:
+    paths = list(load_scene(beam).unknowns)
+    assert load_scene(beam, [f"unknowns.{paths[0]}=null"]).unknowns.keys() == set(paths[1:])
+    assert not load_scene(beam, ["boundaries.clamp=null"]).boundaries
+    with pytest.raises(SceneError, match=r"-o loads.wind=null: loads.wind: cannot be removed: there is no 'wind'"):
+        load_scene(beam, ["loads.air={damping: {rate: 1.0}}", "loads.wind=null"])

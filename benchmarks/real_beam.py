@@ -1,0 +1,92 @@
+"""The real beam: its material from the swing and from rest, at two grids, and what the bare beam says of the loaded one.
+
+    python benchmarks/real_beam.py --recordings DIR [--only swing rest ...] [--runs DIR] [--out FILE]
+
+DIR holds beam_gravity_V2_a.c3d and beam_load101_V2_a.c3d (srl-ethz/diffPD_sim2real, MIT licence). Each fit is a run of
+`cqrun sysid` below `--runs`: one that was stopped goes on, one that is finished is read. On two cores the swing takes a
+quarter of an hour at 5 mm and two at 3.75 mm, the rest a minute and five.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cqrun.fingerprint import engine_hash
+from cqrun.jobs.cases import make_cases
+from cqrun.jobs.runs import cores
+from cqrun.jobs.sysid import run_sysid
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
+from cqrun.store.atomic import write_json
+
+ROOT = Path(__file__).parents[1]
+SWING, REST = (ROOT / "scenes" / "sysid" / f"{name}.yaml" for name in ("real_beam", "real_beam_rest"))
+FILES = {"bare": "beam_gravity_V2_a.c3d", "loaded": "beam_load101_V2_a.c3d"}
+HELD_OUT = ["data.recordings.loaded.holdout=true"]
+FINE = ["world.dx=0.00375"]
+FITS: dict[str, tuple[Path, list[str]]] = {
+    "swing": (SWING, []),
+    "swing_bare": (SWING, [*HELD_OUT, "unknowns.data.recordings.loaded.start=null"]),
+    "rest": (REST, []),
+    "rest_bare": (REST, HELD_OUT),
+    "rest_fine": (REST, FINE),
+    "swing_fine": (SWING, FINE),
+}
+"""Name -> scene and overrides."""
+
+MODULUS = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus"
+SIDEWAYS = "world.gravity.1"
+
+
+def fit(name: str, recordings: Sequence[str], runs: Path) -> dict[str, Any]:
+    """Run one fit, or go on with it; return what it found."""
+    scene, overrides = FITS[name]
+    run = run_sysid(scene, [*recordings, *overrides], runs / name, False, None, True)
+    found = json.loads((run / "result.json").read_text())
+    facts = json.loads((run / "run.json").read_text())
+    told = " ".join(f"-o {override}" for override in overrides)
+    return {
+        "command": f"cqrun sysid scenes/sysid/{scene.name} {told}".strip(),
+        "engine": facts["engine"],
+        **{key: found[key] for key in ("status", "iterations", "unknowns", "recordings", "findings")},
+    }
+
+
+def predicted_rest(found: Mapping[str, Any], recordings: Sequence[str]) -> dict[str, float]:
+    """Return the RMSE [mm] of both beams at rest with what the swing of the bare one alone said."""
+    values = {path: found["unknowns"][path]["value"] for path in (MODULUS, SIDEWAYS)}
+    built = build(load_scene(REST, [*recordings, *(f"{path}={value!r}" for path, value in values.items())]))
+    errors = {}
+    for case in make_cases(built):
+        record = case.run({}, cores(None))
+        errors[case.name] = 1e3 * float(np.sqrt(case.objectives[0].loss(record, case.start)))  # type: ignore[call-arg]
+    return errors
+
+
+def main() -> None:
+    """Run the fits that are asked for, and write the file after each."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--recordings", type=Path, required=True)
+    parser.add_argument("--only", nargs="+", choices=list(FITS), default=list(FITS))
+    parser.add_argument("--runs", type=Path, default=Path("results") / "real_beam")
+    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "measured" / "real_beam.json")
+    options = parser.parse_args()
+    recordings = [f"data.recordings.{name}.file={options.recordings / file}" for name, file in FILES.items()]
+    result = json.loads(options.out.read_text()) if options.out.exists() else {}
+    for name in options.only:
+        result[name] = fit(name, recordings, options.runs)
+        if name == "swing_bare":
+            result["rest_predicted_from_swing_bare_mm"] = predicted_rest(result[name], recordings)
+        write_json(options.out, {"command": "python benchmarks/real_beam.py", **result, "engine": engine_hash()})
+        errors = {k: round(v["rmse_mm"], 3) for k, v in result[name]["recordings"].items()}
+        print(f"{name}: E {result[name]['unknowns'][MODULUS]['value'] / 1e3:.1f} kPa, RMSE [mm] {errors}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
