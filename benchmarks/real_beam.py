@@ -1,4 +1,4 @@
-"""The real beam: its material from the swing and from rest, at two grids, and what the bare beam says of the loaded one.
+"""The real beam: its material from the swing and from rest, on two grids, and what the bare beam says of the other.
 
     python benchmarks/real_beam.py --recordings DIR [--only swing rest ...] [--runs DIR] [--out FILE]
 
