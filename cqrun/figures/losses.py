@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -62,8 +61,7 @@ def loss_curve(run: RunData) -> LossCurve:
 
 def term_names(run: RunData) -> list[str]:
     """Return the terms of a run's objective that its history has, in the order of the scene."""
-    objective: dict[str, Any] = getattr(run.scene, "objective", None) or {}
-    return [name for name in objective if name in run.history]
+    return [name for name in run.scene.objective if name in run.history]
 
 
 def term_curve(run: RunData, name: str) -> LossCurve:

@@ -48,13 +48,11 @@ def goals(scene: Scene, drawn: Mapping[str, Sequence[float]] | None = None) -> l
     target = scene.data.target if scene.data is not None else None
     if target is not None:
         found.append(Goal("target", np.array(target.position), still))
-    named: dict[str, Any] = getattr(scene, "goals", None) or {}
-    for name, goal in named.items():
-        spread = getattr(goal, "spread", None)
+    for name, goal in scene.goals.items():
         if drawn is not None and name in drawn:
             found.append(Goal(name, np.array(drawn[name]), still))
         else:
-            found.append(Goal(name, np.array(goal.position), still if spread is None else np.array(spread)))
+            found.append(Goal(name, np.array(goal.position), still if goal.spread is None else np.array(goal.spread)))
     return found
 
 

@@ -6,7 +6,6 @@ import importlib.util
 import subprocess
 import sys
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -124,18 +123,16 @@ def test_the_window_holds_bodies_goal_and_trail(plane):
 
 
 def test_a_goal_is_where_this_run_drew_it_else_a_range():
-    scene = load_scene(plane_scene({}))
-    goal = SimpleNamespace(position=[0.1, 0.2], spread=[0.03, 0.0])
-    object.__setattr__(scene, "goals", {"there": goal})
+    scene = load_scene(plane_scene({}, goals={"there": {"position": [0.1, 0.08], "spread": [0.03, 0.0]}}))
     (ranged,) = goals(scene)
-    assert (ranged.name, ranged.position.tolist(), ranged.spread.tolist()) == ("there", [0.1, 0.2], [0.03, 0.0])
-    (drawn,) = goals(scene, {"there": [0.12, 0.2]})
-    assert (drawn.position.tolist(), drawn.spread.tolist()) == ([0.12, 0.2], [0.0, 0.0])
+    assert (ranged.name, ranged.position.tolist(), ranged.spread.tolist()) == ("there", [0.1, 0.08], [0.03, 0.0])
+    (drawn,) = goals(scene, {"there": [0.12, 0.08]})
+    assert (drawn.position.tolist(), drawn.spread.tolist()) == ([0.12, 0.08], [0.0, 0.0])
     with styled():
         axes = new_figure(3, 3).add_subplot()
         plot_goals(axes, [ranged, drawn], PLANE, 10.0)
     (box,) = axes.patches  # of the one that has a range
-    np.testing.assert_allclose([box.get_x(), box.get_y(), box.get_width(), box.get_height()], [0.7, 2.0, 0.6, 0.0])
+    np.testing.assert_allclose([box.get_x(), box.get_y(), box.get_width(), box.get_height()], [0.7, 0.8, 0.6, 0.0])
 
 
 def test_who_leaves_a_trail(plane):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -17,7 +18,6 @@ from small_finger import written
 
 from cqrun.errors import Stopped, UsageError
 from cqrun.jobs import seeds
-from cqrun.jobs.control import run_control
 from cqrun.jobs.seeds import Seed, _run_all, _summary, interval, run_seeds, summary_lines
 
 
@@ -42,7 +42,10 @@ def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
     path, good = run_seeds(finger, [], tmp_path / "out", False, 2, seeds=2, jobs=2, reporter=listener)
     assert good
     summary = json.loads(path.read_text())
-    alone = run_control(finger, ["seed=1"], tmp_path / "alone", False, 1, True)
+    # a process of its own, as each seed is: it takes the same compiled kernels from the cache
+    command = [sys.executable, "-m", "cqrun", "control", str(finger), "-o", "seed=1", "--threads", "1", "-q"]
+    subprocess.run([*command, "--out", str(tmp_path / "alone")], check=True, stdout=subprocess.DEVNULL)
+    (alone,) = (tmp_path / "alone" / "finger").iterdir()
     run = tmp_path / "out" / "finger" / alone.name
     assert summary["seeds"]["1"]["run"] == str(run)
     assert_same(run, alone)  # to the bit, also of its file of activations
