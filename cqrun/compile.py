@@ -18,13 +18,32 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import config, njit
-from numba.core import types
+from numba.core import codegen, types
 from numba.extending import intrinsic, overload
 
 _compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 _KERNELS: list[Any] = []
+
+
+class _OwnHelpers(codegen.JITCodeLibrary):
+    """Compiled code that calls its own copies of the helpers it was linked with, never another kernel's.
+
+    Numba leaves a weak copy of a helper in every kernel that calls it, and the run-time linker binds all of them to
+    the one it loads first. Copies are optimised each in its own surroundings, so they differ in where additions and
+    products are fused, and the last bits of a result would depend on the order in which kernels were compiled or
+    read from the cache.
+    """
+
+    def _optimize_final_module(self) -> None:
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == binding.Linkage.linkonce_odr:
+                function.linkage = "internal"
+        super()._optimize_final_module()
+
+
+codegen.JITCPUCodegen._library_class = _OwnHelpers
 
 
 def kernel(function: Callable[..., Any]) -> Any:

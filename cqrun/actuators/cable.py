@@ -175,7 +175,8 @@ def pull_vjp(
         a = cables.actuators[k]
         u, stiffness = drive.activation[control, a], drive.strength[a]
         s = stretch(cables, k, u, q, in_3d)
-        # at both kinks, just taut and just fully reeled, the derivative is that of the side that pulls
+        # one-sided at the kinks: just taut (s = 0) as if stretched; reeled in (u = 0) as for u > 0,
+        # the only side within the limits
         if s >= 0.0:
             tension, tension_bar = stiffness * s, 0.0
             for i in range(cables.start[k], cables.start[k + 1] - 1):

@@ -1,0 +1,58 @@
+"""Code that was just compiled gives the same bits as the same code from the cache."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from llvmlite import binding
+from numba import config, njit
+from small_beam import BEAM
+
+ROOT = Path(__file__).parents[2]
+DIGEST = """
+import hashlib, sys
+import cqrun
+motion = cqrun.load(sys.stdin.read(), threads=1).simulate()
+print(hashlib.sha256(motion.x.tobytes() + motion.v.tobytes()).hexdigest())
+"""
+
+
+def digest(cache: Path) -> str:
+    """Return the digest of a motion that another process computes with its own kernel cache."""
+    variables = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    variables |= {"XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", DIGEST], input=BEAM, env=variables, cwd=ROOT, text=True, capture_output=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the cache's folder is moved by XDG_CACHE_HOME")
+def test_first_run_on_a_machine_is_any_later_run(tmp_path):
+    cold = digest(tmp_path)
+    assert list(tmp_path.rglob("*.nbc")) or config.DISABLE_JIT
+    assert digest(tmp_path) == cold
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_a_kernel_shares_its_helpers_with_no_other():
+    import cqrun.compile  # noqa: F401
+
+    @njit(inline="never")
+    def helper(a):
+        return a * a + 1.0 if a > 0.0 else helper(-a)
+
+    @njit
+    def caller(a):
+        return helper(a) - a
+
+    assert caller(2.0) == 3.0
+    assert caller(-2.0) == 7.0
+    library = caller.overloads[caller.signatures[0]].library
+    shared = [f.name for f in library.get_defined_functions() if f.linkage == binding.Linkage.linkonce_odr]
+    assert shared == []
