@@ -71,21 +71,30 @@ class Cable(Actuator):
 
     def particles(self, part: str, x: Array, inside: Inside) -> Array:
         """Return the particles along the route, in order; see `Actuator.particles`."""
-        places = [np.array(self.route[0])]
-        for begin, end in zip(np.array(self.route[:-1]), np.array(self.route[1:]), strict=True):
-            pieces = 1 if self.spacing is None else max(1, round(float(np.linalg.norm(end - begin)) / self.spacing))
-            places += [begin + (end - begin) * (k + 1) / pieces for k in range(pieces)]
         own = inside(self.body, None)
-        found = [int(own[np.argmin(((x[own] - place) ** 2).sum(axis=1))]) for place in places]
-        # neighbours along the line may share a particle where it is tied more often than there are particles
-        route = [p for k, p in enumerate(found) if k == 0 or p != found[k - 1]]
+
+        def nearest(place: Array) -> int:
+            return int(own[np.argmin(((x[own] - place) ** 2).sum(axis=1))])
+
+        points = np.array(self.route)
+        tied = [nearest(point) for point in points]
+        route = tied[:1]
+        for k, (begin, end) in enumerate(itertools.pairwise(points)):
+            pieces = 1 if self.spacing is None else max(1, round(float(np.linalg.norm(end - begin)) / self.spacing))
+            for piece in range(1, pieces):
+                found = nearest(begin + (end - begin) * piece / pieces)
+                # a line that is tied more often than there are particles meets some of them again
+                if found not in (route[-1], tied[k + 1]):
+                    route.append(found)
+            route.append(tied[k + 1])
         return np.array(route, np.int64)
 
     def problem(self, x: Array) -> str | None:
         """Return what is wrong with a route along particles at x (r, D), or None."""
-        if len(x) < 2:
+        different = len(np.unique(x, axis=0))
+        if different < 2:
             return "runs through fewer than two particles: lengthen the route"
-        if len(np.unique(x, axis=0)) < len(x):
+        if different < len(x):
             return "runs through a particle twice: separate the points of the route, or tie it less often (`spacing`)"
         return None
 

@@ -15,6 +15,7 @@ from cqrun.figures.losses import LossCurve, loss_curve, term_curve
 from cqrun.figures.quantities import time_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, log_ticks, new_figure, titled, whole_ticks
+from cqrun.objectives.uncertainty import interval_of_mean
 from cqrun.scene.load import resolve
 
 if TYPE_CHECKING:
@@ -161,17 +162,13 @@ def _place(curve: LossCurve, over_time: bool) -> Array:
 
 def band(group: Group, *, over_time: bool) -> Band:
     """Return mean and confidence interval over a group; a run that has ended stays where it ended."""
-    from scipy.special import stdtrit
-
     places = [_place(curve, over_time) for curve in group.curves]
     end = max(float(place[-1]) for place in places)
     start = min(float(place[0]) for place in places)
     x = np.linspace(start, end, TIMES) if over_time else np.arange(start, end + 1)
     values = [np.log(np.maximum(c.value, SMALLEST)) if group.log else c.value for c in group.curves]
     rows = np.array([np.interp(x, place, value) for place, value in zip(places, values, strict=True)])
-    n = len(group.curves)
-    mean = rows.mean(axis=0)
-    half = float(stdtrit(n - 1, 0.5 + 0.5 * CONFIDENCE)) * rows.std(axis=0, ddof=1) / np.sqrt(n)
+    mean, half = interval_of_mean(rows, CONFIDENCE)
     low, high = mean - half, mean + half
     return Band(x, np.exp(mean), np.exp(low), np.exp(high)) if group.log else Band(x, mean, low, high)
 

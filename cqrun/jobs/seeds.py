@@ -32,6 +32,7 @@ from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.report import number, table
 from cqrun.jobs.reporter import EXIT_INTERRUPTED, Reporter, Silent
 from cqrun.jobs.runs import cores, run_scene
+from cqrun.objectives.uncertainty import interval_of_mean
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
@@ -213,13 +214,11 @@ def _tell(
 
 def interval(values: Sequence[float]) -> dict[str, float | None]:
     """Return the mean of values and its 90 % interval by Student's distribution, which one value alone has not."""
-    from scipy.special import stdtrit
-
-    n, x = len(values), np.array(values, float)
-    if n == 1:
+    x = np.array(values, float)
+    if len(x) == 1:
         return {"mean": float(x[0]), "low": None, "high": None}
-    half = float(stdtrit(n - 1, 0.5 + 0.5 * CONFIDENCE) * x.std(ddof=1) / np.sqrt(n))
-    return {"mean": float(x.mean()), "low": float(x.mean()) - half, "high": float(x.mean()) + half}
+    mean, half = map(float, interval_of_mean(x, CONFIDENCE))
+    return {"mean": mean, "low": mean - half, "high": mean + half}
 
 
 def _summary(stem: str, seeds: Sequence[Seed]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start
 from cqrun.units import format_bytes
 
-NANOSECONDS = {2: 40.0, 3: 80.0}
+NANOSECONDS = {2: 30.0, 3: 95.0}
 """What a particle and substep typically take forward on one core, by the dimension (`cqrun bench` measures it)."""
 
 GRADIENT = 5.0

@@ -111,6 +111,19 @@ def intervals(
     return Uncertainty(found, reasons, findings, covariance, degrees)
 
 
+def student(degrees: float, confidence: float) -> float:
+    """Return how many standard errors an interval of Student's distribution reaches to either side."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(degrees, 0.5 + 0.5 * confidence))
+
+
+def interval_of_mean(values: Array, confidence: float) -> tuple[Array, Array]:
+    """Return the mean over the first axis of independent values (n, ...), n at least 2, and half its interval."""
+    n = len(values)
+    return values.mean(axis=0), student(n - 1, confidence) * values.std(axis=0, ddof=1) / np.sqrt(n)
+
+
 def autocorrelation_time(series: Array) -> float:
     """Return the integrated autocorrelation time of residuals about nought, in samples, at least 1.
 
@@ -167,9 +180,7 @@ def _sandwich(J: Array, r: Array, series: Sequence[Array], directions: Direction
 
 
 def _interval(u: Unknown, variance: float, degrees: float, confidence: float) -> tuple[float, float] | None:
-    from scipy.special import stdtrit
-
-    half = float(stdtrit(degrees, 0.5 + 0.5 * confidence)) * float(np.sqrt(variance))
+    half = student(degrees, confidence) * float(np.sqrt(variance))
     if u.log and half > _LARGEST_POWER:
         return None
     return u.from_coordinate(u.coordinate - half), u.from_coordinate(u.coordinate + half)

@@ -141,7 +141,7 @@ def read(text: str, name: str = "scene") -> Document:
         message = f"this is not YAML: the character {error.character!r} is not allowed"
         raise SceneError([Problem(f"{name}:{line}:{column}", "", message)]) from None
     except RecursionError:
-        raise SceneError([Problem(f"{name}:1:1", "", _too_deep())]) from None
+        raise SceneError([Problem(f"{name}:{_deep_place(text)}", "", _too_deep())]) from None
     if node is None:
         raise SceneError([Problem(f"{name}:1:1", "", "is empty; a scene begins with `cqrun: 1`")])
     builder = _Builder(name)
@@ -153,6 +153,16 @@ def read(text: str, name: str = "scene") -> Document:
 
 def _too_deep() -> str:
     return f"is nested more than {MAX_DEPTH} levels deep"
+
+
+def _deep_place(text: str) -> str:
+    """Return `line:column` where a text is nested too deeply; its events come one by one, without recursion."""
+    depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > MAX_DEPTH and event.start_mark:
+            return f"{event.start_mark.line + 1}:{event.start_mark.column + 1}"
+    return "1:1"
 
 
 class _Builder:

@@ -53,6 +53,11 @@ CASES = {
         cable("[[0.41, 0.25], [0.41, 0.55], [0.41, 0.25]]"),
         ["actuators.string.cable: runs through a particle twice: separate the points of the route, or tie it less"],
     ),
+    "a cable with neighbours at one particle": (
+        MUSCLE,
+        cable("[[0.41, 0.25], [0.41, 0.251], [0.41, 0.55]]"),
+        ["actuators.string.cable: runs through a particle twice: separate the points of the route, or tie it less"],
+    ),
     "a cable with coincident neighbours": (
         MUSCLE,
         cable("[[0.41, 0.25], [0.41, 0.25], [0.41, 0.55]]"),

@@ -71,7 +71,7 @@ def test_nan_is_read_so_that_the_schema_can_refuse_it_in_place() -> None:
         ("a: !!bool maybe", "s.yaml:1:4: a: is no bool"),
         ("a: " + "9" * 5000, "s.yaml:1:4: a: is no int: Exceeds the limit"),
         ("a: &x [1, *x]", "s.yaml:1:4: a.1: an alias contains itself"),
-        ("[" * 5000, "s.yaml:1:1: is nested more than 100 levels deep"),
+        ("a:\n " + "[" * 5000, "s.yaml:2:101: is nested more than 100 levels deep"),
         ("a: " + "[" * 150 + "]" * 150, "is nested more than 100 levels deep"),
         ("#" * (MAX_CHARACTERS + 1), "s.yaml:1:1: has 4000001 characters; a scene has at most 4000000"),
     ],
