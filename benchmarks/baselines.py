@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from control_scenes import smooth
 
 import cqrun
 from cqrun.figures.style import COLOURS, new_figure, save
@@ -121,13 +122,6 @@ def curve(text: Path, run: Callable[[], tuple[np.ndarray, np.ndarray]]) -> tuple
         write_text(text, "\n".join(rows) + "\n")
     episode, loss = np.loadtxt(text, delimiter=",", skiprows=1, unpack=True)
     return episode, loss
-
-
-def smooth(value: np.ndarray, window: int) -> np.ndarray:
-    """Return means over windows, shorter at the start."""
-    total = np.cumsum(np.concatenate([[0.0], value]))
-    k = np.arange(1, len(value) + 1)
-    return (total[k] - total[np.maximum(0, k - window)]) / np.minimum(k, window)
 
 
 def draw(task: Task, curves: dict[str, list[tuple[np.ndarray, np.ndarray]]], png: Path) -> None:
