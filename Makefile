@@ -41,7 +41,7 @@ test-nojit: $(READY) ## the fast tests without whole jobs, in plain Python: slow
 test-slow: $(READY) ## the tests that take minutes
 	$(PYTEST) $(PARALLEL) -m slow
 
-test-rl: $(READY) ## scenes as environments and PPO; installs the extra `rl` (plain torch: several GB; install a CPU build first)
+test-rl: $(READY) ## scenes as environments, PPO, autoencoders; installs the extra `rl` (plain torch: several GB; install a CPU build first)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[rl]'
 	$(PYTEST) -n0 -m rl
 

@@ -8,8 +8,9 @@ the mean's encoder is kept, as arrays: `encoder.py` runs it without torch.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -72,17 +73,29 @@ def train(
     optimizer = torch.optim.Adam(net.parameters(), lr=learning_rate)
     order = torch.Generator().manual_seed(seed)
     error = np.inf
-    for epoch in range(1, epochs + 1):
-        total = 0.0
-        for chosen in torch.randperm(len(data), generator=order).split(batch):
-            optimizer.zero_grad()
-            wrong, divergence = net.terms(data[chosen])
-            (wrong + beta * divergence).backward()
-            optimizer.step()
-            total += wrong.item() * len(chosen)
-        error = total / len(data)
-        progress(epoch, error)
+    with _one_thread(torch):
+        for epoch in range(1, epochs + 1):
+            total = 0.0
+            for chosen in torch.randperm(len(data), generator=order).split(batch):
+                optimizer.zero_grad()
+                wrong, divergence = net.terms(data[chosen])
+                (wrong + beta * divergence).backward()
+                optimizer.step()
+                total += wrong.item() * len(chosen)
+            error = total / len(data)
+            progress(epoch, error)
     return _as_arrays(net, middle, spread), error
+
+
+@contextlib.contextmanager
+def _one_thread(torch: Any) -> Iterator[None]:
+    """Have torch use one thread: layers this small gain nothing from more, and lose much where a core is busy."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _network(torch: Any, shape: Sequence[int], size: int) -> Any:
