@@ -49,6 +49,8 @@ class EpisodeProblem(Agent):
         self.stochastic = scene.episodes.fresh and any(g.drawn for g in scene.goals.values())
         self.n_batches = 1 if self.stochastic else self.n_episodes
         self.term_names: Sequence[str] = [*scene.objective, "growth_at"]
+        self.constraint_names: Sequence[str] = ()
+        self.c_low = self.c_high = np.zeros(0)
         self.effort = Effort()
         self.interrupt: Callable[[], None] = lambda: None
         self._terms = np.full(len(self.term_names), np.nan)
@@ -150,6 +152,22 @@ class EpisodeProblem(Agent):
             if len(points) == 1 and not failures:
                 self._note(done)
         return out
+
+    # --- constraints, of which a scene has none yet ---------------------------------------------------------------
+
+    def values_and_constraints(self, x: Array) -> tuple[float, Array]:
+        """Return the mean loss and no constraints."""
+        return self.value(x), np.zeros(0)
+
+    def gradients_and_constraints(self, x: Array) -> tuple[float, Array, Array, Array]:
+        """Return the mean loss, its gradient (n,), no constraints and their Jacobian (0, n)."""
+        loss, gradient = self.value_and_grad(x)
+        return loss, gradient, np.zeros(0), np.zeros((0, len(x)))
+
+    def lagrangian(self, x: Array, weigh: Callable[[Array], Array]) -> tuple[float, Array, Array]:
+        """Return the mean loss, no constraints, and the gradient (n,)."""
+        loss, gradient = self.value_and_grad(x)
+        return loss, np.zeros(0), gradient
 
     def _guarded(self, x: Array, work: Callable[[], Any]) -> Any:
         try:

@@ -16,7 +16,7 @@ import numpy as np
 from cqrun.contract import Array, Plugin
 from cqrun.errors import UsageError
 
-Status = Literal["converged", "iteration_limit", "stalled", "failed", "stopped"]
+Status = Literal["converged", "iteration_limit", "stalled", "infeasible", "failed", "stopped"]
 
 
 class TrialFailed(Exception):

@@ -117,6 +117,28 @@ class Descent(Optimizer):
     def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
         """Return what to subtract from x at learning rate 1 (n,), and the new memory."""
 
+    def begin_memory(self, problem: Problem, x: Array) -> dict[str, Array]:
+        """Return what is remembered at the start x (n,)."""
+        return {name: np.zeros_like(x) for name in self.memory_names()}
+
+    def evaluate(
+        self, problem: Problem, x: Array, batch: tuple[int, ...] | None, memory: dict[str, Array]
+    ) -> dict[str, Array]:
+        """Return f (), the gradient g (n,) that steps follow, and the terms at x; TrialFailed where it blows up."""
+        return checked_value_and_grad(problem, x, batch)
+
+    def learn(self, iteration: int, answer: dict[str, Array], memory: dict[str, Array]) -> dict[str, Array]:
+        """Return the memory after an iteration's evaluation."""
+        return memory
+
+    def better(self, state: DescentState, answer: dict[str, Array]) -> bool:
+        """Say whether an evaluation is the best so far."""
+        return float(answer["f"]) < state.best_loss
+
+    def told(self, problem: Problem, x: Array, answer: dict[str, Array]) -> dict[str, float]:
+        """Return the history's columns beside the loss."""
+        return terms_of(problem, answer["terms"])
+
     def require(self, problem: Problem) -> None:
         """Refuse mini-batches with more parts than there are, or of data that is drawn anew anyway."""
         if self.batch_size is not None and problem.stochastic:
@@ -171,7 +193,7 @@ class Descent(Optimizer):
             best_loss=np.inf,
             queue=np.zeros(0, np.int64),
             rng=_rng_text(np.random.default_rng(seed)),
-            memory={name: zeros for name in self.memory_names()},
+            memory=self.begin_memory(problem, x),
         )
 
     def _advance(self, state: DescentState, problem: Problem) -> tuple[DescentState, dict[str, float]]:
@@ -179,11 +201,12 @@ class Descent(Optimizer):
         x = np.clip(state.x - state.step, problem.lower, problem.upper)
         rng = _rng_from_text(state.rng)
         batch, queue = self._draw(state, rng, problem)
-        answer = checked_value_and_grad(problem, x, batch)
+        answer = self.evaluate(problem, x, batch, state.memory)
         loss, grad, iteration = float(answer["f"]), answer["g"], state.iteration + 1
         direction, memory = self.direction(iteration, self._tamed(grad, rng), state.memory)
+        memory = self.learn(iteration, answer, memory)
         wanted = state.scale * self.learning_rate / (1.0 + self.decay * iteration) * direction
-        better = self._changes(problem) or loss < state.best_loss  # losses of other data do not compare
+        better = self._changes(problem) or self.better(state, answer)  # losses of other data do not compare
         advanced = replace(
             state,
             iteration=iteration,
@@ -198,7 +221,7 @@ class Descent(Optimizer):
             rng=_rng_text(rng),
             memory=memory,
         )
-        return advanced, terms_of(problem, answer["terms"])
+        return advanced, self.told(problem, x, answer)
 
     def _draw(
         self, state: DescentState, rng: np.random.Generator, problem: Problem

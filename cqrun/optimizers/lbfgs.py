@@ -46,7 +46,7 @@ class Lbfgs(Optimizer):
         self.require(problem)
         import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
 
-        return minimise_with_restarts(self._attempt, problem, session, self.max_iterations)
+        return minimise_with_restarts(self._attempt, Trials(problem, session, self.max_iterations))
 
     def _attempt(self, trials: Trials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
         from scipy.optimize import Bounds, minimize

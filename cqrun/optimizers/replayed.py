@@ -7,7 +7,7 @@ evaluations from the log; as the optimizer is deterministic it comes to where it
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -103,6 +103,9 @@ class Trials:
         seen = self._seen[x.tobytes()]
         self._seen = {x.tobytes(): seen}
         self._report(x, seen)
+        self._at_limit()
+
+    def _at_limit(self) -> None:
         if self.iteration >= self.max_iterations:
             raise Halt("iteration_limit", f"{self.max_iterations} iterations, the limit")
 
@@ -143,18 +146,18 @@ class Trials:
         self.session.report(self.iteration, x.copy(), seen.loss, seen.grad, terms)
 
 
-Attempt = Callable[[Trials, Array, Array, Array], tuple[Status, str]]
+Attempt = Callable[[Any, Array, Array, Array], tuple[Status, str]]
 """One call of scipy: (trials, start, lower, upper) -> status, message."""
 
 
-def minimise_with_restarts(attempt: Attempt, problem: Problem, session: Session, max_iterations: int) -> Outcome:
+def minimise_with_restarts(attempt: Attempt, trials: Trials) -> Outcome:
     """Run `attempt`; after a failed trial, again from the best point in a box of half the size.
 
     BLAS runs on one thread meanwhile: sums in another order would make the replay diverge.
     """
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-    trials = Trials(problem, session, max_iterations)
+    problem, session = trials.problem, trials.session
     lower, upper = problem.lower, problem.upper
     x = np.clip(problem.start, lower, upper)
     restarts = 0

@@ -62,6 +62,14 @@ def test_it_learns_and_writes_what_it_learned(finger, tmp_path):
     assert "on unseen goals" in text
 
 
+@pytest.mark.parametrize("method", ["slsqp", "trust_constr", "augmented_lagrangian"])
+def test_solvers_for_constraints_learn_without_any(finger, tmp_path, method):
+    run = learn(finger, tmp_path, f"optimizer={{{method}: {{max_iterations: 4}}}}")
+    result = result_of(run)
+    assert (result["status"], result["iterations"]) == ("iteration_limit", 4)
+    assert result["trained"]["loss"] < 0.95 * result["start"]["loss"]
+
+
 def test_the_same_again_is_finished_and_more_iterations_extend_it(finger, tmp_path):
     run = learn(finger, tmp_path / "out")
     listener = Listener()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cqrun.optimizers.base import Optimizer, Outcome, TrialFailed
+from cqrun.optimizers.constrained import ConstrainedOptimizer, report_names
 from cqrun.store.run import RunDirectory, RunScene
 from cqrun.store.session import RunSession
 
@@ -69,8 +70,65 @@ class Rosenbrock:
         return np.concatenate([valley, slope]), jacobian
 
 
+class Confined(Rosenbrock):
+    """Rosenbrock's valley where the sum of x is 1 and x.x is at most `radius` squared; half of x in [-2, 2]."""
+
+    constraint_names = ("sum", "ball")
+
+    def __init__(self, n: int = 6, radius: float = 1.5, total: float = 1.0, **more):
+        super().__init__(n, **more)
+        self.lower, self.upper = np.full(n, -2.0), np.full(n, 2.0)
+        self.c_low, self.c_high = np.array([total, -np.inf]), np.array([total, radius**2])
+
+    def values_and_constraints(self, x):
+        r, _ = self._evaluate(x)
+        return 0.5 * float(r @ r), np.array([x.sum(), x @ x])
+
+    def gradients_and_constraints(self, x):
+        r, jacobian = self._evaluate(x)
+        return 0.5 * float(r @ r), jacobian.T @ r, np.array([x.sum(), x @ x]), np.array([np.ones_like(x), 2.0 * x])
+
+    def lagrangian(self, x, weigh):
+        f, g, c, J = self.gradients_and_constraints(x)
+        return f, c, g + weigh(c) @ J
+
+
+class Nearest:
+    """The point nearest to `aim` where w.x is at most `most`: (aim - w max(0, w.aim - most) / w.w), by projection."""
+
+    term_names = ()
+    stochastic = False
+    n_batches = 1
+    constraint_names = ("plane",)
+
+    def __init__(self, aim, w, most: float, box: float = 10.0):
+        self.aim, self.w = np.asarray(aim, float), np.asarray(w, float)
+        self.start = np.zeros_like(self.aim)
+        self.lower, self.upper = self.start - box, self.start + box
+        self.c_low, self.c_high = np.array([-np.inf]), np.array([most])
+
+    def term_values(self):
+        return np.zeros(0)
+
+    def values_and_constraints(self, x):
+        return 0.5 * float((x - self.aim) @ (x - self.aim)), np.array([self.w @ x])
+
+    def gradients_and_constraints(self, x):
+        f, c = self.values_and_constraints(x)
+        return f, x - self.aim, c, self.w[None]
+
+    def lagrangian(self, x, weigh):
+        f, g, c, J = self.gradients_and_constraints(x)
+        return f, c, g + weigh(c) @ J
+
+
+def problem_for(method: Optimizer, **options) -> Rosenbrock:
+    """Return the valley that a method is tried on: where it honours constraints, one with constraints."""
+    return Confined(**options) if isinstance(method, ConstrainedOptimizer) else Rosenbrock(**options)
+
+
 def solve(
-    out: Path, optimizer: Optimizer, problem: Rosenbrock, *, stop=lambda: False, seed: int = 3, sabotage=None
+    out: Path, optimizer: Optimizer, problem: Rosenbrock | Nearest, *, stop=lambda: False, seed: int = 3, sabotage=None
 ) -> tuple[Outcome, RunSession]:
     """Start or resume the run below `out`; `sabotage(session)` may spoil the session first."""
     scene = RunScene("toy", "cqrun: 1\n", "cqrun: 1\n")
@@ -82,7 +140,7 @@ def solve(
             seed=seed,
             blocks=blocks,
             physical=lambda x: 2.0 * x,
-            term_names=problem.term_names,
+            term_names=[*problem.term_names, *report_names(problem)],
             stop=stop,
         )
         if sabotage is not None:

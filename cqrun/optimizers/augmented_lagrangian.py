@@ -1,0 +1,119 @@
+"""Augmented Lagrangian over Adam: constraints with any number of unknowns, one gradient an iteration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.optimizers.adam import Adam
+from cqrun.optimizers.base import Outcome, Problem, Session, refuse_stochastic, require_finite, terms_of
+from cqrun.optimizers.constrained import (
+    ConstrainedOptimizer,
+    Kkt,
+    most_violated,
+    projected,
+    ranked,
+    require_constraints,
+    told,
+    verdict,
+)
+from cqrun.optimizers.descent import DescentState
+from cqrun.registry import plugin
+
+
+@plugin("optimizer", "augmented_lagrangian")
+class AugmentedLagrangian(ConstrainedOptimizer, Adam):
+    """Adam on f + sum |c - p + y / rho|^2 rho / 2, where p is the allowed value nearest to c + y / rho.
+
+    Its gradient is that of f + w.c with w = y + rho (c - p), which one backward run gives for all constraints. Every
+    `inner` iterations the multipliers y become w, and the penalty rho grows where the violation has not fallen enough.
+    J. Nocedal, S. Wright: Numerical optimization (2006), sections 17.3 and 17.4.
+    """
+
+    max_iterations: int = Field(500, ge=1, description="iterations at most")
+    beta2: float = Field(0.99, ge=0, lt=1, description="memory of the mean square: short, as the penalty changes it")
+    decay: float = Field(0.01, ge=0, description="the learning rate of iteration k is divided by 1 + decay k")
+    inner: int = Field(50, ge=1, description="iterations between two updates of the multipliers")
+    penalty: float = Field(3.0, gt=0, description="rho at the start")
+    growth: float = Field(2.0, gt=1, description="by which rho grows")
+    enough: float = Field(0.5, gt=0, lt=1, description="part to which the violation must fall, or rho grows")
+    penalty_limit: float = Field(100.0, gt=0, description="rho grows no further")
+
+    def require(self, problem: Problem) -> None:
+        """Refuse what has no constraints to ask for, and what changes from iteration to iteration."""
+        require_constraints(problem, self.name)
+        refuse_stochastic(problem, self)
+        if self.batch_size is not None:
+            raise UsageError(f"optimizer.{self.name}.batch_size: constraints are of the whole set: remove it")
+
+    def minimise(self, problem: Problem, session: Session) -> Outcome:
+        """Minimise with exact resume through the session's state file; UsageError as `require`."""
+        outcome = super().minimise(problem, session)
+        if outcome.status in ("failed", "stopped"):
+            return outcome
+        _, c = problem.values_and_constraints(outcome.x)  # type: ignore[attr-defined]
+        if most_violated(c, problem.c_low, problem.c_high) <= self.constraint_tolerance:  # type: ignore[attr-defined]
+            return outcome
+        message = f"{verdict(problem, outcome.x, c)} ({outcome.message})"  # type: ignore[arg-type]
+        return replace(outcome, status="infeasible", message=message)
+
+    def begin_memory(self, problem: Problem, x: Array) -> dict[str, Array]:
+        """Return Adam's moments, the multipliers, the penalty, and what they were last judged by."""
+        m = len(problem.constraint_names)  # type: ignore[attr-defined]
+        return super().begin_memory(problem, x) | {
+            "multipliers": np.zeros(m),
+            "penalty": np.array(self.penalty),
+            "violation": np.array(np.inf),
+            "best": np.array([np.inf, np.inf]),
+        }
+
+    def evaluate(
+        self, problem: Problem, x: Array, batch: tuple[int, ...] | None, memory: dict[str, Array]
+    ) -> dict[str, Array]:
+        """Return f, the gradient of the augmented Lagrangian, constraints c and weights w (m,), and the terms."""
+        y, rho = memory["multipliers"], memory["penalty"]
+        low, high = problem.c_low, problem.c_high  # type: ignore[attr-defined]
+
+        def weigh(c: Array) -> Array:
+            aim = c + y / rho
+            return np.asarray(rho * (aim - np.clip(aim, low, high)))
+
+        f, c, g = problem.lagrangian(x, weigh)  # type: ignore[attr-defined]
+        require_finite(x, loss=np.asarray(f), constraints=c, gradient=g)
+        terms = np.array(problem.term_values(), float)
+        excess = np.array(most_violated(c, low, high))
+        return {"f": np.array(f, float), "g": g, "c": c, "w": weigh(c), "violation": excess, "terms": terms}
+
+    def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
+        """Return Adam's direction, and all that is remembered."""
+        step, moments = super().direction(iteration, grad, memory)
+        return step, memory | moments
+
+    def learn(self, iteration: int, answer: dict[str, Array], memory: dict[str, Array]) -> dict[str, Array]:
+        """Return the memory with the multipliers and the penalty moved on where they are due."""
+        memory = memory | {"best": np.array(min(tuple(memory["best"]), self._rank(answer)))}
+        if iteration == 0 or iteration % self.inner:
+            return memory
+        rho = memory["penalty"]
+        if answer["violation"] > max(self.constraint_tolerance, self.enough * memory["violation"]):
+            rho = np.minimum(self.growth * rho, self.penalty_limit)
+        return memory | {"multipliers": answer["w"], "penalty": rho, "violation": answer["violation"]}
+
+    def better(self, state: DescentState, answer: dict[str, Array]) -> bool:
+        """Say whether an evaluation violates less than all before, or nothing and is lower."""
+        return self._rank(answer) < tuple(state.memory["best"])
+
+    def told(self, problem: Problem, x: Array, answer: dict[str, Array]) -> dict[str, float]:
+        """Return the terms and what is known of the constraints; the weights are the multipliers."""
+        found = Kkt(answer["w"], projected(problem, x, answer["g"]))
+        return terms_of(problem, answer["terms"]) | told(problem, answer["c"], found)  # type: ignore[arg-type]
+
+    def _rank(self, answer: dict[str, Array]) -> tuple[float, float]:
+        return ranked(float(answer["violation"]), float(answer["f"]), self.constraint_tolerance)
+
+    def _converged(self, state: DescentState, problem: Problem) -> bool:
+        return float(state.memory["best"][0]) == 0.0 and super()._converged(state, problem)

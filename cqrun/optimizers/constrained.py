@@ -1,0 +1,241 @@
+"""Minimising under constraints: what such a problem gives, how far they are violated, and how far x is from a minimum.
+
+    minimise f(x)   over   lower <= x <= upper   where   c_low <= c(x) <= c_high
+
+A constraint with equal ends is an equality. Its multiplier y is positive where c_high holds c back, negative where
+c_low does, and nought where neither does. At a minimum the gradient of f + y.c vanishes but for what the box holds
+(Karush, Kuhn and Tucker; J. Nocedal, S. Wright: Numerical optimization, 2006, section 12.3). The KKT residual is its
+largest component, with the multipliers that make its Euclidean norm least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, require_finite, terms_of
+from cqrun.optimizers.replayed import Trials
+
+VIOLATION, KKT = "violation", "kkt"
+AT_BOUND = 1e-6
+"""Distance from an end of the box, in scaled coordinates, at which it holds x."""
+
+CONSTRAINT, MULTIPLIER = "constraint:", "multiplier:"
+"""Columns of the history, the last two with a constraint's name behind them."""
+
+
+class ConstrainedProblem(Problem, Protocol):
+    """A `Problem` with m constraints, each in the unit in which its violation is judged.
+
+    Attributes:
+        constraint_names: m names.
+        c_low, c_high: (m,), may be infinite; equal for an equality.
+    """
+
+    constraint_names: Sequence[str]
+    c_low: Array
+    c_high: Array
+
+    def values_and_constraints(self, x: Array) -> tuple[float, Array]:
+        """Return f and c (m,)."""
+
+    def gradients_and_constraints(self, x: Array) -> tuple[float, Array, Array, Array]:
+        """Return f, its gradient (n,), c (m,) and its Jacobian (m, n)."""
+
+    def lagrangian(self, x: Array, weigh: Callable[[Array], Array]) -> tuple[float, Array, Array]:
+        """Return f, c (m,) and the gradient (n,) of f + w.c, where w = weigh(c) counts as constant."""
+
+
+class ConstrainedOptimizer(Optimizer):
+    """Base of the optimizers that honour constraints; without any they minimise f."""
+
+    constrained: ClassVar[bool] = True
+    constraint_tolerance: float = Field(
+        1e-6, gt=0, description="a constraint is met when it is violated by no more than this, in its scale"
+    )
+
+
+def report_names(problem: Any) -> list[str]:
+    """Return the columns of the history that tell of constraints, none where there are none."""
+    names = list(getattr(problem, "constraint_names", ()))
+    own = [CONSTRAINT + name for name in names] + [MULTIPLIER + name for name in names]
+    return [VIOLATION, KKT, *own] if names else []
+
+
+def violation(c: Array, low: Array, high: Array) -> Array:
+    """Return by how much each constraint is violated (m,)."""
+    return np.maximum(0.0, np.maximum(low - c, c - high))
+
+
+def most_violated(c: Array, low: Array, high: Array) -> float:
+    """Return the largest violation, 0 without constraints."""
+    return float(np.max(violation(c, low, high), initial=0.0))
+
+
+def ranked(excess: float, loss: float, tolerance: float) -> tuple[float, float]:
+    """Return what orders points: the one that violates least is best, and of those that violate nothing the lowest."""
+    return (excess, loss) if excess > tolerance else (0.0, loss)
+
+
+@dataclass(frozen=True)
+class Kkt:
+    """Multipliers y (m,) and the KKT residual."""
+
+    multipliers: Array
+    residual: float
+
+
+def kkt(problem: ConstrainedProblem, x: Array, g: Array, c: Array, J: Array, tolerance: float) -> Kkt:
+    """Return the multipliers at x and how far the Lagrangian's gradient is from nought.
+
+    Args:
+        g, c, J: gradient (n,), constraints (m,) and their Jacobian (m, n) at x.
+        tolerance: a constraint this near to an end counts as held there.
+    """
+    from scipy.optimize import lsq_linear
+
+    at_low, at_high = c <= problem.c_low + tolerance, c >= problem.c_high - tolerance
+    held = np.flatnonzero(at_low | at_high)
+    below, above = held_by_box(problem, x)
+    free = ~below & ~above
+    y = np.zeros(len(c))
+    if len(held) and free.any():
+        ends = np.where(at_low[held], -np.inf, 0.0), np.where(at_high[held], np.inf, 0.0)
+        y[held] = lsq_linear(J[held][:, free].T, -g[free], bounds=ends).x
+    return Kkt(y, projected(problem, x, g + y @ J))
+
+
+def projected(problem: Problem, x: Array, slope: Array) -> float:
+    """Return the largest component of a gradient (n,), without what leads out of a box that holds x."""
+    below, above = held_by_box(problem, x)
+    slope = np.where(below, np.minimum(slope, 0.0), slope)
+    slope = np.where(above, np.maximum(slope, 0.0), slope)
+    return float(np.max(np.abs(slope), initial=0.0))
+
+
+def held_by_box(problem: Problem, x: Array) -> tuple[Array, Array]:
+    """Return which unknowns are at their lower bound and which at their upper (n,)."""
+    return x <= problem.lower + AT_BOUND, x >= problem.upper - AT_BOUND
+
+
+def told(problem: ConstrainedProblem, c: Array, found: Kkt) -> dict[str, float]:
+    """Return the columns of `report_names`."""
+    if not len(c):
+        return {}
+    values = {VIOLATION: most_violated(c, problem.c_low, problem.c_high), KKT: found.residual}
+    values |= {CONSTRAINT + name: float(value) for name, value in zip(problem.constraint_names, c, strict=True)}
+    return values | {
+        MULTIPLIER + name: float(y) for name, y in zip(problem.constraint_names, found.multipliers, strict=True)
+    }
+
+
+def verdict(problem: ConstrainedProblem, x: Array, c: Array) -> str:
+    """Return in words which constraint is violated most, and how many unknowns the box holds there."""
+    excess = violation(c, problem.c_low, problem.c_high)
+    k = int(np.argmax(excess))
+    low, high = problem.c_low[k], problem.c_high[k]
+    wanted = f"{low:g}" if low == high else f"at most {high:g}" if c[k] > high else f"at least {low:g}"
+    at_low, at_high = (int(np.sum(side)) for side in held_by_box(problem, x))
+    bounds = f"{at_low} of {len(x)} unknowns are at their lower bound and {at_high} at their upper bound"
+    return (
+        f"constraint '{problem.constraint_names[k]}' is {c[k]:.6g}, wanted {wanted}: violated by {excess[k]:.3g}, the "
+        f"least that was found; {bounds}"
+    )
+
+
+def require_constraints(problem: Any, name: str) -> None:
+    """Refuse, with a UsageError, a problem that cannot say what its constraints are."""
+    if not hasattr(problem, "gradients_and_constraints"):
+        raise UsageError(f"{name} minimises an objective under constraints; to fit data take least_squares")
+
+
+class ConstrainedTrials(Trials):
+    """The functions that a solver calls, logged and counted; the best point is the one that violates least.
+
+    Of points that violate nothing, the one of least f is best.
+    """
+
+    problem: ConstrainedProblem
+
+    def __init__(self, problem: Any, session: Session, max_iterations: int, tolerance: float) -> None:
+        super().__init__(problem, session, max_iterations)
+        self.tolerance = tolerance
+        self.best_c = np.zeros(0)
+        self._best_rank = (np.inf, np.inf)
+        self._values: dict[bytes, tuple[float, Array]] = {}
+        self._gradients: dict[bytes, dict[str, Array]] = {}
+
+    def values(self, x: Array) -> tuple[float, Array]:
+        """Return f and c (m,), by rollouts forward where the gradients are not known."""
+        key = x.tobytes()
+        if key not in self._values:
+
+            def compute() -> dict[str, Array]:
+                f, c = self.problem.values_and_constraints(x)
+                require_finite(x, loss=np.asarray(f), constraints=c)
+                return {"f": np.array(f), "c": c}
+
+            self._keep(x, self._ask("values", x, compute))
+        return self._values[key]
+
+    def gradients(self, x: Array) -> dict[str, Array]:
+        """Return f (), g (n,), c (m,), J (m, n) and the terms at x."""
+        key = x.tobytes()
+        if key not in self._gradients:
+
+            def compute() -> dict[str, Array]:
+                f, g, c, J = self.problem.gradients_and_constraints(x)
+                require_finite(x, loss=np.asarray(f), gradient=g, constraints=c, Jacobian=J)
+                return {"f": np.array(f), "g": g, "c": c, "J": J, "terms": np.array(self.problem.term_values(), float)}
+
+            answer = self._ask("gradients", x, compute)
+            self._gradients = {key: answer}
+            self._keep(x, answer)
+            if not self._started:
+                self._started = True
+                self._tell(x, answer)
+        return self._gradients[key]
+
+    def violated(self, x: Array) -> float:
+        """Return the largest violation at x."""
+        return most_violated(self.values(x)[1], self.problem.c_low, self.problem.c_high)
+
+    def accept(self, x: Array) -> None:
+        """Count an iteration that ended at x."""
+        answer = self.gradients(x.copy())
+        self.iteration += 1
+        self._tell(x, answer)
+        self._values = {x.tobytes(): self._values[x.tobytes()]}
+        self._at_limit()
+
+    def _keep(self, x: Array, answer: dict[str, Array]) -> None:
+        loss, c = float(answer["f"]), answer["c"]
+        self._values[x.tobytes()] = loss, c
+        excess = most_violated(c, self.problem.c_low, self.problem.c_high)
+        rank = ranked(excess, loss, self.tolerance)
+        if rank < self._best_rank:
+            self._best_rank, self.best_x, self.best_loss, self.best_c = rank, x.copy(), loss, c
+
+    def _tell(self, x: Array, answer: dict[str, Array]) -> None:
+        found = kkt(self.problem, x, answer["g"], answer["c"], answer["J"], self.tolerance)
+        terms = terms_of(self.problem, answer["terms"]) | told(self.problem, answer["c"], found)
+        self.session.report(self.iteration, x.copy(), float(answer["f"]), answer["g"], terms)
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the best point violates nothing."""
+        return self._best_rank[0] == 0.0
+
+
+def ended(trials: ConstrainedTrials, outcome: Outcome) -> Outcome:
+    """Return an outcome, with status `infeasible` and a verdict where it ended before the constraints were met."""
+    if trials.feasible or outcome.status in ("failed", "stopped"):
+        return outcome
+    message = f"{verdict(trials.problem, outcome.x, trials.best_c)} ({outcome.message})"
+    return Outcome(outcome.x, outcome.loss, "infeasible", message, outcome.iterations)

@@ -1,0 +1,115 @@
+"""SLSQP: sequential quadratic programming, for objectives under constraints with up to some thousand unknowns."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.errors import UsageError
+from cqrun.optimizers.base import Outcome, Problem, Session, Status, refuse_stochastic
+from cqrun.optimizers.constrained import (
+    ConstrainedOptimizer,
+    ConstrainedTrials,
+    ended,
+    require_constraints,
+)
+from cqrun.optimizers.replayed import minimise_with_restarts
+from cqrun.registry import plugin
+from cqrun.units import format_bytes
+
+MOST_UNKNOWNS = 5000
+"""More need an n x n matrix and n^3 operations a step that are out of proportion."""
+
+
+class Feasible(Exception):
+    """Leaves the search for a point that violates nothing."""
+
+
+@plugin("optimizer", "slsqp")
+class Slsqp(ConstrainedOptimizer):
+    """SLSQP: step d of least g.d + d.B d / 2 under the linearised constraints, then a line search; B by BFGS.
+
+    It first looks for a point that meets the constraints, without the objective, and then lowers that, as ChainQueen
+    did. Memory grows with the square of the unknowns.
+    D. Kraft: A software package for sequential quadratic programming, DFVLR-FB 88-28 (1988); scipy's implementation.
+    """
+
+    max_iterations: int = Field(100, ge=1, description="iterations at most, both searches together")
+    function_tolerance: float = Field(
+        1e-8, gt=0, description="converged when an iteration changes the loss by less and the constraints are met"
+    )
+    feasibility_first: bool = Field(True, description="whether the constraints are met before the objective counts")
+
+    def require(self, problem: Problem) -> None:
+        """Refuse what has no constraints to ask for, changes from iteration to iteration, or is too large."""
+        require_constraints(problem, self.name)
+        refuse_stochastic(problem, self)
+        n = len(problem.start)
+        if n > MOST_UNKNOWNS:
+            raise UsageError(
+                f"{self.name} needs {format_bytes(8 * n * n)} for its matrix of {n:,} x {n:,} unknowns, and time as "
+                f"their cube; beyond {MOST_UNKNOWNS:,} use augmented_lagrangian, or fewer unknowns (`per: group`)"
+            )
+
+    def minimise(self, problem: Problem, session: Session) -> Outcome:
+        """Minimise with exact resume through the session's log; UsageError as `require`."""
+        self.require(problem)
+        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
+
+        trials = ConstrainedTrials(problem, session, self.max_iterations, self.constraint_tolerance)
+        return ended(trials, minimise_with_restarts(self._attempt, trials))
+
+    def _attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
+        if self.feasibility_first and trials.violated(x) > self.constraint_tolerance:
+            message = ""
+            with contextlib.suppress(Feasible):
+                _, message = self._search(trials, x, lower, upper, feasibility=True)
+            assert trials.best_x is not None
+            x = trials.best_x
+            if trials.violated(x) > self.constraint_tolerance:
+                return "infeasible", message
+        return self._search(trials, x, lower, upper, feasibility=False)
+
+    def _search(
+        self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
+    ) -> tuple[Status, str]:
+        """Run scipy's SLSQP once; in search of feasibility f counts as 0, and `Feasible` is raised on success."""
+        from scipy.optimize import Bounds, minimize
+
+        def accept(x: Array) -> None:
+            trials.accept(x)
+            if feasibility and trials.violated(x) <= self.constraint_tolerance:
+                raise Feasible
+
+        result = minimize(
+            (lambda x: 0.0) if feasibility else (lambda x: trials.values(x)[0]),
+            x,
+            jac=(lambda x: np.zeros(len(x))) if feasibility else (lambda x: trials.gradients(x)["g"].copy()),
+            method="SLSQP",
+            bounds=Bounds(lower, upper),
+            constraints=halves(trials),
+            callback=accept,
+            options={"maxiter": 2**31 - 1, "ftol": self.function_tolerance},  # the callback counts, over restarts too
+        )
+        return ("converged" if result.status == 0 else "stalled"), f"SLSQP: {result.message}"
+
+
+def halves(trials: ConstrainedTrials) -> list[dict[str, Any]]:
+    """Return the constraints as scipy's SLSQP wants them: c - c_low >= 0, c_high - c >= 0, and c - c_low = 0."""
+    low, high = trials.problem.c_low, trials.problem.c_high
+    equal = low == high
+    sides = [("eq", equal, 1.0, low), ("ineq", ~equal & np.isfinite(low), 1.0, low)]
+    sides += [("ineq", ~equal & np.isfinite(high), -1.0, high)]
+    return [
+        {
+            "type": kind,
+            "fun": lambda x, rows=rows, sign=sign, end=end: sign * (trials.values(x)[1] - end)[rows],
+            "jac": lambda x, rows=rows, sign=sign: sign * trials.gradients(x)["J"][rows],
+        }
+        for kind, rows, sign, end in sides
+        if rows.any()
+    ]

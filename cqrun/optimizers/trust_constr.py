@@ -1,0 +1,74 @@
+"""trust-constr: an interior point method in a trust region, for smooth constraints and some hundred unknowns."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.optimizers.base import Outcome, Problem, Session, Status, refuse_stochastic
+from cqrun.optimizers.constrained import ConstrainedOptimizer, ConstrainedTrials, ended, require_constraints
+from cqrun.optimizers.replayed import minimise_with_restarts
+from cqrun.registry import plugin
+
+INSIDE = 1e-6
+"""Least distance of the start from the bounds, in scaled coordinates."""
+
+
+@plugin("optimizer", "trust_constr")
+class TrustConstr(ConstrainedOptimizer):
+    """Trust-region interior point: equalities by projected steps, bounds and inequalities by a barrier that shrinks.
+
+    R. H. Byrd, M. E. Hribar, J. Nocedal: An interior point algorithm for large-scale nonlinear programming, SIAM J.
+    Optim. 9 (1999); scipy's implementation, the Hessian by BFGS.
+    """
+
+    max_iterations: int = Field(200, ge=1, description="iterations at most")
+    gradient_tolerance: float = Field(1e-6, gt=0, description="converged when the Lagrangian's gradient is smaller")
+    step_tolerance: float = Field(1e-8, gt=0, description="converged when the trust region is smaller")
+
+    def require(self, problem: Problem) -> None:
+        """Refuse what has no constraints to ask for, and what changes from iteration to iteration."""
+        require_constraints(problem, self.name)
+        refuse_stochastic(problem, self)
+
+    def minimise(self, problem: Problem, session: Session) -> Outcome:
+        """Minimise with exact resume through the session's log; UsageError as `require`."""
+        self.require(problem)
+        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
+
+        trials = ConstrainedTrials(problem, session, self.max_iterations, self.constraint_tolerance)
+        return ended(trials, minimise_with_restarts(self._attempt, trials))
+
+    def _attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
+        from scipy.optimize import BFGS, Bounds, NonlinearConstraint, minimize
+
+        low, high = trials.problem.c_low, trials.problem.c_high
+        edge = np.minimum(INSIDE, 0.25 * (upper - lower))
+        x = np.clip(x, lower + edge, upper - edge)  # its barrier has no value on the bounds
+        constraints = [
+            NonlinearConstraint(
+                lambda x: trials.values(x)[1], low, high, jac=lambda x: trials.gradients(x)["J"], hess=BFGS()
+            )
+        ] * bool(len(low))
+
+        def accept(x: Array, state: Any) -> None:
+            trials.accept(np.asarray(x))
+
+        with warnings.catch_warnings():  # of a linear constraint, and of one that the box holds already
+            warnings.filterwarnings("ignore", message="delta_grad == 0.0|Singular Jacobian matrix")
+            result = minimize(
+                lambda x: trials.values(x)[0],
+                x,
+                jac=lambda x: trials.gradients(x)["g"],
+                hess=BFGS(),
+                method="trust-constr",
+                bounds=Bounds(lower, upper, keep_feasible=True),
+                constraints=constraints,
+                callback=accept,
+                options={"maxiter": 2**31 - 1, "gtol": self.gradient_tolerance, "xtol": self.step_tolerance},
+            )
+        return ("converged" if result.status in (1, 2) else "stalled"), f"trust-constr: {result.message}"

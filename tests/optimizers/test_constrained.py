@@ -1,0 +1,145 @@
+"""Optimizers under constraints: where they end, what they report, and what they say where nothing meets them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from toy_problems import Confined, Nearest, Rosenbrock, run_folder, solve
+
+from cqrun.errors import UsageError
+from cqrun.optimizers.augmented_lagrangian import AugmentedLagrangian
+from cqrun.optimizers.constrained import Kkt, kkt, most_violated, violation
+from cqrun.optimizers.slsqp import MOST_UNKNOWNS, Slsqp
+from cqrun.optimizers.trust_constr import TrustConstr
+from cqrun.store.history import read_history
+
+AIM, W = np.array([3.0, -1.0, 0.5]), np.array([1.0, 2.0, 2.0])
+METHODS = {
+    "slsqp": Slsqp(max_iterations=200),
+    "slsqp at once": Slsqp(max_iterations=200, feasibility_first=False),
+    "trust_constr": TrustConstr(max_iterations=400),
+    "augmented_lagrangian": AugmentedLagrangian(max_iterations=900, learning_rate=0.05, gradient_tolerance=1e-5),
+}
+
+
+@pytest.fixture(params=METHODS)
+def method(request):
+    return METHODS[request.param]
+
+
+# --- violation and KKT ------------------------------------------------------------------------------------------
+
+
+def test_violation_counts_from_the_nearer_end():
+    low, high = np.array([-np.inf, 1.0, 2.0]), np.array([1.0, 3.0, 2.0])
+    np.testing.assert_array_equal(violation(np.array([1.5, 0.5, 2.0]), low, high), [0.5, 0.5, 0.0])
+    np.testing.assert_array_equal(violation(np.array([-9.0, 4.0, 1.0]), low, high), [0.0, 1.0, 1.0])
+    assert most_violated(np.zeros(0), np.zeros(0), np.zeros(0)) == 0.0
+
+
+def at(problem, x) -> Kkt:
+    _, g, c, J = problem.gradients_and_constraints(x)
+    return kkt(problem, x, g, c, J, 1e-9)
+
+
+def test_multipliers_at_a_projection_are_those_of_the_formula():
+    problem = Nearest(AIM, W, -1.0)
+    y = (W @ AIM + 1.0) / (W @ W)
+    found = at(problem, AIM - y * W)
+    assert found.multipliers == pytest.approx([y])
+    assert found.residual < 1e-12
+
+
+def test_a_constraint_that_does_not_hold_has_no_multiplier():
+    found = at(Nearest(AIM, W, 10.0), AIM)
+    assert found.multipliers == pytest.approx([0.0])
+    assert found.residual == 0.0
+
+
+def test_a_multiplier_never_pulls_out_of_what_is_allowed():
+    """Held at c_high while f would fall further inside: no minimum, and no negative multiplier hides it."""
+    problem = Nearest(AIM, W, 10.0)
+    x = AIM + W * (10.0 - W @ AIM) / (W @ W)
+    found = at(problem, x)
+    assert found.multipliers == pytest.approx([0.0])
+    assert found.residual == pytest.approx(np.max(np.abs(x - AIM)))
+
+
+def test_what_the_box_holds_counts_for_nothing():
+    problem = Nearest(AIM, W, 10.0, box=2.0)
+    x = np.clip(AIM, -2.0, 2.0)
+    assert at(problem, x).residual == 0.0
+    assert at(problem, np.array([1.9, -1.0, 0.5])).residual == pytest.approx(1.1)
+
+
+# --- minima ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("most", [-1.0, 10.0], ids=["held", "free"])
+def test_ends_at_the_projection(tmp_path, method, most):
+    problem = Nearest(AIM, W, most)
+    outcome, _ = solve(tmp_path, method, problem)
+    wanted = AIM - W * max(0.0, W @ AIM - most) / (W @ W)
+    assert outcome.status == "converged"
+    assert outcome.x == pytest.approx(wanted, abs=1e-4)
+    assert W @ outcome.x <= most + method.constraint_tolerance
+
+
+def test_ends_at_a_kkt_point_of_a_valley(tmp_path, method):
+    problem = Confined()
+    outcome, _ = solve(tmp_path, method, problem)
+    _, g, c, J = problem.gradients_and_constraints(outcome.x)
+    assert outcome.status == "converged"
+    assert most_violated(c, problem.c_low, problem.c_high) <= method.constraint_tolerance
+    assert kkt(problem, outcome.x, g, c, J, method.constraint_tolerance).residual < 1e-2
+
+
+def test_history_tells_violation_residual_and_multipliers(tmp_path, method):
+    problem = Confined()
+    outcome, _ = solve(tmp_path, method, problem)
+    rows = read_history(run_folder(tmp_path) / "history.csv")
+    columns = ["violation", "kkt", "constraint:sum", "constraint:ball", "multiplier:sum", "multiplier:ball"]
+    assert list(rows)[4:10] == columns
+    assert rows["violation"][0] == pytest.approx(abs(problem.start.sum() - 1.0))
+    assert min(rows["violation"]) <= method.constraint_tolerance
+    assert rows["kkt"][-1] < rows["kkt"][0]
+    assert len(rows["loss"]) == outcome.iterations + 1
+
+
+def test_feasibility_comes_first(tmp_path):
+    problem = Nearest([9.0, 9.0, 9.0], W, -20.0)
+    solve(tmp_path, METHODS["slsqp"], problem)
+    rows = read_history(run_folder(tmp_path) / "history.csv")
+    assert rows["violation"][0] == 20.0
+    # one step to the plane by the shortest way, then along it
+    first = -20.0 * W / (W @ W)
+    assert [rows[f"value:{name}"][1] for name in ("a", "b[0]", "b[1]")] == pytest.approx(list(2.0 * first))
+    assert max(rows["violation"][1:]) <= 1e-6
+
+
+# --- no minimum ------------------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_met_is_told_with_the_least_violation(tmp_path, method):
+    outcome, _ = solve(tmp_path, method, Confined(n=3, radius=100.0, total=10.0))
+    assert outcome.status == "infeasible"
+    assert outcome.x.sum() == pytest.approx(6.0, abs=1e-3)
+    assert "constraint 'sum' is 6, wanted 10: violated by 4, the least that was found" in outcome.message
+    assert "0 of 3 unknowns are at their lower bound and 3 at their upper bound" in outcome.message
+
+
+def test_a_limit_before_the_constraints_are_met_is_no_success(tmp_path):
+    outcome, _ = solve(tmp_path, Slsqp(max_iterations=1), Confined(n=6, radius=0.5, total=1.0))
+    assert outcome.status == "infeasible"
+    assert "(1 iterations, the limit)" in outcome.message
+
+
+def test_too_many_unknowns_are_refused_with_their_memory():
+    problem = Nearest(np.zeros(MOST_UNKNOWNS + 1), np.ones(MOST_UNKNOWNS + 1), 1.0)
+    with pytest.raises(UsageError, match=r"slsqp needs 191 MiB .* 5,001 x 5,001 unknowns.*augmented_lagrangian"):
+        Slsqp().require(problem)
+
+
+def test_a_fit_to_data_is_refused(method):
+    with pytest.raises(UsageError, match="to fit data take least_squares"):
+        method.require(Rosenbrock())
