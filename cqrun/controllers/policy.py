@@ -29,7 +29,7 @@ class Limits:
 
 
 class ControlPolicy:
-    """Decides the activations of one rollout, and gathers the gradient of the controller's parameters.
+    """Decides the activations of one rollout.
 
     Args:
         observation: what is seen; its rows are the probe's first.
@@ -42,7 +42,6 @@ class ControlPolicy:
 
     Attributes:
         n_memory: length of the memory, zero at the start.
-        parameters_bar: gradient by the parameters, after a backward run.
     """
 
     def __init__(
@@ -53,7 +52,6 @@ class ControlPolicy:
         self.limits, self.goals, self.control_step, self.dim = limits, goals, control_step, dim
         self.slow = bool(np.isfinite(limits.change).any())
         self.n_memory = observation.n_memory + len(limits.low) * self.slow
-        self.parameters_bar = {name: np.zeros_like(value) for name, value in parameters.items()}
         half = 0.5 * (limits.high - limits.low)
         self._scale, self._shift = (half, limits.low + half) if controller.bounded else (np.ones_like(half), 0.0 * half)
 
@@ -74,7 +72,7 @@ class ControlPolicy:
 
     def act_vjp(
         self, control: int, record: Array, memory: Array, state: Callable[[], State], activation_bar: Array,
-        memory_bar: Array,
+        memory_bar: Array, parameters_bar: dict[str, Array],
     ) -> tuple[Array, Array, State | None]:  # fmt: skip
         """Return the cotangents of record, memory and state; add those of the parameters to `parameters_bar`."""
         moment, time = self._moment(control, record, memory, state), control * self.control_step
@@ -85,7 +83,7 @@ class ControlPolicy:
         n = self.observation.n_memory
         given_bar = activation_bar + memory_bar[n:] if self.slow else activation_bar
         z_bar = self.controller.act_vjp(
-            self.parameters, z, control, time, by_wanted * given_bar * self._scale, self.parameters_bar
+            self.parameters, z, control, time, by_wanted * given_bar * self._scale, parameters_bar
         )
         bar = self.observation.observe_vjp(moment, z_bar, memory_bar[:n])
         out = np.zeros_like(memory_bar)
@@ -94,6 +92,10 @@ class ControlPolicy:
         if self.slow:
             out[n:] = by_previous * given_bar
         return self._record_bar(record.shape, bar), out, bar.state
+
+    def parameters_zero(self) -> dict[str, Array]:
+        """Return cotangents of the controller's parameters to add to, by block."""
+        return {name: np.zeros_like(value) for name, value in self.parameters.items()}
 
     def _held(self, control: int, u: Array, memory: Array) -> tuple[Array, Array, Array]:
         previous = memory[self.observation.n_memory :] if self.slow and control > 0 else None

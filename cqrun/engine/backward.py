@@ -20,9 +20,16 @@ if TYPE_CHECKING:
 
 
 class Backward:
-    """The cotangents of one backward run, in the kernels' layout."""
+    """The cotangents of one backward run, in the kernels' layout.
 
-    def __init__(self, rollout: Rollout) -> None:
+    Args:
+        loss_bar: the cotangents of what the rollout gives, to start from.
+
+    Attributes:
+        parameters_bar: the cotangents of the policy's parameters, as the policy itself makes them; None without one.
+    """
+
+    def __init__(self, rollout: Rollout, loss_bar: LossBar) -> None:
         self.rollout = rollout
         drive = rollout.drive
         self.q_bar = np.zeros_like(rollout.start)
@@ -37,9 +44,10 @@ class Backward:
         self.groups_bar = rollout.kernel_groups(zeros, self.drive_bar)
         self.coefficient_bar = np.zeros(len(rollout.model.conditions))
         self.sizes: dict[int, float] = {}
+        self.parameters_bar = None if rollout.policy is None else rollout.policy.parameters_zero()
+        self._begin(loss_bar)
 
-    def begin(self, loss_bar: LossBar) -> None:
-        """Start from the cotangents of what the rollout gives."""
+    def _begin(self, loss_bar: LossBar) -> None:
         rollout = self.rollout
         self.memory_bar = np.zeros_like(rollout.inputs.state.memory)
         if loss_bar.final is not None:
@@ -82,7 +90,7 @@ class Backward:
         self.sizes[control] = float(np.linalg.norm(self.q_bar))
         record_bar, self.memory_bar, state_bar = r.policy.act_vjp(
             control, r.records[control], r.memory[control], lambda: r.unpack(q, control),
-            self.drive_bar.activation[control], self.memory_bar,
+            self.drive_bar.activation[control], self.memory_bar, self.parameters_bar,
         )  # fmt: skip
         self.records_bar[control] += record_bar
         if state_bar is not None:

@@ -8,7 +8,7 @@ run it is asked for the adjoint of that answer, last control step first.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 from cqrun.contract import Array
 from cqrun.state import State
@@ -27,12 +27,17 @@ class Policy(Protocol):
 
     def act_vjp(
         self, control: int, record: Array, memory: Array, state: Callable[[], State], activation_bar: Array,
-        memory_bar: Array,
+        memory_bar: Array, parameters_bar: Any,
     ) -> tuple[Array, Array, State | None]:  # fmt: skip
-        """Return the cotangents of record, memory and state (None for zero); keep those of the parameters.
+        """Return the cotangents of record, memory and state (None for zero).
 
         Args:
             control, record, memory, state: as `act` had them.
             activation_bar, memory_bar: cotangents of what it returned.
+            parameters_bar: the cotangents of its parameters, to which it adds.
         """
+        ...
+
+    def parameters_zero(self) -> Any:
+        """Return cotangents of its parameters to begin with, which the engine only hands on."""
         ...

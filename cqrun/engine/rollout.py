@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from checkpoint_schedules import (
@@ -66,6 +67,7 @@ class Rollout:
         self.decided = model.n_controls if policy is None else 0
         self.plan: Plan | None = None
         self.growth_at = -1
+        self.parameters_bar: Any = None
 
     @property
     def activation(self) -> Array:
@@ -256,10 +258,22 @@ class Rollout:
     def gradient(self, loss_bar: Callable[[Records, State], LossBar]) -> tuple[Records, Inputs]:
         """Run forward and backward; return the records and the cotangent of the inputs.
 
-        The policy, if there is one, gathers the cotangents of its own parameters.
+        That of the policy's parameters, if there is a policy, is then in `parameters_bar`.
 
         Args:
             loss_bar: given the records and the final state, returns the loss's cotangents.
+        """
+        records, (sweep,) = self.gradients(lambda records, final: [loss_bar(records, final)])
+        self.parameters_bar = sweep.parameters_bar
+        return records, sweep.inputs_bar()
+
+    def gradients(self, loss_bars: Callable[[Records, State], Sequence[LossBar]]) -> tuple[Records, list[Backward]]:
+        """Run forward once, and backward once for each of several functions; return the records and the sweeps.
+
+        States that were not kept are computed again once, whatever the number of functions.
+
+        Args:
+            loss_bars: given the records and the final state, returns each function's cotangents.
         """
         model = self.model
         n_steps = model.n_steps
@@ -268,7 +282,7 @@ class Rollout:
         snapshots: dict[int, Array] = {}
         spare: list[Array] = []
         current = self.start[None].copy()
-        backward = Backward(self)
+        sweeps: list[Backward] = []
         schedule = MultistageCheckpointSchedule(plan.n_chunks, plan.snapshots, 0) if plan.n_chunks > 1 else _ONE
 
         def ends(chunk: int) -> int:
@@ -288,17 +302,19 @@ class Rollout:
             elif isinstance(action, EndForward):
                 final = chunk_states[n_steps - ends(plan.n_chunks - 1)]
                 records = Records.from_rows(self.records.copy(), model.dim)
-                backward.begin(loss_bar(records, self.unpack(final, model.n_controls)))
+                for loss_bar in loss_bars(records, self.unpack(final, model.n_controls)):
+                    sweeps.append(Backward(self, loss_bar))
             elif isinstance(action, Reverse):
-                backward.run(ends(action.n0), ends(action.n1), chunk_states)
+                for sweep in sweeps:
+                    sweep.run(ends(action.n0), ends(action.n1), chunk_states)
             elif isinstance(action, (Copy, Move)):
                 current[0] = snapshots[action.n]
                 if isinstance(action, Move):
                     spare.append(snapshots.pop(action.n))
             if isinstance(action, EndReverse):
                 break
-        self.growth_at = backward.growth_at
-        return records, backward.inputs_bar()
+        self.growth_at = sweeps[0].growth_at if sweeps else -1
+        return records, sweeps
 
 
 _ONE = (

@@ -241,8 +241,7 @@ class Agent:
             return self._loss_bar(records, self.objective.loss_vjp(found[0].track))
 
         _, inputs_bar = rollout.gradient(loss_bar)
-        policy: Any = rollout.policy
-        gradient = {CONTROLLER + name: bar for name, bar in policy.parameters_bar.items()}
+        gradient = {CONTROLLER + name: bar for name, bar in rollout.parameters_bar.items()}
         own = {p: v for p, v in values.items() if not p.startswith(CONTROLLER)}
         return found[0], gradient | self.built.assembly.gradient(own, inputs_bar)
 

@@ -80,8 +80,7 @@ class Bench:
         self.rollout = Rollout(self.model, self.inputs, threads=threads, adjoint=True)
         self.states = np.empty((SUBSTEPS + 1, *self.rollout.start.shape), real)
         self.here = np.empty((1, *self.rollout.start.shape), real)
-        self.backward = Backward(self.rollout)
-        self.backward.begin(LossBar(final=State.at_rest(self.inputs.state.x)))
+        self.backward = Backward(self.rollout, LossBar(final=State.at_rest(self.inputs.state.x)))
 
     def forward(self) -> None:
         """Run all substeps, as a rollout without gradient does."""

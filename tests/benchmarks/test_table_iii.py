@@ -254,8 +254,9 @@ class Finger:
             bar.x[-1, -1] = 2 * self.gap(records)
             return LossBar(bar)
 
-        Rollout(self.model, self.inputs, adjoint=True, policy=policy).gradient(loss_bar)
-        return float(sum((policy.parameters_bar[name] * self.way[name]).sum() for name in self.way))
+        rollout = Rollout(self.model, self.inputs, adjoint=True, policy=policy)
+        rollout.gradient(loss_bar)
+        return float(sum((rollout.parameters_bar[name] * self.way[name]).sum() for name in self.way))
 
     def truth(self) -> float:
         """Return the derivative along the direction, by a complex step through the equations."""

@@ -118,12 +118,20 @@ class Robot:
 
     def gradient(self, *, threads: int = 1, states: int | None = None) -> tuple[Rollout, Records, Inputs]:
         """Return the rollout, its records and the gradient; `states` is the budget of kept states."""
+        rollout = self.rollout(threads=threads, states=states)
+        return (rollout, *rollout.gradient(lambda records, state: self.loss_bar))
+
+    @property
+    def loss_bar(self) -> LossBar:
+        """The cotangents of what the rollout gives."""
+        return LossBar(self.bars["records"], self.bars["state"], self.bars["activation"])
+
+    def rollout(self, *, threads: int = 1, states: int | None = None) -> Rollout:
+        """Return the rollout, ready for a gradient."""
         model = self.model
         if states is not None:
             model = replace(model, memory_budget=states * 2 * model.dim * (1 + model.dim) * model.layout.n * 8)
-        rollout = Rollout(model, self.inputs, threads=threads, adjoint=True, policy=self.policy())
-        bar = LossBar(self.bars["records"], self.bars["state"], self.bars["activation"])
-        return (rollout, *rollout.gradient(lambda records, state: bar))
+        return Rollout(model, self.inputs, threads=threads, adjoint=True, policy=self.policy())
 
     def derivative(self, inputs: Inputs, parameters: Mapping[str, np.ndarray]) -> float:
         """Return the derivative along the imaginary parts of inputs or parameters, by complex step."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import reference
@@ -67,7 +70,7 @@ def test_dot_product_by_parameters(learner, rng):
     for name, value in found.parameters.items():
         change = rng.normal(size=value.shape)
         forward = found.derivative(found.inputs, found.parameters | {name: value + 1j * TINY * change})
-        backward = (rollout.policy.parameters_bar[name] * change).sum()
+        backward = (rollout.parameters_bar[name] * change).sum()
         assert abs(forward) > 0, name
         assert backward == pytest.approx(forward, rel=DOT_PRODUCT), name
 
@@ -89,7 +92,7 @@ def test_dot_product_where_nothing_is_slow(name, rng):
     rollout, _, _ = found.gradient()
     changes = {n: rng.normal(size=a.shape) for n, a in found.parameters.items()}
     turned = {n: a + 1j * TINY * changes[n] for n, a in found.parameters.items()}
-    backward = sum((rollout.policy.parameters_bar[n] * changes[n]).sum() for n in changes)
+    backward = sum((rollout.parameters_bar[n] * changes[n]).sum() for n in changes)
     assert backward == pytest.approx(found.derivative(found.inputs, turned), rel=DOT_PRODUCT)
 
 
@@ -102,8 +105,8 @@ def same_bits(one: tuple, other: tuple) -> None:
         np.testing.assert_array_equal(p, q)
     for kind, p, q in zip(KINDS, arrays(bar_a), arrays(bar_b), strict=True):
         np.testing.assert_array_equal(p, q, err_msg=kind)
-    for name, p in a.policy.parameters_bar.items():
-        np.testing.assert_array_equal(p, b.policy.parameters_bar[name], err_msg=name)
+    for name, p in a.parameters_bar.items():
+        np.testing.assert_array_equal(p, b.parameters_bar[name], err_msg=name)
     assert a.growth_at == b.growth_at
 
 
@@ -130,6 +133,30 @@ def test_a_policy_is_asked_once_a_control_step_however_often_it_is_replayed():
     rollout, _, _ = found.gradient(states=10)
     assert rollout.plan.recompute > 1.5
     assert asked == [("act", k) for k in range(20)] + [("vjp", k) for k in reversed(range(20))]
+
+
+def count_substeps(rollout: Rollout) -> list[int]:
+    """Return a list that grows by the substeps of every advance."""
+    counted, advance = [], rollout.advance
+    rollout.advance = lambda begin, end, *a, **k: (counted.append(end - begin), advance(begin, end, *a, **k))[1]
+    return counted
+
+
+@pytest.mark.parametrize("states", [None, 13])
+def test_several_functions_share_one_forward_run(states):
+    """Each sweep has the bits of a gradient of its own, and no substep is computed once more for it."""
+    one = robot(EXAMPLES["mlp"], substeps=3, controls=20)
+    other = replace(one, bars={**copy.deepcopy(one.bars), "activation": 2.0 * one.bars["activation"][::-1].copy()})
+    both = one.rollout(states=states)
+    work = count_substeps(both)
+    records, sweeps = both.gradients(lambda records, state: [one.loss_bar, other.loss_bar])
+    for robot_alone, sweep in zip((one, other), sweeps, strict=True):
+        alone = robot_alone.rollout(states=states)
+        own_work = count_substeps(alone)
+        own_records, own_bar = alone.gradient(lambda records, state: robot_alone.loss_bar)  # noqa: B023
+        assert sum(work) == sum(own_work) >= 60
+        both.parameters_bar, both.growth_at = sweep.parameters_bar, sweep.growth_at
+        same_bits((both, records, sweep.inputs_bar()), (alone, own_records, own_bar))
 
 
 @pytest.mark.parametrize("name", CLOSED_LOOP)

@@ -108,7 +108,7 @@ class Shuffler:
         policy = self.policy(self.parameters)
         rollout = Rollout(self.model, self.inputs, adjoint=True, policy=policy)
         rollout.gradient(lambda records, state: value_bar(records, rollout.activation))
-        return float(sum((policy.parameters_bar[name] * self.way[name]).sum() for name in self.way))
+        return float(sum((rollout.parameters_bar[name] * self.way[name]).sum() for name in self.way))
 
     def branches(self, h: float) -> tuple[list[str], np.ndarray]:
         """Return the branches of contact and cables, control step by control step, and which actuators were late."""
