@@ -67,7 +67,9 @@ class Listener(Silent):
     def warn(self, text: str) -> None:
         self.said.append(f"warning: {text}")
 
-    def update(self, iteration: int, loss: float, best: float, step: float, seconds: float) -> None:
+    def update(
+        self, iteration: int, loss: float, best: float, step: float, seconds: float, violation: float | None = None
+    ) -> None:
         self.updates.append((iteration, loss))
         self._count()
 

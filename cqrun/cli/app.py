@@ -13,6 +13,7 @@ import typer
 
 from cqrun import __version__
 from cqrun.cli.bench import bench
+from cqrun.cli.codesign import codesign
 from cqrun.cli.compress import compress
 from cqrun.cli.control import control
 from cqrun.cli.describe import describe
@@ -29,8 +30,8 @@ from cqrun.cli.warmup import warmup
 from cqrun.errors import CqrunError, SceneError
 
 COMMANDS = (
-    sysid, control, simulate, gradcheck, resume, validate, describe, schema, plot, render, compress, bench, warmup,
-    doctor,
+    sysid, control, codesign, simulate, gradcheck, resume, validate, describe, schema, plot, render, compress, bench,
+    warmup, doctor,
 )  # fmt: skip
 
 app = typer.Typer(

@@ -72,14 +72,17 @@ class Progress:
         if self._live is None and not self._quiet:
             self._print(text)
 
-    def update(self, iteration: int, loss: float, best: float, step: float, seconds: float) -> None:
+    def update(
+        self, iteration: int, loss: float, best: float, step: float, seconds: float, violation: float | None = None
+    ) -> None:
         """Show a finished iteration; arguments as in `Reporter.update`."""
         of, left = "", ""
         if self._total is not None:
             of = f"/{self._total}"
             left = f"  {clock(max(self._total - iteration, 0) * seconds)} left"
+        beside = f"best {best:.6g}" if violation is None else f"violation {violation:.3g}"
         self._numbers = (
-            f"iteration {iteration}{of}  loss {loss:.6g}  best {best:.6g}  "
+            f"iteration {iteration}{of}  loss {loss:.6g}  {beside}  "
             f"step {step:.3g}  {seconds:.3g} s/iteration{left}"
         )
         self._print_now_and_then()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class Backward:
         self.groups_bar = rollout.kernel_groups(zeros, self.drive_bar)
         self.coefficient_bar = np.zeros(len(rollout.model.conditions))
         self.sizes: dict[int, float] = {}
-        self.parameters_bar = None if rollout.policy is None else rollout.policy.parameters_zero()
+        self.parameters_bar: Any = None if rollout.policy is None else rollout.policy.parameters_zero()
         self._begin(loss_bar)
 
     def _begin(self, loss_bar: LossBar) -> None:

@@ -14,6 +14,7 @@ from cqrun.figures.losses import LossCurve, loss_curve, term_curve, term_names
 from cqrun.figures.quantities import Unit, estimate, labels, millimetres, number, shown_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, GREY, PALE, TRUTH, clock_ticks, log_ticks, new_figure, titled, whole_ticks
+from cqrun.optimizers.constrained import VIOLATION
 from cqrun.scene.paths import canonical, leaf
 
 if TYPE_CHECKING:
@@ -116,6 +117,7 @@ def draw_convergence(run: RunData) -> Figure:
     """Return the picture: a panel for the loss, each of its terms and each unknown, and one for gradients."""
     loss = loss_curve(run)
     panels: list[Callable[[Axes], None]] = [
+        *([partial(plot_violation, run=run)] if VIOLATION in run.history else []),
         *(partial(plot_loss, loss=term_curve(run, name)) for name in term_names(run)),
         *(partial(plot_unknown, iteration=loss.iteration, curve=curve) for curve in unknown_curves(run)),
     ]
@@ -167,6 +169,23 @@ def plot_loss(axes: Axes, loss: LossCurve) -> None:
     last = float(loss.value[-1])
     final = f"{millimetres(last) if loss.unit == 'mm' else number(last)} after {int(loss.iteration[-1])} iterations"
     titled(axes, loss.title, final)
+
+
+def plot_violation(axes: Axes, run: RunData) -> None:
+    """Draw the largest violation of a constraint, in its scale, and what counts as none (CQ1 Fig 8, CQ2 Fig 10)."""
+    iteration, value = run.history["iteration"], run.history[VIOLATION]
+    optimizer: Any = run.scene.optimizer
+    met = float(optimizer.value.constraint_tolerance) if optimizer is not None else 0.0
+    there = value > 0
+    axes.plot(iteration[there], value[there], color=COLOURS[0], **_marked(len(iteration)))
+    axes.axhline(met, color=TRUTH, linestyle="--", linewidth=1.0, label=f"met: {met:g}")
+    shown = [met, *value[there]]
+    _log_axis(axes, min(shown), max(shown))
+    axes.legend(loc="best")
+    whole_ticks(axes.xaxis)
+    _pad_iterations(axes, iteration)
+    first = np.flatnonzero(value <= met)
+    titled(axes, "Largest violation", f"met after {int(iteration[first[0]])} iterations" if len(first) else "not met")
 
 
 def _log_axis(axes: Axes, low: float, high: float) -> None:
@@ -227,7 +246,7 @@ def _plot_gradient(axes: Axes, iteration: Array, curve: UnknownCurve, name: str)
     axes.plot(iteration[shown], curve.gradient[shown], color=COLOURS[0], **_marked(len(iteration)))
     if shown.any():
         _log_axis(axes, float(curve.gradient[shown].min()), float(curve.gradient[shown].max()))
-    axes.set_ylabel("norm of the gradient (m²)")
+    axes.set_ylabel("norm of the gradient")
     found = ""
     if curve.final is not None:
         found = f"{curve.final.size} values, {number(curve.final.min())} to {number(curve.final.max())}"

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 FIGURES = "figures"
 
-DRAWN = ("sysid", "control", "simulate")
+DRAWN = ("sysid", "control", "codesign", "simulate")
 """Jobs that have pictures."""
 
 MOST_NAMES = 5

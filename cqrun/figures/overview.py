@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.figures.bodies import farthest_frame, plot_body, snapshot
-from cqrun.figures.convergence import plot_loss, plot_unknown, unknown_curves
+from cqrun.figures.convergence import plot_loss, plot_unknown, plot_violation, unknown_curves
 from cqrun.figures.losses import loss_curve
 from cqrun.figures.quantities import MILLI, length_unit, millimetres
 from cqrun.figures.run_data import TRACKS, RunData
 from cqrun.figures.style import INK, new_figure, titled
 from cqrun.figures.tracks import explain, main_coordinate, plot_coordinate
 from cqrun.figures.views import room_around, views, window
+from cqrun.optimizers.constrained import VIOLATION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,6 +28,8 @@ PANEL, HEIGHT = 2.7, 2.35
 def draw_overview(run: RunData) -> Figure:
     """Return the picture: a panel for each thing that the run has."""
     parts: list[Callable[[Axes, RunData], None]] = [_loss]
+    if VIOLATION in run.history:
+        parts.append(_violation)
     if any(curve.values.shape[1] for curve in unknown_curves(run)):
         parts.append(_unknown)
     if run.has(TRACKS):
@@ -42,6 +45,11 @@ def draw_overview(run: RunData) -> Figure:
 
 def _loss(axes: Axes, run: RunData) -> None:
     plot_loss(axes, loss_curve(run))
+
+
+def _violation(axes: Axes, run: RunData) -> None:
+    plot_violation(axes, run)
+    axes.set_xlabel("iteration")
 
 
 def _unknown(axes: Axes, run: RunData) -> None:

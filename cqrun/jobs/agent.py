@@ -23,9 +23,10 @@ from cqrun.engine.rollout import Rollout
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.problem import make_params
-from cqrun.objectives.term import Objective, Track, TrackBar
+from cqrun.objectives.term import Objective, Track
 from cqrun.observers.matter import Matter, Unfit
 from cqrun.observers.observer import Observation
+from cqrun.observers.rows import slices
 from cqrun.scene.build import Built
 from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
@@ -42,14 +43,35 @@ Goals = Mapping[str, Array]
 Values = Mapping[str, Array]
 
 
+OBJECTIVE, CONSTRAINTS = 1, 2
+"""Who asked for which of the probe's rows; the observation's are the first."""
+
+
+@dataclass(frozen=True)
+class Mix:
+    """A function of an episode: `loss` times its loss, and each constraint's term times its factor."""
+
+    loss: float
+    constraints: Mapping[str, float]
+
+
 @dataclass
 class Attempt:
-    """One rollout under the policy: its loss, the values of the terms, and the rollout."""
+    """One rollout under the policy.
+
+    Attributes:
+        loss: of the objective.
+        terms: their values by name.
+        rollout, track: the rollout, and what the objective sees of it.
+        held, held_track: the constraints' terms by name, and what they see of it.
+    """
 
     loss: float
     terms: dict[str, float]
     rollout: Rollout
     track: Track
+    held: dict[str, float]
+    held_track: Track
 
 
 class Agent:
@@ -89,7 +111,12 @@ class Agent:
         self.objective: Objective = self._bind(
             "objective", lambda: Objective({n: c.value for n, c in scene.objective.items()}, self.matter)  # type: ignore[misc]
         )
-        rows = sparse.vstack([self.observation.rows, self.objective.rows]).tocsr()
+        self.constraints: Objective = self._bind(
+            "constraints", lambda: Objective({n: c.of.value for n, c in scene.constraints.items()}, self.matter)  # type: ignore[misc]
+        )
+        asking = (self.observation, self.objective, self.constraints)
+        self.places = slices([part.rows.shape[0] for part in asking])
+        rows = sparse.vstack([part.rows for part in asking]).tocsr()
         self.model = replace(built.model, probe=sparse.csr_array(rows))
         self.params = self._params()
         self.acting = {b.path: np.array(b.initial) for b in self.params.blocks if b.path.startswith(CONTROLLER)}
@@ -201,18 +228,21 @@ class Agent:
         inputs.state.memory = np.zeros(policy.n_memory)
         return Rollout(self.model, inputs, threads=threads, adjoint=adjoint, policy=policy)
 
-    def track(self, records: Records, activation: Array, goals: Goals) -> Track:
-        """Return a run as the objective sees it."""
-        k = self.observation.rows.shape[0]
+    def track(self, records: Records, activation: Array, goals: Goals, asking: int = OBJECTIVE) -> Track:
+        """Return a run as the objective sees it, or the constraints."""
+        at = self.places[asking]
         return Track(
-            records.x[:, k:], records.v[:, k:], records.C[:, k:], records.F[:, k:], activation, goals,
+            records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at], activation, goals,
             self.matter.control_step,
         )  # fmt: skip
 
     def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:
-        """Return an episode that has been run, with its loss."""
-        track = self.track(records, rollout.activation, goals)
-        return Attempt(self.objective.loss(track), self.objective.values(track), rollout, track)
+        """Return an episode that has been run, with its loss and what its constraints hold."""
+        track, held_track = (
+            self.track(records, rollout.activation, goals, asking) for asking in (OBJECTIVE, CONSTRAINTS)
+        )
+        terms, held = self.objective.values(track), self.constraints.values(held_track)
+        return Attempt(self.objective.loss(track), terms, rollout, track, held, held_track)
 
     def attempt(
         self, values: Values, goals: Goals, threads: int, observe: Callable[[int, State], None] | None = None
@@ -221,38 +251,52 @@ class Agent:
         rollout = self.rollout(values, goals, threads)
         return self.judged(rollout, rollout.run(observe), goals)
 
-    def attempt_with_gradient(
-        self, values: Values, goals: Goals, threads: int, budget: int
-    ) -> tuple[Attempt, dict[str, Array]]:
-        """Run one episode forward and backward; return it and the gradient of its loss by path.
+    def attempt_with_gradients(
+        self, values: Values, goals: Goals, threads: int, budget: int, mixes: Callable[[Attempt], Sequence[Mix]]
+    ) -> tuple[Attempt, list[dict[str, Array]]]:
+        """Run one episode forward once, and backward once for each of several functions of it.
 
         Args:
             values: the controller's parameters, and any other numbers that gradients reach, by path.
             goals: of the episode.
             threads: to use.
             budget: for states that are kept [bytes].
+            mixes: of the episode, what is differentiated: sums of the loss and of constraints, each by its factors.
+
+        Returns:
+            The episode, and the gradients by path.
         """
         rollout = self.rollout(values, goals, threads, adjoint=True)
         rollout.model = replace(self.model, memory_budget=budget)
         found: list[Attempt] = []
 
-        def loss_bar(records: Records, final: State) -> LossBar:
+        def loss_bars(records: Records, final: State) -> list[LossBar]:
             found.append(self.judged(rollout, records, goals))
-            return self._loss_bar(records, self.objective.loss_vjp(found[0].track))
+            return [self._loss_bar(records, found[0], mix) for mix in mixes(found[0])]
 
-        _, inputs_bar = rollout.gradient(loss_bar)
-        gradient = {CONTROLLER + name: bar for name, bar in rollout.parameters_bar.items()}
         own = {p: v for p, v in values.items() if not p.startswith(CONTROLLER)}
-        return found[0], gradient | self.built.assembly.gradient(own, inputs_bar)
+        _, sweeps = rollout.gradients(loss_bars)
+        return found[0], [
+            {CONTROLLER + name: bar for name, bar in sweep.parameters_bar.items()}
+            | self.built.assembly.gradient(own, sweep.inputs_bar())
+            for sweep in sweeps
+        ]
 
-    def _loss_bar(self, records: Records, bar: TrackBar) -> LossBar:
-        k = self.observation.rows.shape[0]
+    def _loss_bar(self, records: Records, attempt: Attempt, mix: Mix) -> LossBar:
+        """Return the cotangents of what the rollout gives, for one function of it."""
         full = Records(*(np.zeros_like(a) for a in (records.x, records.v, records.C, records.F)))
-        for name in ("x", "v", "C", "F"):
-            part = getattr(bar, name)
-            if part is not None:
-                getattr(full, name)[:, k:] = part
-        return LossBar(full, activation=bar.activation)
+        activation_bar = None
+        for asking, bar in (
+            (OBJECTIVE, self.objective.loss_vjp(attempt.track, mix.loss)),
+            (CONSTRAINTS, self.constraints.values_vjp(attempt.held_track, mix.constraints)),
+        ):
+            for name in ("x", "v", "C", "F"):
+                part = getattr(bar, name)
+                if part is not None:
+                    getattr(full, name)[:, self.places[asking]] = part
+            if bar.activation is not None:
+                activation_bar = bar.activation if activation_bar is None else activation_bar + bar.activation
+        return LossBar(full, activation=activation_bar)
 
 
 def matter_of(built: Built) -> Matter:

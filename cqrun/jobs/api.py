@@ -130,7 +130,7 @@ class Experiment:
         self, agent: EpisodeProblem, values: dict[str, Array]
     ) -> tuple[float, dict[str, Any], dict[str, Any]]:
         goals = agent.goals(None)
-        found, gradient = agent.attempts_with_gradient(values, goals)
+        found, (gradient,) = agent.attempts_with_gradients(values, goals)
         aux = {
             "losses": {f"episode {k}": float(attempt.loss) for k, attempt in enumerate(found)},
             "terms": {name: float(np.mean([a.terms[name] for a in found])) for name in self.scene.objective},

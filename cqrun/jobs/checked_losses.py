@@ -11,6 +11,7 @@ from cqrun.contract import Array
 from cqrun.design.params import Block, Params
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
+from cqrun.jobs.agent import Attempt, Mix
 from cqrun.jobs.cases import Case
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.problem import FitProblem, make_params
@@ -62,24 +63,37 @@ def fit_loss(built: Built, cases: Sequence[Case], threads: int) -> Loss:
 
 
 def episode_loss(problem: EpisodeProblem) -> Loss:
-    """Return the loss of the first episode, by the controller's parameters and the unknowns, at their start."""
+    """Return the first episode's loss plus its constraints, by the controller's parameters and the unknowns.
+
+    They are at their start, and every constraint is counted in its scale.
+    """
     lower, upper = problem.params.bounds
     bounded = np.isfinite(lower) & np.isfinite(upper)
     inset = INSIDE * np.where(bounded, upper, 0.0) - INSIDE * np.where(bounded, lower, 0.0)
     x = np.clip(problem.params.start, lower + inset, upper - inset)
     goals, budget = problem.goals(None)[0], problem.model.memory_budget
 
+    mix = Mix(1.0, dict(zip(problem.constraint_names, 1.0 / problem.scales, strict=True)))
+
+    def total(attempt: Attempt) -> float:
+        return attempt.loss + sum(factor * attempt.held[name] for name, factor in mix.constraints.items())
+
     def value(x: Array) -> float:
-        return problem.attempt(problem.values(x), goals, problem.threads).loss
+        return total(problem.attempt(problem.values(x), goals, problem.threads))
 
     def value_and_grad(x: Array) -> tuple[float, Array]:
-        attempt, gradient = problem.attempt_with_gradient(problem.values(x), goals, problem.threads, budget)
-        return attempt.loss, problem.params.gradient(x, gradient)
+        attempt, (gradient,) = problem.attempt_with_gradients(
+            problem.values(x), goals, problem.threads, budget, lambda attempt: [mix]
+        )
+        return total(attempt), problem.params.gradient(x, gradient)
 
-    terms = problem.attempt(problem.values(x), goals, problem.threads).terms
-    scale = sum(abs(problem.objective.factors[name] * value) for name, value in terms.items())
+    first = problem.attempt(problem.values(x), goals, problem.threads)
+    parts = [problem.objective.factors[name] * value for name, value in first.terms.items()]
+    parts += [factor * first.held[name] for name, factor in mix.constraints.items()]
+    scale = sum(map(abs, parts))
     moved = "" if np.array_equal(x, problem.params.start) else ", a little inside the bounds"
-    return Loss(f"the first episode's loss{moved}", problem.params, x, value, value_and_grad, float(scale))
+    words = "the first episode's loss" + (" and constraints" if mix.constraints else "")
+    return Loss(f"{words}{moved}", problem.params, x, value, value_and_grad, float(scale))
 
 
 def state_loss(built: Built, threads: int) -> Loss:

@@ -1,9 +1,10 @@
-"""`cqrun control`: learn how a body should move.
+"""`cqrun control` and `cqrun codesign`: learn how a body should move, and what it should be.
 
 controller.npz    the controller's parameters that did best
 trajectory.h5     the first episode under it
 activation.csv    what drove the actuators in it
-result.json       the objective's terms at the start and at the end, on goals that were trained on and on unseen ones
+result.json       the objective's terms at the start and at the end, on goals that were trained on and on unseen ones;
+                  the constraints, and the unknowns of the design
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.explain import listed
 from cqrun.jobs.agent import CONTROLLER, FILE, Attempt, Goals
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.kernels import compile_kernels
@@ -33,19 +35,24 @@ from cqrun.jobs.runs import (
 )
 from cqrun.jobs.trajectories import write_activation, write_trajectory
 from cqrun.optimizers.base import Optimizer, Outcome
+from cqrun.optimizers.constrained import ConstrainedOptimizer, report_names
 from cqrun.registry import plugins
 from cqrun.scene.build import Built
+from cqrun.scene.constraint import ENDS
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
 from cqrun.store.run import RunDirectory
 from cqrun.store.session import RunSession
+
+JOBS = ("control", "codesign")
 
 NEEDED = {
     "actuators": "say what drives the body",
     "controller": "say what drives the actuators, such as `open_loop: {}` or `mlp: {}`",
     "objective": "say what the motion is for, such as `far: {distance: {body: ..., axis: x}}`",
 }
-"""What a scene must have to be learned, and the advice where it is missing."""
+DESIGN = {"unknowns": "say what of the design may change, such as a material's `youngs_modulus: {bounds: [...]}`"}
+"""What a scene must have to be learned, and for a design, and the advice where it is missing."""
 
 
 def run_control(
@@ -56,37 +63,40 @@ def run_control(
     threads: int | None,
     quiet: bool,
     *,
+    job: str = "control",
     reporter: Reporter | None = None,
 ) -> Path:
-    """Learn a scene's controller; return the run's directory.
+    """Learn a scene's controller, or that and its design (job `codesign`); return the run's directory.
 
     Raises:
         SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
     """
     talk, n_threads = reporter or Silent(), cores(threads)
-    problem = prepare(load_scene(scene_source, overrides), n_threads, talk)
+    problem = prepare(load_scene(scene_source, overrides), n_threads, talk, job)
     with open_run(
-        scene_source.stem, problem.built.scene, out, job="control", threads=n_threads, fresh=fresh, with_data=False
+        scene_source.stem, problem.built.scene, out, job=job, threads=n_threads, fresh=fresh, with_data=False
     ) as run:
         if run.finished:
             talk.phase(f"finished already ({run.status}); --fresh starts over")
             return raise_if_failed(run)
         if run.record.get("extended"):
-            problem = prepare(saved_scene(run), n_threads, talk)
+            problem = prepare(saved_scene(run), n_threads, talk, job)
         return learn(run, problem, talk)
 
 
-def prepare(scene: Scene, threads: int, talk: Reporter) -> EpisodeProblem:
+def prepare(scene: Scene, threads: int, talk: Reporter, job: str = "control") -> EpisodeProblem:
     """Return the problem of a scene, its optimizer chosen.
 
     Raises:
         SceneError: it lacks something, its optimizer is not for it, or it has too little memory for gradients.
     """
-    missing = [key for key in NEEDED if not getattr(scene, key)]
+    needed = NEEDED | (DESIGN if job == "codesign" else {})
+    missing = [key for key in needed if not getattr(scene, key) and not (key == "objective" and scene.constraints)]
     if missing:
-        raise SceneError([Problem(scene.where(key), key, f"control needs it: {NEEDED[key]}") for key in missing])
+        raise SceneError([Problem(scene.where(key), key, f"{job} needs it: {needed[key]}") for key in missing])
     if scene.optimizer is None:
-        scene = scene.with_plugin("optimizer", plugins("optimizer")["adam"]())
+        usual = plugins("optimizer")["slsqp" if scene.constraints else "adam"]
+        scene = scene.with_plugin("optimizer", usual())
     built = build_and_warn(scene, talk)
     optimizer = optimizer_of(built)
     if optimizer.gradients:
@@ -96,6 +106,9 @@ def prepare(scene: Scene, threads: int, talk: Reporter) -> EpisodeProblem:
         optimizer.require(problem)
         if optimizer.squares:
             raise UsageError("fits data by least squares; for an objective take adam, sgd, lbfgs or cma_es")
+        if scene.constraints and not isinstance(optimizer, ConstrainedOptimizer):
+            able = [name for name, cls in plugins("optimizer").items() if issubclass(cls, ConstrainedOptimizer)]
+            raise UsageError(f"honours no constraints; take {listed(able)}, or remove `constraints`")
     except UsageError as error:
         path = f"optimizer.{optimizer.name}"
         raise SceneError([Problem(scene.where(path), path, str(error))]) from error
@@ -113,7 +126,7 @@ def optimizer_of(built: Built) -> Optimizer:
 def resume_control(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
     """Continue a run from its directory; overrides may only extend the optimizer's iterations."""
     require_extension(overrides)
-    problem = prepare(saved_scene(run, overrides), threads, talk)
+    problem = prepare(saved_scene(run, overrides), threads, talk, str(run.record["job"]))
     if overrides:
         run.extend(dump(resolve(problem.built.scene)), list(overrides))
     elif run.finished:
@@ -131,8 +144,9 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
     talk.phase(f"learning {len(params.start)} parameters, {problem.n_episodes} episodes an iteration")
     talk.begin(optimizer.max_iterations)
     session = RunSession(
-        run, seed=built.scene.seed, blocks=params.slices, physical=params.physical, term_names=problem.term_names,
-        stop=lambda: talk.stop.asked, progress=Progress(run, talk),
+        run, seed=built.scene.seed, blocks=params.slices, physical=params.physical,
+        term_names=[*problem.term_names, *report_names(problem)], stop=lambda: talk.stop.asked,
+        progress=Progress(run, talk),
     )  # fmt: skip
     outcome = optimizer.minimise(problem, session)
     if outcome.status == "stopped":
@@ -158,7 +172,7 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
     """Write the controller, its first episode and result.json; return the result."""
     values, failed = problem.values(outcome.x), outcome.status == "failed"
     result: dict[str, Any] = {
-        "job": "control",
+        "job": run.record["job"],
         "status": outcome.status,
         "message": outcome.message,
         "loss": float(outcome.loss) if np.isfinite(outcome.loss) else None,
@@ -171,6 +185,7 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         "start": None,
         "trained": None,
         "unseen": None,
+        "constraints": {},
     }
     if not failed:
         problem.save(run.path / FILE, values)
@@ -180,6 +195,7 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         result["start"] = _summary(problem, before)
         result["trained"] = _summary(problem, after[: len(goals)])
         result["unseen"] = _summary(problem, after[len(goals) :]) if unseen else None
+        result["constraints"] = _constraints(problem, before, after[: len(goals)])
         write_activation(run.path / "activation.csv", problem.built, after[0].rollout.activation)
         rollout = problem.rollout(values, goals[0], problem.threads)
         drawn = {"goals": {name: goal.tolist() for name, goal in goals[0].items()}}
@@ -197,6 +213,19 @@ def _run_all(problem: EpisodeProblem, values: dict[str, Array], goals: Sequence[
         return run
 
     return side_by_side([task(goal) for goal in goals], problem.threads)
+
+
+def _constraints(
+    problem: EpisodeProblem, before: Sequence[Attempt], after: Sequence[Attempt]
+) -> dict[str, dict[str, Any]]:
+    """Return every constraint's ends, its mean over episodes at the start and at the end, and its violation there."""
+    found = {}
+    for name, held in problem.built.scene.constraints.items():
+        start, value = (float(np.mean([a.held[name] for a in attempts])) for attempts in (before, after))
+        ends = {end: getattr(held, end) for end in ENDS if getattr(held, end) is not None}
+        excess = max(0.0, held.low - value, value - held.high)
+        found[name] = ends | {"start": start, "value": value, "violation": excess}
+    return found
 
 
 def _summary(problem: EpisodeProblem, attempts: Sequence[Attempt]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import RolloutError, UsageError
-from cqrun.jobs.agent import Agent, Attempt, Goals, Values
+from cqrun.jobs.agent import Agent, Attempt, Goals, Mix, Values
 from cqrun.jobs.memory import least_budget, state_bytes
 from cqrun.jobs.problem import Effort, side_by_side
 from cqrun.optimizers.base import TrialFailed
@@ -26,8 +26,13 @@ UNSEEN = 1_000_003
 
 
 def has_episodes(scene: Scene) -> bool:
-    """Say whether a scene has a controller, and an objective for it."""
-    return scene.controller is not None and bool(scene.objective)
+    """Say whether a scene has a controller, and an objective or constraints for it."""
+    return scene.controller is not None and bool(scene.objective or scene.constraints)
+
+
+def loss_alone(attempt: Attempt) -> list[Mix]:
+    """Return the loss as the only function of an episode."""
+    return [Mix(1.0, {})]
 
 
 class EpisodeProblem(Agent):
@@ -49,8 +54,11 @@ class EpisodeProblem(Agent):
         self.stochastic = scene.episodes.fresh and any(g.drawn for g in scene.goals.values())
         self.n_batches = 1 if self.stochastic else self.n_episodes
         self.term_names: Sequence[str] = [*scene.objective, "growth_at"]
-        self.constraint_names: Sequence[str] = ()
-        self.c_low = self.c_high = np.zeros(0)
+        held = scene.constraints
+        self.constraint_names: Sequence[str] = list(held)
+        self.scales = np.array([c.scale for c in held.values()])
+        self.c_low = np.array([c.low for c in held.values()]) / self.scales
+        self.c_high = np.array([c.high for c in held.values()]) / self.scales
         self.effort = Effort()
         self.interrupt: Callable[[], None] = lambda: None
         self._terms = np.full(len(self.term_names), np.nan)
@@ -91,15 +99,30 @@ class EpisodeProblem(Agent):
 
     def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
         """Return the mean loss of a batch of episodes and its gradient (n,)."""
-        values = self.values(x)
-        found, gradient = self._guarded(x, lambda: self.attempts_with_gradient(values, self.goals(batch)))
-        self._note(found)
-        return float(np.mean([a.loss for a in found])), self.params.gradient(x, gradient)
+        found, (gradient,) = self._swept(x, self.goals(batch), loss_alone)
+        return float(np.mean([a.loss for a in found])), gradient
 
-    def attempts_with_gradient(
-        self, values: Values, goals: Sequence[Goals]
-    ) -> tuple[list[Attempt], dict[str, Array]]:
-        """Run episodes forward and backward, side by side; return them and the gradient of their mean loss by path.
+    def _swept(
+        self, x: Array, goals: Sequence[Goals], mixes: Callable[[Attempt], Sequence[Mix]]
+    ) -> tuple[list[Attempt], list[Array]]:
+        """Run episodes forward and backward at x; return them and the gradients (n,) of the means of functions."""
+        values = self.values(x)
+        found, gradients = self._guarded(x, lambda: self.attempts_with_gradients(values, goals, mixes))
+        self._note(found)
+        return found, [self.params.gradient(x, gradient) for gradient in gradients]
+
+    def attempts_with_gradients(
+        self, values: Values, goals: Sequence[Goals], mixes: Callable[[Attempt], Sequence[Mix]] = loss_alone
+    ) -> tuple[list[Attempt], list[dict[str, Array]]]:
+        """Run episodes forward and backward, side by side.
+
+        Args:
+            values: the controller's parameters, and any other numbers that gradients reach, by path.
+            goals: of each episode.
+            mixes: of an episode, what is differentiated: its loss if not given.
+
+        Returns:
+            The episodes, and for each function the gradient of its mean over them, by path.
 
         Raises:
             RolloutError: one blows up.
@@ -108,18 +131,19 @@ class EpisodeProblem(Agent):
         at_once = max(1, min(self.threads, len(goals), self.model.memory_budget // least))
         budget = self.model.memory_budget // at_once
 
-        def task(goal: Goals) -> Callable[[int], tuple[Attempt, dict[str, Array]]]:
-            def run(threads: int) -> tuple[Attempt, dict[str, Array]]:
+        def task(goal: Goals) -> Callable[[int], tuple[Attempt, list[dict[str, Array]]]]:
+            def run(threads: int) -> tuple[Attempt, list[dict[str, Array]]]:
                 self.interrupt()
-                return self.attempt_with_gradient(values, goal, threads, budget)
+                return self.attempt_with_gradients(values, goal, threads, budget, mixes)
 
             return run
 
         found = side_by_side([task(goal) for goal in goals], self.threads, at_once)
         for attempt, _ in found:
             self.effort.add(attempt.rollout)
-        mean = {path: np.mean([gradient[path] for _, gradient in found], axis=0) for path in values}
-        return [attempt for attempt, _ in found], mean
+        functions = zip(*(gradients for _, gradients in found), strict=True)
+        means = [{path: np.mean([g[path] for g in each], axis=0) for path in values} for each in functions]
+        return [attempt for attempt, _ in found], means
 
     def value(self, x: Array, batch: tuple[int, ...] | None = None) -> float:
         """Return the mean loss of a batch of episodes."""
@@ -153,21 +177,41 @@ class EpisodeProblem(Agent):
                 self._note(done)
         return out
 
-    # --- constraints, of which a scene has none yet ---------------------------------------------------------------
+    # --- constraints: the means of their terms over episodes, in their scales -----------------------------------------
 
     def values_and_constraints(self, x: Array) -> tuple[float, Array]:
-        """Return the mean loss and no constraints."""
-        return self.value(x), np.zeros(0)
+        """Return the mean loss and the constraints (m,), by rollouts forward."""
+        values = self.values(x)
+
+        def task(goal: Goals) -> Callable[[int], Attempt]:
+            return lambda threads: self.attempt(values, goal, threads)
+
+        found = self._guarded(x, lambda: side_by_side([task(goal) for goal in self.goals(None)], self.threads))
+        self._note(found)
+        return float(np.mean([a.loss for a in found])), self._held(found)
 
     def gradients_and_constraints(self, x: Array) -> tuple[float, Array, Array, Array]:
-        """Return the mean loss, its gradient (n,), no constraints and their Jacobian (0, n)."""
-        loss, gradient = self.value_and_grad(x)
-        return loss, gradient, np.zeros(0), np.zeros((0, len(x)))
+        """Return the mean loss, its gradient (n,), the constraints (m,) and their Jacobian (m, n)."""
+        each = [Mix(0.0, {name: 1.0 / scale}) for name, scale in zip(self.constraint_names, self.scales, strict=True)]
+        found, (g, *rows) = self._swept(x, self.goals(None), lambda attempt: [Mix(1.0, {}), *each])
+        return float(np.mean([a.loss for a in found])), g, self._held(found), np.array(rows).reshape(-1, len(x))
 
     def lagrangian(self, x: Array, weigh: Callable[[Array], Array]) -> tuple[float, Array, Array]:
-        """Return the mean loss, no constraints, and the gradient (n,)."""
-        loss, gradient = self.value_and_grad(x)
-        return loss, np.zeros(0), gradient
+        """Return the mean loss, the constraints c (m,), and the gradient (n,) of loss + weigh(c).c, in one sweep."""
+        goals = self.goals(None)
+        if len(goals) > 1:  # the weights are known when all episodes are
+            _, c = self.values_and_constraints(x)
+            given = weigh(c)
+
+        def mixed(attempt: Attempt) -> list[Mix]:
+            w = weigh(self._held([attempt])) if len(goals) == 1 else given
+            return [Mix(1.0, dict(zip(self.constraint_names, w / self.scales, strict=True)))]
+
+        found, (g,) = self._swept(x, goals, mixed)
+        return float(np.mean([a.loss for a in found])), self._held(found), g
+
+    def _held(self, attempts: Sequence[Attempt]) -> Array:
+        return np.array([np.mean([a.held[name] for a in attempts]) for name in self.constraint_names]) / self.scales
 
     def _guarded(self, x: Array, work: Callable[[], Any]) -> Any:
         try:

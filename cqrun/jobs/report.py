@@ -32,9 +32,8 @@ def report_lines(run_dir: Path) -> list[str]:
     result = _read(run_dir / "result.json")
     if result is None:
         return [_status(record)]
-    tell = {"sysid": lambda: _sysid(run_dir, result), "control": lambda: _control(result)}
-    lines = tell.get(record["job"], lambda: _simulate(result))()
-    return [*lines, *_pictures(run_dir)]
+    tell = {"sysid": lambda: _sysid(run_dir, result), "simulate": lambda: _simulate(result)}
+    return [*tell.get(record["job"], lambda: _control(result))(), *_pictures(run_dir)]
 
 
 def _read(path: Path) -> dict[str, Any] | None:
@@ -118,6 +117,28 @@ def _control(result: dict[str, Any]) -> Iterator[str]:
     rows = [(term, *(number(result[c]["terms"][term]) for c in columns)) for term in result["trained"]["terms"]]
     rows.append(("loss", *(number(result[c]["loss"]) for c in columns)))
     yield from table(("term", *(titles[c] for c in columns)), rows)
+    if result.get("constraints"):
+        yield ""
+        held = [(name, *_held(entry)) for name, entry in result["constraints"].items()]
+        yield from table(("constraint", "wanted", "before", "learned", "violated by"), held)
+    if result["unknowns"]:
+        yield ""
+        design = [(path, _range(e["initial"]), _range(e["value"])) for path, e in result["unknowns"].items()]
+        yield from table(("unknown", "before", "learned"), design)
+
+
+def _held(entry: dict[str, Any]) -> tuple[str, ...]:
+    words = {"at_least": "at least", "at_most": "at most", "equals": ""}
+    wanted = ", ".join(f"{word} {number(entry[end])}".strip() for end, word in words.items() if end in entry)
+    return wanted, number(entry["start"]), number(entry["value"]), number(entry["violation"])
+
+
+def _range(value: Any) -> str:
+    """Return one number, or the least, mean and greatest of many."""
+    if not isinstance(value, list):
+        return number(value)
+    low, high, mean = min(value), max(value), sum(value) / len(value)
+    return number(low) if low == high else f"{number(low)} to {number(high)}, mean {number(mean)}"
 
 
 # --- simulate -----------------------------------------------------------------------------------------------

@@ -88,7 +88,9 @@ class Reporter(Protocol):
     def phase(self, text: str) -> None:
         """Name what happens now, such as `compiling kernels (once, about 40 s)`."""
 
-    def update(self, iteration: int, loss: float, best: float, step: float, seconds: float) -> None:
+    def update(
+        self, iteration: int, loss: float, best: float, step: float, seconds: float, violation: float | None = None
+    ) -> None:
         """Report a finished iteration.
 
         Args:
@@ -97,6 +99,7 @@ class Reporter(Protocol):
             best: the least objective so far.
             step: length of the step in the optimizer's variables.
             seconds: how long the iteration took [s].
+            violation: the largest of a constraint, where there are any; then `best` means nothing.
         """
 
     def advance(self, done: int, total: int, text: str) -> None:
@@ -124,7 +127,9 @@ class Silent:
     def phase(self, text: str) -> None:
         """Ignore the phase."""
 
-    def update(self, iteration: int, loss: float, best: float, step: float, seconds: float) -> None:
+    def update(
+        self, iteration: int, loss: float, best: float, step: float, seconds: float, violation: float | None = None
+    ) -> None:
         """Ignore the iteration."""
 
     def advance(self, done: int, total: int, text: str) -> None:

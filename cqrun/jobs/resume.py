@@ -18,6 +18,7 @@ Resume = Callable[[RunDirectory, Sequence[str], int, Reporter], Path]
 JOBS: dict[str, Resume] = {
     "sysid": resume_sysid,
     "control": resume_control,
+    "codesign": resume_control,
     "simulate": resume_simulate,
     "gradcheck": resume_gradcheck,
 }

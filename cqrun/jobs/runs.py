@@ -14,6 +14,7 @@ from cqrun.contract import Array
 from cqrun.errors import Problem, RunError, SceneError, UsageError
 from cqrun.geometry.file_shape import FileShape
 from cqrun.jobs.reporter import Reporter
+from cqrun.optimizers.constrained import VIOLATION
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
@@ -132,7 +133,7 @@ def refuse_overrides(run: RunDirectory, overrides: Sequence[str]) -> None:
 
 def raise_if_failed(run: RunDirectory) -> Path:
     """Return the run's path, or raise the error that it ended with."""
-    if run.status == "failed":
+    if run.status in ("failed", "infeasible"):
         raise RunError(f"{run.path}: {run.record['reason']}")
     return run.path
 
@@ -155,10 +156,10 @@ class Progress:
         self._run, self._talk = run, talk
         self._best, self._last, self._x = np.inf, run.elapsed(), np.zeros(0)
 
-    def __call__(self, iteration: int, x: Array, loss: float) -> None:
+    def __call__(self, iteration: int, x: Array, loss: float, terms: Mapping[str, float]) -> None:
         now = self._run.elapsed()
         step = float(np.linalg.norm(x - self._x)) if len(self._x) == len(x) else 0.0
         self._best, self._x = min(self._best, loss), x.copy()
         if iteration > 0:
-            self._talk.update(iteration, loss, self._best, step, now - self._last)
+            self._talk.update(iteration, loss, self._best, step, now - self._last, terms.get(VIOLATION))
         self._last = now

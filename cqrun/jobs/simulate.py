@@ -17,6 +17,7 @@ from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError, RunError, UsageError
 from cqrun.jobs.agent import FILE, Agent, learned_values
+from cqrun.jobs.control import JOBS
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.observables import Observables
 from cqrun.jobs.reporter import Reporter, Silent
@@ -93,10 +94,10 @@ def _controller_of(run: Path) -> Path:
     """Return the file of the controller that a run has trained."""
     record, file = read_record(run), run / FILE
     if not file.is_file():
-        why = f"it is {record['status']}" if record.get("job") == "control" else f"it is a run of {record.get('job')}"
+        why = f"it is {record['status']}" if record.get("job") in JOBS else f"it is a run of {record.get('job')}"
         raise UsageError(
-            f"{run}: has no trained controller ({why}): `cqrun simulate RUN` replays a finished run of control; "
-            "to run a scene give its file"
+            f"{run}: has no trained controller ({why}): `cqrun simulate RUN` replays a finished run of control or "
+            "codesign; to run a scene give its file"
         )
     return file
 

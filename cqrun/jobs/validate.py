@@ -12,7 +12,7 @@ from cqrun.errors import SceneError
 from cqrun.explain import listed
 from cqrun.jobs.agent import Agent
 from cqrun.jobs.cases import Case, given_cases
-from cqrun.jobs.control import optimizer_of
+from cqrun.jobs.control import JOBS, optimizer_of
 from cqrun.jobs.control import prepare as prepare_control
 from cqrun.jobs.episodes import EpisodeProblem, has_episodes
 from cqrun.jobs.memory import gradient_plan, state_bytes
@@ -63,8 +63,8 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
 
 def _prepared(scene: Scene) -> tuple[Built, Agent | None]:
     """Return what the scene's job would run, and what acts in it."""
-    if scene.job == "control" or has_episodes(scene):
-        problem = prepare_control(scene, 1, Silent())
+    if scene.job in JOBS or has_episodes(scene):
+        problem = prepare_control(scene, 1, Silent(), scene.job if scene.job in JOBS else "control")
         return problem.built, problem
     built = prepare(scene, Silent()) if scene.job == "sysid" else build(scene)
     return built, None if scene.controller is None else Agent(built)

@@ -40,6 +40,10 @@ def control_lines(agent: Agent) -> Iterator[str]:
         spec: Any = chosen.value
         aim = "larger is better" if spec.sense < 0 else "smaller is better"
         yield line("objective", f"{name} ({chosen.name}): {spec.over}, weight {number(spec.weight)}, {aim}")
+    for name, held in scene.constraints.items():
+        ends = {"at least": held.at_least, "at most": held.at_most, "equal to": held.equals}
+        told = ", ".join(f"{word} {number(end)}" for word, end in ends.items() if end is not None)
+        yield line("constraint", f"{name} ({held.of.name}): {told}")
 
 
 def _controller(agent: Agent) -> Iterator[str]:

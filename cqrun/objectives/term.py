@@ -124,9 +124,13 @@ class Objective:
 
     def loss_vjp(self, track: Track, bar: float = 1.0) -> TrackBar:
         """Return the cotangent of the track from that of the loss."""
+        return self.values_vjp(track, {name: bar * factor for name, factor in self.factors.items()})
+
+    def values_vjp(self, track: Track, bars: Mapping[str, float]) -> TrackBar:
+        """Return the cotangent of the track from those of some of the terms' values."""
         total = TrackBar()
-        for name, term in self.terms.items():
-            own = term.value_vjp(self._share(track, name), bar * self.factors[name])
+        for name, bar in bars.items():
+            own = self.terms[name].value_vjp(self._share(track, name), bar)
             for field in ("x", "v", "C", "F"):
                 _add(total, field, getattr(own, field), getattr(track, field), (slice(None), self._places[name]))
             _add(total, "activation", own.activation, track.activation, ())

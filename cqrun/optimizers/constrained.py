@@ -225,7 +225,8 @@ class ConstrainedTrials(Trials):
     def _tell(self, x: Array, answer: dict[str, Array]) -> None:
         found = kkt(self.problem, x, answer["g"], answer["c"], answer["J"], self.tolerance)
         terms = terms_of(self.problem, answer["terms"]) | told(self.problem, answer["c"], found)
-        self.session.report(self.iteration, x.copy(), float(answer["f"]), answer["g"], terms)
+        slope = answer["g"] + found.multipliers @ answer["J"]  # the Lagrangian's gradient: what has yet to vanish
+        self.session.report(self.iteration, x.copy(), float(answer["f"]), slope, terms)
 
     @property
     def feasible(self) -> bool:

@@ -18,6 +18,7 @@ from cqrun.geometry.sampling import ChosenSampling
 from cqrun.geometry.shape import ChosenShape, Shape
 from cqrun.geometry.transformed import Transformed
 from cqrun.geometry.union import Union
+from cqrun.scene.constraint import Constraint
 from cqrun.scene.control import Episodes, Goal
 from cqrun.scene.data import Data, Unknown, exactly_one
 from cqrun.scene.defaults import with_defaults
@@ -191,7 +192,7 @@ class Scene(Spec):
 
     cqrun: Literal[1] = Field(description="Version of the scene format")
     title: str = Field(description="One line about the scene", default="")
-    job: Literal["simulate", "sysid", "control", "gradcheck"] | None = Field(
+    job: Literal["simulate", "sysid", "control", "codesign", "gradcheck"] | None = Field(
         description="Command that the scene is made for", default=None
     )
     plugins: list[str] = Field(
@@ -227,6 +228,9 @@ class Scene(Spec):
     episodes: Episodes = Field(description="Rollouts of an iteration", default_factory=Episodes)
     objective: dict[Name, Annotated[Chosen[Plugin], Choice("objective")]] = Field(
         description="Name -> term of what is made small", default_factory=dict
+    )
+    constraints: dict[Name, Constraint] = Field(
+        description="Name -> what must hold, for an optimizer that honours constraints", default_factory=dict
     )
     time: Time = Field(description="Duration and steps")
     data: Data | None = Field(description="What the run is fitted to", default=None)

@@ -29,7 +29,7 @@ class RunSession:
         term_names: terms of the loss.
         loss_unit: what the optimizer's loss of 1 is in the history's unit.
         stop: whether the run was asked to stop.
-        progress: called with (iteration, x, loss) at each new or repeated row.
+        progress: called with (iteration, x, loss, terms) at each new or repeated row.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class RunSession:
         term_names: Sequence[str] = (),
         loss_unit: float = 1.0,
         stop: Callable[[], bool] = lambda: False,
-        progress: Callable[[int, Array, float], None] = lambda iteration, x, loss: None,
+        progress: Callable[[int, Array, float, Mapping[str, float]], None] = lambda *told: None,
     ) -> None:
         self.seed = seed
         self._run, self._blocks, self._physical = run, dict(blocks), physical
@@ -97,7 +97,7 @@ class RunSession:
             if labels := self._labels[name]:
                 row.update(zip(labels, values[part], strict=True))
         self._history.record(iteration, row, self._run.elapsed())
-        self._progress(iteration, x, self._unit * loss)
+        self._progress(iteration, x, self._unit * loss, terms)
 
     def note(self, text: str) -> None:
         """Write a line into log.txt."""

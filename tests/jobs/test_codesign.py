@@ -1,0 +1,174 @@
+"""`cqrun codesign`: constraints and their gradients, what a run finds, and what it says where nothing will do."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from small_beam import result_of
+from small_finger import FINGER, written
+
+from cqrun.errors import RunError, SceneError
+from cqrun.jobs.control import prepare, run_control
+from cqrun.jobs.report import report_lines
+from cqrun.jobs.reporter import Silent
+from cqrun.jobs.resume import run_resume
+from cqrun.jobs.validate import validate
+from cqrun.scene.load import load_scene
+from cqrun.store.history import read_history
+from cqrun.store.run import read_record
+
+E = "bodies.finger.material.elastic.fixed_corotated.youngs_modulus"
+DESIGN = (
+    FINGER.replace("  tip: {reach: {body: finger, group: tip, goal: target}}\n", "")
+    .replace("job: control", "job: codesign")
+    .replace("optimizer: {adam: {learning_rate: 0.1, max_iterations: 4}}", "optimizer: {slsqp: {max_iterations: 30}}")
+    .replace("effort: {effort: {weight: 1.0e-3}}", "effort: {effort: {}}")
+    + f"""\
+unknowns:
+  {E}: {{bounds: [5, 20], per: particle}}
+constraints:
+  tip: {{of: {{reach: {{body: finger, group: tip, goal: target}}}}, at_most: 0.018, scale: 0.01}}
+  up: {{of: {{height: {{body: finger, group: tip, axis: y}}}}, at_least: 0.3, at_most: 0.9}}
+"""
+)
+
+
+@pytest.fixture
+def finger(tmp_path):
+    """Return the scene of the small finger with a design to find."""
+    return written(tmp_path, DESIGN)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """Return its problem, with both kinds of constraint."""
+    return prepare(load_scene(DESIGN), 1, Silent(), "codesign")
+
+
+@pytest.fixture
+def somewhere(problem, rng):
+    """Return a point and a direction inside the bounds."""
+    x = problem.start + 0.1 * rng.standard_normal(problem.start.shape)
+    return np.clip(x, problem.lower + 0.05, problem.upper - 0.05), rng.standard_normal(x.shape)
+
+
+def learn(scene, out, *overrides, job="codesign"):
+    return run_control(scene, overrides, out, False, 1, True, job=job)
+
+
+# --- gradients ----------------------------------------------------------------------------------------------------
+
+
+def test_constraints_are_in_their_scale(problem):
+    assert problem.constraint_names == ["tip", "up"]
+    np.testing.assert_allclose(problem.c_low, [-np.inf, 0.3])
+    np.testing.assert_allclose(problem.c_high, [1.8, 0.9])
+    _, c = problem.values_and_constraints(problem.start)
+    episodes = [problem.attempt(problem.values(problem.start), goals, 1) for goals in problem.goals(None)]
+    np.testing.assert_allclose(c[0], 100 * np.mean([a.held["tip"] for a in episodes]), rtol=1e-14)
+
+
+def test_the_jacobian_is_that_of_the_values(problem, somewhere):
+    x, way = somewhere
+    f, g, c, J = problem.gradients_and_constraints(x)
+    assert (f, *c) == (problem.values_and_constraints(x)[0], *problem.values_and_constraints(x)[1])
+    h = 1e-3
+    steps = [problem.values_and_constraints(x + k * h * way) for k in (-2, -1, 1, 2)]
+    values = np.array([np.concatenate([[f], c]) for f, c in steps])
+    slope = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)  # fourth order
+    np.testing.assert_allclose(np.concatenate([[g @ way], J @ way]), slope, rtol=1e-7)
+
+
+def test_one_sweep_gives_the_lagrangians_gradient(problem, somewhere):
+    x, _ = somewhere
+    f, g, c, J = problem.gradients_and_constraints(x)
+    weights = np.array([0.3, -2.0])
+    found_f, found_c, gradient = problem.lagrangian(x, lambda c: weights * c)
+    assert found_f == f
+    np.testing.assert_array_equal(found_c, c)
+    np.testing.assert_allclose(gradient, g + (weights * c) @ J, rtol=1e-10, atol=1e-13)
+
+
+# --- runs ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["slsqp: {max_iterations: 30}", "augmented_lagrangian: {max_iterations: 60}"])
+def test_it_meets_its_constraints(finger, tmp_path, method):
+    run = learn(finger, tmp_path, f"optimizer={{{method}}}")
+    result = result_of(run)
+    assert (result["job"], read_record(run)["job"]) == ("codesign", "codesign")
+    tip = result["constraints"]["tip"]
+    assert tip["start"] > 0.024
+    assert tip["value"] <= 0.018 + 1e-6 * 0.01
+    assert tip["violation"] <= 1e-8
+    assert result["constraints"]["up"].keys() == {"at_least", "at_most", "start", "value", "violation"}
+    assert len(result["unknowns"][E]["value"]) == 48
+    assert np.ptp(result["unknowns"][E]["value"]) > 1e-3
+    rows = read_history(run / "history.csv")
+    assert min(rows["violation"]) <= 1e-6
+    text = "\n".join(report_lines(run))
+    assert re.search(r"constraint +wanted +before +learned +violated by", text)
+    assert "at least 0.3, at most 0.9" in text
+    assert f"{E}  10" in text
+
+
+def test_a_design_that_cannot_be_had_ends_infeasible_and_is_kept(finger, tmp_path):
+    told = r"constraint 'tip' is 1\.\d+, wanted at most 0\.1: violated by 1\.\d+, the least that was found"
+    with pytest.raises(RunError, match=told):
+        learn(finger, tmp_path, "constraints.tip.at_most=0.001", "optimizer.slsqp.max_iterations=15")
+    (folder,) = (tmp_path / "finger").iterdir()
+    result = result_of(folder)
+    assert result["status"] == read_record(folder)["status"] == "infeasible"
+    assert result["constraints"]["tip"]["value"] < result["constraints"]["tip"]["start"]
+    assert (folder / "controller.npz").is_file()
+
+
+def test_an_extended_design_is_that_of_a_longer_run(finger, tmp_path):
+    limited = "optimizer.slsqp.max_iterations={}"
+    run = learn(finger, tmp_path / "short", limited.format(6))
+    assert run_resume(run, [limited.format(9)], 1, True) == run
+    longer = learn(finger, tmp_path / "long", limited.format(9))
+    mine, other = (read_history(folder / "history.csv") for folder in (run, longer))
+    assert len(mine["loss"]) == 10
+    assert all(mine[name] == other[name] for name in mine if name != "seconds")
+    assert result_of(run)["unknowns"] == result_of(longer)["unknowns"]
+
+
+def test_constraints_alone_are_enough(finger, tmp_path):
+    run = learn(finger, tmp_path, "objective={}")
+    assert result_of(run)["constraints"]["tip"]["violation"] <= 1e-8
+
+
+def test_control_honours_constraints_too(finger, tmp_path):
+    run = learn(finger, tmp_path, f"unknowns.{E}=null", job="control")
+    assert result_of(run)["job"] == "control"
+    assert result_of(run)["constraints"]["tip"]["violation"] <= 1e-8
+
+
+def test_validate_tells_the_constraints(finger):
+    text = "\n".join(validate(finger))
+    assert "constraint tip (reach): at most 0.018" in text
+    assert "constraint up (height): at least 0.3, at most 0.9" in text
+
+
+# --- refusals -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("optimizer={adam: {}}", "optimizer.adam: honours no constraints; take augmented_lagrangian, slsqp, trust"),
+        (f"unknowns.{E}=null", "unknowns: codesign needs it: say what of the design may change"),
+        ("constraints.up.equals=0.5", "constraints.up: needs `at_least`, `at_most` or both, or else `equals`"),
+        ("constraints.up.at_least=0.95", "constraints.up.at_most: leaves nothing: at_least 0.95 is not below"),
+        ("constraints.tip={of: {reach: {body: finger, goal: target}}}", "constraints.tip: needs `at_least`"),
+        ("constraints.tip.of.reach.group=tpi", "constraints.tip.of.reach.group: there is no group of the body"),
+        ("constraints.up.scale=0", "constraints.up.scale: must be greater than 0"),
+    ],
+)
+def test_bad_input_is_told(finger, tmp_path, override, message):
+    with pytest.raises(SceneError) as caught:
+        learn(finger, tmp_path, override)
+    assert message in str(caught.value)
