@@ -18,12 +18,12 @@ from cqrun.contract import Array
 from cqrun.controllers.policy import ControlPolicy, Limits
 from cqrun.controllers.saved import load_controller, read_controller, save_controller
 from cqrun.design.params import Block, Params, Plain
-from cqrun.engine.model import LossBar, Records
+from cqrun.engine.model import Inputs, LossBar, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.problem import make_params
-from cqrun.objectives.term import Objective, Track
+from cqrun.objectives.term import Objective, Track, TrackBar
 from cqrun.observers.matter import Matter, Unfit
 from cqrun.observers.observer import Observation
 from cqrun.observers.rows import slices
@@ -228,18 +228,22 @@ class Agent:
         inputs.state.memory = np.zeros(policy.n_memory)
         return Rollout(self.model, inputs, threads=threads, adjoint=adjoint, policy=policy)
 
-    def track(self, records: Records, activation: Array, goals: Goals, asking: int = OBJECTIVE) -> Track:
-        """Return a run as the objective sees it, or the constraints."""
+    def track(
+        self, records: Records, rollout: Rollout, goals: Goals, *, activation: Array | None = None,
+        asking: int = OBJECTIVE,
+    ) -> Track:  # fmt: skip
+        """Return a run as the objective sees it, or the constraints; `activation` (T, A) if not the rollout's own."""
         at = self.places[asking]
         return Track(
-            records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at], activation, goals,
-            self.matter.control_step,
+            records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at],
+            rollout.activation if activation is None else activation, goals, self.matter.control_step,
+            self.built.assembly.design(rollout.inputs),
         )  # fmt: skip
 
     def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:
         """Return an episode that has been run, with its loss and what its constraints hold."""
         track, held_track = (
-            self.track(records, rollout.activation, goals, asking) for asking in (OBJECTIVE, CONSTRAINTS)
+            self.track(records, rollout, goals, asking=asking) for asking in (OBJECTIVE, CONSTRAINTS)
         )
         terms, held = self.objective.values(track), self.constraints.values(held_track)
         return Attempt(self.objective.loss(track), terms, rollout, track, held, held_track)
@@ -269,34 +273,49 @@ class Agent:
         rollout = self.rollout(values, goals, threads, adjoint=True)
         rollout.model = replace(self.model, memory_budget=budget)
         found: list[Attempt] = []
+        bars: list[tuple[LossBar | None, Array | None]] = []
 
         def loss_bars(records: Records, final: State) -> list[LossBar]:
             found.append(self.judged(rollout, records, goals))
-            return [self._loss_bar(records, found[0], mix) for mix in mixes(found[0])]
+            bars.extend(self._bars(records, found[0], mix) for mix in mixes(found[0]))
+            return [loss_bar for loss_bar, _ in bars if loss_bar is not None]
 
         own = {p: v for p, v in values.items() if not p.startswith(CONTROLLER)}
         _, sweeps = rollout.gradients(loss_bars)
-        return found[0], [
-            {CONTROLLER + name: bar for name, bar in sweep.parameters_bar.items()}
-            | self.built.assembly.gradient(own, sweep.inputs_bar())
-            for sweep in sweeps
-        ]
+        waiting, gradients = iter(sweeps), []
+        for loss_bar, design_bar in bars:
+            if loss_bar is None:  # of the design alone
+                inputs_bar, parameters_bar = Inputs.zeros_like(rollout.inputs), rollout.policy.parameters_zero()  # type: ignore[union-attr]
+            else:
+                sweep = next(waiting)
+                inputs_bar, parameters_bar = sweep.inputs_bar(), sweep.parameters_bar
+            if design_bar is not None:
+                self.built.assembly.add_design_bar(inputs_bar, design_bar)
+            by_controller = {CONTROLLER + name: bar for name, bar in parameters_bar.items()}
+            gradients.append(by_controller | self.built.assembly.gradient(own, inputs_bar))
+        return found[0], gradients
 
-    def _loss_bar(self, records: Records, attempt: Attempt, mix: Mix) -> LossBar:
-        """Return the cotangents of what the rollout gives, for one function of it."""
+    def _bars(self, records: Records, attempt: Attempt, mix: Mix) -> tuple[LossBar | None, Array | None]:
+        """Return the cotangents of what the rollout gives, and of the design (3, N), for one function of an episode.
+
+        None where it depends on nothing of that kind.
+        """
         full = Records(*(np.zeros_like(a) for a in (records.x, records.v, records.C, records.F)))
-        activation_bar = None
+        whole, moves = TrackBar(), False
         for asking, bar in (
-            (OBJECTIVE, self.objective.loss_vjp(attempt.track, mix.loss)),
+            (OBJECTIVE, self.objective.loss_vjp(attempt.track, mix.loss) if mix.loss else TrackBar()),
             (CONSTRAINTS, self.constraints.values_vjp(attempt.held_track, mix.constraints)),
         ):
             for name in ("x", "v", "C", "F"):
                 part = getattr(bar, name)
                 if part is not None:
-                    getattr(full, name)[:, self.places[asking]] = part
-            if bar.activation is not None:
-                activation_bar = bar.activation if activation_bar is None else activation_bar + bar.activation
-        return LossBar(full, activation=activation_bar)
+                    getattr(full, name)[:, self.places[asking]], moves = part, True
+            for name in ("activation", "design"):
+                own, total = getattr(bar, name), getattr(whole, name)
+                if own is not None:
+                    setattr(whole, name, own if total is None else total + own)
+        moves = moves or whole.activation is not None
+        return (LossBar(full, activation=whole.activation) if moves else None), whole.design
 
 
 def matter_of(built: Built) -> Matter:

@@ -123,7 +123,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
         for name in ("x", "v", "C", "F"):
             parts[name] = getattr(records, name).copy()
             parts[name][self.control + 1 :] = parts[name][self.control]
-        track: Track = self.agent.track(Records(**parts), activation, self.goals)
+        track: Track = self.agent.track(Records(**parts), self.rollout, self.goals, activation=activation)
         return float(self.agent.objective.loss(track))
 
 

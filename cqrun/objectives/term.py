@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -37,6 +37,7 @@ class Track:
         activation: (T, A) of the actuators.
         goals: goal -> its entries in this episode.
         control_step: [s].
+        design: (3, N) of every particle mass [kg], volume at rest [m^D] and Young's modulus [Pa].
     """
 
     x: Array
@@ -46,6 +47,7 @@ class Track:
     activation: Array
     goals: Mapping[str, Array]
     control_step: float
+    design: Array = field(default_factory=lambda: np.zeros((3, 0)))
 
 
 @dataclass
@@ -57,6 +59,7 @@ class TrackBar:
     C: Array | None = None
     F: Array | None = None
     activation: Array | None = None
+    design: Array | None = None
 
 
 class BoundTerm(ABC):
@@ -131,9 +134,10 @@ class Objective:
         total = TrackBar()
         for name, bar in bars.items():
             own = self.terms[name].value_vjp(self._share(track, name), bar)
-            for field in ("x", "v", "C", "F"):
-                _add(total, field, getattr(own, field), getattr(track, field), (slice(None), self._places[name]))
+            for part in ("x", "v", "C", "F"):
+                _add(total, part, getattr(own, part), getattr(track, part), (slice(None), self._places[name]))
             _add(total, "activation", own.activation, track.activation, ())
+            _add(total, "design", own.design, track.design, ())
         return total
 
     def _share(self, track: Track, name: str) -> Track:
@@ -141,16 +145,16 @@ class Objective:
         at = self._places[name]
         return Track(
             track.x[:, at], track.v[:, at], track.C[:, at], track.F[:, at], track.activation, track.goals,
-            track.control_step,
+            track.control_step, track.design,
         )  # fmt: skip
 
 
-def _add(total: TrackBar, field: str, bar: Array | None, like: Array, place: Any) -> None:
+def _add(total: TrackBar, name: str, bar: Array | None, like: Array, place: Any) -> None:
     if bar is None:
         return
-    if getattr(total, field) is None:
-        setattr(total, field, np.zeros(like.shape))
-    getattr(total, field)[place] += bar
+    if getattr(total, name) is None:
+        setattr(total, name, np.zeros(like.shape))
+    getattr(total, name)[place] += bar
 
 
 def reduced(h: Array, over: Over, control_step: float) -> float:

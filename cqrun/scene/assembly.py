@@ -7,8 +7,8 @@ says. `inputs` is the map, `gradient` its adjoint; each part of one stands besid
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, cast
 
 import numpy as np
 
@@ -244,6 +244,33 @@ class Assembly:
         modulus = sum(spec.wave_modulus(theta) for spec, theta in terms)
         viscosity = sum(spec.wave_viscosity(theta) for spec, theta in terms)
         return self._spread(body, path, own, values), np.asarray(modulus), np.asarray(viscosity)
+
+    # --- the design --------------------------------------------------------------------------------------------------
+
+    def design(self, inputs: Inputs) -> Array:
+        """Return mass [kg], volume at rest [m^D] and Young's modulus [Pa] of every particle (3, N)."""
+        out = np.full((3, len(self.particles.x)), np.nan)  # a law of one's own may have no Young's modulus
+        out[0], out[1] = inputs.fields.mass, inputs.fields.volume
+        for part, g, row, own in self._moduli():
+            out[2, part] = inputs.terms[g][0][row, own]
+        return out
+
+    def add_design_bar(self, bar: Inputs, design_bar: Array) -> None:
+        """Add to a cotangent of the inputs what comes from that of the design (3, N)."""
+        bar.fields.mass += design_bar[0]
+        bar.fields.volume += design_bar[1]
+        for part, g, row, own in self._moduli():
+            bar.terms[g][0][row, own] += design_bar[2, part]
+
+    def _moduli(self) -> Iterator[tuple[slice, int, int, slice]]:
+        """Yield each body's particles, its group, the row of the elastic term, and the particles' place there."""
+        for g, bodies in enumerate(self._groups()):
+            begin = self.particles.of(bodies[0]).start
+            for body in bodies:
+                part, law = self.particles.of(body), cast(Any, self.scene.bodies[body].material.elastic.value)
+                if "youngs_modulus" in law.parameters:
+                    row = law.parameters.index("youngs_modulus")
+                    yield part, g, row, slice(part.start - begin, part.stop - begin)
 
     # --- boundaries -------------------------------------------------------------------------------------------------
 

@@ -35,6 +35,14 @@ constraints:
 )
 
 
+MORE = [
+    "unknowns.bodies.finger.material.density={bounds: [0.5, 2], per: group}",
+    "constraints.heavy={of: {mass: {body: finger, group: tip}}, equals: 20}",
+    "constraints.room={of: {volume: {body: finger}}, at_most: 1}",
+    "constraints.stiff={of: {stiffness: {body: finger}}, at_most: 12}",
+]
+
+
 @pytest.fixture
 def finger(tmp_path):
     """Return the scene of the small finger with a design to find."""
@@ -43,8 +51,8 @@ def finger(tmp_path):
 
 @pytest.fixture(scope="module")
 def problem():
-    """Return its problem, with both kinds of constraint."""
-    return prepare(load_scene(DESIGN), 1, Silent(), "codesign")
+    """Return its problem, with constraints on the motion and on the design."""
+    return prepare(load_scene(DESIGN, MORE), 1, Silent(), "codesign")
 
 
 @pytest.fixture
@@ -62,9 +70,9 @@ def learn(scene, out, *overrides, job="codesign"):
 
 
 def test_constraints_are_in_their_scale(problem):
-    assert problem.constraint_names == ["tip", "up"]
-    np.testing.assert_allclose(problem.c_low, [-np.inf, 0.3])
-    np.testing.assert_allclose(problem.c_high, [1.8, 0.9])
+    assert problem.constraint_names == ["tip", "up", "heavy", "room", "stiff"]
+    np.testing.assert_allclose(problem.c_low, [-np.inf, 0.3, 20, -np.inf, -np.inf])
+    np.testing.assert_allclose(problem.c_high, [1.8, 0.9, 20, 1, 12])
     _, c = problem.values_and_constraints(problem.start)
     episodes = [problem.attempt(problem.values(problem.start), goals, 1) for goals in problem.goals(None)]
     np.testing.assert_allclose(c[0], 100 * np.mean([a.held["tip"] for a in episodes]), rtol=1e-14)
@@ -78,13 +86,15 @@ def test_the_jacobian_is_that_of_the_values(problem, somewhere):
     steps = [problem.values_and_constraints(x + k * h * way) for k in (-2, -1, 1, 2)]
     values = np.array([np.concatenate([[f], c]) for f, c in steps])
     slope = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)  # fourth order
-    np.testing.assert_allclose(np.concatenate([[g @ way], J @ way]), slope, rtol=1e-7)
+    np.testing.assert_allclose(np.concatenate([[g @ way], J @ way]), slope, rtol=1e-7, atol=1e-12)
+    assert np.all(np.abs(J[[2, 4]] @ way) > 1e-3)
+    assert not J[3].any(), "nothing here changes the volume at rest"
 
 
 def test_one_sweep_gives_the_lagrangians_gradient(problem, somewhere):
     x, _ = somewhere
     f, g, c, J = problem.gradients_and_constraints(x)
-    weights = np.array([0.3, -2.0])
+    weights = np.array([0.3, -2.0, 0.1, 0.5, 0.2])
     found_f, found_c, gradient = problem.lagrangian(x, lambda c: weights * c)
     assert found_f == f
     np.testing.assert_array_equal(found_c, c)

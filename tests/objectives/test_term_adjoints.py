@@ -24,7 +24,7 @@ from cqrun.objectives.gaps import lengths, lengths_vjp
 from cqrun.objectives.term import BoundTerm, Objective, Over, Track, TrackBar, reduced, reduced_vjp
 from cqrun.registry import plugins
 
-FIELDS = ("x", "v", "C", "F", "activation")
+FIELDS = ("x", "v", "C", "F", "activation", "design")
 OVER = typing.get_args(Over)
 
 
@@ -41,6 +41,9 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         ],
         "rest": [{"body": "arm"}, {"body": "arm", "group": "tip", "particles": True}],
         "effort": [{}],
+        "mass": [{"body": "arm"}, {"body": "arm", "group": "tip"}],
+        "volume": [{"body": "ball"}],
+        "stiffness": [{"body": "arm"}, {"body": "arm", "group": "left"}],
         "track": [{"body": "arm", "path": path}, {"body": "arm", "keys": path}, {"body": "arm", "keys": path[:1],
                    "squared": False}],
         "height": [{"body": "arm", "group": "tip"}, {"body": "ball", "axis": "x"}],
@@ -67,7 +70,7 @@ def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
     draw = lambda *shape: rng.normal(size=(N_CONTROLS + 1, n_rows, *shape))  # noqa: E731
     goals = {"target": rng.normal(size=dim)}
     return Track(0.3 * draw(dim), draw(dim), draw(dim, dim), draw(dim, dim), rng.normal(size=(N_CONTROLS, N_ACTUATORS)),
-                 goals, CONTROL_STEP)  # fmt: skip
+                 goals, CONTROL_STEP, rng.normal(size=(3, made_matter(dim).n_particles)))  # fmt: skip
 
 
 def adjoint_error(value: Any, value_vjp: Any, track: Track, rng: np.random.Generator) -> float:

@@ -1,0 +1,35 @@
+"""Terms of the design alone: sums over what the particles are, the same at every control step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
+from cqrun.observers.matter import Matter
+from cqrun.observers.rows import means
+
+MASS, VOLUME, STIFFNESS = 0, 1, 2
+"""Rows of `Track.design`: of every particle the mass [kg], the volume at rest [m^D] and Young's modulus [Pa]."""
+
+
+class DesignSum(BoundTerm):
+    """A weighted sum over one row of the design.
+
+    Args:
+        row: of the design.
+        members: particles that count.
+        weight: of each of them.
+    """
+
+    def __init__(self, matter: Matter, over: Over, row: int, members: Array, weight: float = 1.0) -> None:
+        self.rows, self.over = means([], matter.n_particles), over
+        self.row, self.members, self.weight = row, members, weight
+
+    def steps(self, track: Track) -> Array:
+        return np.full(len(track.activation), self.weight * track.design[self.row, self.members].sum())
+
+    def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
+        design_bar = np.zeros(track.design.shape)
+        design_bar[self.row, self.members] = self.weight * h_bar.sum()
+        return TrackBar(design=design_bar)

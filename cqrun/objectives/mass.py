@@ -1,0 +1,21 @@
+"""How heavy a body is."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from cqrun.objectives.design import MASS, DesignSum
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm
+from cqrun.observers.matter import Matter
+from cqrun.registry import plugin
+
+
+@plugin("objective", "mass")
+class Mass(ObjectiveTerm):
+    """Mass [kg], in 2D [kg/m], of a body at rest, with what is attached to it."""
+
+    body: str = Field(description="Body that counts")
+    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+
+    def bind(self, matter: Matter) -> BoundTerm:
+        return DesignSum(matter, self.over, MASS, matter.members(self.body, self.group))

@@ -1,0 +1,22 @@
+"""How stiff a body is."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from cqrun.objectives.design import STIFFNESS, DesignSum
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm
+from cqrun.observers.matter import Matter
+from cqrun.registry import plugin
+
+
+@plugin("objective", "stiffness")
+class Stiffness(ObjectiveTerm):
+    """Young's modulus [Pa], the plain mean over a body's particles."""
+
+    body: str = Field(description="Body that counts")
+    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+
+    def bind(self, matter: Matter) -> BoundTerm:
+        members = matter.members(self.body, self.group)
+        return DesignSum(matter, self.over, STIFFNESS, members, 1.0 / len(members))

@@ -1,0 +1,21 @@
+"""How much room a body takes at rest."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from cqrun.objectives.design import VOLUME, DesignSum
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm
+from cqrun.observers.matter import Matter
+from cqrun.registry import plugin
+
+
+@plugin("objective", "volume")
+class Volume(ObjectiveTerm):
+    """Volume [m^3], in 2D area [m^2], of a body at rest."""
+
+    body: str = Field(description="Body that counts")
+    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+
+    def bind(self, matter: Matter) -> BoundTerm:
+        return DesignSum(matter, self.over, VOLUME, matter.members(self.body, self.group))
