@@ -20,7 +20,7 @@ from cqrun.contract import Array
 class Block:
     """One unknown: `size` numbers under one key path, with common bounds.
 
-    `shape` is that of the value: () for one number, (n,) for one a group or a particle.
+    `initial` has the shape of the value: () for one number, (n,) for one a group or a particle.
     """
 
     path: str
@@ -59,6 +59,56 @@ class Block:
         if self.log:
             return np.asarray(value * np.log(self.upper / self.lower))
         return np.full(np.shape(value), self.upper - self.lower)
+
+    def pack(self, value: Array) -> Array:
+        """Return x (size,) of a value."""
+        return self.to_scaled(value).reshape(-1)
+
+    def unpack(self, x: Array) -> Array:
+        """Return the value of x (size,), in its own shape."""
+        return self.to_value(x.reshape(self.initial.shape))
+
+    def gradient(self, value: Array, bar: Array) -> Array:
+        """Return the gradient by x (size,) from that by the value."""
+        return np.asarray(bar * self.slope(value)).reshape(-1)
+
+    def numbers(self, x: Array) -> Array:
+        """Return x (size,) in the unknown's unit."""
+        return self.unpack(x).reshape(-1)
+
+
+@dataclass(frozen=True)
+class Spread(Block):
+    """Few numbers that decide a value for every particle: on the unknown's scale, value = spread x.
+
+    `spread` (n, size) has rows that sum to 1 and nothing negative (`spread.py`), so bounds hold for all values.
+    """
+
+    spread: Any
+
+    @property
+    def size(self) -> int:
+        """How many numbers decide."""
+        return int(self.spread.shape[1])
+
+    def pack(self, value: Array) -> Array:
+        """Return x (size,) that comes nearest to a value (n,)."""
+        scaled = self.to_scaled(value)
+        if np.ptp(scaled) == 0.0:
+            return np.full(self.size, scaled[0])
+        return np.clip(np.linalg.lstsq(self.spread.toarray(), scaled, rcond=None)[0], 0.0, 1.0)
+
+    def unpack(self, x: Array) -> Array:
+        """Return the value (n,) of x."""
+        return self.to_value(self.spread @ x)
+
+    def gradient(self, value: Array, bar: Array) -> Array:
+        """Return the gradient by x (size,) from that by the value (n,)."""
+        return np.asarray(self.spread.T @ (bar * self.slope(value)))
+
+    def numbers(self, x: Array) -> Array:
+        """Return x (size,) in the unknown's unit."""
+        return self.to_value(x)
 
 
 @dataclass(frozen=True)
@@ -114,23 +164,23 @@ class Params:
 
     def pack(self, values: Mapping[str, Array]) -> Array:
         """Return x of values by path."""
-        return _joined([block.to_scaled(values[block.path]).reshape(-1) for block in self.blocks])
+        return _joined([block.pack(values[block.path]) for block in self.blocks])
 
     def unpack(self, x: Array) -> dict[str, Array]:
         """Return values by path."""
         return {
-            block.path: block.to_value(x[part].reshape(block.initial.shape))
+            block.path: block.unpack(x[part])
             for block, part in zip(self.blocks, self.slices.values(), strict=True)
         }
 
     def physical(self, x: Array) -> Array:
-        """Return all values as one vector (n,), in SI units."""
-        return _joined([value.reshape(-1) for value in self.unpack(x).values()])
+        """Return x as one vector of values (n,), in SI units; of a spread those of the numbers that decide."""
+        return _joined([block.numbers(x[part]) for block, part in zip(self.blocks, self.slices.values(), strict=True)])
 
     def gradient(self, x: Array, by_value: Mapping[str, Array]) -> Array:
         """Return the gradient by x (n,) from that by values."""
         values = self.unpack(x)
-        return _joined([(np.asarray(by_value[b.path]) * b.slope(values[b.path])).reshape(-1) for b in self.blocks])
+        return _joined([b.gradient(values[b.path], np.asarray(by_value[b.path])) for b in self.blocks])
 
     def describe(self, x: Array) -> str:
         """Return values as text, for messages."""

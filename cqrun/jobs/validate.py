@@ -135,7 +135,8 @@ def _unknowns(built: Built) -> Iterator[str]:
         low, high = unknown.bounds
         unit = leaf(scene, path).unit
         unit = "" if unit == "1" else f" {unit}"
-        per = "" if unknown.per == "body" else f", one a {unknown.per}"
+        per = {"body": "", "field": ", a smooth field"}.get(unknown.per, f", one a {unknown.per}")
+        per += "" if unknown.mirror is None else f", mirrored across {unknown.mirror}"
         text = f"{path}: {number(low)} to {number(high)}{unit}, from {number(start(scene, path))}"
         yield line("unknown", f"{text}, {unknown.scale} scale{per}")
     if scene.data is not None:

@@ -110,8 +110,15 @@ class Unknown(Spec):
 
     bounds: Interval = Field(description="Least and greatest value, in the leaf's unit")
     scale: Literal["linear", "log"] = Field(description="What the optimizer sees", default="linear")
-    per: Literal["body", "group", "particle"] = Field(
-        description="One value a body, a group or a particle", default="body"
+    per: Literal["body", "group", "particle", "field"] = Field(
+        description="One value a body, a group or a particle, or a smooth field over the body", default="body"
+    )
+    resolution: int | None = Field(
+        description="Of a field: cells of its splines along the body's longest edge, 4 if absent", ge=1, le=64,
+        default=None,
+    )  # fmt: skip
+    mirror: Literal["x", "y", "z"] | None = Field(
+        description="Axis across whose middle the body is its own mirror image, and so are the values", default=None
     )
     initial: float | None = Field(description="Start; the scene's own value if absent", default=None)
 
@@ -124,4 +131,14 @@ class Unknown(Spec):
         if self.scale == "log" and lower <= 0:
             message = f"a log scale needs bounds greater than 0, is {lower:g}"
             raise complaint("Unknown", [finding(message, ("bounds", 0), involves=("scale",))])
+        if self.resolution is not None and self.per != "field":
+            raise complaint("Unknown", [finding("has a meaning only for `per: field`", ("resolution",))])
+        if self.mirror is not None and self.per not in ("field", "particle"):
+            message = "has a meaning only for `per: particle` and `per: field`"
+            raise complaint("Unknown", [finding(message, ("mirror",))])
         return self
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        wrong = [(("mirror",), "a 2D world has no axis z")] if self.mirror == "z" and dim == 2 else []
+        return super().dim_problems(dim) + wrong

@@ -69,7 +69,8 @@ def _per(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails
     keys = canonical(scene, path).split(".")
     place: Loc = ("unknowns", path, "per")
     if keys[0] != "bodies" or keys[2] != "material":
-        yield finding(f"only a body's material can differ by {unknown.per}; use `per: body`", place)
+        how = "be a field" if unknown.per == "field" else f"differ by {unknown.per}"
+        yield finding(f"only a body's material can {how}; use `per: body`", place)
     elif unknown.per == "group" and not scene.bodies[keys[1]].group_names:
         yield finding(f"the body '{keys[1]}' has no groups; name some or use `per: body`", place)
     else:

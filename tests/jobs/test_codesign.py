@@ -6,15 +6,18 @@ import re
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from small_beam import result_of
 from small_finger import FINGER, written
 
+from cqrun.design.spread import mirrored
 from cqrun.errors import RunError, SceneError
 from cqrun.jobs.control import prepare, run_control
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.reporter import Silent
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.validate import validate
+from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 from cqrun.store.history import read_history
 from cqrun.store.run import read_record
@@ -146,6 +149,18 @@ def test_an_extended_design_is_that_of_a_longer_run(finger, tmp_path):
     assert result_of(run)["unknowns"] == result_of(longer)["unknowns"]
 
 
+def test_a_mirrored_field_is_smooth_and_the_same_on_either_side(finger, tmp_path):
+    run = learn(finger, tmp_path, f"unknowns.{E}={{bounds: [5, 20], per: field, resolution: 3, mirror: x}}")
+    result = result_of(run)
+    assert result["constraints"]["tip"]["violation"] <= 1e-8
+    values = np.array(result["unknowns"][E]["value"])
+    x = build(load_scene(finger)).particles.x
+    _, twin = cKDTree(x).query(mirrored(x, 0))
+    assert len(values) == 48
+    assert np.ptp(values) > 1e-6
+    np.testing.assert_allclose(values, values[twin], rtol=1e-9)
+
+
 def test_constraints_alone_are_enough(finger, tmp_path):
     run = learn(finger, tmp_path, "objective={}")
     assert result_of(run)["constraints"]["tip"]["violation"] <= 1e-8
@@ -176,6 +191,10 @@ def test_validate_tells_the_constraints(finger):
         ("constraints.tip={of: {reach: {body: finger, goal: target}}}", "constraints.tip: needs `at_least`"),
         ("constraints.tip.of.reach.group=tpi", "constraints.tip.of.reach.group: there is no group of the body"),
         ("constraints.up.scale=0", "constraints.up.scale: must be greater than 0"),
+        (f"unknowns.{E}.resolution=3", "resolution: has a meaning only for `per: field`"),
+        (f"unknowns.{E}={{bounds: [5, 20], mirror: x}}", "mirror: has a meaning only for `per: particle` and `per: f"),
+        (f"unknowns.{E}.mirror=z", "mirror: a 2D world has no axis z"),
+        (f"unknowns.{E}.mirror=y", "particles of 'finger' have no mirror image across y, the first at (0.4125, 0.25) m"),
     ],
 )
 def test_bad_input_is_told(finger, tmp_path, override, message):

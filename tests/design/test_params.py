@@ -1,0 +1,57 @@
+"""Unknowns as one vector: fields and mirrored particles among them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cqrun.design.params import Block, Params, Spread
+from cqrun.design.spread import field, mirrored_field, pairs
+
+X = np.stack(np.meshgrid(np.arange(9.0), np.arange(4.0), indexing="ij"), axis=-1).reshape(-1, 2)
+MAPS = {"field": field(X, 3), "mirrored field": mirrored_field(X, 3, 0), "pairs": pairs(X, 1, "particles")}
+
+
+@pytest.fixture(params=[(name, log) for name in MAPS for log in (False, True)], ids=str)
+def params(request):
+    """Return a plain unknown, and one that is spread over 36 particles."""
+    name, log = request.param
+    block = Spread("b", 2.0, 50.0, log, np.full(36, 10.0), MAPS[name])
+    return Params((Block("a", 1.0, 3.0, False, np.array(1.5)), block))
+
+
+def test_the_start_is_the_initial_value(params):
+    values = params.unpack(params.start)
+    assert values["a"] == 1.5
+    np.testing.assert_allclose(values["b"], 10.0, rtol=1e-14)
+    assert len(params.start) == 1 + params.blocks[1].size < 37
+
+
+def test_the_gradient_is_that_of_the_values(params, rng):
+    n = len(params.start)
+    x, way = rng.uniform(0.2, 0.8, n), rng.normal(size=n)
+    bars = {"a": rng.normal(), "b": rng.normal(size=36)}
+
+    def product(at):
+        values = params.unpack(at)
+        return float(bars["a"] * values["a"] + bars["b"] @ values["b"])
+
+    h = 1e-3
+    ahead, behind = ([product(x + k * h * way) for k in ks] for ks in ((1, 2), (-1, -2)))
+    slope = (8 * (ahead[0] - behind[0]) - (ahead[1] - behind[1])) / (12 * h)
+    assert params.gradient(x, bars) @ way == pytest.approx(slope, rel=1e-9)
+
+
+def test_values_stay_within_the_bounds_and_can_be_packed_again(params, rng):
+    x = rng.uniform(0.0, 1.0, len(params.start))
+    values = params.unpack(x)
+    assert np.all((values["b"] >= 2.0) & (values["b"] <= 50.0))
+    again = params.unpack(params.pack(values))
+    np.testing.assert_allclose(again["b"], values["b"], rtol=1e-6)
+
+
+def test_the_numbers_that_decide_are_told_in_the_unknowns_unit(params, rng):
+    x = rng.uniform(0.0, 1.0, len(params.start))
+    numbers = params.physical(x)
+    assert numbers.shape == x.shape
+    assert np.all((numbers[1:] >= 2.0) & (numbers[1:] <= 50.0))
