@@ -48,12 +48,7 @@ class Slsqp(ConstrainedOptimizer):
         """Refuse what has no constraints to ask for, changes from iteration to iteration, or is too large."""
         require_constraints(problem, self.name)
         refuse_stochastic(problem, self)
-        n = len(problem.start)
-        if n > MOST_UNKNOWNS:
-            raise UsageError(
-                f"{self.name} needs {format_bytes(8 * n * n)} for its matrix of {n:,} x {n:,} unknowns, and time as "
-                f"their cube; beyond {MOST_UNKNOWNS:,} use augmented_lagrangian, or fewer unknowns (`per: group`)"
-            )
+        require_size(problem, self.name)
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:
         """Minimise with exact resume through the session's log; UsageError as `require`."""
@@ -113,3 +108,13 @@ def halves(trials: ConstrainedTrials) -> list[dict[str, Any]]:
         for kind, rows, sign, end in sides
         if rows.any()
     ]
+
+
+def require_size(problem: Problem, name: str) -> None:
+    """Refuse, with a UsageError, a problem that is too large for a dense quadratic program."""
+    n = len(problem.start)
+    if n > MOST_UNKNOWNS:
+        raise UsageError(
+            f"{name} needs {format_bytes(8 * n * n)} for its matrix of {n:,} x {n:,} unknowns, and time as their cube; "
+            f"beyond {MOST_UNKNOWNS:,} use augmented_lagrangian, or fewer unknowns (`per: group`, `per: field`)"
+        )

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from toy_problems import Confined, Nearest, Rosenbrock, run_folder, solve
 
-from cqrun.errors import UsageError
+from cqrun.errors import MissingExtra, UsageError
 from cqrun.optimizers.augmented_lagrangian import AugmentedLagrangian
 from cqrun.optimizers.constrained import Kkt, kkt, most_violated, violation
+from cqrun.optimizers.nlopt import Nlopt
 from cqrun.optimizers.slsqp import MOST_UNKNOWNS, Slsqp
 from cqrun.optimizers.trust_constr import TrustConstr
 from cqrun.store.history import read_history
@@ -18,6 +21,8 @@ METHODS = {
     "slsqp": Slsqp(max_iterations=200),
     "slsqp at once": Slsqp(max_iterations=200, feasibility_first=False),
     "trust_constr": TrustConstr(max_iterations=400),
+    "nlopt slsqp": Nlopt(max_iterations=200),
+    "nlopt auglag": Nlopt(algorithm="auglag", max_iterations=2000, feasibility_first=False),
     "augmented_lagrangian": AugmentedLagrangian(max_iterations=900, learning_rate=0.05, gradient_tolerance=1e-5),
 }
 
@@ -143,3 +148,19 @@ def test_too_many_unknowns_are_refused_with_their_memory():
 def test_a_fit_to_data_is_refused(method):
     with pytest.raises(UsageError, match="to fit data take least_squares"):
         method.require(Rosenbrock())
+
+
+def test_mma_takes_no_equality():
+    with pytest.raises(UsageError, match="nlopt's mma takes no equalities"):
+        Nlopt(algorithm="mma").require(Confined())
+
+
+def test_mma_ends_at_the_projection(tmp_path):
+    outcome, _ = solve(tmp_path, Nlopt(algorithm="mma", max_iterations=300), Nearest(AIM, W, -1.0))
+    assert outcome.x == pytest.approx(AIM - W * (W @ AIM + 1.0) / (W @ W), abs=1e-3)
+
+
+def test_a_missing_nlopt_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "nlopt", None)
+    with pytest.raises(MissingExtra, match=r"'nlopt', which is not installed: pip install 'cqrun\[nlopt\]'"):
+        solve(tmp_path, Nlopt(), Confined())

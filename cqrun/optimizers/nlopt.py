@@ -1,0 +1,150 @@
+"""NLopt's methods for constraints: SLSQP, as ChainQueen used it, MMA and an augmented Lagrangian (extra `nlopt`)."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.errors import MissingExtra, UsageError
+from cqrun.optimizers.base import Outcome, Problem, Session, Status, refuse_stochastic
+from cqrun.optimizers.constrained import ConstrainedOptimizer, ConstrainedTrials, ended, require_constraints
+from cqrun.optimizers.replayed import minimise_with_restarts
+from cqrun.optimizers.slsqp import Feasible, require_size
+from cqrun.registry import plugin
+
+CONVERGED = (1, 2, 3, 4)
+"""NLopt's results that mean a minimum: success, and its three tolerances."""
+
+
+@plugin("optimizer", "nlopt")
+class Nlopt(ConstrainedOptimizer):
+    """NLopt's SLSQP, MMA, or augmented Lagrangian over L-BFGS; an iteration is an evaluation with gradients.
+
+    MMA takes inequalities only, and any number of unknowns (K. Svanberg: A class of globally convergent optimization
+    methods based on conservative convex separable approximations, SIAM J. Optim. 12 (2002)).
+    S. G. Johnson: The NLopt nonlinear-optimization package, github.com/stevengj/nlopt.
+    """
+
+    algorithm: Literal["slsqp", "mma", "auglag"] = Field("slsqp", description="which of its methods")
+    max_iterations: int = Field(100, ge=1, description="evaluations with gradients at most, both searches together")
+    function_tolerance: float = Field(
+        1e-8, gt=0, description="converged when a step changes the loss by less than this part of it"
+    )
+    feasibility_first: bool = Field(True, description="whether the constraints are met before the objective counts")
+
+    def require(self, problem: Problem) -> None:
+        """Refuse what has no constraints to ask for, changes, is too large, or has equalities that MMA cannot have."""
+        require_constraints(problem, self.name)
+        refuse_stochastic(problem, self)
+        if self.algorithm == "slsqp":
+            require_size(problem, f"{self.name} ({self.algorithm})")
+        c_low, c_high = problem.c_low, problem.c_high  # type: ignore[attr-defined]
+        if self.algorithm == "mma" and np.any(c_low == c_high):
+            raise UsageError("nlopt's mma takes no equalities: use slsqp or auglag, or `at_least` and `at_most`")
+
+    def minimise(self, problem: Problem, session: Session) -> Outcome:
+        """Minimise with exact resume through the session's log.
+
+        Raises:
+            MissingExtra: the library `nlopt` is not installed. UsageError: as `require`.
+        """
+        library()
+        self.require(problem)
+        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
+
+        trials = ConstrainedTrials(problem, session, self.max_iterations, self.constraint_tolerance)
+        return ended(trials, minimise_with_restarts(self._attempt, trials))
+
+    def _attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
+        if self.feasibility_first and trials.violated(x) > self.constraint_tolerance:
+            message = ""
+            with contextlib.suppress(Feasible):
+                _, message = self._search(trials, x, lower, upper, feasibility=True)
+            assert trials.best_x is not None
+            x = trials.best_x
+            if trials.violated(x) > self.constraint_tolerance:
+                return "infeasible", message
+        return self._search(trials, x, lower, upper, feasibility=False)
+
+    def _search(
+        self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
+    ) -> tuple[Status, str]:
+        """Run NLopt once; in search of feasibility f counts as 0, and `Feasible` is raised on success."""
+        nlopt, start = library(), x.tobytes()
+
+        def objective(x: Array, grad: Array) -> float:
+            here = x.copy()  # NLopt's own memory, which changes
+            if grad.size:
+                grad[:] = 0.0 if feasibility else trials.gradients(here)["g"]
+                if here.tobytes() != start:
+                    trials.accept(here)
+                if feasibility and trials.violated(here) <= self.constraint_tolerance:
+                    raise Feasible
+            return 0.0 if feasibility else trials.values(here)[0]
+
+        method = self._made(nlopt, len(x))
+        method.set_lower_bounds(lower)
+        method.set_upper_bounds(upper)
+        method.set_min_objective(objective)
+        _constrain(method, trials, 0.1 * self.constraint_tolerance)
+        try:
+            method.optimize(np.clip(x, lower, upper))
+        except nlopt.RoundoffLimited:
+            return "converged", "NLopt: as far as rounding lets it come"
+        except (RuntimeError, ValueError) as error:
+            return "stalled", f"NLopt: {str(error) or 'failure'}"
+        code = int(method.last_optimize_result())
+        return ("converged" if code in CONVERGED else "stalled"), f"NLopt: {nlopt_result(nlopt, code)}"
+
+    def _made(self, nlopt: Any, n: int) -> Any:
+        if self.algorithm == "auglag":
+            inner = nlopt.opt(nlopt.LD_LBFGS, n)
+            inner.set_ftol_rel(self.function_tolerance)
+            inner.set_maxeval(20)
+            method = nlopt.opt(nlopt.AUGLAG, n)
+            method.set_local_optimizer(inner)
+        else:
+            method = nlopt.opt({"slsqp": nlopt.LD_SLSQP, "mma": nlopt.LD_MMA}[self.algorithm], n)
+        method.set_ftol_rel(self.function_tolerance)
+        return method
+
+
+def _constrain(method: Any, trials: ConstrainedTrials, tolerance: float) -> None:
+    """Give NLopt the constraints: c_low - c <= 0, c - c_high <= 0, and c - c_low = 0."""
+    low, high = trials.problem.c_low, trials.problem.c_high
+    equal = low == high
+    sides = [(method.add_equality_mconstraint, equal, 1.0, low)]
+    sides += [(method.add_inequality_mconstraint, ~equal & np.isfinite(low), -1.0, low)]
+    sides += [(method.add_inequality_mconstraint, ~equal & np.isfinite(high), 1.0, high)]
+    for add, rows, sign, end in sides:
+        if not rows.any():
+            continue
+
+        def constraint(result: Array, x: Array, grad: Array, rows: Any = rows, sign: Any = sign, end: Any = end) -> Any:
+            here = x.copy()
+            if grad.size:
+                grad[:] = sign * trials.gradients(here)["J"][rows]
+            result[:] = sign * (trials.values(here)[1] - end)[rows]
+
+        add(constraint, np.full(int(rows.sum()), tolerance))
+
+
+def nlopt_result(nlopt: Any, code: int) -> str:
+    """Return what a result is called."""
+    names = ("SUCCESS", "STOPVAL_REACHED", "FTOL_REACHED", "XTOL_REACHED", "MAXEVAL_REACHED", "MAXTIME_REACHED")
+    return {getattr(nlopt, name): name.replace("_", " ").lower() for name in names}.get(code, f"result {code}")
+
+
+def library() -> Any:
+    """Return the module `nlopt`; MissingExtra where it is not installed."""
+    try:
+        import nlopt  # type: ignore[import-untyped]
+    except ImportError:
+        raise MissingExtra(
+            "the optimizer nlopt needs the package 'nlopt', which is not installed: pip install 'cqrun[nlopt]'"
+        ) from None
+    return nlopt
