@@ -39,13 +39,16 @@ NEAR = [
     "world.gravity.1=-0.569",
 ]
 """Where an earlier fit at 3.75 mm stood after three iterations from the one at 5 mm (loss 1.664e-6 m^2)."""
+
+ENOUGH = ["optimizer.least_squares.max_iterations=2"]
+"""An iteration at 3.75 mm takes ten minutes; the second lowers the loss by .2 % and leaves the modulus where it is."""
 FITS: dict[str, tuple[Path, list[str]]] = {
     "swing": (SWING, []),
     "swing_bare": (SWING, [*HELD_OUT, "unknowns.data.recordings.loaded.start=null"]),
     "rest": (REST, []),
     "rest_bare": (REST, HELD_OUT),
     "rest_fine": (REST, FINE),
-    "swing_fine": (SWING, [*FINE, *NEAR]),
+    "swing_fine": (SWING, [*FINE, *NEAR, *ENOUGH]),
 }
 """Name -> scene and overrides."""
 

@@ -16,6 +16,7 @@ from cqrun.errors import CqrunError, Problem, RolloutError, RunError, SceneError
 NAMES = [
     "sysid",
     "control",
+    "codesign",
     "simulate",
     "gradcheck",
     "resume",
@@ -70,7 +71,7 @@ def test_there_are_no_other_commands():
     assert [command.__name__ for command in cli.COMMANDS] == NAMES
 
 
-@pytest.mark.parametrize("name", ["sysid", "control", "simulate", "gradcheck"])
+@pytest.mark.parametrize("name", ["sysid", "control", "codesign", "simulate", "gradcheck"])
 def test_jobs_share_their_options(capsys, name):
     out = run(capsys, name, "--help")[1]
     for option in ("-o", "--out", "--fresh", "--threads", "--quiet"):

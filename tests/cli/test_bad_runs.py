@@ -99,10 +99,10 @@ def test_another_engines_run(cqrun, run_of, finished, tmp_path):
 
 def test_a_job_of_another_version(cqrun, run_of):
     run = run_of("adam")
-    change_record(run, job="codesign")
+    change_record(run, job="sculpt")
     code, _, err = cqrun("resume", run)
     assert code == 2
-    assert "a run of 'codesign', which this version of cqrun does not know" in err
+    assert "a run of 'sculpt', which this version of cqrun does not know" in err
 
 
 @pytest.mark.parametrize("command", ["resume", "sysid"])

@@ -130,7 +130,8 @@ def test_a_job_without_pictures_is_told(copy):
     assert has_pictures(copy)
     set_record(copy, job="gradcheck")
     assert not has_pictures(copy)
-    with pytest.raises(UsageError, match="'gradcheck' has no pictures; those of sysid, control and simulate have"):
+    told = "'gradcheck' has no pictures; those of sysid, control, codesign and simulate have"
+    with pytest.raises(UsageError, match=told):
         draw_run(copy)
 
 

@@ -184,7 +184,7 @@ def test_validate_tells_the_constraints(finger):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("optimizer={adam: {}}", "optimizer.adam: honours no constraints; take augmented_lagrangian, slsqp, trust"),
+        ("optimizer={adam: {}}", "optimizer.adam: honours no constraints; take augmented_lagrangian, nlopt, slsqp,"),
         (f"unknowns.{E}=null", "unknowns: codesign needs it: say what of the design may change"),
         ("constraints.up.equals=0.5", "constraints.up: needs `at_least`, `at_most` or both, or else `equals`"),
         ("constraints.up.at_least=0.95", "constraints.up.at_most: leaves nothing: at_least 0.95 is not below"),

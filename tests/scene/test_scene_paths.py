@@ -168,7 +168,7 @@ UNKNOWN = f"  {SHEAR}: {{bounds: [1, 400], scale: log}}"
         ),
         (
             f"  {SHEAR}: {{bounds: [1, 400], per: each}}",
-            [f"beam.yaml:27:65: unknowns.{SHEAR}.per: must be 'body', 'group' or 'particle', is 'each'"],
+            [f"beam.yaml:27:65: unknowns.{SHEAR}.per: must be 'body', 'group', 'particle' or 'field', is 'each'"],
         ),
     ],
 )
