@@ -7,7 +7,7 @@ SCENE ?= scenes/sysid/beam_twin.yaml
 DEMO := scenes/sysid/beam_twin.yaml
 
 # Tests run two at a time, each on one thread, unless a test asks for more itself.
-PYTEST := NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest
+PYTEST := NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 PARALLEL := -n 2 --dist loadfile
 
 .DEFAULT_GOAL := help

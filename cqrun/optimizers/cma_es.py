@@ -18,6 +18,7 @@ from cqrun.optimizers.base import (
     Session,
     Status,
     TrialFailed,
+    one_blas_thread,
     require_finite,
     values_at,
 )
@@ -60,10 +61,8 @@ class CmaEs(Optimizer):
             MissingExtra: the library `cma` is not installed.
         """
         cma = library()
-        from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
         start = np.clip(np.asarray(problem.start, float), problem.lower, problem.upper)
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             strategy = cma.CMAEvolutionStrategy(start, self.sigma, self._options(problem, session.seed))
             return _Search(self, problem, session, strategy, start).run()
 

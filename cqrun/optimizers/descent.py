@@ -19,6 +19,7 @@ from cqrun.optimizers.base import (
     Status,
     TrialFailed,
     checked_value_and_grad,
+    one_blas_thread,
     terms_of,
 )
 
@@ -155,6 +156,10 @@ class Descent(Optimizer):
     def minimise(self, problem: Problem, session: Session) -> Outcome:
         """Minimise with exact resume through the session's state file; UsageError as `require`."""
         self.require(problem)
+        with one_blas_thread():
+            return self._descend(problem, session)
+
+    def _descend(self, problem: Problem, session: Session) -> Outcome:
         saved = session.restore()
         state = self._begin(problem, session.seed) if saved is None else DescentState.from_arrays(saved)
         while True:

@@ -19,6 +19,7 @@ from cqrun.optimizers.base import (
     Status,
     TrialFailed,
     checked_value_and_grad,
+    one_blas_thread,
     require_finite,
     terms_of,
 )
@@ -155,13 +156,11 @@ def minimise_with_restarts(attempt: Attempt, trials: Trials) -> Outcome:
 
     BLAS runs on one thread meanwhile: sums in another order would make the replay diverge.
     """
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
     problem, session = trials.problem, trials.session
     lower, upper = problem.lower, problem.upper
     x = np.clip(problem.start, lower, upper)
     restarts = 0
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         while True:
             try:
                 status, message = attempt(trials, x, lower, upper)
