@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from typing import Any, Literal
 
 import numpy as np
@@ -11,9 +10,16 @@ from pydantic import Field
 from cqrun.contract import Array
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.optimizers.base import Outcome, Problem, Session, Status, refuse_stochastic
-from cqrun.optimizers.constrained import ConstrainedOptimizer, ConstrainedTrials, ended, require_constraints
+from cqrun.optimizers.constrained import (
+    ConstrainedOptimizer,
+    ConstrainedTrials,
+    Feasible,
+    ended,
+    in_two_searches,
+    require_constraints,
+)
 from cqrun.optimizers.replayed import minimise_with_restarts
-from cqrun.optimizers.slsqp import Feasible, require_size
+from cqrun.optimizers.slsqp import require_size
 from cqrun.registry import plugin
 
 CONVERGED = (1, 2, 3, 4)
@@ -60,15 +66,10 @@ class Nlopt(ConstrainedOptimizer):
         return ended(trials, minimise_with_restarts(self._attempt, trials))
 
     def _attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
-        if self.feasibility_first and trials.violated(x) > self.constraint_tolerance:
-            message = ""
-            with contextlib.suppress(Feasible):
-                _, message = self._search(trials, x, lower, upper, feasibility=True)
-            assert trials.best_x is not None
-            x = trials.best_x
-            if trials.violated(x) > self.constraint_tolerance:
-                return "infeasible", message
-        return self._search(trials, x, lower, upper, feasibility=False)
+        def search(x: Array, feasibility: bool) -> tuple[Status, str]:
+            return self._search(trials, x, lower, upper, feasibility=feasibility)
+
+        return in_two_searches(trials, x, search) if self.feasibility_first else search(x, False)
 
     def _search(
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,9 @@ from cqrun.optimizers.base import Outcome, Problem, Session, Status, refuse_stoc
 from cqrun.optimizers.constrained import (
     ConstrainedOptimizer,
     ConstrainedTrials,
+    Feasible,
     ended,
+    in_two_searches,
     require_constraints,
 )
 from cqrun.optimizers.replayed import minimise_with_restarts
@@ -23,10 +24,6 @@ from cqrun.units import format_bytes
 
 MOST_UNKNOWNS = 5000
 """More need an n x n matrix and n^3 operations a step that are out of proportion."""
-
-
-class Feasible(Exception):
-    """Leaves the search for a point that violates nothing."""
 
 
 @plugin("optimizer", "slsqp")
@@ -59,15 +56,10 @@ class Slsqp(ConstrainedOptimizer):
         return ended(trials, minimise_with_restarts(self._attempt, trials))
 
     def _attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
-        if self.feasibility_first and trials.violated(x) > self.constraint_tolerance:
-            message = ""
-            with contextlib.suppress(Feasible):
-                _, message = self._search(trials, x, lower, upper, feasibility=True)
-            assert trials.best_x is not None
-            x = trials.best_x
-            if trials.violated(x) > self.constraint_tolerance:
-                return "infeasible", message
-        return self._search(trials, x, lower, upper, feasibility=False)
+        def search(x: Array, feasibility: bool) -> tuple[Status, str]:
+            return self._search(trials, x, lower, upper, feasibility=feasibility)
+
+        return in_two_searches(trials, x, search) if self.feasibility_first else search(x, False)
 
     def _search(
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
