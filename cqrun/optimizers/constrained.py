@@ -10,7 +10,6 @@ largest component, with the multipliers that make its Euclidean norm least.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
@@ -20,7 +19,7 @@ from pydantic import Field
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
-from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, Status, require_finite, terms_of
+from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, require_finite, terms_of
 from cqrun.optimizers.replayed import Trials
 
 VIOLATION, KKT = "violation", "kkt"
@@ -241,26 +240,3 @@ def ended(trials: ConstrainedTrials, outcome: Outcome) -> Outcome:
         return outcome
     message = f"{verdict(trials.problem, outcome.x, trials.best_c)} ({outcome.message})"
     return Outcome(outcome.x, outcome.loss, "infeasible", message, outcome.iterations)
-
-
-class Feasible(Exception):
-    """Leaves the search for a point that violates nothing."""
-
-
-def in_two_searches(
-    trials: ConstrainedTrials, x: Array, search: Callable[[Array, bool], tuple[Status, str]]
-) -> tuple[Status, str]:
-    """Meet the constraints first, from x, and then lower the objective, as ChainQueen did.
-
-    Args:
-        search: given where to start, and whether only feasibility is sought; then it may end with `Feasible`.
-    """
-    if trials.violated(x) > trials.tolerance:
-        message = ""
-        with contextlib.suppress(Feasible):
-            _, message = search(x, True)
-        assert trials.best_x is not None
-        x = trials.best_x
-        if trials.violated(x) > trials.tolerance:
-            return "infeasible", message
-    return search(x, False)

@@ -9,17 +9,10 @@ from pydantic import Field
 
 from cqrun.contract import Array
 from cqrun.errors import MissingExtra, UsageError
-from cqrun.optimizers.base import Outcome, Problem, Session, Status, refuse_stochastic
-from cqrun.optimizers.constrained import (
-    ConstrainedOptimizer,
-    ConstrainedTrials,
-    Feasible,
-    ended,
-    in_two_searches,
-    require_constraints,
-)
-from cqrun.optimizers.replayed import minimise_with_restarts
+from cqrun.optimizers.base import Problem, Status
+from cqrun.optimizers.constrained import ConstrainedTrials
 from cqrun.optimizers.slsqp import require_size
+from cqrun.optimizers.two_searches import Feasible, TwoSearches
 from cqrun.registry import plugin
 
 CONVERGED = (1, 2, 3, 4)
@@ -27,7 +20,7 @@ CONVERGED = (1, 2, 3, 4)
 
 
 @plugin("optimizer", "nlopt")
-class Nlopt(ConstrainedOptimizer):
+class Nlopt(TwoSearches):
     """NLopt's SLSQP, MMA, or augmented Lagrangian over L-BFGS; an iteration is an evaluation with gradients.
 
     MMA takes inequalities only, and any number of unknowns (K. Svanberg: A class of globally convergent optimization
@@ -36,42 +29,22 @@ class Nlopt(ConstrainedOptimizer):
     """
 
     algorithm: Literal["slsqp", "mma", "auglag"] = Field("slsqp", description="which of its methods")
-    max_iterations: int = Field(100, ge=1, description="evaluations with gradients at most, both searches together")
-    function_tolerance: float = Field(
-        1e-8, gt=0, description="converged when a step changes the loss by less than this part of it"
-    )
-    feasibility_first: bool = Field(True, description="whether the constraints are met before the objective counts")
 
     def require(self, problem: Problem) -> None:
-        """Refuse what has no constraints to ask for, changes, is too large, or has equalities that MMA cannot have."""
-        require_constraints(problem, self.name)
-        refuse_stochastic(problem, self)
+        """Refuse, beside what the base refuses, what is too large, or has equalities that MMA cannot have.
+
+        Raises:
+            MissingExtra: the library `nlopt` is not installed. UsageError: as said.
+        """
+        library()
+        super().require(problem)
         if self.algorithm == "slsqp":
             require_size(problem, f"{self.name} ({self.algorithm})")
         c_low, c_high = problem.c_low, problem.c_high  # type: ignore[attr-defined]
         if self.algorithm == "mma" and np.any(c_low == c_high):
             raise UsageError("nlopt's mma takes no equalities: use slsqp or auglag, or `at_least` and `at_most`")
 
-    def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise with exact resume through the session's log.
-
-        Raises:
-            MissingExtra: the library `nlopt` is not installed. UsageError: as `require`.
-        """
-        library()
-        self.require(problem)
-        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
-
-        trials = ConstrainedTrials(problem, session, self.max_iterations, self.constraint_tolerance)
-        return ended(trials, minimise_with_restarts(self._attempt, trials))
-
-    def _attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
-        def search(x: Array, feasibility: bool) -> tuple[Status, str]:
-            return self._search(trials, x, lower, upper, feasibility=feasibility)
-
-        return in_two_searches(trials, x, search) if self.feasibility_first else search(x, False)
-
-    def _search(
+    def search(
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
     ) -> tuple[Status, str]:
         """Run NLopt once; in search of feasibility f counts as 0, and `Feasible` is raised on success."""

@@ -5,20 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
-from cqrun.optimizers.base import Outcome, Problem, Session, Status, refuse_stochastic
-from cqrun.optimizers.constrained import (
-    ConstrainedOptimizer,
-    ConstrainedTrials,
-    Feasible,
-    ended,
-    in_two_searches,
-    require_constraints,
-)
-from cqrun.optimizers.replayed import minimise_with_restarts
+from cqrun.optimizers.base import Problem, Status
+from cqrun.optimizers.constrained import ConstrainedTrials
+from cqrun.optimizers.two_searches import Feasible, TwoSearches
 from cqrun.registry import plugin
 from cqrun.units import format_bytes
 
@@ -27,7 +19,7 @@ MOST_UNKNOWNS = 5000
 
 
 @plugin("optimizer", "slsqp")
-class Slsqp(ConstrainedOptimizer):
+class Slsqp(TwoSearches):
     """SLSQP: step d of least g.d + d.B d / 2 under the linearised constraints, then a line search; B by BFGS.
 
     It first looks for a point that meets the constraints, without the objective, and then lowers that, as ChainQueen
@@ -35,33 +27,12 @@ class Slsqp(ConstrainedOptimizer):
     D. Kraft: A software package for sequential quadratic programming, DFVLR-FB 88-28 (1988); scipy's implementation.
     """
 
-    max_iterations: int = Field(100, ge=1, description="iterations at most, both searches together")
-    function_tolerance: float = Field(
-        1e-8, gt=0, description="converged when an iteration changes the loss by less and the constraints are met"
-    )
-    feasibility_first: bool = Field(True, description="whether the constraints are met before the objective counts")
-
     def require(self, problem: Problem) -> None:
-        """Refuse what has no constraints to ask for, changes from iteration to iteration, or is too large."""
-        require_constraints(problem, self.name)
-        refuse_stochastic(problem, self)
+        """Refuse, beside what the base refuses, what is too large."""
+        super().require(problem)
         require_size(problem, self.name)
 
-    def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise with exact resume through the session's log; UsageError as `require`."""
-        self.require(problem)
-        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
-
-        trials = ConstrainedTrials(problem, session, self.max_iterations, self.constraint_tolerance)
-        return ended(trials, minimise_with_restarts(self._attempt, trials))
-
-    def _attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
-        def search(x: Array, feasibility: bool) -> tuple[Status, str]:
-            return self._search(trials, x, lower, upper, feasibility=feasibility)
-
-        return in_two_searches(trials, x, search) if self.feasibility_first else search(x, False)
-
-    def _search(
+    def search(
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
     ) -> tuple[Status, str]:
         """Run scipy's SLSQP once; in search of feasibility f counts as 0, and `Feasible` is raised on success."""

@@ -1,0 +1,62 @@
+"""CQ2 Fig 5: the finger's Young's modulus, Poisson's ratio and density, from its motion with noise and without.
+
+    python benchmarks/finger_material.py [--runs DIR] [--out FILE]
+
+Each fit is a run of `cqrun sysid` below `--runs`: one that was stopped goes on, one that is finished is read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from cqrun.fingerprint import engine_hash
+from cqrun.jobs.sysid import run_sysid
+from cqrun.store.atomic import write_json
+
+ROOT = Path(__file__).parents[1]
+SCENE = ROOT / "scenes" / "sysid" / "finger_material.yaml"
+FITS: dict[str, list[str]] = {"with noise": [], "without noise": ["data.synthetic.noise=0.0"]}
+TRUTH = {"youngs_modulus": 20.0, "poissons_ratio": 0.25, "density": 2.33}
+WANTED = {"with noise": 0.03, "without noise": 0.01}
+"""The greatest relative error that is allowed."""
+
+
+def fit(name: str, runs: Path) -> dict[str, Any]:
+    """Run one fit, or go on with it; return what it found."""
+    run = run_sysid(SCENE, FITS[name], runs, False, None, True)
+    result = json.loads((run / "result.json").read_text())
+    words = ["cqrun", "sysid", str(SCENE.relative_to(ROOT)), *(f"-o {each}" for each in FITS[name])]
+    return {
+        "command": " ".join(words),
+        "status": result["status"],
+        "loss": result["loss"],
+        "unknowns": {
+            path: {key: entry[key] for key in ("value", "interval")} for path, entry in result["unknowns"].items()
+        },
+        "error": worst_error(result["unknowns"]),
+    }
+
+
+def worst_error(unknowns: dict[str, Any]) -> float:
+    """Return the greatest relative distance of a value from the truth."""
+    return max(abs(entry["value"] / TRUTH[path.rpartition(".")[2]] - 1.0) for path, entry in unknowns.items())
+
+
+def main() -> None:
+    """Measure and write the file."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=Path, default=ROOT / "results")
+    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "measured" / "finger_material.json")
+    given = parser.parse_args()
+    fits = {}
+    for name in FITS:
+        fits[name] = fit(name, given.runs)
+        print(f"{name}: worst error {100 * fits[name]['error']:.2f} %", flush=True)
+    write_json(given.out, {"command": "python benchmarks/finger_material.py", "engine": engine_hash(), "fits": fits})
+
+
+if __name__ == "__main__":
+    main()
