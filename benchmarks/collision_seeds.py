@@ -17,7 +17,8 @@ from scipy.optimize import minimize_scalar
 
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.cases import make_cases
-from cqrun.jobs.problem import FitProblem, make_params
+from cqrun.jobs.problem import FitProblem
+from cqrun.jobs.unknowns import make_params
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json

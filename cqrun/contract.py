@@ -66,26 +66,35 @@ class Plugin(Spec):
     stands_alone: ClassVar[bool] = False
 
 
-def quantity(unit: str, description: str, *, differentiable: bool = False, **constraints: Any) -> Any:
+def quantity(
+    unit: str, description: str, *, differentiable: bool = False, geometric: bool = False, **constraints: Any
+) -> Any:
     """Return a pydantic field with a unit.
 
     Args:
         unit: SI unit as printed, such as `Pa`, `m/s` or `1`.
         description: one line for `cqrun describe` and the JSON schema.
         differentiable: the field may be an unknown: the engine's adjoint reaches it.
+        geometric: the field may be an unknown where it shapes or places a body: particles follow it.
         constraints: pydantic's own (`gt`, `le`, `default`, ...).
     """
     extra: JsonDict = {"unit": unit, "differentiable": differentiable}
+    if geometric:
+        extra["geometric"] = True
     return Field(description=f"{description} [{unit}]", json_schema_extra=extra, **constraints)
 
 
-def vector(unit: str, description: str, *, differentiable: bool = False, **constraints: Any) -> Any:
+def vector(
+    unit: str, description: str, *, differentiable: bool = False, geometric: bool = False, **constraints: Any
+) -> Any:
     """Return a pydantic field for a `list[float]` with one entry a dimension of the world.
 
     The scene checks the length against its world. Arguments as `quantity`.
     """
     limits = {"min_length": 2, "max_length": 3}
-    return quantity(unit, description, differentiable=differentiable, **limits, **constraints)
+    return quantity(
+        unit, description, differentiable=differentiable, geometric=geometric, **limits, **constraints
+    )
 
 
 def is_vector(spec: type[BaseModel], name: str) -> bool:
@@ -104,6 +113,12 @@ def is_differentiable(spec: type[BaseModel], name: str) -> bool:
     """Say whether gradients reach a field."""
     extra = spec.model_fields[name].json_schema_extra
     return isinstance(extra, dict) and bool(extra.get("differentiable"))
+
+
+def is_geometric(spec: type[BaseModel], name: str) -> bool:
+    """Say whether particles follow a field where it shapes or places a body."""
+    extra = spec.model_fields[name].json_schema_extra
+    return isinstance(extra, dict) and bool(extra.get("geometric"))
 
 
 Array = np.ndarray

@@ -82,6 +82,7 @@ PAPERS = {
     "creature": (22_084, 8_000),
     "biped_terrain": (36_200, 20_000),
     "arm_two_link": (1_176, 800),
+    "arm_length": (816, 250),
 }
 """Particles and substeps of the papers' robots."""
 

@@ -102,7 +102,7 @@ def _page(kind: str, name: str, cls: type[BaseModel]) -> Iterator[str]:
 
 
 def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
-    from cqrun.contract import field_unit, is_differentiable
+    from cqrun.contract import field_unit, is_differentiable, is_geometric
 
     if not cls.model_fields:
         yield f"{indent}  no fields"
@@ -110,6 +110,7 @@ def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
         unit = field_unit(cls, name)
         facts = [f"[{unit}]" if unit else "", _what(info), _range(info), _default(info)]
         facts.append("differentiable" if is_differentiable(cls, name) else "")
+        facts.append("differentiable in a body" if is_geometric(cls, name) else "")
         yield f"{indent}  {name}: " + ", ".join(fact for fact in facts if fact)
         text = (info.description or "").removesuffix(f" [{unit}]")
         if text:

@@ -8,12 +8,37 @@ controller have no unit, and often no bounds: they are their own coordinates.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from cqrun.contract import Array
+
+
+@dataclass(frozen=True)
+class Follower:
+    """What follows an unknown: factor * value + offset under another key path.
+
+    `order` (n,) picks, for each entry of its value, the entry of the unknown's; None for equal order.
+    """
+
+    path: str
+    factor: float
+    offset: float
+    order: Array | None = None
+
+    def of(self, value: Array) -> Array:
+        """Return its value."""
+        return np.asarray(self.factor * (value if self.order is None else value[self.order]) + self.offset)
+
+    def of_vjp(self, bar: Array) -> Array:
+        """Return the cotangent of the unknown's value."""
+        if self.order is None:
+            return np.asarray(self.factor * bar)
+        out = np.zeros(bar.shape)
+        out[self.order] = self.factor * bar
+        return out
 
 
 @dataclass(frozen=True)
@@ -28,6 +53,7 @@ class Block:
     upper: float
     log: bool
     initial: Array
+    followers: tuple[Follower, ...] = field(default=(), kw_only=True)
 
     @property
     def size(self) -> int:
@@ -167,11 +193,9 @@ class Params:
         return _joined([block.pack(values[block.path]) for block in self.blocks])
 
     def unpack(self, x: Array) -> dict[str, Array]:
-        """Return values by path."""
-        return {
-            block.path: block.unpack(x[part])
-            for block, part in zip(self.blocks, self.slices.values(), strict=True)
-        }
+        """Return values by path, of what follows an unknown too."""
+        values = {b.path: b.unpack(x[part]) for b, part in zip(self.blocks, self.slices.values(), strict=True)}
+        return values | {f.path: f.of(values[b.path]) for b in self.blocks for f in b.followers}
 
     def physical(self, x: Array) -> Array:
         """Return x as one vector of values (n,), in SI units; of a spread those of the numbers that decide."""
@@ -180,7 +204,8 @@ class Params:
     def gradient(self, x: Array, by_value: Mapping[str, Array]) -> Array:
         """Return the gradient by x (n,) from that by values."""
         values = self.unpack(x)
-        return _joined([b.gradient(values[b.path], np.asarray(by_value[b.path])) for b in self.blocks])
+        bars = {b.path: sum((f.of_vjp(by_value[f.path]) for f in b.followers), by_value[b.path]) for b in self.blocks}
+        return _joined([b.gradient(values[b.path], np.asarray(bars[b.path])) for b in self.blocks])
 
     def describe(self, x: Array) -> str:
         """Return values as text, for messages."""

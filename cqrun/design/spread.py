@@ -89,3 +89,25 @@ def pairs(x: Array, axis: int, what: str) -> csr_array:
         )
     _, column = np.unique(np.minimum(np.arange(len(x)), partner), return_inverse=True)
     return csr_array((np.ones(len(x)), column, np.arange(len(x) + 1)), shape=(len(x), int(column.max()) + 1))
+
+
+def shifted(x: Array, y: Array, what: str, of_what: str) -> Array:
+    """Return, for each of points y (n, D), which of points x (n, D) it is where y is moved onto x.
+
+    Args:
+        what, of_what: y and x are called in an error.
+
+    Raises:
+        UsageError: y is not x in another place.
+    """
+    from scipy.spatial import cKDTree
+
+    if len(x) == len(y):
+        tree = cKDTree(x)
+        spacing = tree.query(x, k=2)[0][:, 1] if len(x) > 1 else np.ones(1)
+        distance, found = tree.query(y - y.min(axis=0) + x.min(axis=0))
+        if (distance <= NEAR * spacing[found]).all() and len(np.unique(found)) == len(x):
+            return np.asarray(found)
+    raise UsageError(
+        f"the {len(y):,} {what} are not the {len(x):,} {of_what} in another place: they must match one by one"
+    )

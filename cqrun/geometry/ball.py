@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 
 from cqrun.contract import Array, quantity, vector
@@ -13,8 +15,8 @@ from cqrun.registry import plugin
 class Ball(Shape):
     """A ball (2D: a disc): |x - center| <= radius."""
 
-    center: list[float] = vector("m", "Centre")
-    radius: float = quantity("m", "Radius", gt=0)
+    center: list[float] = vector("m", "Centre", geometric=True)
+    radius: float = quantity("m", "Radius", gt=0, geometric=True)
 
     def inside(self, points: Array) -> Array:
         offset = points - np.array(self.center)
@@ -23,6 +25,11 @@ class Ball(Shape):
     def bounds(self) -> tuple[Array, Array]:
         center = np.array(self.center)
         return center - self.radius, center + self.radius
+
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        stretch = to.radius / self.radius
+        moved = np.array(to.center) + (points - np.array(self.center)) * stretch
+        return moved, np.full(len(points), stretch ** len(self.center))
 
     def volume(self) -> float:
         return np.pi * self.radius**2 * (1.0 if len(self.center) == 2 else 4 / 3 * self.radius)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field
@@ -19,8 +19,8 @@ _SLACK = 1e-9
 class Box(Shape):
     """An axis-aligned box (2D: a rectangle): corner <= x <= corner + size."""
 
-    corner: list[float] = vector("m", "Lower corner")
-    size: list[Annotated[float, Field(gt=0)]] = vector("m", "Edge lengths")
+    corner: list[float] = vector("m", "Lower corner", geometric=True)
+    size: list[Annotated[float, Field(gt=0)]] = vector("m", "Edge lengths", geometric=True)
 
     def inside(self, points: Array) -> Array:
         lower, upper = self.bounds()
@@ -30,6 +30,11 @@ class Box(Shape):
     def bounds(self) -> tuple[Array, Array]:
         lower = np.array(self.corner)
         return lower, lower + np.array(self.size)
+
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        stretch = np.array(to.size) / np.array(self.size)
+        moved = np.array(to.corner) + (points - np.array(self.corner)) * stretch
+        return moved, np.full(len(points), np.prod(stretch))
 
     def volume(self) -> float:
         return float(np.prod(self.size))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Self
 
 from pydantic import Field
 
@@ -32,6 +32,9 @@ class Difference(Shape):
 
     def coloured(self, points: Array, colour: str) -> Array:
         return self.shapes[0].value.coloured(points, colour)
+
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        return self.shapes[0].value.carried(points, to.shapes[0].value)
 
     def bounds(self) -> tuple[Array, Array]:
         return self.shapes[0].value.bounds()

@@ -18,10 +18,10 @@ Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 class Sinusoid(Spec):
     """Hills: h = base + amplitude sin(2 pi x / wavelength + phase)."""
 
-    amplitude: float = quantity("m", "Half the height from valley to crest", gt=0)
-    wavelength: float = quantity("m", "From crest to crest", gt=0)
-    base: float = quantity("m", "Height in the middle")
-    phase: float = quantity("deg", "Phase at x = 0", default=0.0)
+    amplitude: float = quantity("m", "Half the height from valley to crest", gt=0, geometric=True)
+    wavelength: float = quantity("m", "From crest to crest", gt=0, geometric=True)
+    base: float = quantity("m", "Height in the middle", geometric=True)
+    phase: float = quantity("deg", "Phase at x = 0", geometric=True, default=0.0)
 
 
 @plugin("shape", "height_field")
@@ -35,7 +35,7 @@ class HeightField(Shape):
     points: list[Pair] | None = quantity("m", "Profile: [x, height] each, x increasing", min_length=2, default=None)
     sinusoid: Sinusoid | None = Field(description="Profile of hills instead of points", default=None)
     span: Pair | None = quantity("m", "Where along x it begins and ends; without end if absent", default=None)
-    bottom: float | None = quantity("m", "How deep it reaches; without end if absent", default=None)
+    bottom: float | None = quantity("m", "How deep it reaches; without end if absent", geometric=True, default=None)
     up: Literal["y", "z"] | None = Field(description="Axis of the height in 3D; y in 2D", default=None)
 
     @model_validator(mode="after")
@@ -67,7 +67,7 @@ class HeightField(Shape):
         if self.points is not None:
             return np.asarray(np.interp(x, *np.array(self.points).T))
         hills = self._hills
-        angle = 2 * np.pi * x / hills.wavelength + np.deg2rad(hills.phase)
+        angle = 2 * np.pi * x / hills.wavelength + hills.phase * (np.pi / 180)
         return np.asarray(hills.base + hills.amplitude * np.sin(angle))
 
     def normals(self, points: Array) -> Array:
@@ -93,6 +93,19 @@ class HeightField(Shape):
             lower[self._axis] = self.bottom
         upper[self._axis] = self._highest()
         return lower, upper
+
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        """Stretch every column of matter between the bottom and the height."""
+        height, bottom, bottom_to = self.height(points[:, 0]), self._depth, to._depth
+        stretch = (to.height(points[:, 0]) - bottom_to) / (height - bottom)
+        moved = points.astype(stretch.dtype)
+        moved[:, self._axis] = bottom_to + (points[:, self._axis] - bottom) * stretch
+        return moved, stretch
+
+    @property
+    def _depth(self) -> float:
+        assert self.bottom is not None, "a body has a bottom"
+        return self.bottom
 
     @property
     def _axis(self) -> int:

@@ -44,9 +44,11 @@ class Image(FileShape):
     the named colours is part of the body all the same.
     """
 
-    height: float | None = quantity("m", "Height of the whole image; or give width", gt=0, default=None)
-    width: float | None = quantity("m", "Width of the whole image; or give height", gt=0, default=None)
-    corner: list[float] | None = vector("m", "Lower left corner of the image; the origin if absent", default=None)
+    height: float | None = quantity("m", "Height of the whole image; or give width", gt=0, geometric=True, default=None)
+    width: float | None = quantity("m", "Width of the whole image; or give height", gt=0, geometric=True, default=None)
+    corner: list[float] | None = vector(
+        "m", "Lower left corner of the image; the origin if absent", geometric=True, default=None
+    )
     colours: dict[str, HexColour] = Field(description="Name of a group -> its colour, #rrggbb", default_factory=dict)
     background: HexColour | None = Field(
         description="Colour that is not part of the body; white if absent and no pixel is transparent", default=None
@@ -90,6 +92,10 @@ class Image(FileShape):
         lower = np.array([columns[0], len(body) - 1 - rows[-1]])
         upper = np.array([columns[-1] + 1, len(body) - rows[0]])
         return self._corner() + self._pixel() * lower, self._corner() + self._pixel() * upper
+
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        stretch = to._pixel() / self._pixel()
+        return to._corner() + (points - self._corner()) * stretch, np.full(len(points), stretch**2)
 
     def volume(self) -> float:
         return float(self._cut_out().sum() * self._pixel() ** 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import Field
@@ -29,6 +29,9 @@ class Intersection(Shape):
 
     def coloured(self, points: Array, colour: str) -> Array:
         return np.any([part.value.coloured(points, colour) for part in self.shapes], axis=0)
+
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        return self.shapes[0].value.carried(points, to.shapes[0].value)
 
     def bounds(self) -> tuple[Array, Array]:
         lower, upper = zip(*(part.value.bounds() for part in self.shapes), strict=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -73,6 +73,9 @@ class Mesh(Place, FileShape):
     def bounds(self) -> tuple[Array, Array]:
         vertices = self.to_world(self._surface().vertices)
         return vertices.min(axis=0), vertices.max(axis=0)
+
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        return to.to_world(self.to_local(points)), np.full(len(points), (to.scale / self.scale) ** 3)
 
     def volume(self) -> float:
         surface = self._surface()

@@ -11,12 +11,16 @@ from cqrun.explain import Loc
 class Place(Spec):
     """A similarity: world = offset + scale * rotation * local."""
 
-    scale: float = quantity("1", "World lengths for one of local length", gt=0, default=1.0)
-    offset: list[float] | None = vector("m", "World position of the local origin; zero if absent", default=None)
-    angle: float | None = quantity("deg", "Turn about the local origin, counterclockwise (2D)", default=None)
+    scale: float = quantity("1", "World lengths for one of local length", gt=0, default=1.0, geometric=True)
+    offset: list[float] | None = vector(
+        "m", "World position of the local origin; zero if absent", geometric=True, default=None
+    )
+    angle: float | None = quantity(
+        "deg", "Turn about the local origin, counterclockwise (2D)", geometric=True, default=None
+    )
     rotation: list[float] | None = quantity(
         "deg", "Turn about the local origin, along the axis by its length (3D)",
-        min_length=3, max_length=3, default=None,
+        geometric=True, min_length=3, max_length=3, default=None,
     )  # fmt: skip
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
@@ -29,17 +33,21 @@ class Place(Spec):
         return found
 
     def matrix(self, dim: int) -> Array:
-        """Return the rotation matrix (dim, dim); quarter turns are exact."""
+        """Return the rotation matrix (dim, dim), complex where the angles are; quarter turns are exact."""
         if self.angle:
-            angle = np.deg2rad(self.angle)
+            angle = self.angle * (np.pi / 180)
             R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        elif self.rotation and any(np.iscomplex(self.rotation)):
+            from scipy.linalg import expm
+
+            return np.asarray(expm(np.cross(np.eye(3), np.array(self.rotation) * (np.pi / 180))))
         elif self.rotation and any(self.rotation):
             from scipy.spatial.transform import Rotation
 
             R = Rotation.from_rotvec(self.rotation, degrees=True).as_matrix()
         else:
             return np.eye(dim)
-        return np.where(np.abs(R) < 1e-15, 0.0, R)
+        return np.where(np.abs(R) < 1e-15, 0.0, R) if np.isrealobj(R) else R
 
     def to_world(self, points: Array) -> Array:
         """Return the world coordinates (N, D) [m] of local points (N, D)."""

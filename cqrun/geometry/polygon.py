@@ -1,17 +1,19 @@
 """A polygon, in 2D.
 
-Own code, although shapely could do it: the test is the one loop below, it needs no further package, and it says
-what a polygon that crosses itself holds, which shapely calls invalid.
+The test is own code, although shapely could do it: it is the one loop below, needs no further package, and says what
+a polygon that crosses itself holds, which shapely calls invalid. Where corners are unknowns, shapely cuts it into
+triangles.
 """
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array, quantity
+from cqrun.errors import MissingExtra, UsageError
 from cqrun.explain import Loc
 from cqrun.geometry.shape import Shape
 from cqrun.registry import plugin
@@ -23,7 +25,7 @@ Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
 class Polygon(Shape):
     """A polygon through `points` in order (2D only); where it crosses itself the even-odd rule decides."""
 
-    points: list[Corner] = quantity("m", "Corners in order, [x, y] each", min_length=3)
+    points: list[Corner] = quantity("m", "Corners in order, [x, y] each", geometric=True, min_length=3)
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
@@ -40,6 +42,43 @@ class Polygon(Shape):
                 result ^= crosses & (x < x0 + (y - y0) * ((x1 - x0) / (y1 - y0)))
         return result
 
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        """Carry each point with the triangle of corners that it lies in."""
+        triangles = self._triangles()
+        a, b, c = np.array(self.points)[triangles].transpose(1, 0, 2)
+        weight_b = cross(points[:, None] - a, c - a) / cross(b - a, c - a)
+        weight_c = cross(b - a, points[:, None] - a) / cross(b - a, c - a)
+        weights = np.stack([1.0 - weight_b - weight_c, weight_b, weight_c], axis=2)
+        chosen = weights.min(axis=2).argmax(axis=1)  # on an edge of two triangles rounding decides, and does no harm
+        a_to, b_to, c_to = np.array(to.points)[triangles].transpose(1, 0, 2)
+        growth = cross(b_to - a_to, c_to - a_to) / cross(b - a, c - a)
+        corners_to = np.stack([a_to, b_to, c_to], axis=1)[chosen]
+        return np.einsum("nk,nkd->nd", weights[np.arange(len(points)), chosen], corners_to), growth[chosen]
+
+    def _triangles(self) -> Array:
+        """Return corners (T, 3) of triangles that fill the polygon.
+
+        Raises:
+            MissingExtra: shapely is not installed. UsageError: the polygon crosses itself.
+        """
+        try:
+            import shapely  # type: ignore[import-untyped]
+        except ImportError:
+            raise MissingExtra(
+                "corners of a polygon as unknowns need shapely, which is not installed: pip install 'cqrun[polygon]'"
+            ) from None
+        whole = shapely.Polygon(self.points)
+        if not whole.is_valid:
+            raise UsageError("a polygon whose corners are unknowns must not cross or touch itself")
+        number = {tuple(corner): k for k, corner in enumerate(self.points)}
+        found = shapely.constrained_delaunay_triangles(whole).geoms
+        return np.array([[number[corner] for corner in part.exterior.coords[:3]] for part in found])
+
     def bounds(self) -> tuple[Array, Array]:
         corners = np.array(self.points)
         return corners.min(axis=0), corners.max(axis=0)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Return the cross products of plane vectors (..., 2)."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -15,9 +15,9 @@ from cqrun.geometry.shape import Shape
 class SegmentShape(Shape):
     """A shape around the segment from `start` to `end`."""
 
-    start: list[float] = vector("m", "First end of the axis")
-    end: list[float] = vector("m", "Other end of the axis")
-    radius: float = quantity("m", "Radius", gt=0)
+    start: list[float] = vector("m", "First end of the axis", geometric=True)
+    end: list[float] = vector("m", "Other end of the axis", geometric=True)
+    radius: float = quantity("m", "Radius", gt=0, geometric=True)
 
     @model_validator(mode="after")
     def _has_length(self) -> Self:
@@ -30,6 +30,24 @@ class SegmentShape(Shape):
     def length(self) -> float:
         """Return the length of the axis [m]."""
         return float(np.linalg.norm(np.subtract(self.end, self.start)))
+
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        """Stretch along the axis between its ends, turn with it, and scale what is beside or beyond it by the radius.
+
+        The turn is the least one from the unit axis d to the new d':
+        R v = v - (d + d') (d + d').v / (1 + d.d') + 2 d' d.v.
+        """
+        fraction, axis = self.along(points)
+        core = np.clip(fraction, 0.0, 1.0)
+        start, axis_to = np.array(to.start), np.subtract(to.end, to.start)
+        length, length_to = np.sqrt(axis @ axis), np.sqrt(axis_to @ axis_to)
+        d, d_to = axis / length, axis_to / length_to
+        offset = points - np.array(self.start) - core[:, None] * axis
+        both = d + d_to
+        turned = offset - np.outer(offset @ both / (1.0 + d @ d_to), both) + 2.0 * np.outer(offset @ d, d_to)
+        scale, dim = to.radius / self.radius, len(self.start)
+        growth = np.where(core == fraction, length_to / length, scale) * scale ** (dim - 1)
+        return start + core[:, None] * axis_to + scale * turned, growth
 
     def along(self, points: Array) -> tuple[Array, Array]:
         """Return where points (N, D) fall on the axis, 0 at start to 1 at end: (N,); and the axis (D,)."""

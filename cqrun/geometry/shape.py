@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 
@@ -32,6 +32,14 @@ class Shape(Region):
     @abstractmethod
     def bounds(self) -> tuple[Array, Array]:
         """Return the lower and upper corner (D,) [m] of an axis-aligned box around the shape."""
+
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        """Return where points (N, D) [m] that it holds go as it becomes `to`, and their volumes' growth (N,).
+
+        The map is affine in pieces and continuous, the identity where nothing changes. `to` is the same shape with
+        other numbers; they may be complex, for the derivative by a complex step.
+        """
+        return points, np.ones(len(points))
 
     @property
     def colour_names(self) -> tuple[str, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 from pydantic import Field
 
@@ -32,6 +34,10 @@ class Transformed(Place, Shape):
 
     def bounds(self) -> tuple[Array, Array]:
         return self.world_bounds(*self.shape.value.bounds())
+
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        local, growth = self.shape.value.carried(self.to_local(points), to.shape.value)
+        return to.to_world(local), growth * (to.scale / self.scale) ** points.shape[1]
 
     def volume(self) -> float:
         dim = len(self.shape.value.bounds()[0])

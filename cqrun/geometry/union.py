@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import Field
@@ -23,8 +23,8 @@ class Union(Shape):
     shorthand: ClassVar[str] = "shapes"
 
     shapes: list[ChosenShape] = Field(description="Shapes, in local coordinates", min_length=1)
-    scale: float = quantity("1", "World lengths for one of local length", gt=0, default=1.0)
-    offset: list[float] | None = vector("m", "World position of the local origin", default=None)
+    scale: float = quantity("1", "World lengths for one of local length", gt=0, geometric=True, default=1.0)
+    offset: list[float] | None = vector("m", "World position of the local origin", geometric=True, default=None)
 
     def inside(self, points: Array) -> Array:
         local = (points - self._origin()) / self.scale
@@ -42,6 +42,20 @@ class Union(Shape):
         lower, upper = zip(*(part.value.bounds() for part in self.shapes), strict=True)
         origin = self._origin()
         return self.scale * np.min(lower, axis=0) + origin, self.scale * np.max(upper, axis=0) + origin
+
+    def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
+        """Carry each point with the first of the shapes that holds it."""
+        local = (points - self._origin()) / self.scale
+        left, order, carried = np.ones(len(points), bool), [], []
+        for part, part_to in zip(self.shapes, to.shapes, strict=True):
+            last = part is self.shapes[-1]  # takes what rounding leaves over
+            held = np.flatnonzero(left) if last else np.flatnonzero(left)[part.value.inside(local[left])]
+            order.append(held)
+            carried.append(part.value.carried(local[held], part_to.value))
+            left[held] = False
+        back = np.argsort(np.concatenate(order))
+        moved, growth = (np.concatenate(each)[back] for each in zip(*carried, strict=True))
+        return to._origin() + to.scale * moved, growth * (to.scale / self.scale) ** points.shape[1]
 
     def _origin(self) -> Array | float:
         return 0.0 if self.offset is None else np.array(self.offset)

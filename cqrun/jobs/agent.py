@@ -22,13 +22,13 @@ from cqrun.engine.model import Inputs, LossBar, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
-from cqrun.jobs.problem import make_params
+from cqrun.jobs.unknowns import make_params
 from cqrun.objectives.term import Objective, Track, TrackBar
 from cqrun.observers.matter import Matter, Unfit
 from cqrun.observers.observer import Observation
 from cqrun.observers.rows import slices
 from cqrun.scene.build import Built
-from cqrun.scene.paths import leaf
+from cqrun.scene.paths import leaf, shapes_a_body
 from cqrun.scene.schema import Scene
 from cqrun.state import State
 from cqrun.store.atomic import disk_errors
@@ -193,9 +193,10 @@ class Agent:
         self.observation.middle, self.observation.half = middle, half
         known = {CONTROLLER + name: array for name, array in parameters.items()}
         sizes = {block.path: block.initial.shape for block in self.params.blocks}
+        sizes |= {f.path: block.initial.shape for block in self.params.blocks for f in block.followers}
         for name, value in said["unknowns"].items():
             array = np.array(value, float)
-            if array.ndim == 0:
+            if not is_kept_by_controller(name, array):
                 continue  # the scene has it
             if array.shape != sizes.get(name):
                 raise UsageError(
@@ -352,8 +353,19 @@ def learned_values(file: Path, scene: Scene, overrides: Sequence[str]) -> list[s
             raise UsageError(
                 f"{file}: {path} was learned with the controller; this scene has no such number"
             ) from None
+    kept = {path for path, value in learned.items() if is_kept_by_controller(path, np.array(value))}
     for override in overrides:
         key = override.partition("=")[0].strip()
         if isinstance(learned.get(key), list):
             raise UsageError(f"-o {override}: {file} has a value of it for every group or particle, which were learned")
-    return [f"{path}={value!r}" for path, value in learned.items() if not isinstance(value, list)]
+        if key in kept:
+            raise UsageError(f"-o {override}: {file} holds the body's geometry, which was learned")
+    return [f"{path}={value!r}" for path, value in learned.items() if path not in kept]
+
+
+def is_kept_by_controller(path: str, value: Array) -> bool:
+    """Say whether a learned value goes with the controller's file, and not into the scene.
+
+    It is one a group or particle, or it shapes a body: particles follow it, sampled anew they would be others.
+    """
+    return value.ndim > 0 or shapes_a_body(path.split("."))

@@ -29,8 +29,9 @@ from cqrun.explain import listed, suggest
 from cqrun.jobs.agent import CONTROLLER, Agent
 from cqrun.jobs.cases import given_cases, make_cases
 from cqrun.jobs.episodes import EpisodeProblem, has_episodes
-from cqrun.jobs.problem import FitProblem, make_params
+from cqrun.jobs.problem import FitProblem
 from cqrun.jobs.runs import cores
+from cqrun.jobs.unknowns import make_params
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, leaf, leaves

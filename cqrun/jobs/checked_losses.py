@@ -14,7 +14,8 @@ from cqrun.engine.rollout import Rollout
 from cqrun.jobs.agent import Attempt, Mix
 from cqrun.jobs.cases import Case
 from cqrun.jobs.episodes import EpisodeProblem
-from cqrun.jobs.problem import FitProblem, make_params
+from cqrun.jobs.problem import FitProblem
+from cqrun.jobs.unknowns import make_params
 from cqrun.scene.build import Built
 from cqrun.scene.paths import canonical, leaf, leaves
 from cqrun.state import State

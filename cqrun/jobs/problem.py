@@ -18,56 +18,19 @@ from typing import Any, TypeVar
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.design import spread
-from cqrun.design.params import Block, Params, Spread
+from cqrun.design.params import Params
 from cqrun.engine.rollout import Rollout
-from cqrun.errors import CrushedError, Problem, RolloutError, SceneError, UsageError
+from cqrun.errors import CrushedError, RolloutError
 from cqrun.jobs.cases import Case
 from cqrun.jobs.memory import least_budget, state_bytes
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.observers.record import Record
 from cqrun.optimizers.base import TrialFailed
-from cqrun.scene.build import Built
-from cqrun.scene.data import Unknown
-from cqrun.scene.paths import canonical
-from cqrun.scene.unknowns import start
-
-RESOLUTION = 4
-"""Cells along the longest edge of a body that a field has if its unknown does not say."""
 
 DIFFERENCE = 1e-4
 """Step of the forward-difference Jacobian in scaled coordinates, where bounds are 1 apart."""
 
 T = TypeVar("T")
-
-
-def make_params(built: Built) -> Params:
-    """Return the unknowns of a scene, at their starts."""
-    return Params(tuple(_block(built, path, unknown) for path, unknown in built.scene.unknowns.items()))
-
-
-def _block(built: Built, path: str, unknown: Unknown) -> Block:
-    """Return an unknown as a block at its start; SceneError where a body is not its own mirror image."""
-    scene, name, initial = built.scene, canonical(built.scene, path), start(built.scene, path)
-    low, high, log = *unknown.bounds, unknown.scale == "log"
-    body = name.split(".")[1]
-    if unknown.per == "body":
-        return Block(name, low, high, log, np.array(initial))
-    if unknown.per == "group":
-        return Block(name, low, high, log, np.full(len(scene.bodies[body].group_names), initial))
-    x = built.particles.x[built.particles.of(body)]
-    values, axis = np.full(len(x), initial), -1 if unknown.mirror is None else "xyz".index(unknown.mirror)
-    if unknown.per == "particle" and unknown.mirror is None:
-        return Block(name, low, high, log, values)
-    if unknown.per == "particle":
-        try:
-            return Spread(name, low, high, log, values, spread.pairs(x, axis, f"particles of '{body}'"))
-        except UsageError as error:
-            place = f"unknowns.{path}.mirror"
-            raise SceneError([Problem(scene.where(place), place, str(error))]) from error
-    cells = unknown.resolution or RESOLUTION
-    over = spread.field(x, cells) if unknown.mirror is None else spread.mirrored_field(x, cells, axis)
-    return Spread(name, low, high, log, values, over)
 
 
 def side_by_side(tasks: Sequence[Callable[[int], T]], threads: int, at_once: int | None = None) -> list[T]:

@@ -12,7 +12,7 @@ from cqrun.jobs.cases import Case, given_cases, made_cases
 from cqrun.jobs.findings import write_findings
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.memory import gradient_plan
-from cqrun.jobs.problem import FitProblem, make_params
+from cqrun.jobs.problem import FitProblem
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import (
     Progress,
@@ -24,6 +24,7 @@ from cqrun.jobs.runs import (
     require_same_data,
     saved_scene,
 )
+from cqrun.jobs.unknowns import make_params
 from cqrun.optimizers.base import Optimizer, Outcome
 from cqrun.scene.build import Built
 from cqrun.scene.load import dump, load_scene, resolve

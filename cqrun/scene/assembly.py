@@ -17,6 +17,7 @@ from cqrun.engine.model import Inputs
 from cqrun.loads.gravity import Gravity
 from cqrun.loads.load import Load
 from cqrun.scene.actuation import Actuation
+from cqrun.scene.geometry import Geometry
 from cqrun.scene.particles import Particles, stress_key
 from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
@@ -37,7 +38,7 @@ class Assembly:
 
     def __init__(self, scene: Scene, particles: Particles, sequence: int = 0) -> None:
         self.scene, self.particles, self.sequence = scene, particles, sequence
-        self.actuation = Actuation(scene, particles)
+        self.actuation, self.geometry = Actuation(scene, particles), Geometry(scene, particles)
         self.loads: list[tuple[str, Load]] = [
             (f"loads.{name}.{chosen.name}", chosen.value)  # type: ignore[misc]
             for name, chosen in scene.loads.items()
@@ -123,10 +124,11 @@ class Assembly:
 
     def inputs(self, values: Values) -> Inputs:
         """Return the engine's inputs."""
-        state = State.at_rest(self.particles.x)
+        x, volume = self.geometry.at_rest(values)
+        state = State.at_rest(x)
         for body in self.particles.names:
-            state.v[self.particles.of(body)] = self.velocities(body, values)
-        fields, _ = self._fields(values)
+            state.v[self.particles.of(body)] = self._velocities(body, x, values)
+        fields, _ = self._fields(volume, values)
         drive = self.actuation
         return Inputs(
             state, fields, self._terms(values), drive.activations(self.sequence, values), drive.strengths(values),
@@ -136,8 +138,9 @@ class Assembly:
     def gradient(self, values: Values, bar: Inputs) -> dict[str, Array]:
         """Return the gradient by path, of each value's shape, from the cotangent of the inputs."""
         out = {path: np.zeros(np.shape(value)) for path, value in values.items()}
-        self._velocities_vjp(values, bar, out)
-        self._fields_vjp(values, bar, out)
+        x, volume = self.geometry.at_rest(values)
+        x_bar = bar.state.x + self._velocities_vjp(x, values, bar, out)
+        self.geometry.at_rest_vjp(values, x_bar, self._fields_vjp(volume, values, bar, out), out)
         self._terms_vjp(values, bar, out)
         self.actuation.activations_vjp(bar.activation, self.sequence, values, out)
         self.actuation.strengths_vjp(bar.strength, out)
@@ -146,9 +149,9 @@ class Assembly:
 
     # --- masses and loads -------------------------------------------------------------------------------------
 
-    def _fields(self, values: Values) -> tuple[ParticleFields, list[Load]]:
-        fields = ParticleFields.zeros(len(self.particles.x), self.scene.dim)
-        fields.volume[:] = self.particles.volume
+    def _fields(self, volume: Array, values: Values) -> tuple[ParticleFields, list[Load]]:
+        fields = ParticleFields.zeros(len(volume), self.scene.dim)
+        fields.volume[:] = volume
         for body in self.particles.names:
             part = self.particles.of(body)
             path, own = f"bodies.{body}.material.density", self.scene.bodies[body].material.density
@@ -158,39 +161,55 @@ class Assembly:
             load.apply(fields, chosen)
         return fields, loads
 
-    def _fields_vjp(self, values: Values, bar: Inputs, out: dict[str, Array]) -> None:
-        fields, loads = self._fields(values)
+    def _fields_vjp(self, volume: Array, values: Values, bar: Inputs, out: dict[str, Array]) -> Array:
+        """Add to the gradients, and return the cotangent of the volumes (N,)."""
+        fields, loads = self._fields(volume, values)
         fields_bar = copy.deepcopy(bar.fields)  # loads add to what they read; the cotangent given stays as it is
         steps = list(zip(self.loads, loads, self.chosen, strict=True))
         for (path, _), load, chosen in reversed(steps):
             collect(path, load.apply_vjp(fields, fields_bar, chosen), out)
         for body in self.particles.names:
             part = self.particles.of(body)
-            density_bar = fields_bar.mass[part] * self.particles.volume[part]
-            self._spread_vjp(body, f"bodies.{body}.material.density", density_bar, values, out)
+            path, own = f"bodies.{body}.material.density", self.scene.bodies[body].material.density
+            self._spread_vjp(body, path, fields_bar.mass[part] * volume[part], values, out)
+            fields_bar.volume[part] += fields_bar.mass[part] * self._spread(body, path, own, values)
+        return fields_bar.volume
 
     # --- velocities ---------------------------------------------------------------------------------------------
 
     def velocities(self, body: str, values: Values) -> Array:
         """Return a body's velocities at the start (N_b, D): v + spin x (x - centroid)."""
+        return self._velocities(body, self.geometry.at_rest(values)[0], values)
+
+    def _velocities(self, body: str, x: Array, values: Values) -> Array:
         base, spec = f"bodies.{body}", self.scene.bodies[body]
         v = numbers(f"{base}.velocity", spec.velocity, values)
         spin = numbers(f"{base}.spin", spec.spin, values)
-        return np.asarray(v + self._arm(body) @ spin)
+        return np.asarray(v + self._arm(body, x) @ spin)
 
-    def _arm(self, body: str) -> Array:
+    def _arm(self, body: str, x: Array) -> Array:
         """Return the velocity of each particle by each entry of the spin (N_b, D, 1 or 3)."""
-        x = self.particles.x[self.particles.of(body)]
-        r = x - x.mean(axis=0)
+        own = x[self.particles.of(body)]
+        r = own - own.mean(axis=0)
         if self.scene.dim == 2:
             return np.stack([-r[:, 1], r[:, 0]], axis=1)[:, :, None]
         return np.cross(np.eye(3)[None, :, :], r[:, None, :]).transpose(0, 2, 1)
 
-    def _velocities_vjp(self, values: Values, bar: Inputs, out: dict[str, Array]) -> None:
+    def _velocities_vjp(self, x: Array, values: Values, bar: Inputs, out: dict[str, Array]) -> Array:
+        """Add to the gradients, and return the cotangent of the rest positions (N, D): v_bar x spin, less its mean."""
+        x_bar = np.zeros(x.shape)
         for body in self.particles.names:
-            v_bar = bar.state.v[self.particles.of(body)]
-            spin_bar = np.einsum("nds,nd->s", self._arm(body), v_bar)
-            collect(f"bodies.{body}", {"velocity": v_bar.sum(axis=0), "spin": spin_bar}, out)
+            part, base = self.particles.of(body), f"bodies.{body}"
+            v_bar = bar.state.v[part]
+            spin_bar = np.einsum("nds,nd->s", self._arm(body, x), v_bar)
+            collect(base, {"velocity": v_bar.sum(axis=0), "spin": spin_bar}, out)
+            spin = numbers(f"{base}.spin", self.scene.bodies[body].spin, values)
+            if self.scene.dim == 2:
+                r_bar = spin[0] * np.stack([v_bar[:, 1], -v_bar[:, 0]], axis=1)
+            else:
+                r_bar = np.cross(v_bar, spin)
+            x_bar[part] = r_bar - r_bar.mean(axis=0)
+        return x_bar
 
     # --- material terms -------------------------------------------------------------------------------------------
 

@@ -14,12 +14,13 @@ from cqrun.engine.limits import REFUSE, WARN, Limit, auto_substeps, motion_limit
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
 from cqrun.errors import Problem, SceneError
 from cqrun.scene.assembly import Assembly
+from cqrun.scene.check_design import design_problems
 from cqrun.scene.memory import memory_problems
 from cqrun.scene.particles import Particles, sample, stress_key
 from cqrun.scene.paths import with_values
 from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import start
+from cqrun.scene.unknowns import start, tied
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ def build(scene: Scene) -> Built:
         SceneError: bodies or regions that cannot be, a substep that is too large, too little memory.
     """
     particles = sample(scene)
+    if found := design_problems(scene, particles):
+        raise SceneError(found)
     assembly = Assembly(scene, particles)
     limits = _stiffest(scene, particles, assembly)
     warnings = list(particles.warnings)
@@ -57,7 +60,8 @@ def build(scene: Scene) -> Built:
         scene = with_values(scene, {"time.substeps": auto_substeps(scene.time.control_step, bounds)})
         assembly = Assembly(scene, particles)
     else:
-        starts = {path: np.array(start(scene, path)) for path in scene.unknowns if assembly.reaches(path)}
+        reached = [path for path in scene.unknowns if assembly.reaches(path)]
+        starts = {p: np.array(v) for path in reached for p, v in tied(scene, path, start(scene, path)).items()}
         warnings += _check_substeps(scene, _limits(scene, particles, assembly, starts))
     if found := memory_problems(scene, particles):
         raise SceneError(found)
@@ -139,9 +143,10 @@ def _stiffest(scene: Scene, particles: Particles, assembly: Assembly) -> list[Li
     corner: dict[str, Array] = {}
     for path, unknown in scene.unknowns.items():
         if assembly.reaches(path):
-            trials = [np.array(bound) for bound in unknown.bounds]
-            least = [min(limit.dt for limit in _limits(scene, particles, assembly, {path: trial})) for trial in trials]
-            corner[path] = trials[int(np.argmin(least))]
+            ends = [tied(scene, path, bound) for bound in unknown.bounds]
+            trials = [{p: np.array(value) for p, value in end.items()} for end in ends]
+            least = [min(limit.dt for limit in _limits(scene, particles, assembly, trial)) for trial in trials]
+            corner |= trials[int(np.argmin(least))]
     return _limits(scene, particles, assembly, corner)
 
 

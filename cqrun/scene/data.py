@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from cqrun.contract import Spec, quantity, vector
 from cqrun.explain import Loc, complaint, finding, listed
@@ -105,6 +105,26 @@ class Data(Spec):
         return self
 
 
+class Tie(Spec):
+    """How another number follows an unknown: factor * value + offset."""
+
+    factor: float = Field(description="Its change for one of the unknown", default=1.0)
+    offset: float = Field(description="Its value where the unknown is 0, in its own unit", default=0.0)
+
+    @model_validator(mode="after")
+    def _follows(self) -> Self:
+        if self.factor == 0:
+            raise complaint("Tie", [finding("must not be 0: nothing would follow; set the number itself", ("factor",))])
+        return self
+
+
+def _ties(value: Any) -> Any:
+    """Return a list of paths as paths that are equal to the unknown."""
+    if isinstance(value, list) and all(isinstance(path, str) for path in value):
+        return {path: {} for path in value}
+    return value
+
+
 class Unknown(Spec):
     """A leaf of the scene that an optimizer may change."""
 
@@ -119,6 +139,10 @@ class Unknown(Spec):
     )  # fmt: skip
     mirror: Literal["x", "y", "z"] | None = Field(
         description="Axis across whose middle the body is its own mirror image, and so are the values", default=None
+    )
+    also: Annotated[dict[str, Tie], BeforeValidator(_ties)] = Field(
+        description="Key paths that change with it: a list of those that are equal, or path -> {factor, offset}",
+        default_factory=dict,
     )
     initial: float | None = Field(description="Start; the scene's own value if absent", default=None)
 

@@ -5,7 +5,7 @@ The same path serves `-o`, unknowns, error messages and results.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from cqrun.choice import Chosen
-from cqrun.contract import Plugin, Spec, field_unit, is_differentiable
+from cqrun.contract import Plugin, Spec, field_unit, is_differentiable, is_geometric
 from cqrun.errors import Problem, SceneError
 from cqrun.explain import Loc, listed, suggest
 from cqrun.scene.keypath import first_key, joined, locate, replaced
@@ -55,7 +55,25 @@ def leaf(scene: Scene, path: str) -> LeafInfo:
         raise SceneError([Problem(scene.where(path), path, _no_number(path, value))])
     low, high = _range(owner, name)
     unit = field_unit(owner, name) or "1"
-    return LeafInfo(joined(loc), value, unit, is_differentiable(owner, name), low, high)
+    return LeafInfo(joined(loc), value, unit, _reached(owner, name, loc), low, high)
+
+
+def shapes_a_body(keys: Sequence[int | str]) -> bool:
+    """Say whether a key path is of what shapes or places a body: its particles follow the numbers there.
+
+    They follow the first shape of a difference or intersection; what cuts it stays.
+    """
+    if len(keys) < 4 or keys[0] != "bodies" or keys[2] not in ("shape", "parts", "place"):
+        return False
+    cuts = [str(keys[k + 2]) for k in range(len(keys) - 2) if keys[k] in ("difference", "intersection")]
+    return all(index == "0" for index in cuts)
+
+
+def _reached(owner: type[BaseModel], name: str, loc: Sequence[int | str]) -> bool:
+    """Say whether gradients reach a field at a place."""
+    if name not in owner.model_fields:
+        return False
+    return is_differentiable(owner, name) or (is_geometric(owner, name) and shapes_a_body(loc))
 
 
 def leaves(scene: Scene, *, differentiable: bool = False) -> Iterator[str]:
@@ -160,6 +178,5 @@ def _leaves(node: Any, loc: Loc, reached: bool, everything: bool) -> Iterator[st
         return
     for key, child in children(node).items():
         if isinstance(node, Spec):
-            fields = type(node).model_fields
-            reached = key in fields and is_differentiable(type(node), str(key))
+            reached = _reached(type(node), str(key), (*loc, key))
         yield from _leaves(child, (*loc, key), reached, everything)

@@ -19,6 +19,12 @@ def start(scene: Scene, path: str) -> float:
     return float(leaf(scene, path).value if initial is None else initial)
 
 
+def tied(scene: Scene, path: str, value: float) -> dict[str, float]:
+    """Return the values of an unknown and of what follows it, by path."""
+    others = scene.unknowns[path].also.items()
+    return {path: value, **{other: tie.factor * value + tie.offset for other, tie in others}}
+
+
 def findings_of_paths(scene: Scene) -> list[InitErrorDetails]:
     """Return what is wrong with the unknowns, the synthetic truth and the recordings' overrides."""
     found = [item for path, unknown in scene.unknowns.items() for item in _unknown(scene, path, unknown)]
@@ -37,15 +43,35 @@ def _unknown(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDet
         message = f"no gradient reaches it{suggest(path, reached)}; unknowns can be: {listed(reached)}"
         yield finding(message, place, kind=KEY)
         return
-    yield from _bounds(scene, path, unknown, info)
+    followers = list(_followers(scene, path, unknown))
+    yield from followers or _bounds(scene, path, unknown, info)
     yield from _per(scene, path, unknown)
+
+
+def _followers(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails]:
+    """Yield what cannot follow an unknown."""
+    keys = canonical(scene, path).split(".")
+    for other in unknown.also:
+        place: Loc = ("unknowns", path, "also", other)
+        try:
+            info = leaf(scene, other)
+        except SceneError as error:
+            yield finding(error.problems[0].message, place, kind=KEY)
+            continue
+        same = info.path.split(".")
+        if not info.differentiable:
+            reached = list(leaves(scene, differentiable=True))
+            yield finding(f"no gradient reaches it{suggest(other, reached)}", place, kind=KEY)
+        elif unknown.per != "body" and same[:1] + same[2:] != keys[:1] + keys[2:]:
+            message = f"`per: {unknown.per}` can be tied to the same value of another body only"
+            yield finding(message, place, kind=KEY)
 
 
 def _bounds(scene: Scene, path: str, unknown: Unknown, info: LeafInfo) -> Iterator[InitErrorDetails]:
     place: Loc = ("unknowns", path)
     for i, bound in enumerate(unknown.bounds):
         try:
-            with_values(scene, {path: bound})
+            with_values(scene, tied(scene, path, bound))
         except SceneError as error:
             legal = error.problems[0].message
             yield finding(f"the bounds reach {bound:g}, but the value {legal}", (*place, "bounds", i))
@@ -82,16 +108,19 @@ def _per(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails
 
 
 def _twice(scene: Scene) -> Iterator[InitErrorDetails]:
-    """Yield unknowns that are another one in another spelling; equal spellings are duplicate keys."""
+    """Yield unknowns that are another one in another spelling, or follow one; equal spellings are duplicate keys."""
     first: dict[str, str] = {}
-    for path in scene.unknowns:
+    named: list[tuple[Loc, str]] = [(("unknowns", path), path) for path in scene.unknowns]
+    for path, unknown in scene.unknowns.items():
+        named += [(("unknowns", path, "also", other), other) for other in unknown.also]
+    for place, path in named:
         try:
-            same = first.setdefault(canonical(scene, path), path)
+            name = canonical(scene, path)
         except SceneError:
             continue  # no such path: told above
-        if same != path:
-            message = f"is the same value as the unknown '{same}': name it once"
-            yield finding(message, ("unknowns", path), kind=KEY)
+        if name in first:
+            yield finding(f"is the same value as the unknown '{first[name]}': name it once", place, kind=KEY)
+        first.setdefault(name, path)
 
 
 def _held_out(scene: Scene) -> Iterator[InitErrorDetails]:

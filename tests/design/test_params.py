@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cqrun.design.params import Block, Params, Spread
-from cqrun.design.spread import field, mirrored_field, pairs
+from cqrun.design.params import Block, Follower, Params, Spread
+from cqrun.design.spread import field, mirrored_field, pairs, shifted
+from cqrun.errors import UsageError
 
 X = np.stack(np.meshgrid(np.arange(9.0), np.arange(4.0), indexing="ij"), axis=-1).reshape(-1, 2)
 MAPS = {"field": field(X, 3), "mirrored field": mirrored_field(X, 3, 0), "pairs": pairs(X, 1, "particles")}
@@ -55,3 +56,27 @@ def test_the_numbers_that_decide_are_told_in_the_unknowns_unit(params, rng):
     numbers = params.physical(x)
     assert numbers.shape == x.shape
     assert np.all((numbers[1:] >= 2.0) & (numbers[1:] <= 50.0))
+
+
+@pytest.mark.parametrize("order", [None, np.random.default_rng(1).permutation(36)], ids=["as they are", "in order"])
+def test_what_follows_an_unknown_has_its_gradient(order, rng):
+    tie = Follower("c", -2.0, 5.0, order)
+    params = Params((Block("b", 2.0, 50.0, True, np.full(36, 10.0), followers=(tie,)),))
+    x, way = rng.uniform(0.2, 0.8, 36), rng.normal(size=36)
+    values = params.unpack(x)
+    np.testing.assert_array_equal(values["c"], 5.0 - 2.0 * values["b"][slice(None) if order is None else order])
+    bars = {path: rng.normal(size=36) for path in values}
+
+    def product(h):
+        return float(sum(bars[path] @ value for path, value in params.unpack(x + h * way).items()))
+
+    h = 1e-3
+    slope = (8 * (product(h) - product(-h)) - (product(2 * h) - product(-2 * h))) / (12 * h)
+    assert params.gradient(x, bars) @ way == pytest.approx(slope, rel=1e-9)
+
+
+def test_points_in_another_place_and_order_are_matched(rng):
+    order = rng.permutation(len(X))
+    np.testing.assert_array_equal(X[shifted(X, X[order] + 3.0, "particles", "of 'a'")], X[order])
+    with pytest.raises(UsageError, match="the 35 particles are not the 36 of 'a' in another place"):
+        shifted(X, X[1:], "particles", "of 'a'")

@@ -9,7 +9,8 @@ import pytest
 
 from cqrun.errors import CrushedError, RolloutError
 from cqrun.jobs.cases import Case, make_cases
-from cqrun.jobs.problem import FitProblem, make_params
+from cqrun.jobs.problem import FitProblem
+from cqrun.jobs.unknowns import make_params
 from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene

@@ -1,0 +1,75 @@
+"""The unknowns of a scene as blocks of one vector, with what follows them (`design/params.py`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.design import spread
+from cqrun.design.params import Block, Follower, Params, Spread
+from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.explain import listed
+from cqrun.scene.build import Built
+from cqrun.scene.data import Unknown
+from cqrun.scene.paths import canonical
+from cqrun.scene.unknowns import start
+
+RESOLUTION = 4
+"""Cells along the longest edge of a body that a field has if its unknown does not say."""
+
+def make_params(built: Built) -> Params:
+    """Return the unknowns of a scene, at their starts."""
+    return Params(tuple(_block(built, path, unknown) for path, unknown in built.scene.unknowns.items()))
+
+
+def _block(built: Built, path: str, unknown: Unknown) -> Block:
+    """Return an unknown as a block at its start; SceneError where a body is not its own mirror image."""
+    scene, name, initial = built.scene, canonical(built.scene, path), start(built.scene, path)
+    low, high, log = *unknown.bounds, unknown.scale == "log"
+    body, followers = name.split(".")[1], tuple(_followers(built, path, unknown))
+    if unknown.per == "body":
+        return Block(name, low, high, log, np.array(initial), followers=followers)
+    if unknown.per == "group":
+        groups = np.full(len(scene.bodies[body].group_names), initial)
+        return Block(name, low, high, log, groups, followers=followers)
+    x = built.particles.x[built.particles.of(body)]
+    values, axis = np.full(len(x), initial), -1 if unknown.mirror is None else "xyz".index(unknown.mirror)
+    if unknown.per == "particle" and unknown.mirror is None:
+        return Block(name, low, high, log, values, followers=followers)
+    if unknown.per == "particle":
+        try:
+            over = spread.pairs(x, axis, f"particles of '{body}'")
+            return Spread(name, low, high, log, values, over, followers=followers)
+        except UsageError as error:
+            place = f"unknowns.{path}.mirror"
+            raise SceneError([Problem(scene.where(place), place, str(error))]) from error
+    cells = unknown.resolution or RESOLUTION
+    over = spread.field(x, cells) if unknown.mirror is None else spread.mirrored_field(x, cells, axis)
+    return Spread(name, low, high, log, values, over, followers=followers)
+
+
+def _followers(built: Built, path: str, unknown: Unknown) -> Iterator[Follower]:
+    """Yield what follows an unknown; SceneError where two bodies do not match."""
+    scene, name = built.scene, canonical(built.scene, path)
+    for other, tie in unknown.also.items():
+        same, order = canonical(scene, other), None
+        if unknown.per != "body":
+            try:
+                order = _matched(built, name.split(".")[1], same.split(".")[1], unknown.per)
+            except UsageError as error:
+                place = f"unknowns.{path}.also.{other}"
+                raise SceneError([Problem(scene.where(place), place, str(error))]) from error
+        yield Follower(same, tie.factor, tie.offset, order)
+
+
+def _matched(built: Built, body: str, other: str, per: str) -> Array | None:
+    """Return which of a body's groups or particles each of another body's is like."""
+    if per == "group":
+        ours, theirs = built.scene.bodies[body].group_names, built.scene.bodies[other].group_names
+        if sorted(ours) != sorted(theirs):
+            raise UsageError(f"'{other}' has the groups {listed(theirs)}, '{body}' has {listed(ours)}: they must match")
+        return np.array([ours.index(name) for name in theirs])
+    x, y = (built.particles.x[built.particles.of(name)] for name in (body, other))
+    return spread.shifted(x, y, f"particles of '{other}'", f"of '{body}'")

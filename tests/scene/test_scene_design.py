@@ -1,0 +1,158 @@
+"""Unknowns of a design: bounds at which a body is where it cannot be, and what can follow an unknown."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from cqrun.errors import SceneError
+from cqrun.jobs.gradcheck import run_gradcheck
+from cqrun.jobs.report import report_lines
+from cqrun.jobs.unknowns import make_params
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
+
+E = "material.elastic.neo_hookean.youngs_modulus"
+MATERIAL = {"density": 1.0, "elastic": {"neo_hookean": {"youngs_modulus": 10.0, "poissons_ratio": 0.3}}}
+
+
+def box(x: float, y: float = 0.25) -> dict[str, Any]:
+    """Return a body, .25 by .5 large, of 8 by 16 particles."""
+    shape = {"box": {"corner": [x, y], "size": [0.25, 0.5]}}
+    return {"shape": shape, "particles_per_cell": 4, "material": MATERIAL}
+
+
+def data(unknowns: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """Return a scene of two bodies beside each other."""
+    return {
+        "cqrun": 1,
+        "world": {"size": [1, 1], "dx": 0.0625, "gravity": [0, -1]},
+        "bodies": {"a": box(0.125), "b": box(0.625)},
+        "unknowns": unknowns,
+        "time": {"duration": 0.02, "control_step": 0.01},
+        **more,
+    }
+
+
+BAD = {
+    "outside": (
+        {"bodies.a.shape.box.corner.0": {"bounds": [-0.5, 0.2]}},
+        "unknowns.bodies.a.shape.box.corner.0.bounds: at -0.5 bodies.a.shape reaches x = -0.484375 m, below 0 m",
+    ),
+    "overlapping": (
+        {"bodies.a.shape.box.size.0": {"bounds": [0.2, 0.7]}},
+        "unknowns.bodies.a.shape.box.size.0.bounds: at 0.7 bodies.b.shape overlaps the body 'a'",
+    ),
+    "together": (
+        {"bodies.a.shape.box.corner.0": {"bounds": [0.1, 0.3]}, "bodies.a.shape.box.size.0": {"bounds": [0.2, 0.4]}},
+        "with all geometric unknowns at 0.3, 0.4 bodies.b.shape overlaps the body 'a'",
+    ),
+    "sparse": (
+        {"bodies.a.shape.box.size.1": {"bounds": [0.3, 0.6]}},
+        "at 0.6 bodies.a has particles 0.0375 m apart, fewer than two in a cell's 0.0625 m",
+    ),
+    "of another kind": (
+        {f"bodies.a.{E}": {"bounds": [5, 20], "per": "particle", "also": ["bodies.b.material.density"]}},
+        "`per: particle` can be tied to the same value of another body only",
+    ),
+    "no such number": (
+        {f"bodies.a.{E}": {"bounds": [5, 20], "also": ["bodies.b.material.densty"]}},
+        "'bodies.b.material' has no 'densty'",
+    ),
+    "without adjoint": (
+        {f"bodies.a.{E}": {"bounds": [5, 20], "also": ["world.dx"]}},
+        "unknowns.bodies.a.material.elastic.neo_hookean.youngs_modulus.also.world.dx: no gradient reaches it",
+    ),
+    "twice": (
+        {f"bodies.a.{E}": {"bounds": [5, 20], "also": [f"bodies.b.{E}"]}, f"bodies.b.{E}": {"bounds": [5, 20]}},
+        f"is the same value as the unknown 'bodies.b.{E}': name it once",
+    ),
+    "a follower's bound": (
+        {f"bodies.a.{E}": {"bounds": [5, 20], "also": {f"bodies.b.{E}": {"offset": -5}}}},
+        "the bounds reach 5, but the value must be greater than 0, is 0",
+    ),
+    "a factor of nothing": (
+        {f"bodies.a.{E}": {"bounds": [5, 20], "also": {f"bodies.b.{E}": {"factor": 0}}}},
+        "must not be 0: nothing would follow",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_unknowns(name):
+    unknowns, message = BAD[name]
+    with pytest.raises(SceneError, match=re.escape(message)):
+        build(load_scene(data(unknowns)))
+
+
+def test_geometry_beside_a_cable():
+    cable = {"cable": {"body": "a", "route": [[0.2, 0.3], [0.2, 0.6]], "stiffness": 3.0}}
+    unknowns = {"bodies.a.shape.box.size.1": {"bounds": [0.4, 0.5]}}
+    with pytest.raises(SceneError, match="the cable 'cord' ties points of 'a' at their distances at rest"):
+        build(load_scene(data(unknowns, actuators={"cord": cable})))
+
+
+def test_bodies_that_do_not_match():
+    """A value a particle needs bodies of the same particles, one a group those of the same groups."""
+    scene = data({f"bodies.a.{E}": {"bounds": [5, 20], "per": "particle", "also": [f"bodies.b.{E}"]}})
+    assert make_params(build(load_scene(scene))).blocks[0].followers[0].order is not None
+    scene["bodies"]["b"]["shape"]["box"]["size"] = [0.25, 0.45]
+    with pytest.raises(SceneError, match=r"the 112 particles of 'b' are not the 128 of 'a' in another place"):
+        make_params(build(load_scene(scene)))
+    scene["unknowns"][f"bodies.a.{E}"]["per"] = "group"
+    half = {"box": {"corner": [0, 0], "size": [1, 0.5]}}
+    scene["bodies"]["a"]["groups"], scene["bodies"]["b"]["groups"] = {"low": half}, {"base": half}
+    with pytest.raises(SceneError, match="'b' has the groups base, 'a' has low: they must match"):
+        make_params(build(load_scene(scene)))
+
+
+@pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
+def test_gradients_by_geometry_through_a_rollout(dim, tmp_path):
+    """Two spinning bodies that fall, one placed and turned: every number of their shapes, against differences."""
+    ends = [0.2] * (dim - 2)
+    place = {"offset": [0.3, 0.6, *[0.5] * (dim - 2)], **({"angle": 20} if dim == 2 else {"rotation": [10, 0, 20]})}
+    ball = {"ball": {"center": [0.0] * dim, "radius": 0.12}}
+    bodies = {
+        "a": {"shape": ball, "place": place, "particles_per_cell": 3**dim, "material": MATERIAL},
+        "b": {
+            "shape": {"box": {"corner": [0.6, 0.08, *ends], "size": [0.2, 0.3, *ends]}},
+            "particles_per_cell": 3**dim, "material": MATERIAL, "spin": [2.0] * (1 if dim == 2 else 3),
+        },
+    }  # fmt: skip
+    turn = "angle" if dim == 2 else "rotation.2"
+    unknowns = {
+        "bodies.a.shape.ball.radius": {"bounds": [0.1, 0.13]},
+        f"bodies.a.place.{turn}": {"bounds": [10, 40]},
+        "bodies.b.shape.box.size.0": {
+            "bounds": [0.15, 0.22], "also": {"bodies.a.place.scale": {"factor": 2, "offset": 0.6}}
+        },
+        "bodies.b.shape.box.corner.1": {"bounds": [0.07, 0.1]},
+        "bodies.b.material.density": {"bounds": [0.5, 2]},
+    }  # fmt: skip
+    scene = {
+        "cqrun": 1,
+        "world": {"size": [1] * dim, "dx": 0.0625 if dim == 2 else 0.08, "gravity": [0, -3, *[0] * (dim - 2)]},
+        "bodies": bodies,
+        "boundaries": {"floor": {"friction": {"face": "y_min", "coefficient": 0.4}}},
+        "unknowns": unknowns,
+        "data": {
+            "synthetic": {"truth": {"bodies.b.material.density": 1.4}, "body": "b", "tracked": 10, "key_frames": 5}
+        },
+        "time": {"duration": 0.08, "control_step": 0.02},
+    }  # fmt: skip
+    path = tmp_path / "scene.yaml"
+    path.write_text(yaml.safe_dump(scene))
+    run, agrees = run_gradcheck(path, [], tmp_path, True, 2, True)
+    assert agrees, "\n".join(report_lines(run))
+
+
+def test_a_body_starts_where_its_unknowns_do():
+    unknowns = {"bodies.a.shape.box.size.1": {"bounds": [0.3, 0.5], "initial": 0.4}}
+    built = build(load_scene(data(unknowns)))
+    params = make_params(built)
+    x = built.assembly.inputs(params.unpack(params.start)).state.x[built.particles.of("a")]
+    assert np.ptp(x[:, 1]) == pytest.approx(0.4 * 15 / 16)
