@@ -3,7 +3,7 @@
 Elastic and viscous waves: with c^2 = (lam + 2 mu + incompressibility + active stress) / rho and
 z = (4/3 eta + zeta) / (rho c dx), explicit integration is stable up to
 
-    dt_max = (dx / c) (sqrt(1 + z^2) - z),
+    dt_max = (dx / c) (sqrt(1 + z^2) - z) = (dx / c) / (sqrt(1 + z^2) + z),
 
 the Courant limit dx / c without viscosity and the diffusive one for z >> 1. Particles: |v| dt < dx / 2.
 """
@@ -18,6 +18,9 @@ from cqrun.contract import Array
 
 SAFETY = 0.6
 """Share of the limit that `auto` takes: waves are faster in compressed material."""
+
+MOST_SUBSTEPS = 10_000_000
+"""More in a control step are a number in another unit than was meant."""
 
 WARN, REFUSE = 0.7, 1.15
 """Shares of the limit above which a given substep is warned about, and refused."""
@@ -39,14 +42,16 @@ def wave_limit(part: str, dx: float, density: Array, modulus: Array, viscosity: 
         modulus: (n,) lam + 2 mu and whatever stiffens it [Pa].
         viscosity: (n,) 4/3 eta + zeta [Pa s].
     """
-    c = np.sqrt(np.asarray(modulus) / density)
-    z = np.asarray(viscosity) / (density * c * dx)
-    return Limit(part, float(np.min(dx / c * (np.sqrt(1.0 + z * z) - z))))
+    with np.errstate(over="ignore", divide="ignore"):  # beyond what numbers hold no step is stable
+        c = np.sqrt(np.asarray(modulus) / density)
+        z = np.asarray(viscosity) / (density * c * dx)
+        return Limit(part, float(np.min(dx / c / (np.hypot(1.0, z) + z))))
 
 
 def motion_limit(part: str, dx: float, v: Array) -> Limit | None:
     """Return the bound of particles that start with velocities v (N, D), or None at rest."""
-    fastest = float(np.sqrt((v * v).sum(axis=1).max(initial=0.0)))
+    with np.errstate(over="ignore"):
+        fastest = float(np.linalg.norm(v, axis=1).max(initial=0.0))
     return Limit(part, 0.5 * dx / fastest) if fastest > 0 else None
 
 

@@ -29,7 +29,7 @@ from cqrun.lanes import lane_width
 from cqrun.materials.fixed_corotated import FixedCorotated
 from cqrun.scene.particles import block_order
 from cqrun.state import Layout, ParticleFields, State
-from cqrun.store.atomic import write_json
+from cqrun.store.atomic import disk_errors, make_directory, write_json
 from cqrun.store.provenance import versions
 
 SIZES = ((2, 80), (3, 20), (3, 40), (3, 80))
@@ -188,6 +188,10 @@ def machine() -> dict[str, Any]:
 
 def run_bench(output: Path | None, *, threads: int | None = None, quick: bool = False) -> dict[str, Any]:
     """Measure, print a table, and write JSON if asked for; return what is written."""
+    if output is not None:
+        make_directory(output.parent)
+        with disk_errors(output), output.open("a"):  # told now, not after all is measured
+            pass
     sizes, repeat = (((2, 16), (3, 8)), 2) if quick else (SIZES, REPEAT)
     result: dict[str, Any] = {"machine": machine(), "engine": engine_hash(), "versions": versions(), "rows": []}
     print("ns a particle and substep           forward   store  backward  ratio   passes")

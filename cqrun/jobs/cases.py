@@ -25,6 +25,7 @@ from cqrun.observers.record import Record
 from cqrun.scene.build import Built, build
 from cqrun.scene.data import Recording as RecordingSpec
 from cqrun.scene.paths import with_values
+from cqrun.scene.schema import ON_CONTROL_STEP
 from cqrun.state import State
 from cqrun.store.alignment import Measured, measure
 from cqrun.store.atomic import disk_errors, make_directory
@@ -210,11 +211,18 @@ def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
     scene, path = built.scene, f"data.recordings.{name}"
     step = scene.time.control_step
     length = scene.time.duration if spec.length is None else spec.length
-    steps = int(np.ceil(length / step - 1e-9))
+    steps = round(length / step)
+    if abs(steps * step - length) > ON_CONTROL_STEP * length:
+        raise DataError(
+            f"`length`, {length:.10g} s, is no multiple of the control step {step:.10g} s; the nearest is "
+            f"{max(1, steps) * step:.10g} s"
+        )
     own = build(with_values(scene, {**spec.overrides, "time.duration": steps * step}))
     recording = read_recording(scene.resolve_path(spec.file), units=spec.units)
     measured = measure(recording, {k: np.array(v) for k, v in spec.markers.items()}, _still(spec))
     observer = _observe_markers(own, spec.body, dict(zip(measured.names, measured.rest, strict=True)))
+    if measured.absolute:
+        _require_near(own, spec.body, measured)
     start_path = f"{path}.start"
     unknown = scene.unknowns.get(start_path)
     objective = MarkerObjective(
@@ -225,6 +233,21 @@ def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
     return Case(
         name, _probed(own, spec.body, observer), (objective,), start_path, spec.start, spec.holdout, (measured,)
     )
+
+
+def _require_near(built: Built, body: str, measured: Measured) -> None:
+    """Refuse positions that are never near where their markers are at rest."""
+    x = built.particles.x[built.particles.of(body)]
+    reach = float(np.linalg.norm(x.max(axis=0) - x.min(axis=0)))
+    away = np.linalg.norm(measured.values - measured.rest, axis=2)
+    for name, distances in zip(measured.names, away.T, strict=True):
+        nearest = np.nanmin(distances, initial=np.inf)
+        if np.isfinite(nearest) and nearest > reach:
+            raise DataError(
+                f"{measured.source}: marker '{name}' is never nearer than {nearest:.3g} m to where it is at rest, and "
+                f"the body is {reach:.3g} m across: without `still` frames positions are in the scene's own frame; "
+                "give `still`, or mend the rest positions"
+            )
 
 
 def _still(spec: RecordingSpec) -> tuple[float, float] | None:

@@ -125,7 +125,7 @@ def optimizer_of(built: Built) -> Optimizer:
 
 def resume_control(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
     """Continue a run from its directory; overrides may only extend the optimizer's iterations."""
-    require_extension(overrides)
+    require_extension(run, overrides)
     problem = prepare(saved_scene(run, overrides), threads, talk, str(run.record["job"]))
     if overrides:
         run.extend(dump(resolve(problem.built.scene)), list(overrides))

@@ -24,6 +24,7 @@ from cqrun.errors import CrushedError, RolloutError
 from cqrun.jobs.cases import Case
 from cqrun.jobs.memory import least_budget, state_bytes
 from cqrun.objectives.markers import MarkerObjective
+from cqrun.objectives.uncertainty import Series
 from cqrun.observers.record import Record
 from cqrun.optimizers.base import TrialFailed
 
@@ -258,15 +259,16 @@ class FitProblem:
         r, *moved = self.residuals_at(points)
         return r, np.stack([(m - r) / step for m, step in zip(moved, steps, strict=True)], axis=1)
 
-    def series(self) -> list[Array]:
-        """Return where each marker's coordinates stand among the residuals, in order of time."""
-        out, begin = [], 0
-        for case in self.cases:
-            for objective in case.objectives:
-                if isinstance(objective, MarkerObjective):
-                    out += [part + begin for part in objective.series()]
-                    begin += objective.count * objective.data.shape[2]
-                else:
-                    out.append(begin + np.arange(len(objective.goal)))
-                    begin += len(objective.goal)
+    def series(self) -> list[Series]:
+        """Return each marker's coordinates among the residuals, and a target's as series of one frame."""
+        out: list[Series] = []
+        begin = 0
+        for k, objective in enumerate(o for case in self.cases for o in case.objectives):
+            if isinstance(objective, MarkerObjective):
+                out += [Series(part + begin, frames, k) for part, frames in objective.series()]
+                begin += objective.count * objective.data.shape[2]
+            else:
+                size = len(objective.goal)
+                out += [Series(np.array([begin + axis]), np.zeros(1, int), k) for axis in range(size)]
+                begin += size
         return out

@@ -19,6 +19,7 @@ from cqrun.scene.build import Built, build
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import parts
+from cqrun.store.history import read_history
 from cqrun.store.run import RunDirectory, RunScene
 
 
@@ -138,15 +139,25 @@ def raise_if_failed(run: RunDirectory) -> Path:
     return run.path
 
 
-def require_extension(overrides: Sequence[str]) -> None:
-    """Refuse overrides of a run that do more than extend it."""
+def require_extension(run: RunDirectory, overrides: Sequence[str]) -> None:
+    """Refuse overrides of a run that do more than extend it, or would take back what it has done."""
     for override in overrides:
-        key = override.partition("=")[0]
+        key, _, value = override.partition("=")
         if not (key.startswith("optimizer.") and key.endswith(".max_iterations")):
             raise UsageError(
                 f"-o {override}: a run can only be extended (optimizer.*.max_iterations); "
                 "what else changes makes another run: start it from the scene"
             )
+        done = iterations_done(run)
+        if value.strip().isdigit() and int(value) < done + run.finished:
+            raise UsageError(f"-o {override}: the run has done {done} iterations, and can only be extended: give more")
+
+
+def iterations_done(run: RunDirectory) -> int:
+    """Return how many iterations a run has done."""
+    path = run.path / "history.csv"
+    rows = read_history(path).get("iteration") if path.is_file() else None
+    return 0 if rows is None or not len(rows) else int(rows[-1])
 
 
 class Progress:

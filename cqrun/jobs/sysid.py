@@ -142,7 +142,7 @@ def conclude(
 
 def resume_sysid(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
     """Continue a run from its directory; overrides may only extend the optimizer's iterations."""
-    require_extension(overrides)
+    require_extension(run, overrides)
     require_same_data(run)
     built = prepare(saved_scene(run, overrides), talk)
     if overrides:

@@ -131,13 +131,13 @@ class MarkerObjective:
         by_marker = [float(np.sqrt(s / n)) if n else float("nan") for s, n in zip(squared.sum(0), frames, strict=True)]
         return Misfit(float(np.sqrt(squared.sum() / self.count)), dict(zip(self.names, by_marker, strict=True)))
 
-    def series(self) -> list[Array]:
-        """Return where each marker's coordinates stand among the residuals, each in order of time."""
+    def series(self) -> list[tuple[Array, Array]]:
+        """Return where each marker's coordinates stand among the residuals, each in order of time, and their frames."""
         dim = self.data.shape[2]
         place = np.full(self.seen.shape, -1)
         place[self.seen] = np.arange(self.count)
-        tracks = [column[column >= 0] for column in place.T]
-        return [dim * track + axis for track in tracks if track.size for axis in range(dim)]
+        tracks = [(column[column >= 0], np.flatnonzero(column >= 0)) for column in place.T]
+        return [(dim * track + axis, frames) for track, frames in tracks if track.size for axis in range(dim)]
 
 
 def _frames(time: Array, start: float, bounds: tuple[float, float], length: float, skip: float, source: str) -> Array:
@@ -148,6 +148,11 @@ def _frames(time: Array, start: float, bounds: tuple[float, float], length: floa
         raise DataError(
             f"{source}: the window, {start:g} to {start + length:g} s (start + length), does not lie inside "
             f"the recording, {first:g} to {last:g} s"
+        )
+    if bounds[1] - bounds[0] > length - skip:
+        raise DataError(
+            f"{source}: the start may be anywhere from {bounds[0]:g} to {bounds[1]:g} s, but only {length - skip:g} s "
+            "after it are compared: narrow the bounds, or compare for longer"
         )
     begin, end = bounds[0] + skip, bounds[0] + length
     frames = np.flatnonzero((time >= begin - slack) & (time <= end + slack))

@@ -5,12 +5,19 @@ integrated autocorrelation time, which thins n residuals to n / tau independent 
 
     covariance = A (sum over series of sigma_s^2 tau_s J_s^T J_s) A,   A = (J^T J)^-1,
 
-with sigma_s^2 the series' own residual variance, less what the unknowns fitted of it. Intervals are
-Student's, with (sum of n_s / tau_s) - p degrees of freedom, taken in the logarithm of log-scaled unknowns.
+with sigma_s^2 the series' own residual variance, less what the unknowns fitted of it. Coordinates of markers on one
+body err together, too: where two series of a recording are correlated by rho_st, beyond chance, the sum has
+
+    rho_st sigma_s sigma_t sqrt(tau_s tau_t) (J_s^T J_t + J_t^T J_s)
+
+as well; an interval is widened where this makes its variance larger, and never narrowed. Intervals are Student's, taken
+in the logarithm of log-scaled unknowns, with (sum of n_s / tau_s) - p degrees of freedom; S series of a recording
+that err together count as S^2 / sum rho_st^2 of them.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -28,6 +35,24 @@ STEP = 1e-3
 _AT_BOUND = 1e-4
 _LARGEST_POWER = 500.0
 _SHORTEST = 8
+_CHANCE = 2.0
+"""A correlation of independent series is less than this over the square root of their length, 95 times in 100."""
+
+
+
+@dataclass(frozen=True)
+class Series:
+    """One coordinate of one marker among the residuals.
+
+    Attributes:
+        where: (n,) its places, in order of time.
+        frames: (n,) the recording's frames they are of.
+        recording: which one.
+    """
+
+    where: Array
+    frames: Array
+    recording: int
 
 
 @dataclass(frozen=True)
@@ -50,7 +75,7 @@ class Uncertainty:
 
 
 def central_jacobian(evaluate: Callable[[list[Array]], list[Array]], unknowns: Sequence[Unknown]) -> Array:
-    """Return dr/dz (n, p) by central differences; columns of unknowns at a bound stay nought.
+    """Return dr/dz (n, p) by central differences; columns of unknowns at a bound stay nought, and with no other n is 0.
 
     Args:
         evaluate: residuals (n,) at each of a list of points (p,) of the unknowns' values, which may be
@@ -63,7 +88,9 @@ def central_jacobian(evaluate: Callable[[list[Array]], list[Array]], unknowns: S
     points = [z + sign * steps[i] * np.eye(len(z))[i] for i in free for sign in (1.0, -1.0)]
     values = [np.array([u.from_coordinate(c) for u, c in zip(unknowns, point, strict=True)]) for point in points]
     found = evaluate(values)
-    jacobian = np.zeros((len(found[0]) if found else 0, len(z)))
+    if not found:
+        return np.zeros((0, len(z)))
+    jacobian = np.zeros((len(found[0]), len(z)))
     for column, i in enumerate(free):
         jacobian[:, i] = (found[2 * column] - found[2 * column + 1]) / (2 * steps[i])
     return jacobian
@@ -72,7 +99,7 @@ def central_jacobian(evaluate: Callable[[list[Array]], list[Array]], unknowns: S
 def intervals(
     jacobian: Array,
     residuals: Array,
-    series: Sequence[Array],
+    series: Sequence[Series],
     unknowns: Sequence[Unknown],
     confidence: float = 0.95,
 ) -> Uncertainty:
@@ -81,7 +108,7 @@ def intervals(
     Args:
         jacobian: (n, p) dr/dz, as `central_jacobian` gives it.
         residuals: (n,) at the optimum, scaled as in the loss.
-        series: where each time series stands among the residuals, in order of time.
+        series: the time series among the residuals.
         unknowns: p of them, at the optimum.
     """
     p = len(unknowns)
@@ -89,6 +116,9 @@ def intervals(
     if p > MOST_UNKNOWNS:
         return _nothing(unknowns, f"more than {MOST_UNKNOWNS} unknowns")
     free = [i for i, u in enumerate(unknowns) if u.name not in reasons]
+    if not free:
+        names = [u.name for u in unknowns]
+        return Uncertainty(dict.fromkeys(names), reasons, (), np.full((p, p), np.nan), 0.0)
     if len(residuals) <= len(free):
         return _nothing(unknowns, "no more residuals than unknowns")
     directions = find_directions(jacobian[:, free], [unknowns[i] for i in free])
@@ -165,18 +195,45 @@ def _step(unknown: Unknown) -> float:
     return min(step, unknown.coordinate - low, high - unknown.coordinate)
 
 
-def _sandwich(J: Array, r: Array, series: Sequence[Array], directions: Directions) -> tuple[Array, float]:
+def _sandwich(J: Array, r: Array, series: Sequence[Series], directions: Directions) -> tuple[Array, float]:
     """Return the covariance of all unknowns in J, and the degrees of freedom."""
     inverse = directions.inverse
-    meat, samples = np.zeros_like(inverse), 0.0
-    for where in series:
-        part, errors = J[where], r[where]
-        gram, tau = part.T @ part, autocorrelation_time(errors)
-        fitted = float(np.sum(inverse * gram))  # trace: how many unknowns this series decides
-        variance = float(errors @ errors) / max(len(where) - tau * fitted, 0.2 * len(where))
-        meat += variance * tau * gram
-        samples += len(where) / tau
-    return inverse @ meat @ inverse, max(1.0, samples - directions.rank)
+    apart, together, samples = np.zeros_like(inverse), np.zeros_like(inverse), 0.0
+    tau = [autocorrelation_time(r[s.where]) for s in series]
+    sigma = [_deviation(J[s.where], r[s.where], t, inverse) for s, t in zip(series, tau, strict=True)]
+    for recording in dict.fromkeys(s.recording for s in series):
+        own = [k for k, s in enumerate(series) if s.recording == recording]
+        squares = float(len(own))
+        for k in own:
+            apart += sigma[k] ** 2 * tau[k] * J[series[k].where].T @ J[series[k].where]
+        for k, m in itertools.combinations(own, 2):
+            _, at_k, at_m = np.intersect1d(series[k].frames, series[m].frames, return_indices=True)
+            one, other = series[k].where[at_k], series[m].where[at_m]
+            rho = _correlation(r[one], r[other], np.sqrt(tau[k] * tau[m]))
+            cross = J[one].T @ J[other]
+            together += rho * sigma[k] * sigma[m] * np.sqrt(tau[k] * tau[m]) * (cross + cross.T)
+            squares += 2 * rho**2
+        independent = sum(len(series[k].where) / tau[k] for k in own)
+        samples += independent * len(own) / squares
+    covariance, more = inverse @ apart @ inverse, inverse @ together @ inverse
+    variance = np.maximum(np.diag(covariance), np.finfo(float).tiny)
+    widened = np.sqrt(np.maximum(1.0, 1.0 + np.diag(more) / variance))
+    return covariance * np.outer(widened, widened), max(1.0, samples - directions.rank)
+
+
+def _deviation(J: Array, errors: Array, tau: float, inverse: Array) -> float:
+    """Return the standard deviation of one series, without what the unknowns fitted of it."""
+    fitted = float(np.sum(inverse * (J.T @ J)))  # trace: how many unknowns this series decides
+    return float(np.sqrt(errors @ errors / max(len(errors) - tau * fitted, 0.2 * len(errors))))
+
+
+def _correlation(one: Array, other: Array, tau: float) -> float:
+    """Return the correlation of two series of errors, nought where chance alone gives as much."""
+    power = float(one @ one) * float(other @ other)
+    if len(one) < _SHORTEST or power == 0.0:
+        return 0.0
+    rho = float(one @ other) / np.sqrt(power)
+    return rho if abs(rho) * np.sqrt(len(one) / tau) > _CHANCE else 0.0
 
 
 def _interval(u: Unknown, variance: float, degrees: float, confidence: float) -> tuple[float, float] | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from cqrun.actuators.push import pushes
 from cqrun.contract import Array
-from cqrun.engine.limits import REFUSE, WARN, Limit, auto_substeps, motion_limit, wave_limit
+from cqrun.engine.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, wave_limit
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
 from cqrun.errors import Problem, SceneError
 from cqrun.scene.assembly import Assembly
@@ -53,16 +53,19 @@ def build(scene: Scene) -> Built:
     if found := design_problems(scene, particles):
         raise SceneError(found)
     assembly = Assembly(scene, particles)
-    limits = _stiffest(scene, particles, assembly)
+    limits = _possible(scene, _stiffest(scene, particles, assembly))
     warnings = list(particles.warnings)
     if scene.time.substeps == "auto":
-        bounds = [*limits, *_limits_of_recordings(scene)]
+        bounds = [*limits, *_possible(scene, _limits_of_data(scene, particles, assembly))]
         scene = with_values(scene, {"time.substeps": auto_substeps(scene.time.control_step, bounds)})
         assembly = Assembly(scene, particles)
     else:
         reached = [path for path in scene.unknowns if assembly.reaches(path)]
         starts = {p: np.array(v) for path in reached for p, v in tied(scene, path, start(scene, path)).items()}
-        warnings += _check_substeps(scene, _limits(scene, particles, assembly, starts))
+        bounds = _possible(scene, _limits(scene, particles, assembly, starts))
+        if truth := _truth(scene):
+            bounds += _possible(scene, _limits(scene, particles, assembly, truth))
+        warnings += _check_substeps(scene, bounds)
     if found := memory_problems(scene, particles):
         raise SceneError(found)
     model = Model(
@@ -150,15 +153,36 @@ def _stiffest(scene: Scene, particles: Particles, assembly: Assembly) -> list[Li
     return _limits(scene, particles, assembly, corner)
 
 
-def _limits_of_recordings(scene: Scene) -> list[Limit]:
-    """Return the bounds of every recording's own variant of the scene, so that all share one substep."""
+def _limits_of_data(scene: Scene, particles: Particles, assembly: Assembly) -> list[Limit]:
+    """Return the bounds of every recording's own variant of the scene, which share one substep, and of a truth."""
     found: list[Limit] = []
+    if truth := _truth(scene):
+        found += _limits(scene, particles, assembly, truth)
     for recording in ((scene.data.recordings if scene.data is not None else None) or {}).values():
         if recording.overrides:
             variant = with_values(scene, recording.overrides)
             particles = sample(variant)
             found += _stiffest(variant, particles, Assembly(variant, particles))
     return found
+
+
+def _truth(scene: Scene) -> dict[str, Array]:
+    """Return the values that synthetic data are made with."""
+    made = scene.data.synthetic if scene.data is not None else None
+    return {} if made is None else {path: np.array(value) for path, value in made.truth.items()}
+
+
+def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:
+    """Return bounds on the substep; SceneError for one that no run could keep to."""
+    for limit in limits:
+        if not limit.dt * MOST_SUBSTEPS >= scene.time.control_step:
+            path = limit.part if "." in limit.part else ""
+            message = (
+                f"asks for substeps of {limit.dt:.3g} s, more than {MOST_SUBSTEPS:.0e} in a control step of "
+                f"{scene.time.control_step:g} s: check its numbers and their units"
+            )
+            raise SceneError([Problem(scene.where(path), path, message)])
+    return limits
 
 
 def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:

@@ -16,7 +16,7 @@ KEYED_BY_PATHS = {"unknowns", "truth", "overrides"}
 
 NAMED = {
     "bodies", "regions", "boundaries", "loads", "actuators", "observers", "goals", "objective", "unknowns",
-    "data.recordings", "activation.signals",
+    "constraints", "data.recordings", "activation.signals",
 }  # fmt: skip
 """Mappings from names that a user gives: an entry that is overridden by null is gone."""
 
@@ -75,7 +75,9 @@ def replaced(data: Any, loc: Loc, value: Any) -> Any:
 
 
 def is_named(loc: Loc) -> bool:
-    """Say whether a place is an entry of a mapping whose names a user gives."""
+    """Say whether a place is an entry of a mapping whose names a user gives, or a term of a material."""
+    if len(loc) == 4 and loc[0] == "bodies" and loc[2] == "material":
+        return loc[3] not in ("density", "elastic")
     return joined(loc[:-1]) in NAMED
 
 

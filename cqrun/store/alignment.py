@@ -14,6 +14,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import DataError
+from cqrun.explain import listed
 from cqrun.store.recordings import Recording
 
 LARGEST_RESIDUAL = 5e-3
@@ -80,9 +81,14 @@ def measure(recording: Recording, markers: Mapping[str, Array], still: tuple[flo
             recording is in the scene's frame already, as cqrun's own are.
 
     Raises:
-        DataError: unknown or doubled markers, another dimension, no still frames, a marker that is never
+        DataError: no markers, unknown or doubled ones, another dimension, no still frames, a marker that is never
             seen in them, fewer than 3 or collinear markers, wrong units, or a residual above 5 mm.
     """
+    if not markers:
+        raise DataError(
+            f"{recording.source}: `markers` is missing: name markers of the recording and where each is at rest in the "
+            f"scene, such as {recording.names[0]}: [x, y, z]; it has {listed(recording.names, 8)}"
+        )
     chosen = recording.select(list(markers))
     rest = np.array([np.asarray(x, dtype=float) for x in markers.values()]).reshape(len(markers), -1)
     if rest.shape[1] != chosen.dim:

@@ -222,6 +222,37 @@ def test_a_residual_above_five_millimetres(refused, tmp_path, positions):
     assert "whether two names are swapped" in message
 
 
+@pytest.mark.parametrize("named", [None, {}], ids=["absent", "empty"])
+def test_no_markers(refused, tmp_path, positions, named):
+    file = write_csv(tmp_path / "swing.csv", positions)
+    told = refused(file, None, markers="" if named is None else "{}", still="")
+    assert "`markers` is missing: name markers of the recording and where each is at rest" in told
+    assert "such as a: [x, y, z]; it has a, b, c, d" in told
+
+
+def test_positions_far_from_the_body(refused, tmp_path, positions):
+    file = write_csv(tmp_path / "swing.csv", positions)
+    told = refused(file, still="")
+    assert re.search(r"marker 'a' is never nearer than [\d.]+ m to where it is at rest, and the body is", told)
+    assert "without `still` frames positions are in the scene's own frame" in told
+
+
+def test_a_length_between_control_steps(refused, tmp_path, positions):
+    told = refused(write_csv(tmp_path / "swing.csv", positions), length="0.033")
+    assert "`length`, 0.033 s, is no multiple of the control step 0.01 s; the nearest is 0.03 s" in told
+
+
+def test_a_start_that_leaves_nothing_to_compare(cqrun, tmp_path, positions):
+    write_csv(tmp_path / "swing.csv", positions)
+    scene = tmp_path / "scene.yaml"
+    swing = f"{{file: swing.csv, start: 0.1, still: [0, 0.09], markers: {markers(REST)}}}"
+    unknowns = "unknowns: {data.recordings.swing.start: {bounds: [0, 0.2]}}\n"
+    scene.write_text(f"{BEAM_3D}data: {{recordings: {{swing: {swing}}}}}\n{unknowns}")
+    code, _, err = cqrun("validate", scene)
+    assert code == 2
+    assert "the start may be anywhere from 0 to 0.2 s, but only 0.1 s after it are compared" in err
+
+
 def test_every_recording_held_out(cqrun, tmp_path):
     (file,) = record(tmp_path / "fit.yaml", tmp_path / "data")
     scene = recorded(tmp_path / "fit.yaml", {"one": file}, holdout="true")

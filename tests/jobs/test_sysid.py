@@ -185,6 +185,25 @@ def test_an_extended_run_that_was_stopped_goes_on_extended(fit, tmp_path):
     assert result_of(run)["iterations"] == 9
 
 
+def test_a_run_cannot_be_shortened(fit, tmp_path):
+    """What was found would be lost, under the name of the scene that asked for more."""
+    run = identify(fit, tmp_path, OPTIMIZERS["adam"].replace("12", "3"))
+    before = (run / "result.json").read_bytes()
+    for fewer in (2, 3):
+        with pytest.raises(UsageError, match="the run has done 3 iterations, and can only be extended"):
+            run_resume(run, [f"optimizer.adam.max_iterations={fewer}"], 1, True)
+    assert (run / "result.json").read_bytes() == before
+
+
+def test_all_unknowns_at_their_bounds(fit, tmp_path):
+    """The truth lies outside: the value is told, without an interval, and why."""
+    path = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus"
+    run = run_sysid(fit, [f"unknowns={{{path}: {{bounds: [2e4, 3.5e4], scale: log}}}}"], tmp_path, False, 1, True)
+    (entry,) = result_of(run)["unknowns"].values()
+    assert (entry["interval"], entry["reason"]) == (None, "at its upper bound")
+    assert entry["value"] == pytest.approx(3.5e4, rel=1e-6)
+
+
 @pytest.mark.parametrize("override", ["time.duration=1", "optimizer.least_squares.step_tolerance=1e-3"])
 def test_only_iterations_can_be_extended(found, override):
     with pytest.raises(UsageError, match=r"a run can only be extended \(optimizer.\*.max_iterations\)"):
@@ -218,7 +237,7 @@ def test_without_an_optimizer_the_data_choose_one(fit, tmp_path):
 
 
 def test_a_truth_that_blows_up_fails_the_run(fit, tmp_path):
-    changed(fit, "youngs_modulus: 4.0e4", "youngs_modulus: 4.0e9")
+    changed(fit, "viscosity.shear: 6\n", "viscosity.shear: 6\n      world.gravity.1: -1.0e5\n")
     with pytest.raises(RunError, match=r"data.synthetic.truth: body 'beam', particle \d+, t = "):
         identify(fit, tmp_path)
     (run,) = (tmp_path / "fit").iterdir()

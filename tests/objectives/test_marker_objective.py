@@ -159,5 +159,7 @@ def test_series_are_single_coordinates_in_order_of_time(rng):
     r = objective.residuals(record, 0.3)
     errors = objective.tracks(record, 0.3) - objective.data
     series = objective.series()
-    assert sorted(np.concatenate(series)) == list(range(r.size))
-    np.testing.assert_array_equal(r[series[3 * 1 + 2]], errors[objective.seen[:, 1], 1, 2])
+    assert sorted(np.concatenate([where for where, _ in series])) == list(range(r.size))
+    where, frames = series[3 * 1 + 2]
+    np.testing.assert_array_equal(r[where], errors[frames, 1, 2])
+    np.testing.assert_array_equal(frames, np.flatnonzero(objective.seen[:, 1]))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cqrun.objectives.identifiability import Unknown
-from cqrun.objectives.uncertainty import autocorrelation_time, central_jacobian, intervals
+from cqrun.objectives.uncertainty import Series, autocorrelation_time, central_jacobian, intervals
 
 TRUTH = {"amplitude": 1.0, "decay": 1.2, "frequency": 8.0}
 TIME = np.linspace(0, 2, 120)
-SERIES = [np.arange(k * TIME.size, (k + 1) * TIME.size) for k in range(3)]
+FRAMES = np.arange(TIME.size)
+SERIES = [Series(k * TIME.size + FRAMES, FRAMES, 0) for k in range(3)]
 
 
 def swing(values):
@@ -57,12 +60,47 @@ def test_95_percent_intervals_cover_the_truth(rng, phi, log):
     assert np.all(np.mean(covered, axis=0) <= 0.99)
 
 
+@pytest.mark.parametrize("phi", [0.0, 0.7])
+def test_intervals_cover_the_truth_where_markers_err_together(rng, phi):
+    """Six markers on a stiff body with one error for all: taken as independent they would cover half the time."""
+    count = 6
+    series = [Series(k * 3 * TIME.size + s.where, s.frames, 0) for k in range(count) for s in SERIES]
+    covered, alone = [], []
+    for _ in range(250):
+        together = np.array([[0.05], [0.05], [0.01]]) * noise(rng, phi)
+        own = [0.2 * np.array([[0.05], [0.05], [0.01]]) * noise(rng, phi) for _ in range(count)]
+        data = np.concatenate([swing(TRUTH.values()) + (together + each).ravel() for each in own])
+        values = fit(data.reshape(count, -1).mean(axis=0))
+        J, r = np.tile(jacobian_at(values), (count, 1)), np.tile(swing(values), count) - data
+        for into, which in ((covered, series), (alone, [replace(s, recording=k) for k, s in enumerate(series)])):
+            found = intervals(J, r, which, unknowns_at(values)).intervals
+            into.append([found[name][0] <= true <= found[name][1] for name, true in TRUTH.items()])
+    assert np.all(np.mean(covered, axis=0) >= 0.90)
+    assert np.all(np.mean(covered, axis=0) <= 0.99)
+    assert np.all(np.mean(alone, axis=0) <= 0.75)
+
+
+def test_series_with_gaps_are_compared_where_both_are_seen(rng):
+    """A marker that is hidden for a while errs with its neighbour all the same."""
+    values, seen = list(TRUTH.values()), FRAMES[(FRAMES < 40) | (FRAMES > 70)]
+    error = rng.normal(size=TIME.size)
+    J, r = rng.normal(size=(TIME.size + seen.size, 3)), np.concatenate([error, error[seen]])
+    pair = [Series(FRAMES, FRAMES, 0), Series(TIME.size + np.arange(seen.size), seen, 0)]
+    J[TIME.size :] = J[: TIME.size][seen]
+    one = intervals(J, r, pair, unknowns_at(values))
+    other = intervals(J, r, [replace(s, recording=k) for k, s in enumerate(pair)], unknowns_at(values))
+    for name in TRUTH:
+        (low, high), (low_alone, high_alone) = one.intervals[name], other.intervals[name]
+        assert np.log(high / low) == pytest.approx(np.sqrt(2) * np.log(high_alone / low_alone), rel=0.15)
+
+
 def test_a_straight_line_gives_the_textbook_interval(rng):
     x, e = np.linspace(-1, 1, 400), 0.1 * rng.normal(size=400)
     design = np.stack([np.ones(400), x], 1)
     values, *_ = np.linalg.lstsq(design, 2 + 3 * x + e, rcond=None)
     r = design @ values - (2 + 3 * x + e)
-    found = intervals(design, r, [np.arange(400)], [Unknown(n, v, -9, 9) for n, v in zip("ab", values, strict=True)])
+    series, unknowns = Series(np.arange(400), np.arange(400), 0), zip("ab", values, strict=True)
+    found = intervals(design, r, [series], [Unknown(n, v, -9, 9) for n, v in unknowns])
     half = 1.966 * np.sqrt(r @ r / 398 * np.diag(np.linalg.inv(design.T @ design)))
     for name, value, width in zip("ab", values, half, strict=True):
         np.testing.assert_allclose(found.intervals[name], (value - width, value + width), rtol=0.15 * width / value)
@@ -143,12 +181,20 @@ def test_at_a_bound(rng):
         assert found.intervals["b"] is not None
 
 
+def test_all_at_a_bound(rng):
+    unknowns = [Unknown("a", 0.0, 0, 1), Unknown("b", 2.0, 1, 2, True)]
+    J = central_jacobian(lambda points: [swing(point) for point in points], unknowns)
+    found = intervals(J, rng.normal(size=360), SERIES, unknowns)
+    assert found.intervals == {"a": None, "b": None}
+    assert found.reasons == {"a": "at its lower bound", "b": "at its upper bound"}
+
+
 def test_too_many_unknowns_and_too_few_residuals(rng):
     many = [Unknown(f"u{i}", 0.5, 0, 1) for i in range(31)]
     found = intervals(rng.normal(size=(360, 31)), rng.normal(size=360), SERIES, many)
     assert set(found.intervals.values()) == {None}
     assert set(found.reasons.values()) == {"more than 30 unknowns"}
-    found = intervals(rng.normal(size=(3, 3)), rng.normal(size=3), [np.arange(3)], many[:3])
+    found = intervals(rng.normal(size=(3, 3)), rng.normal(size=3), [Series(np.arange(3), np.arange(3), 0)], many[:3])
     assert found.reasons["u0"] == "no more residuals than unknowns"
 
 
