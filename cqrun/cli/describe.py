@@ -38,6 +38,11 @@ def _lines(kind: str | None, name: str | None) -> Iterator[str]:
     if kind is None:
         yield "kinds (cqrun describe KIND [NAME]):"
         yield from (f"  {k:14} {', '.join(_plugins(k))}" for k in _kinds())
+        yield "parts of a scene (cqrun describe PART):"
+        yield f"  {', '.join(_sections())}"
+        return
+    if name is None and kind in _sections() and kind != "material":  # whose kinds are listed
+        yield from _page("scene", kind, _sections()[kind])
         return
     kinds = _kinds_called(kind, name)
     # a shape is a region as well, and is told once
@@ -54,6 +59,21 @@ def _lines(kind: str | None, name: str | None) -> Iterator[str]:
         raise UsageError(f"no {kind} is called '{wanted}'{suggest(wanted, names)}; there are: {listed(names)}")
     for k, n, cls in pages:
         yield from _page(k, n, cls)
+
+
+def _sections() -> dict[str, type[BaseModel]]:
+    """Return what a scene is made of beside its choices, by the key that holds it; `scene` is the whole."""
+    from cqrun.scene.schema import Scene
+
+    found: dict[str, type[BaseModel]] = {"scene": Scene}
+    waiting: list[type[BaseModel]] = [Scene]
+    while waiting:
+        for name, info in waiting.pop(0).model_fields.items():
+            for spec in [] if _choices(info) else _specs(info.annotation):
+                if name not in found:
+                    found[name] = spec
+                    waiting.append(spec)
+    return found
 
 
 def _kinds() -> list[str]:
@@ -84,8 +104,8 @@ def _kinds_called(word: str, name: str | None) -> list[str]:
     named = [k for k, names in everything.items() if word in names]
     if named and name is None:
         return named
-    near = suggest(word, [*kinds, *(n for names in everything.values() for n in names)])
-    raise UsageError(f"nothing is called '{word}'{near}; kinds: {listed(kinds)}")
+    near = suggest(word, [*kinds, *_sections(), *(n for names in everything.values() for n in names)])
+    raise UsageError(f"nothing is called '{word}'{near}; kinds: {listed(kinds)}; parts: {listed(_sections())}")
 
 
 def _summary(cls: type) -> str:

@@ -25,7 +25,7 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import SceneError, UsageError
-from cqrun.explain import listed, suggest
+from cqrun.explain import listed, shown, suggest
 from cqrun.jobs.agent import CONTROLLER, Agent
 from cqrun.jobs.cases import given_cases, make_cases
 from cqrun.jobs.episodes import EpisodeProblem, has_episodes
@@ -34,7 +34,7 @@ from cqrun.jobs.runs import cores
 from cqrun.jobs.unknowns import make_params
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
-from cqrun.scene.paths import canonical, leaf, leaves
+from cqrun.scene.paths import canonical, leaf, leaves, with_values
 from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.state import State
@@ -115,7 +115,8 @@ class Experiment:
             RolloutError: the scene blows up.
         """
         if isinstance(self._agent, EpisodeProblem):
-            return self._episodes(self._agent, self._values(params))
+            loss, gradient, aux = self._episodes(self._agent, self._values(params))
+            return loss, self._with_followers(gradient, params), aux
         if self.scene.data is None:
             raise UsageError(
                 "this scene has no `data`, and no `controller` with an `objective`, so there is no loss: add one, or "
@@ -125,11 +126,11 @@ class Experiment:
         losses, gradient = problem.losses_and_gradient(values)
         effort = {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak}
         aux = {"losses": losses, "gradient": effort}
-        return float(sum(losses.values())), {path: _plain(bar) for path, bar in gradient.items()}, aux
+        return float(sum(losses.values())), self._with_followers(gradient, params), aux
 
     def _episodes(
         self, agent: EpisodeProblem, values: dict[str, Array]
-    ) -> tuple[float, dict[str, Any], dict[str, Any]]:
+    ) -> tuple[float, dict[str, Array], dict[str, Any]]:
         goals = agent.goals(None)
         found, (gradient,) = agent.attempts_with_gradients(values, goals)
         aux = {
@@ -138,7 +139,7 @@ class Experiment:
             "goals": [{name: goal.copy() for name, goal in drawn.items()} for drawn in goals],
             "gradient": {"recompute_factor": agent.effort.recompute, "peak_bytes": agent.effort.peak},
         }
-        return float(np.mean([a.loss for a in found])), {path: _plain(bar) for path, bar in gradient.items()}, aux
+        return float(np.mean([a.loss for a in found])), gradient, aux
 
     def simulate(self, params: Values | None = None, goals: Mapping[str, Any] | None = None) -> Motion:
         """Run the scene forward, under its controller if it has one.
@@ -181,11 +182,33 @@ class Experiment:
         return FitProblem(given_cases(self.built) or make_cases(self.built), self._params, threads=self.threads)
 
     def _values(self, params: Values | None) -> dict[str, Array]:
-        values = {b.path: b.initial.copy() for b in self._params.blocks}
+        if not isinstance(params, Mapping | None):
+            raise UsageError(f"params must be a mapping from key paths to values, is {shown(params)}")
+        given: dict[str, Array] = {}
         for path, value in (params or {}).items():
             known = self._known(path)
-            values[known] = self._shaped(known, np.array(value, dtype=float))
-        return values
+            given[known] = self._shaped(known, _numbers(path, value))
+        self._require_legal(given)
+        values = {b.path: b.initial.copy() for b in self._params.blocks} | given
+        return {f.path: f.of(values[b.path]) for b in self._params.blocks for f in b.followers} | values
+
+    def _require_legal(self, given: Mapping[str, Array]) -> None:
+        """Refuse values that the scene would refuse, of arrays the least and the greatest."""
+        own = {path: value for path, value in given.items() if not path.startswith(CONTROLLER)}
+        for end in (np.min, np.max) if any(value.ndim for value in own.values()) else (np.min,):
+            try:
+                with_values(self.scene, {path: float(end(value)) for path, value in own.items()})
+            except SceneError as error:
+                raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
+
+    def _with_followers(self, gradient: dict[str, Array], params: Values | None) -> dict[str, Any]:
+        """Return a gradient in which an unknown's has that of what follows it, unless that was given on its own."""
+        given = {self._known(path) for path in params or {}}
+        for block in self._params.blocks:
+            for follower in block.followers:
+                if follower.path not in given:
+                    gradient[block.path] = gradient[block.path] + follower.of_vjp(gradient.pop(follower.path))
+        return {path: _plain(bar) for path, bar in gradient.items()}
 
     def _known(self, path: str) -> str:
         """Return the long spelling of a path that gradients reach; a block of the controller has but one."""
@@ -220,6 +243,13 @@ class Experiment:
         return value
 
 
+def _numbers(path: str, value: Any) -> Array:
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise UsageError(f"{path}: must be a number or an array of numbers, is {shown(value)}") from None
+
+
 def _plain(value: Array) -> Any:
     """Return a number for an array of no dimension, else a copy of the array."""
     return float(value) if np.ndim(value) == 0 else np.array(value)
@@ -241,7 +271,13 @@ def load(
         allow_plugins: whether the Python files that the scene names as its plug-ins may be run.
 
     Raises:
-        SceneError: every problem of the scene, each with its place.
+        SceneError: every problem of the scene, each with its place. UsageError: an argument that cannot be.
     """
+    if not isinstance(scene, Path | str | dict):
+        raise UsageError(f"load: the scene must be a file's path, YAML text or a dict, is {shown(scene)}")
+    if isinstance(overrides, str):
+        raise UsageError(f"load: overrides are a list: [{overrides!r}]")
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
+        raise UsageError(f"load: threads must be a whole number from 1 on, is {shown(threads)}")
     with plugins_allowed(allow_plugins):
         return Experiment(load_scene(scene, overrides), threads)

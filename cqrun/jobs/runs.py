@@ -84,7 +84,7 @@ def data_files(scene: Scene) -> dict[str, Path]:
             key = f"data.recordings.{name}.file"
             message = (
                 f"there is no file '{path}'; the head of the scene says where recordings are to be had; "
-                f"-o {key}=FILE names it where it is"
+                f"-o {key}=FILE names it where it is (from the scene's folder, or the whole path)"
             )
             problems.append(Problem(scene.where(key), key, message))
     if problems:
@@ -113,12 +113,13 @@ def require_same_data(run: RunDirectory) -> None:
         run.path.parent.name, run.resolved, "", shape_files(scene) | data_files(scene), job=run.record["job"],
         plugins=scene.plugin_paths(),
     )
-    same_files = saved.contents() == run.record["files"]
+    if saved.contents() != run.record["files"]:
+        raise UsageError(f"{run.path}: a recording that it names has changed since the run began; run the scene again")
     # an extended run keeps the name of the scene it began with
-    if not same_files or not (run.record.get("extended") or saved.digest() == run.path.name):
+    if not (run.record.get("extended") or saved.digest() == run.path.name):
         raise UsageError(
-            f"{run.path}: its scene.yaml, or a recording that it names, has changed since the run began; "
-            "run the scene again"
+            f"{run.path}: its folder is not named after its scene: the folder was renamed, or its scene.yaml has "
+            "changed since the run began; give it its name back, or run the scene again"
         )
 
 

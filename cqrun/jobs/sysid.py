@@ -76,7 +76,22 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
     built = build_and_warn(with_optimizer(scene), talk)
     if uses_gradients(built.scene):
         gradient_plan(built)
+    _require_batches(built.scene)
     return built
+
+
+def _require_batches(scene: Scene) -> None:
+    """Refuse mini-batches larger than the data before any are made."""
+    size = None if scene.optimizer is None else getattr(scene.optimizer.value, "batch_size", None)
+    assert scene.data is not None
+    recordings = (scene.data.recordings or {}).values()
+    random = scene.activation.random if scene.activation is not None and scene.data.synthetic is not None else None
+    parts = sum(not spec.holdout for spec in recordings) or (1 if random is None else random.sequences)
+    if size is not None and size > parts:
+        assert scene.optimizer is not None
+        path = f"optimizer.{scene.optimizer.name}.batch_size"
+        message = f"is {size}, but the data falls into {parts} parts (recordings, sequences): give at most {parts}"
+        raise SceneError([Problem(scene.where(path), path, message)])
 
 
 def uses_gradients(scene: Scene) -> bool:

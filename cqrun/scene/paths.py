@@ -146,7 +146,8 @@ def _missing(scene: Scene, path: str, loc: list[int | str], rest: str, inside: d
     place = f"'{joined(loc)}'" if loc else "the scene"
     key = rest.partition(".")[0]
     beside = suggest(key, map(str, inside))
-    near = beside if key == rest else suggest(path, leaves(scene)) or beside
+    known = (leaf for leaf in leaves(scene) if not leaf.startswith(("unknowns.", "data.synthetic.truth.")))
+    near = beside if key == rest else suggest(path, known) or beside
     there = f"; there are: {listed(map(str, inside))}" if inside else ""
     return f"{place} has no '{key}'{near}{there}"
 

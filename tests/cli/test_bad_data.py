@@ -272,7 +272,7 @@ def test_a_recording_that_changes_under_a_run(cqrun, tmp_path):
     more = ("-o", "optimizer.least_squares.max_iterations=2")
     code, _, err = cqrun("resume", run, *more)
     assert code == 2
-    assert "or a recording that it names, has changed since the run began; run the scene again" in err
+    assert "a recording that it names has changed since the run began; run the scene again" in err
     file.unlink()
     code, _, err = cqrun("resume", run, *more)
     assert code == 2

@@ -64,3 +64,15 @@ def test_a_folder_stands_for_its_kinds():
 def test_a_slip_is_answered_with_the_nearest_name(words, message):
     with pytest.raises(UsageError, match=message):
         page(*words)
+
+
+@pytest.mark.parametrize("part", ["scene", "world", "bodies", "time", "data", "recordings", "unknowns", "constraints"])
+def test_parts_of_a_scene_have_pages(part):
+    text = page(part)
+    assert text.startswith(f"scene: {part}\n\n  ")
+    assert part in page().splitlines()[-1]
+
+
+def test_a_part_that_is_misspelt():
+    with pytest.raises(UsageError, match=r"nothing is called 'recording' .did you mean 'recordings'"):
+        page("recording")

@@ -122,3 +122,49 @@ def test_a_scene_without_data_has_no_loss():
 def test_values_that_blow_up_are_told(problem):
     with pytest.raises(RolloutError, match="body 'beam'"):
         problem.simulate({E_PATH: 1e9})
+
+
+def test_values_that_a_scene_would_refuse(problem):
+    """Of arrays the least and the greatest."""
+    with pytest.raises(UsageError, match=r"density: must be greater than 0, is -1"):
+        problem.value_and_grad({DENSITY: -1.0})
+    count = len(problem.built.particles.x)
+    with pytest.raises(UsageError, match=r"density: must be greater than 0, is -1"):
+        problem.simulate({DENSITY: np.linspace(-1.0, 1.0, count)})
+    with pytest.raises(UsageError, match=r"poissons_ratio: must be less than 0\.5, is 0\.5"):
+        problem.simulate({"bodies.beam.material.elastic.fixed_corotated.poissons_ratio": 0.5})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((None,), "the scene must be a file's path, YAML text or a dict, is empty"),
+        ((BEAM, "time.duration=1"), r"overrides are a list: \['time.duration=1'\]"),
+    ],
+)
+def test_arguments_that_cannot_be(arguments, message):
+    with pytest.raises(UsageError, match=message):
+        cqrun.load(*arguments)
+
+
+def test_threads_and_params_that_cannot_be(problem):
+    for threads in (0, "2", True):
+        with pytest.raises(UsageError, match="threads must be a whole number from 1 on"):
+            cqrun.load(BEAM, threads=threads)
+    with pytest.raises(UsageError, match="params must be a mapping from key paths to values"):
+        problem.simulate([1.0])
+    with pytest.raises(UsageError, match="density: must be a number or an array of numbers, is 'heavy'"):
+        problem.simulate({DENSITY: "heavy"})
+
+
+def test_what_follows_an_unknown_follows_here_too():
+    """An unknown's gradient has that of what follows it, unless that is given a value of its own."""
+    tied = f"unknowns.{SHEAR_PATH}={{bounds: [0.5, 20], also: {{{DENSITY}: {{factor: 100, offset: 700}}}}}}"
+    together, apart = cqrun.load(BEAM + FIT, [tied], threads=1), cqrun.load(BEAM + FIT, threads=1)
+    loss, gradient, _ = together.value_and_grad()
+    same, parts, _ = apart.value_and_grad({DENSITY: 1000.0})
+    assert loss == same
+    assert gradient[SHEAR_PATH] == pytest.approx(parts[SHEAR_PATH] + 100 * parts[DENSITY], rel=1e-12)
+    assert set(gradient) == {E_PATH, SHEAR_PATH}
+    _, given, _ = together.value_and_grad({DENSITY: 1000.0})
+    assert given[SHEAR_PATH] == pytest.approx(parts[SHEAR_PATH], rel=1e-12)
