@@ -41,6 +41,13 @@ def elastic(*bodies: str) -> list[str]:
     return [f"bodies.{body}.material.elastic={law}" for body in bodies]
 
 
+def designed(body: str) -> list[str]:
+    """Return overrides that make a body fixed corotated, its stiffness and density unknown at every particle."""
+    E = f"bodies.{body}.material.elastic.fixed_corotated.youngs_modulus: {{bounds: [7, 20], per: particle}}"
+    rho = f"bodies.{body}.material.density: {{bounds: [0.7, 2], per: particle}}"
+    return [*elastic(body), f"unknowns={{{E}, {rho}}}"]
+
+
 def boundaries(dim: int) -> str:
     """Return an override: walls, and a clamp of a few nodes, as the fingers and the arm have them."""
     clamp = f"{{sticky: {{region: {{box: {{corner: {[0.8] * dim}, size: {[0.1] * dim}}}}}}}}}"
@@ -65,6 +72,12 @@ SMALLER = {
     "crawler": ["bodies.crawler.sampling.lattice.count=4", boundaries(3)],
     "arm_reach_3d": ["bodies.arm.sampling.lattice.count=4", "episodes.count=2", "episodes.unseen=1"],
     "arm_two_link": ["bodies.arm.sampling.lattice.count=10", boundaries(2)],
+    "biped_codesign": ["bodies.biped.sampling.lattice.count=10", "bodies.biped.spin=[9]", boundaries(2), *designed("biped")],
+    **{
+        f"{name}_codesign": [f"bodies.{name}.sampling.lattice.count=3", boundaries(3),
+                             *designed(name)]
+        for name in ("quadruped", "hexapod", "octopod")
+    },
     "creature": ["bodies.creature.spacing=0.02", "time.substeps=2", boundaries(3), *elastic("creature")],
 }  # fmt: skip
 """What makes a scene quicker besides a shorter run."""
@@ -83,6 +96,10 @@ PAPERS = {
     "biped_terrain": (36_200, 20_000),
     "arm_two_link": (1_176, 800),
     "arm_length": (816, 250),
+    "biped_codesign": (12_800, 2_000),
+    "quadruped_codesign": (84_375, 600),
+    "hexapod_codesign": (111_375, 600),
+    "octopod_codesign": (138_375, 600),
 }
 """Particles and substeps of the papers' robots."""
 

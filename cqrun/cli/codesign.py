@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Scene, Threads
+from typing import Annotated
+
+import typer
+
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Jobs, Out, Overrides, Quiet, Scene, Seeds, Threads
 
 
 def codesign(
@@ -11,6 +15,15 @@ def codesign(
     out: Out = DEFAULT_OUT,
     fresh: Fresh = False,
     threads: Threads = None,
+    seeds: Seeds = None,
+    jobs: Jobs = None,
+    ablate: Annotated[
+        bool, typer.Option("--ablate", help="Compare: controller alone, each kind of unknown, and all of them.")
+    ] = False,
+    rates: Annotated[
+        list[float] | None,
+        typer.Option("--rate", metavar="X", help="A learning rate that every variant is tried with (repeatable)."),
+    ] = None,
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
@@ -19,11 +32,37 @@ def codesign(
     The same command again continues the run, or says that it is finished.
     """
     from cqrun.cli.progress import reporting
-    from cqrun.cli.results import draw_and_print_run
+    from cqrun.cli.results import draw_and_print_run, print_seeds, require_seeds_for_jobs
+    from cqrun.errors import UsageError
+    from cqrun.jobs.ablate import ablation_lines, run_ablation
     from cqrun.jobs.control import run_control
+    from cqrun.jobs.seeds import run_seeds
     from cqrun.scene.plugin_files import plugins_allowed
 
+    if rates and not ablate:
+        raise UsageError("--rate: is what variants are tried with: add --ablate, or use -o optimizer...learning_rate=X")
+    if not ablate:
+        require_seeds_for_jobs(seeds, jobs)
     with plugins_allowed(allow_plugins):
         with reporting(quiet) as reporter:
-            run = run_control(scene, overrides or [], out, fresh, threads, quiet, job="codesign", reporter=reporter)
-        draw_and_print_run(run)
+            if ablate:
+                found = run_ablation(
+                    scene, overrides or [], out, fresh, threads, seeds=seeds or 1, rates=rates or [], jobs=jobs,
+                    allow_plugins=allow_plugins, reporter=reporter,
+                )  # fmt: skip
+            elif seeds is not None:
+                summary, good = run_seeds(
+                    scene, overrides or [], out, fresh, threads, seeds=seeds, job="codesign", jobs=jobs,
+                    allow_plugins=allow_plugins, reporter=reporter,
+                )  # fmt: skip
+            else:
+                run = run_control(scene, overrides or [], out, fresh, threads, quiet, job="codesign", reporter=reporter)
+        if ablate:
+            from cqrun.figures.ablation import draw_ablation
+
+            draw_ablation(found)
+            typer.echo("\n".join(ablation_lines(found)))
+        elif seeds is not None:
+            print_seeds(summary, good)
+        else:
+            draw_and_print_run(run)

@@ -29,3 +29,9 @@ PluginFiles = Annotated[
     typer.Option("--plugin", metavar="FILE", help="A file with plug-ins of your own; it is run (repeatable)."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; results and warnings only.")]
+Seeds = Annotated[
+    int | None, typer.Option("--seeds", metavar="N", help="Learn from N seeds side by side, each a run of its own.")
+]
+Jobs = Annotated[
+    int | None, typer.Option("--jobs", metavar="N", help="Runs at once; as many as threads if not given.")
+]

@@ -29,3 +29,21 @@ def draw_and_print_run(run: Path) -> None:
             draw_run(run)
     finally:
         print_run(run)
+
+
+def require_seeds_for_jobs(seeds: int | None, jobs: int | None) -> None:
+    """Refuse a number of runs at once where there is but one."""
+    from cqrun.errors import UsageError
+
+    if seeds is None and jobs is not None:
+        raise UsageError(f"--jobs {jobs}: says how many of several seeds run at once: add --seeds N")
+
+
+def print_seeds(summary: Path, good: bool) -> None:
+    """Print what several seeds found; exit with 1 where one failed."""
+    from cqrun.jobs.seeds import summary_lines
+
+    for line in summary_lines(summary):
+        typer.echo(line)
+    if not good:
+        raise typer.Exit(1)

@@ -194,7 +194,7 @@ def draw_comparison(runs: Sequence[RunData], term: str | None = None) -> Figure:
     clock = time_unit(max(float(_place(curve, True)[-1]) for curve in curves))
     for axes, over_time in ((by_iteration, False), (by_time, True)):
         for place, group in enumerate(all_groups):
-            _plot_group(axes, group, COLOURS[place % len(COLOURS)], clock.factor if over_time else None)
+            plot_group(axes, group, COLOURS[place % len(COLOURS)], clock.factor if over_time else None)
     whole_ticks(by_iteration.xaxis)
     by_iteration.set_xlabel("iteration")
     by_time.set_xlabel(clock.label("wall time since the first evaluation"))
@@ -204,7 +204,7 @@ def draw_comparison(runs: Sequence[RunData], term: str | None = None) -> Figure:
     return figure
 
 
-def _plot_group(axes: Axes, group: Group, colour: str, clock: float | None) -> None:
+def plot_group(axes: Axes, group: Group, colour: str, clock: float | None) -> None:
     """Draw a group: each run, or their mean and band.
 
     Args:

@@ -1,4 +1,4 @@
-"""`cqrun control --seeds N`: one scene learned from several seeds side by side, and what they have in common.
+"""`cqrun control --seeds N`, and `codesign`: one scene learned from several seeds side by side, and what they share.
 
 Every seed is a run of its own, in a process of its own, that can be stopped and resumed as any other; the same
 command again continues those that are not finished. What they found is summed up beside their directories:
@@ -14,23 +14,20 @@ from __future__ import annotations
 import csv
 import io
 import json
-import signal
-import subprocess
 import sys
-import tempfile
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from cqrun.errors import UsageError
 from cqrun.jobs.control import optimizer_of, prepare
+from cqrun.jobs.fleet import Member, run_fleet
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.report import number, table
-from cqrun.jobs.reporter import EXIT_INTERRUPTED, Reporter, Silent
+from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import cores, run_scene
 from cqrun.objectives.uncertainty import interval_of_mean
 from cqrun.scene.load import dump, load_scene, resolve
@@ -42,62 +39,8 @@ from cqrun.store.run import RunScene
 CONFIDENCE = 0.9
 """Of the intervals of means."""
 
-EVERY = 0.2
-"""Time between two looks at the processes [s]."""
-
 STAGES = {"start": "before", "trained": "learned", "unseen": "on unseen goals"}
 """Parts of a control run's result, and what they are called."""
-
-
-@dataclass
-class Seed:
-    """One seed's run: its directory, how it failed if it did, and its process while there is one."""
-
-    seed: int
-    run: Path
-    failure: str | None = None
-    process: subprocess.Popen[bytes] | None = None
-    said: IO[bytes] | None = None
-
-    @property
-    def iteration(self) -> int:
-        """How many iterations its history has."""
-        history = self.run / "history.csv"
-        return max(0, history.read_bytes().count(b"\n") - 2) if history.is_file() else 0
-
-    def start(self, command: Sequence[str]) -> None:
-        """Begin; out of reach of the terminal's Ctrl-C, which this process hands on once."""
-        self.said = tempfile.TemporaryFile()  # noqa: SIM115  closed when the process is over
-        self.process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self.said, start_new_session=True
-        )
-
-    def ask(self, number: signal.Signals) -> None:
-        """Ask it to stop at the next iteration."""
-        if self.process is not None:
-            self.process.send_signal(number)
-
-    def ended(self) -> bool:
-        """Say whether its process is over; a failure is known then."""
-        return self.process is not None and self.process.poll() is not None and self._take_leave()
-
-    def kill(self) -> None:
-        """End it where it stands: it can be resumed from its last checkpoint."""
-        if self.process is not None:
-            self.process.kill()
-            self.process.wait()
-            self._take_leave()
-
-    def _take_leave(self) -> bool:
-        assert self.process is not None
-        assert self.said is not None
-        if self.process.returncode != 0:
-            self.said.seek(0)
-            lines = self.said.read().decode(errors="replace").strip().splitlines()
-            self.failure = lines[-1].removeprefix("error: ") if lines else f"ended with {self.process.returncode}"
-        self.said.close()
-        self.process = self.said = None
-        return True
 
 
 def run_seeds(
@@ -108,6 +51,7 @@ def run_seeds(
     threads: int | None,
     *,
     seeds: int,
+    job: str = "control",
     jobs: int | None = None,
     allow_plugins: bool = False,
     reporter: Reporter | None = None,
@@ -116,6 +60,7 @@ def run_seeds(
 
     Args:
         seeds: how many.
+        job: control or codesign.
         jobs: how many processes at once; as many as there are threads if absent.
         threads: all together; every process has an equal share.
         allow_plugins: handed on.
@@ -124,22 +69,19 @@ def run_seeds(
         SceneError, UsageError: bad input. Stopped: asked to stop; the same command goes on.
     """
     talk, n_threads = reporter or Silent(), cores(threads)
-    _require(overrides, seeds, jobs)
+    require_seeds(overrides, seeds, jobs)
     at_once = min(seeds, n_threads if jobs is None else jobs)
-    problem = prepare(load_scene(source, overrides), 1, talk)
+    problem = prepare(load_scene(source, overrides), 1, talk, job)
     scene, optimizer = problem.built.scene, optimizer_of(problem.built)
     compile_kernels([problem.built], talk, adjoint=optimizer.gradients)
-    all_of_them = [Seed(k, _directory(source, scene, k, out)) for k in range(seeds)]
-    command = [sys.executable, "-m", "cqrun", "control", str(source), "--quiet", "--out", str(out)]
-    command += ["--threads", str(max(1, n_threads // at_once))]
-    command += ["--fresh"] * fresh + ["--allow-plugins"] * allow_plugins
-    command += [word for override in overrides for word in ("-o", override)]
+    words = command_of(job, source, out, n_threads // at_once, fresh, allow_plugins)
+    all_of_them = [member(words, source, scene, overrides, k, out, job) for k in range(seeds)]
     talk.phase(f"learning from {seeds} seeds, {at_once} at once")
-    _run_all(all_of_them, command, at_once, optimizer.max_iterations, talk)
+    run_fleet(all_of_them, at_once, "seeds", talk)
     good = [s for s in all_of_them if s.failure is None]
     if talk.stop.asked and len(good) < seeds:
         raise talk.stop.stopped(f"{len(good)} of {seeds} seeds are finished; the same command continues the others")
-    path = out / source.stem / f"summary-{_inputs(source, scene, None).digest()}.json"
+    path = out / source.stem / f"summary-{inputs_of(source, scene, None, job).digest()}.json"
     summary = _summary(source.stem, all_of_them)
     make_directory(path.parent)
     write_json(path, summary)
@@ -147,7 +89,8 @@ def run_seeds(
     return path, len(good) == seeds
 
 
-def _require(overrides: Sequence[str], seeds: int, jobs: int | None) -> None:
+def require_seeds(overrides: Sequence[str], seeds: int, jobs: int | None) -> None:
+    """Refuse numbers of seeds and processes that cannot be, and a seed of the user's own."""
     for name, count in (("seeds", seeds), ("jobs", jobs)):
         if count is not None and count < 1:
             raise UsageError(f"--{name} {count}: must be at least 1; without it the scene is learned from its own seed")
@@ -156,57 +99,29 @@ def _require(overrides: Sequence[str], seeds: int, jobs: int | None) -> None:
             raise UsageError(f"-o {override}: --seeds gives every run a seed of its own: remove one of the two")
 
 
-def _inputs(source: Path, scene: Scene, seed: int | None) -> RunScene:
+def command_of(job: str, source: Path, out: Path, threads: int, fresh: bool, allow_plugins: bool) -> list[str]:
+    """Return the command of one run, without its overrides."""
+    words = [sys.executable, "-m", "cqrun", job, str(source), "--quiet", "--out", str(out)]
+    words += ["--threads", str(max(1, threads))]
+    return words + ["--fresh"] * fresh + ["--allow-plugins"] * allow_plugins
+
+
+def member(
+    words: Sequence[str], source: Path, scene: Scene, overrides: Sequence[str], seed: int, out: Path, job: str
+) -> Member:
+    """Return the run of one seed; `scene` is what its overrides make of the source, resolved."""
+    optimizer: Any = scene.optimizer.value if scene.optimizer is not None else None
+    own = [word for override in (*overrides, f"seed={seed}") for word in ("-o", override)]
+    run = out / source.stem / inputs_of(source, scene, seed, job).digest()
+    return Member(f"seed {seed}", run, [*words, *own], optimizer.max_iterations)
+
+
+def inputs_of(source: Path, scene: Scene, seed: int | None, job: str) -> RunScene:
     """Return what names the run of a seed, or of none in particular."""
     if seed is not None:
-        return run_scene(source.stem, with_values(scene, {"seed": seed}), job="control", with_data=False)
+        return run_scene(source.stem, with_values(scene, {"seed": seed}), job=job, with_data=False)
     unseeded = {key: value for key, value in resolve(scene).items() if key != "seed"}
-    return replace(run_scene(source.stem, scene, job="control", with_data=False), resolved=dump(unseeded))
-
-
-def _directory(source: Path, scene: Scene, seed: int, out: Path) -> Path:
-    return out / source.stem / _inputs(source, scene, seed).digest()
-
-
-# --- processes ----------------------------------------------------------------------------------------------------
-
-
-def _run_all(seeds: Sequence[Seed], command: Sequence[str], at_once: int, iterations: int, talk: Reporter) -> None:
-    """Run every seed's process; a first request to stop is handed on, and none begins after it."""
-    waiting, running, asked = list(seeds), list[Seed](), False
-    try:
-        while waiting or running:
-            if talk.stop.asked and not asked:
-                asked = True
-                for seed in waiting:
-                    seed.failure = "not begun"
-                waiting.clear()
-                for seed in running:
-                    seed.ask(signal.SIGINT if talk.stop.exit_code == EXIT_INTERRUPTED else signal.SIGTERM)
-            while waiting and len(running) < at_once:
-                running.append(waiting.pop(0))
-                running[-1].start([*command, "-o", f"seed={running[-1].seed}"])
-            for seed in [s for s in running if s.ended()]:
-                running.remove(seed)
-                if seed.failure is not None and not asked:
-                    talk.warn(f"seed {seed.seed}: {seed.failure}")
-            if not asked:
-                _tell(seeds, running, waiting, iterations, talk)
-            if running:
-                time.sleep(EVERY)
-    finally:  # after a second Ctrl-C, or an error here
-        for seed in running:
-            seed.kill()
-
-
-def _tell(
-    seeds: Sequence[Seed], running: Sequence[Seed], waiting: Sequence[Seed], iterations: int, talk: Reporter
-) -> None:
-    """Report one line for all."""
-    over = len(seeds) - len(running) - len(waiting)
-    reached = [f"seed {s.seed} at {s.iteration}/{iterations}" for s in running]
-    done = iterations * over + sum(s.iteration for s in running)
-    talk.advance(done, iterations * len(seeds), ", ".join([f"{over} of {len(seeds)} seeds", *reached]))
+    return replace(run_scene(source.stem, scene, job=job, with_data=False), resolved=dump(unseeded))
 
 
 # --- what they have in common -------------------------------------------------------------------------------------
@@ -221,20 +136,22 @@ def interval(values: Sequence[float]) -> dict[str, float | None]:
     return {"mean": mean, "low": mean - half, "high": mean + half}
 
 
-def _summary(stem: str, seeds: Sequence[Seed]) -> dict[str, Any]:
+def _summary(stem: str, seeds: Sequence[Member]) -> dict[str, Any]:
     """Return what every seed found, and means with intervals over those that went well."""
-    results = {s.seed: json.loads((s.run / "result.json").read_text()) for s in seeds if s.failure is None}
+    results = {
+        k: json.loads((s.run / "result.json").read_text()) for k, s in enumerate(seeds) if s.failure is None
+    }
     found = list(results.values())
     stages = [stage for stage in STAGES if found and all(result[stage] is not None for result in found)]
     return {
         "scene": stem,
         "confidence": CONFIDENCE,
         "seeds": {
-            s.seed: {"run": str(s.run), "status": "failed", "reason": s.failure}
+            k: {"run": str(s.run), "status": "failed", "reason": s.failure}
             if s.failure is not None
-            else {"run": str(s.run)} | {key: results[s.seed][key] for key in ("status", "iterations")}
-            | {stage: _numbers(results[s.seed][stage]) for stage in stages}
-            for s in seeds
+            else {"run": str(s.run)} | {key: results[k][key] for key in ("status", "iterations")}
+            | {stage: _numbers(results[k][stage]) for stage in stages}
+            for k, s in enumerate(seeds)
         },
         "all": {
             stage: {
@@ -276,7 +193,7 @@ def summary_lines(path: Path) -> list[str]:
     if stages:
         head = ("term", *(STAGES[stage] for stage in stages))
         names = list(summary["all"][stages[0]])
-        lines += table(head, [(name, *(_shown(summary["all"][stage][name]) for stage in stages)) for name in names])
+        lines += table(head, [(name, *(shown(summary["all"][stage][name]) for stage in stages)) for name in names])
     lines += [f"seed {k} failed: {e['reason']}" for k, e in summary["seeds"].items() if e["status"] == "failed"]
     spread = summary["all"].get("trained", {}).get("loss", {})
     if len(good) > 1 and spread["low"] == spread["high"]:
@@ -286,7 +203,7 @@ def summary_lines(path: Path) -> list[str]:
     return [*lines, f"summary: {path}"]
 
 
-def _shown(entry: Mapping[str, float | None]) -> str:
+def shown(entry: Mapping[str, float | None]) -> str:
     mean, low, high = (entry[key] for key in ("mean", "low", "high"))
     assert mean is not None
     return number(mean) if low is None or high is None else f"{number(mean)} ({number(low)} to {number(high)})"

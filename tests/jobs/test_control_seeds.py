@@ -7,8 +7,6 @@ import json
 import signal
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +16,8 @@ from small_finger import written
 
 from cqrun.errors import Stopped, UsageError
 from cqrun.jobs import seeds
-from cqrun.jobs.seeds import Seed, _run_all, _summary, interval, run_seeds, summary_lines
+from cqrun.jobs.fleet import Member
+from cqrun.jobs.seeds import _summary, interval, run_seeds, summary_lines
 
 
 @pytest.fixture
@@ -63,7 +62,7 @@ def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
     assert "learning from 2 seeds, 2 at once" in listener.said
     assert listener.parts[-1][2] == "2 of 2 seeds"
     # and with one that failed, or with one alone
-    runs = [Seed(k, Path(entry["run"])) for k, entry in enumerate(summary["seeds"].values())]
+    runs = [Member(f"seed {k}", Path(entry["run"]), [], 2) for k, entry in enumerate(summary["seeds"].values())]
     runs[0].failure = "blew up"
     path.write_text(json.dumps(_summary("finger", runs)))
     lines = summary_lines(path)
@@ -80,68 +79,12 @@ def test_seeds_that_change_nothing_are_told(tmp_path):
     assert "note: every seed found the same: nothing in this scene is drawn from its seed" in summary_lines(path)
 
 
-# --- processes: of a few lines, in the place of cqrun -------------------------------------------------------------
-
-FAILS_AT_ONE = "import sys; sys.exit('told before\\nerror: seed one blew up' if sys.argv[-1] == 'seed=1' else 0)"
-WAITS = """
-import pathlib, signal, sys, time
-def stop(number, frame): sys.exit(130 if number == signal.SIGINT else 75)
-signal.signal(signal.SIGINT, stop)
-signal.signal(signal.SIGTERM, stop)
-pathlib.Path(sys.argv[1], sys.argv[-1]).touch()
-time.sleep(60)
-"""
-
-
-@pytest.fixture
-def three(tmp_path):
-    """Return three seeds that have not begun."""
-    return [Seed(k, tmp_path / str(k)) for k in range(3)]
-
-
-def test_a_failed_seed_is_told_and_the_others_go_on(three):
-    listener = Listener()
-    _run_all(three, [sys.executable, "-c", FAILS_AT_ONE], 2, 5, listener)
-    assert [seed.failure for seed in three] == [None, "seed one blew up", None]
-    assert listener.said == ["warning: seed 1: seed one blew up"]
-    assert listener.parts[-1] == (15, 15, "3 of 3 seeds")
-    assert any(", seed 0 at 0/5, seed 1 at 0/5" in text for _, _, text in listener.parts)
-
-
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
-def test_asked_to_stop_those_that_run_are_asked_and_no_other_begins(three, tmp_path, number, code):
-    listener = Listener()
-
-    def when_two_run() -> None:
-        while len(list(tmp_path.glob("seed=*"))) < 2:
-            time.sleep(0.01)
-        listener.stop.ask(number)
-
-    watcher = threading.Thread(target=when_two_run)
-    watcher.start()
-    _run_all(three, [sys.executable, "-c", WAITS, str(tmp_path)], 2, 5, listener)
-    watcher.join()
-    assert [seed.failure for seed in three] == [f"ended with {code}", f"ended with {code}", "not begun"]
-    assert [seed.process for seed in three] == [None] * 3
-    assert listener.said == []
-
-
-def test_no_process_outlives_what_ends_the_wait_for_it(three, tmp_path, monkeypatch):
-    def interrupted(*arguments):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(seeds, "_tell", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        _run_all(three, [sys.executable, "-c", WAITS, str(tmp_path)], 2, 5, Listener())
-    assert [seed.failure for seed in three] == ["ended with -9", "ended with -9", None]
-
-
 def test_a_stopped_command_says_how_to_go_on(finger, tmp_path, monkeypatch):
-    def stopped(runs, command, at_once, iterations, talk):
+    def stopped(runs, at_once, what, talk):
         runs[1].failure = "asked to stop"
         talk.stop.ask(signal.SIGINT)
 
-    monkeypatch.setattr(seeds, "_run_all", stopped)
+    monkeypatch.setattr(seeds, "run_fleet", stopped)
     with pytest.raises(Stopped, match="2 of 3 seeds are finished; the same command continues the others") as ended:
         run_seeds(finger, [], tmp_path, False, 1, seeds=3)
     assert ended.value.exit_code == 130
@@ -150,14 +93,14 @@ def test_a_stopped_command_says_how_to_go_on(finger, tmp_path, monkeypatch):
 
 def test_permission_and_fresh_are_handed_on(finger, tmp_path, monkeypatch):
     asked = []
-    monkeypatch.setattr(seeds, "_run_all", lambda runs, command, at_once, *rest: asked.append((command, at_once)))
+    monkeypatch.setattr(seeds, "run_fleet", lambda runs, at_once, *rest: asked.append((runs[2].command, at_once)))
     monkeypatch.setattr(seeds, "_summary", lambda stem, all_of_them: {"seeds": {}, "all": {}})
     run_seeds(finger, ["time.duration=0.05"], tmp_path, True, 4, seeds=3, jobs=2, allow_plugins=True)
     command, at_once = asked[0]
     assert at_once == 2
     assert command[:5] == [sys.executable, "-m", "cqrun", "control", str(finger)]
     assert command[command.index("--threads") + 1] == "2"
-    assert {"--fresh", "--allow-plugins", "time.duration=0.05"} <= set(command)
+    assert {"--fresh", "--allow-plugins", "time.duration=0.05", "seed=2"} <= set(command)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,52 @@
+"""ablation.png: a term of the objective against the iteration for every variant of a design, and where each ended."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cqrun.figures.compare import Group, plot_group
+from cqrun.figures.losses import term_curve
+from cqrun.figures.quantities import capitalised
+from cqrun.figures.run_data import read_run
+from cqrun.figures.style import COLOURS, new_figure, save, styled, titled, whole_ticks
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw_ablation(path: Path, kinds: tuple[str, ...] = ("png",)) -> list[Path]:
+    """Draw what `ablate` wrote to `path`, beside it; return the pictures' paths."""
+    result = json.loads(path.read_text())
+    with styled():
+        return save(_figure(result), path.with_suffix(""), kinds)
+
+
+def _figure(result: dict[str, Any]) -> Figure:
+    compared = result["compared"]
+    groups = [
+        Group(name, tuple(term_curve(read_run(Path(run)), compared) for run in entry["runs"]))
+        for name, entry in result["variants"].items()
+    ]
+    figure = new_figure(9.0, 1.6 + 0.3 * len(groups) + 1.2)
+    by_iteration, ends = figure.subplots(1, 2)
+    for place, (group, entry) in enumerate(zip(groups, result["variants"].values(), strict=True)):
+        colour, found = COLOURS[place % len(COLOURS)], entry["terms"][compared]
+        plot_group(by_iteration, group, colour, None)
+        low, high = (found["mean"] if found[end] is None else found[end] for end in ("low", "high"))
+        ends.plot([low, high], [place, place], color=colour, linewidth=4, alpha=0.35, solid_capstyle="butt")
+        ends.plot(found["mean"], place, marker="o", color=colour)
+        if place and entry["gain"] is not None:
+            ends.annotate(
+                f"{entry['gain']['mean']:+.0%}", (high, place), (5, 0), textcoords="offset points", va="center"
+            )
+    ends.set_yticks(range(len(groups)), [group.label for group in groups])
+    ends.invert_yaxis()
+    ends.margins(x=0.15)
+    whole_ticks(by_iteration.xaxis)
+    by_iteration.set_xlabel("iteration")
+    titled(by_iteration, capitalised(compared))
+    sure = f"{100 * result['confidence']:.0f} % interval"
+    titled(ends, f"{capitalised(compared)} learned: mean, {sure}, gain over control")
+    return figure

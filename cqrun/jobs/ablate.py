@@ -1,0 +1,267 @@
+"""`cqrun codesign --ablate`: which unknowns of a design help, and by how much, against learning the controller alone.
+
+Unknowns of one kind (the last name of their paths, such as `youngs_modulus`) are a group. A variant frees some groups
+and keeps the others at their starts: all combinations of up to three groups, as CQ2 does; of more, none, each alone,
+and all. Every variant is learned from the same seeds, with the learning rate that serves it best among those that are
+given, found with seed 0. Every run is one of its own that can be resumed; the same command goes on.
+
+ablation-<hash>.json   per variant: rate, runs, mean and 90 % interval of every term; gains over control; effects
+ablation-<hash>.csv    the variants as a table
+ablation-<hash>.png    the compared term against the iteration, and where it ended
+
+The effect of a group is what freeing it adds to the compared term, in the mean over all variants without it, seed by
+seed (a factorial design: G. Box, J. Hunter, W. Hunter: Statistics for experimenters, 2005, chapter 5).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cqrun.errors import RunError, UsageError
+from cqrun.jobs.control import optimizer_of, prepare
+from cqrun.jobs.fleet import Member, run_fleet
+from cqrun.jobs.kernels import compile_kernels
+from cqrun.jobs.report import table
+from cqrun.jobs.reporter import Reporter, Silent
+from cqrun.jobs.runs import cores
+from cqrun.jobs.seeds import CONFIDENCE, command_of, inputs_of, interval, member, require_seeds, shown
+from cqrun.scene.load import load_scene
+from cqrun.scene.paths import canonical
+from cqrun.scene.schema import Scene
+from cqrun.store.atomic import make_directory, write_json, write_text
+
+MOST_GROUPS = 3
+"""All combinations of more are too many runs: none, each alone and all are compared instead."""
+
+CONTROL, ALL = "control", "all"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What is free in it: its name, the groups, and the overrides that make it of the scene."""
+
+    name: str
+    groups: tuple[str, ...]
+    overrides: tuple[str, ...]
+
+    @property
+    def job(self) -> str:
+        """Whose command runs it."""
+        return "codesign" if self.groups else "control"
+
+
+def run_ablation(
+    source: Path,
+    overrides: Sequence[str],
+    out: Path,
+    fresh: bool,
+    threads: int | None,
+    *,
+    seeds: int,
+    rates: Sequence[float] = (),
+    jobs: int | None = None,
+    allow_plugins: bool = False,
+    reporter: Reporter | None = None,
+) -> Path:
+    """Compare a scene's variants; return the file that says how.
+
+    Args:
+        seeds: how many each is learned from.
+        rates: learning rates that each is tried with; the scene's own alone if empty.
+        jobs: how many processes at once; as many as there are threads if absent.
+        threads: all together; every process has an equal share.
+
+    Raises:
+        SceneError, UsageError: bad input. Stopped: asked to stop; the same command goes on. RunError: a run failed.
+    """
+    talk, n_threads = reporter or Silent(), cores(threads)
+    require_seeds(overrides, seeds, jobs)
+    scene = load_scene(source, overrides)
+    variants = variants_of(scene)
+    tried = _rate_overrides(scene, rates)
+    at_once = n_threads if jobs is None else jobs
+    share = max(1, n_threads // at_once)
+
+    def members(variant: Variant, rate: str | None, chosen: Sequence[int], anew: bool) -> list[Member]:
+        own = [*overrides, *variant.overrides, *([rate] if rate else [])]
+        problem = prepare(load_scene(source, own), 1, talk, variant.job)
+        compile_kernels([problem.built], talk, adjoint=optimizer_of(problem.built).gradients)
+        words = command_of(variant.job, source, out, share, anew, allow_plugins)
+        made = [member(words, source, problem.built.scene, own, seed, out, variant.job) for seed in chosen]
+        for run in made:
+            run.name = f"{variant.name}, {run.name}"
+        return made
+
+    best: dict[str, str | None] = {variant.name: tried[0] for variant in variants}
+    searched: dict[str, dict[str, float | None]] = {}
+    if len(tried) > 1:
+        trials = {(v.name, rate): members(v, rate, [0], fresh)[0] for v in variants for rate in tried}
+        talk.phase(f"trying {len(tried)} learning rates with {len(variants)} variants, {at_once} at once")
+        _run(list(trials.values()), at_once, "trials", talk, may_fail=True)
+        for v in variants:
+            losses = {rate: _loss(trials[v.name, rate]) for rate in tried}
+            searched[v.name] = {str(rate).partition("=")[2]: loss for rate, loss in losses.items()}
+            known = {rate: loss for rate, loss in losses.items() if loss is not None}
+            best[v.name] = min(known, key=known.__getitem__, default=tried[0])
+    runs = {v.name: members(v, best[v.name], range(seeds), fresh and len(tried) == 1) for v in variants}
+    talk.phase(f"learning {len(variants)} variants from {seeds} seeds, {at_once} at once")
+    _run([run for each in runs.values() for run in each], at_once, "runs", talk)
+    result = summary(source.stem, scene, variants, runs)
+    for v in variants:
+        result["variants"][v.name] |= {"rate": (best[v.name] or "").partition("=")[2] or None}
+        if searched:
+            result["variants"][v.name]["searched"] = searched[v.name]
+    path = out / source.stem / f"ablation-{inputs_of(source, scene, None, 'codesign').digest()}.json"
+    make_directory(path.parent)
+    write_json(path, result)
+    write_text(path.with_suffix(".csv"), _table(result))
+    return path
+
+
+def group_of(path: str) -> str:
+    """Return the last name in an unknown's path: `size` of `bodies.arm.shape.box.size.1`."""
+    return [key for key in path.split(".") if not key.isdigit()][-1]
+
+
+def variants_of(scene: Scene) -> list[Variant]:
+    """Return the variants of a scene, control alone first and all unknowns last; UsageError without unknowns."""
+    if not scene.unknowns:
+        raise UsageError("--ablate compares unknowns of a design: this scene has no `unknowns`")
+    paths = list(scene.unknowns)
+    groups = list(dict.fromkeys(group_of(canonical(scene, path)) for path in paths))
+    chosen: list[tuple[str, ...]] = [(), *((group,) for group in groups)]
+    if len(groups) <= MOST_GROUPS:
+        chosen = [free for k in range(len(groups) + 1) for free in itertools.combinations(groups, k)]
+    elif len(groups) > 1:
+        chosen.append(tuple(groups))
+    found = []
+    for free in chosen:
+        fixed = [path for path in paths if group_of(canonical(scene, path)) not in free]
+        name = CONTROL if not free else ALL if len(free) == len(groups) > 1 else " + ".join(free)
+        found.append(Variant(name, free, tuple(f"unknowns.{path}=null" for path in fixed)))
+    return found
+
+
+def _rate_overrides(scene: Scene, rates: Sequence[float]) -> list[str | None]:
+    if not rates:
+        return [None]
+    if scene.optimizer is None or not hasattr(scene.optimizer.value, "learning_rate"):
+        named = "none" if scene.optimizer is None else scene.optimizer.name
+        raise UsageError(f"--rates: the scene's optimizer, {named}, has no learning_rate: leave out --rates")
+    return [f"optimizer.{scene.optimizer.name}.learning_rate={rate!r}" for rate in rates]
+
+
+def _run(members: Sequence[Member], at_once: int, what: str, talk: Reporter, *, may_fail: bool = False) -> None:
+    run_fleet(members, at_once, what, talk)
+    good = [m for m in members if m.failure is None]
+    if talk.stop.asked and len(good) < len(members):
+        raise talk.stop.stopped(f"{len(good)} of {len(members)} {what} are finished; the same command continues")
+    if len(good) < len(members) and not may_fail:
+        bad = next(m for m in members if m.failure is not None)
+        raise RunError(f"{len(members) - len(good)} of {len(members)} {what} failed; {bad.name}: {bad.failure}")
+
+
+def _result(run: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((run / "result.json").read_text())
+    return found
+
+
+def _loss(run: Member) -> float | None:
+    return None if run.failure is not None else float(_result(run.run)["trained"]["loss"])
+
+
+# --- what they say ------------------------------------------------------------------------------------------------
+
+
+def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str, list[Member]]) -> dict[str, Any]:
+    """Return every variant's terms, gains over control alone, and effects of the groups on the first term."""
+    terms = list(scene.objective)
+    values = {
+        v.name: {term: [_result(run.run)["trained"]["terms"][term] for run in runs[v.name]] for term in terms}
+        for v in variants
+    }
+    compared = terms[0]
+    return {
+        "scene": stem,
+        "confidence": CONFIDENCE,
+        "compared": compared,
+        "better": "greater" if scene.objective[compared].value.sense < 0 else "smaller",  # type: ignore[attr-defined]
+        "variants": {
+            v.name: {
+                "free": list(v.groups),
+                "runs": [str(run.run) for run in runs[v.name]],
+                "terms": {term: interval(found) for term, found in values[v.name].items()},
+                "gain": _gain(values[v.name][compared], values[CONTROL][compared]),
+            }
+            for v in variants
+        },
+        "effects": _effects(variants, {name: found[compared] for name, found in values.items()}),
+    }
+
+
+def _gain(values: Sequence[float], control: Sequence[float]) -> dict[str, float | None] | None:
+    """Return by which part of control's mean the values differ from it, seed by seed; None where that is nought."""
+    base = float(np.mean(control))
+    if base == 0:
+        return None
+    return interval([(value - alone) / abs(base) for value, alone in zip(values, control, strict=True)])
+
+
+def _effects(variants: Sequence[Variant], values: dict[str, list[float]]) -> dict[str, dict[str, float | None]]:
+    """Return what freeing each group adds, in the mean over variants that differ in it alone."""
+    by_free = {frozenset(v.groups): np.array(values[v.name]) for v in variants}
+    found: dict[str, dict[str, float | None]] = {}
+    for group in dict.fromkeys(group for v in variants for group in v.groups):
+        added = [by_free[free | {group}] - without for free, without in by_free.items()
+                 if group not in free and free | {group} in by_free]  # fmt: skip
+        found[group] = interval(np.mean(added, axis=0).tolist())
+    return found
+
+
+def _table(result: dict[str, Any]) -> str:
+    """Return a row a variant: mean and interval of every term, and the gain."""
+    terms = list(next(iter(result["variants"].values()))["terms"])
+    text = io.StringIO(newline="")
+    rows = csv.writer(text, lineterminator="\n")
+    columns = [f"{name}:{end}" for name in (*terms, "gain") for end in ("mean", "low", "high")]
+    rows.writerow(["variant", "rate", "seeds", *columns])
+    for name, entry in result["variants"].items():
+        numbers = [entry["terms"][term] for term in terms] + [entry["gain"] or {}]
+        cells = ["" if n.get(end) is None else repr(n[end]) for n in numbers for end in ("mean", "low", "high")]
+        rows.writerow([name, entry["rate"] or "", len(entry["runs"]), *cells])
+    return text.getvalue()
+
+
+def ablation_lines(path: Path) -> list[str]:
+    """Return an ablation as lines for a terminal."""
+    result = json.loads(path.read_text())
+    compared, variants = result["compared"], result["variants"]
+    seeds = len(next(iter(variants.values()))["runs"])
+    rows = [
+        (
+            name,
+            entry["rate"] or "",
+            shown(entry["terms"][compared]),
+            "" if entry["gain"] is None or name == CONTROL else f"{entry['gain']['mean']:+.1%}",
+        )
+        for name, entry in variants.items()
+    ]
+    effects = sorted(result["effects"].items(), key=lambda item: -abs(item[1]["mean"]))
+    return [
+        f"{len(variants)} variants from {seeds} seeds; mean and {result['confidence']:.0%} interval; "
+        f"{result['better']} is better",
+        "",
+        *table(("free", "rate", compared, "gain"), rows),
+        "",
+        *table(("freeing it adds", compared), [(name, shown(effect)) for name, effect in effects]),
+        f"ablation: {path}",
+    ]

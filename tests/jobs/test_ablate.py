@@ -1,0 +1,102 @@
+"""`cqrun codesign --ablate` and `--seeds`: variants of a design, the rates that suit them, gains and effects."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+from small_beam import Listener, changed, result_of
+from small_finger import FINGER
+
+from cqrun.errors import UsageError
+from cqrun.figures.ablation import draw_ablation
+from cqrun.jobs.ablate import _effects, _gain, ablation_lines, group_of, run_ablation, variants_of
+from cqrun.jobs.seeds import run_seeds
+from cqrun.scene.load import load_scene
+from cqrun.store.run import read_record
+
+E, NU, RHO = (f"bodies.finger.material.{name}" for name in (
+    "elastic.fixed_corotated.youngs_modulus", "elastic.fixed_corotated.poissons_ratio", "density",
+))  # fmt: skip
+BOUNDS = {E: "[5, 20]", NU: "[0.2, 0.4]", RHO: "[0.5, 2]"}
+
+
+def design(tmp_path, *paths: str):
+    """Write the small finger, shorter still, with a number a particle of each path."""
+    path = tmp_path / "finger.yaml"
+    unknowns = "".join(f"  {p}: {{bounds: {BOUNDS[p]}, per: particle}}\n" for p in paths)
+    path.write_text(FINGER.replace("job: control", "job: codesign") + f"unknowns:\n{unknowns}")
+    changed(path, "max_iterations: 4", "max_iterations: 2")
+    return changed(path, "duration: 0.1", "duration: 0.04")
+
+
+def test_variants_are_all_combinations_of_three_groups(tmp_path):
+    found = variants_of(load_scene(design(tmp_path, E, NU, RHO)))
+    assert [v.name for v in found] == [
+        "control", "youngs_modulus", "poissons_ratio", "density", "youngs_modulus + poissons_ratio",
+        "youngs_modulus + density", "poissons_ratio + density", "all",
+    ]  # fmt: skip
+    assert found[0].overrides == tuple(f"unknowns.{path}=null" for path in (E, NU, RHO))
+    assert found[1].overrides == tuple(f"unknowns.{path}=null" for path in (NU, RHO))
+    assert (found[0].job, found[7].job, found[7].overrides) == ("control", "codesign", ())
+    assert group_of("bodies.arm.shape.box.size.1") == "size"
+
+
+def test_effects_and_gains_of_a_known_design(tmp_path):
+    """2 + 3 a - b + .5 a b: freeing a adds 3.25 in the mean, b takes .75."""
+    variants = variants_of(load_scene(design(tmp_path, E, RHO)))
+    values = {v.name: [2 + 3 * a - b + 0.5 * a * b + shift for shift in (0.0, 0.1)]
+              for v in variants for a, b in [(E.split(".")[-1] in v.groups, "density" in v.groups)]}  # fmt: skip
+    effects = _effects(variants, values)
+    assert effects["youngs_modulus"]["mean"] == pytest.approx(3.25)
+    assert effects["density"]["mean"] == pytest.approx(-0.75)
+    assert effects["density"]["low"] == pytest.approx(effects["density"]["high"])  # the shift is of both sides
+    assert _gain([3.0, 5.0], [2.0, 2.0])["mean"] == pytest.approx(1.0)
+    assert _gain([1.0], [0.0]) is None
+
+
+def test_variants_are_learned_and_compared(tmp_path):
+    scene, listener = design(tmp_path, E), Listener()
+    path = run_ablation(scene, [], tmp_path / "out", False, 2, seeds=2, rates=[0.1, 1e-6], reporter=listener)
+    result = json.loads(path.read_text())
+    assert listener.said[-2:] == [
+        "trying 2 learning rates with 2 variants, 2 at once", "learning 2 variants from 2 seeds, 2 at once",
+    ]  # fmt: skip
+    assert (result["compared"], result["better"]) == ("tip", "smaller")
+    for name, entry in result["variants"].items():
+        assert entry["rate"] == "0.1"  # the other hardly moves
+        assert entry["searched"]["0.1"] < entry["searched"]["1e-06"]
+        runs = [result_of(Path(run)) for run in entry["runs"]]
+        assert [run["job"] for run in runs] == ["control" if name == "control" else "codesign"] * 2
+        mean = sum(run["trained"]["terms"]["tip"] for run in runs) / 2
+        assert entry["terms"]["tip"]["mean"] == pytest.approx(mean, rel=1e-12)
+    free, alone = (result["variants"][name]["terms"]["tip"]["mean"] for name in ("youngs_modulus", "control"))
+    assert result["effects"]["youngs_modulus"]["mean"] == pytest.approx(free - alone, rel=1e-9)
+    rows = list(csv.DictReader(path.with_suffix(".csv").read_text().splitlines()))
+    assert [row["variant"] for row in rows] == ["control", "youngs_modulus"]
+    assert draw_ablation(path)[0].stat().st_size > 10_000
+    text = "\n".join(ablation_lines(path))
+    assert text.startswith("2 variants from 2 seeds; mean and 90% interval; smaller is better")
+    assert "freeing it adds" in text
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        ("unknowns={}", {}, "this scene has no `unknowns`"),
+        ("optimizer={lbfgs: {}}", {"rates": [0.1]}, "the scene's optimizer, lbfgs, has no learning_rate"),
+        ("time.duration=0.04", {"seeds": 0}, "--seeds 0: must be at least 1"),
+    ],
+)
+def test_what_cannot_be_compared(tmp_path, change, options, message):
+    with pytest.raises(UsageError, match=message):
+        run_ablation(design(tmp_path, E), [change], tmp_path / "out", False, 1, **{"seeds": 1, **options})
+
+
+def test_seeds_of_a_codesign(tmp_path):
+    path, good = run_seeds(design(tmp_path, E), [], tmp_path / "out", False, 2, seeds=2, job="codesign")
+    assert good
+    assert len(json.loads(path.read_text())["seeds"]) == len(list(path.parent.glob("*/result.json"))) == 2
+    assert {read_record(run)["job"] for run in path.parent.glob("*/")} == {"codesign"}
