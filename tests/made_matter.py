@@ -31,7 +31,7 @@ def made_matter(dim: int) -> Matter:
     size = np.array([2.0, 1.0, 1.5][:dim])
     return Matter(
         x, np.ones(len(x)), size, CONTROL_STEP, N_CONTROLS, bodies, {"arm": groups, "ball": {}}, select,
-        {"target": dim, "pace": 1}, N_ACTUATORS,
+        {"target": dim, "pace": 1}, N_ACTUATORS, design=1.5 + np.linspace(0.0, 1.0, 3 * len(x)).reshape(3, -1),
     )  # fmt: skip
 
 

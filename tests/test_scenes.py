@@ -72,7 +72,8 @@ SMALLER = {
     "crawler": ["bodies.crawler.sampling.lattice.count=4", boundaries(3)],
     "arm_reach_3d": ["bodies.arm.sampling.lattice.count=4", "episodes.count=2", "episodes.unseen=1"],
     "arm_two_link": ["bodies.arm.sampling.lattice.count=10", boundaries(2)],
-    "biped_codesign": ["bodies.biped.sampling.lattice.count=10", "bodies.biped.spin=[9]", boundaries(2), *designed("biped")],
+    "biped_codesign": ["bodies.biped.sampling.lattice.count=10", "bodies.biped.spin=[9]", boundaries(2),
+                       *designed("biped")],
     **{
         f"{name}_codesign": [f"bodies.{name}.sampling.lattice.count=3", boundaries(3),
                              *designed(name)]

@@ -321,10 +321,11 @@ class Agent:
 
 def matter_of(built: Built) -> Matter:
     """Return what observers and objectives may know of a scene."""
-    scene, particles = built.scene, built.particles
+    scene, particles, unknowns = built.scene, built.particles, make_params(built)
+    inputs = built.assembly.inputs(unknowns.unpack(unknowns.start))
     return Matter(
         x=particles.x,
-        mass=built.assembly.inputs({}).fields.mass,
+        mass=inputs.fields.mass,
         size=np.array(scene.world.size),
         control_step=scene.time.control_step,
         n_controls=scene.time.control_steps,
@@ -334,6 +335,7 @@ def matter_of(built: Built) -> Matter:
         goals={name: len(goal.position) for name, goal in scene.goals.items()},
         n_actuators=len(built.assembly.actuation.parts),
         resolve=scene.resolve_path,
+        design=built.assembly.design(inputs),
     )
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
+
+import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
@@ -28,6 +30,7 @@ class Matter:
         goals: goal -> number of its entries.
         n_actuators: A.
         resolve: a file as named in the scene -> where it is.
+        design: (3, N) mass [kg], volume at rest [m^D] and Young's modulus [Pa] where the unknowns start; none if empty.
     """
 
     x: Array
@@ -41,6 +44,7 @@ class Matter:
     goals: dict[str, int]
     n_actuators: int
     resolve: Callable[[str], Path] = Path
+    design: Array = field(default_factory=lambda: np.zeros((3, 0)))
 
     @property
     def n_particles(self) -> int:

@@ -185,3 +185,27 @@ def test_a_2d_world_has_no_third_axis_and_points_have_its_dimension():
     assert place == ("path", 0)
     assert message == "must have 4 entries in this 3D world, time first, has 3"
     assert term("reach", body="arm", position=[0, 0]).dim_problems(3)
+
+
+def test_stretch_is_near_the_largest_and_below_it(rng):
+    bound = term("stretch", body="arm", power=40).bind(MATTER)
+    F = np.tile(np.eye(2), (*STEPS[:1], bound.rows.shape[0], 1, 1))
+    track = Track(np.zeros(F.shape[:3]), np.zeros(F.shape[:3]), F, F, np.zeros((N_CONTROLS, 1)), {}, CONTROL_STEP)
+    assert bound.value(track) == pytest.approx(1.0)
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    F[3, 5] = turn @ np.diag([1.7, 0.9]) @ turn.T
+    assert 1.7 * (2 * F.shape[1]) ** (-1 / 40) - 1e-12 <= bound.value(track) <= 1.7
+    F[4] = 1e200 * np.eye(2)
+    assert bound.value(track) == pytest.approx(1e200)
+
+
+def test_unchanged_is_the_mean_squared_relative_change():
+    bound = term("unchanged", body="arm", of="mass").bind(MATTER)
+    design = MATTER.design.copy()
+    nothing = np.zeros((N_CONTROLS + 1, 0, 2))
+    track = Track(nothing, nothing, nothing, nothing, np.zeros((N_CONTROLS, 1)), {}, CONTROL_STEP, design)
+    assert bound.value(track) == 0.0
+    design[0] *= 1.1
+    assert bound.value(track) == pytest.approx(0.01)
+    design[1] *= 3.0  # the volume is another's matter
+    assert bound.value(track) == pytest.approx(0.01)
