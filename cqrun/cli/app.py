@@ -18,6 +18,7 @@ from cqrun.cli.compress import compress
 from cqrun.cli.control import control
 from cqrun.cli.describe import describe
 from cqrun.cli.doctor import doctor
+from cqrun.cli.export import export
 from cqrun.cli.gradcheck import gradcheck
 from cqrun.cli.plot import plot
 from cqrun.cli.render import render
@@ -30,7 +31,8 @@ from cqrun.cli.warmup import warmup
 from cqrun.errors import CqrunError, SceneError
 
 COMMANDS = (
-    sysid, control, codesign, simulate, gradcheck, resume, validate, describe, schema, plot, render, compress, bench,
+    sysid, control, codesign, simulate, gradcheck, resume, validate, describe, schema, plot, render, export, compress,
+    bench,
     warmup, doctor,
 )  # fmt: skip
 

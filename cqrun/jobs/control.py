@@ -178,9 +178,9 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         "loss": float(outcome.loss) if np.isfinite(outcome.loss) else None,
         "iterations": outcome.iterations,
         "unknowns": {
-            path: {"initial": np.asarray(block.initial).tolist(), "value": np.asarray(values[path]).tolist()}
-            for path, block in zip(values, problem.params.blocks, strict=True)
-            if not path.startswith(CONTROLLER)
+            b.path: {"initial": np.asarray(b.initial).tolist(), "value": np.asarray(values[b.path]).tolist()}
+            for b in problem.params.blocks
+            if not b.path.startswith(CONTROLLER)
         },
         "start": None,
         "trained": None,

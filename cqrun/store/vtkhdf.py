@@ -6,9 +6,14 @@ https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/vtkhdf_specif
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from cqrun.contract import Array
+from cqrun.store.atomic import disk_errors
 
 if TYPE_CHECKING:
     import h5py
@@ -45,6 +50,27 @@ def add_vtk_view(file: h5py.File) -> None:
         else:
             _add_view(data, name, source)
             offsets[name] = starts
+
+
+def write_points(path: Path, x: Array, columns: Mapping[str, Array]) -> None:
+    """Write particles at x (N, 2 or 3) with a number each (N,) by name, as PolyData that stands still.
+
+    Raises:
+        RunError: the disk is full.
+    """
+    import h5py
+
+    with disk_errors(path), h5py.File(path, "w", libver=("v110", "v110")) as file:
+        group = file.create_group("VTKHDF", track_order=True)
+        group.attrs["Version"] = np.array([2, 0], "i8")
+        group.attrs.create("Type", np.bytes_("PolyData"))
+        group["Points"] = np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
+        group["NumberOfPoints"] = np.array([len(x)], "i8")
+        for name in CELLS:
+            _add_cells(group.create_group(name), len(x) if name == "Vertices" else 0)
+        data = group.create_group("PointData", track_order=True)
+        for name, column in columns.items():
+            data[name.replace("/", " per ")] = column  # a slash would make a group
 
 
 def _add_cells(group: h5py.Group, count: int) -> None:

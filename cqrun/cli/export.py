@@ -1,0 +1,32 @@
+"""`cqrun export`: what a run has found, for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cqrun.cli.options import AllowPlugins, Run
+from cqrun.errors import UsageError
+
+
+def export(
+    run: Run,
+    design: Annotated[
+        bool, typer.Option("--design", help="The designed body: a table of its particles, VTK, and its surface.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where to; into the run's design/ if not given.")
+    ] = None,
+    allow_plugins: AllowPlugins = False,
+) -> None:
+    """Write the body that a run has designed: per-particle CSV with units, VTKHDF for ParaView, surface or outline."""
+    if not design:
+        raise UsageError("say what to export: --design")
+    from cqrun.jobs.export import export_design
+    from cqrun.scene.plugin_files import plugins_allowed
+
+    with plugins_allowed(allow_plugins):
+        for path in export_design(run, out or run / "design"):
+            typer.echo(path)

@@ -1,0 +1,158 @@
+"""`cqrun export RUN --design`: the body that a run has designed, for those who will build or simulate it elsewhere.
+
+design.csv       a row a particle: body, groups, position, volume, mass, density and every number of its material
+design.vtkhdf    the same for ParaView
+BODY.stl         the surface of a 3D body (marching cubes, extra `mesh`), in 2D BODY.csv: its outlines
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.design.spread import field
+from cqrun.errors import MissingExtra, UsageError
+from cqrun.jobs.agent import CONTROLLER
+from cqrun.jobs.unknowns import make_params
+from cqrun.scene.build import Built, build
+from cqrun.scene.load import load_scene
+from cqrun.scene.paths import leaf
+from cqrun.store.atomic import disk_errors, make_directory, write_text
+from cqrun.store.run import read_record
+from cqrun.store.vtkhdf import write_points
+
+CELL = 2.0
+"""Edge of the cells that a surface is found on, in distances between particles."""
+
+HALF_FULL = 0.5
+"""Share of a node's cell that matter fills on the surface."""
+
+
+def export_design(run: Path, out: Path) -> list[Path]:
+    """Write the design of a run into a directory; return the files.
+
+    Raises:
+        UsageError: it is no run, or has not found anything yet. RunError: the disk is full.
+    """
+    built, values = designed(run)
+    make_directory(out)
+    columns, written = table(built, values), [out / "design.csv", out / "design.vtkhdf"]
+    inputs = built.assembly.inputs(values)
+    write_text(written[0], _csv(built, inputs.state.x, columns))
+    write_points(written[1], inputs.state.x, columns)
+    for name in built.particles.names:
+        part = built.particles.of(name)
+        x, volume = inputs.state.x[part], _true_volumes(built, name, inputs.fields.volume[part])
+        written.append(_surface(x, volume, out / name) if built.scene.dim == 3 else _outline(x, volume, out / name))
+    return written
+
+
+def designed(run: Path) -> tuple[Built, dict[str, Array]]:
+    """Return the scene of a run, and the values that were found for its unknowns and what follows them."""
+    record = read_record(run)
+    result = run / "result.json"
+    if not result.is_file():
+        raise UsageError(f"{run}: has no result yet ({record['status']}): a design is exported when the run has ended")
+    scene = load_scene(run / "scene.yaml", (), Path(str(record.get("base", ""))))
+    if not scene.unknowns:
+        raise UsageError(f"{run}: its scene has no `unknowns`: nothing was designed")
+    built = build(scene)
+    found: Mapping[str, Any] = json.loads(result.read_text())["unknowns"]
+    blocks = make_params(built).blocks
+    values = {b.path: np.array(found[b.path]["value"], float) for b in blocks if not b.path.startswith(CONTROLLER)}
+    return built, values | {f.path: f.of(values[b.path]) for b in blocks for f in b.followers}
+
+
+def table(built: Built, values: Mapping[str, Array]) -> dict[str, Array]:
+    """Return columns (N,) of the particles' volume, mass, density and material, named with their units.
+
+    A 2D body is a slice: its volumes are areas, its masses those of a metre of depth.
+    """
+    inputs, flat = built.assembly.inputs(values), built.scene.dim == 2
+    volume, mass = inputs.fields.volume, inputs.fields.mass
+    names = ("area [m^2]", "mass [kg/m]") if flat else ("volume [m^3]", "mass [kg]")
+    columns = {names[0]: volume, names[1]: mass, "density [kg/m^3]": mass / volume}
+    for body in built.particles.names:
+        part = built.particles.of(body)
+        for path, numbers in built.assembly.material(body, values).items():
+            name = path.split(".material.")[1].replace("elastic.", "")
+            head = f"{name} [{leaf(built.scene, path).unit}]"
+            columns.setdefault(head, np.full(len(volume), np.nan))[part] = numbers
+    return columns
+
+
+def _csv(built: Built, x: Array, columns: Mapping[str, Array]) -> str:
+    text = io.StringIO(newline="")
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["body", "groups", *(f"{axis} [m]" for axis in "xyz"[: built.scene.dim]), *columns])
+    for body in built.particles.names:
+        part = built.particles.of(body)
+        groups = built.particles.points[body].groups
+        for k in range(part.start, part.stop):
+            own = " ".join(name for name, held in groups.items() if held[k - part.start])
+            numbers = ("" if np.isnan(column[k]) else repr(float(column[k])) for column in columns.values())
+            rows.writerow([body, own, *map(repr, x[k].tolist()), *numbers])
+    return text.getvalue()
+
+
+# --- surfaces ---------------------------------------------------------------------------------------------------
+
+
+def _true_volumes(built: Built, body: str, volume: Array) -> Array:
+    """Return what the particles of a body fill (N_b,) [m^D], also where each counts as 1 (`unit_mass`)."""
+    if not built.scene.bodies[body].unit_mass:
+        return volume
+    return volume * built.particles.spacing[body] ** built.scene.dim
+
+
+def _filled(x: Array, volume: Array) -> tuple[Array, Array, float]:
+    """Return how full nodes of a grid around a body are, its lowest node [m] and the grid's edge [m]."""
+    dim = x.shape[1]
+    edge = CELL * float(np.median(volume)) ** (1.0 / dim)
+    size = x.max(axis=0) - x.min(axis=0)
+    resolution = max(1, int(np.ceil(float(size.max()) / edge)))
+    edge = float(size.max()) / resolution
+    cells = np.maximum(1, np.ceil(size / edge - 1e-9).astype(int))
+    share = (field(x, resolution).T @ volume).reshape(cells + 2) / edge**dim
+    return np.pad(share, 1), x.min(axis=0) - 1.5 * edge, edge
+
+
+def _surface(x: Array, volume: Array, base: Path) -> Path:
+    """Write the surface of a 3D body as STL [m]."""
+    try:
+        import igl
+        import trimesh
+    except ModuleNotFoundError as error:
+        raise MissingExtra(f"a surface needs {error.name}, which is not installed: pip install 'cqrun[mesh]'") from None
+    share, low, edge = _filled(x, volume)
+    nodes = low + edge * np.stack(np.meshgrid(*map(np.arange, share.shape), indexing="ij"), axis=-1)
+    points = np.ascontiguousarray(nodes.transpose(2, 1, 0, 3).reshape(-1, 3))
+    vertices, faces, _ = igl.marching_cubes(np.ascontiguousarray(share.transpose(2, 1, 0).reshape(-1)), points,
+                                            *share.shape, HALF_FULL)  # fmt: skip
+    mesh = trimesh.Trimesh(vertices, faces)
+    mesh.fix_normals()
+    path = base.with_suffix(".stl")
+    with disk_errors(path):
+        mesh.export(path)
+    return path
+
+
+def _outline(x: Array, volume: Array, base: Path) -> Path:
+    """Write the outlines of a 2D body as CSV: number of the closed line, x, y [m]."""
+    import contourpy
+
+    share, low, edge = _filled(x, volume)
+    lines = contourpy.contour_generator(z=share.T).lines(HALF_FULL)
+    rows = ["line,x [m],y [m]"]
+    for k, line in enumerate(lines):
+        rows += [f"{k},{a!r},{b!r}" for a, b in (low + edge * np.asarray(line)).tolist()]
+    path = base.with_suffix(".csv")
+    write_text(path, "\n".join(rows) + "\n")
+    return path

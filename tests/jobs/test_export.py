@@ -1,0 +1,111 @@
+"""`cqrun export RUN --design`: what the files say of the designed body."""
+
+from __future__ import annotations
+
+import csv
+import sys
+
+import h5py
+import numpy as np
+import pytest
+import trimesh
+from small_beam import changed, result_of
+from small_finger import FINGER
+
+from cqrun.errors import MissingExtra, UsageError
+from cqrun.jobs.control import run_control
+from cqrun.jobs.export import _outline, _surface, designed, export_design
+from cqrun.jobs.simulate import run_simulate
+
+E = "bodies.finger.material.elastic.fixed_corotated.youngs_modulus"
+TALL, ABOVE = "bodies.finger.parts.tip.box.size.1", "bodies.finger.material.density"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Return a run of the small finger: stiffness a particle, and a tip whose height the density follows."""
+    folder = tmp_path_factory.mktemp("export")
+    path = folder / "finger.yaml"
+    unknowns = (
+        f"unknowns:\n  {E}: {{bounds: [5, 20], per: particle}}\n"
+        f"  {TALL}: {{bounds: [0.5, 1], initial: 0.8, also: {{{ABOVE}: {{factor: 0.5, offset: 0.5}}}}}}\n"
+    )
+    path.write_text(FINGER.replace("job: control", "job: codesign") + unknowns)
+    changed(path, "duration: 0.1", "duration: 0.05")
+    changed(path, ", spread: [0.05, 0.05]", "")
+    changed(path, "episodes: {count: 2, unseen: 1}\n", "")
+    return run_control(path, [], folder / "out", False, 1, True, job="codesign")
+
+
+def test_the_table_has_the_designed_body(run, tmp_path):
+    paths = export_design(run, tmp_path / "design")
+    assert [path.name for path in paths] == ["design.csv", "design.vtkhdf", "finger.csv"]
+    rows = list(csv.DictReader(paths[0].read_text().splitlines()))
+    found = result_of(run)["unknowns"]
+    assert [float(row["fixed_corotated.youngs_modulus [Pa]"]) for row in rows] == found[E]["value"]
+    tall = found[TALL]["value"]
+    assert tall != 0.8
+    tip = [row for row in rows if row["groups"] == "tip"]
+    assert len(tip) == 16
+    y = np.array([float(row["y [m]"]) for row in tip])
+    assert np.ptp(y) == pytest.approx(0.2 * tall * 3 / 4)  # four rows in its height, on a scale of .2
+    assert all(float(row["density [kg/m^3]"]) == pytest.approx(0.5 * tall + 0.5) for row in rows)
+    assert all(float(row["area [m^2]"]) == pytest.approx(tall) for row in tip)  # unit mass: each counts as 1
+
+
+def test_paraviews_file_has_the_same(run, tmp_path):
+    export_design(run, tmp_path)
+    rows = list(csv.DictReader((tmp_path / "design.csv").read_text().splitlines()))
+    with h5py.File(tmp_path / "design.vtkhdf") as file:
+        group = file["VTKHDF"]
+        assert group.attrs["Type"] == b"PolyData"
+        assert list(group["NumberOfPoints"]) == [len(rows)] == list(group["Vertices/NumberOfCells"])
+        np.testing.assert_array_equal(group["Points"][:, 1], [float(row["y [m]"]) for row in rows])
+        assert not group["Points"][:, 2].any()
+        own = group["PointData/fixed_corotated.youngs_modulus [Pa]"]
+        np.testing.assert_array_equal(own, [float(row["fixed_corotated.youngs_modulus [Pa]"]) for row in rows])
+
+
+def test_the_outline_of_a_slice(tmp_path):
+    x = np.stack(np.meshgrid(*[0.05 + 0.1 * np.arange(n) for n in (40, 10)], indexing="ij"), axis=-1).reshape(-1, 2)
+    path = _outline(x, np.full(len(x), 0.01), tmp_path / "bar")
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    assert set(table[:, 0]) == {0.0}
+    a, b = table[:, 1:].T
+    assert 0.5 * abs(a @ np.roll(b, 1) - b @ np.roll(a, 1)) == pytest.approx(4.0, rel=0.03)
+
+
+def test_the_surface_of_a_body(tmp_path):
+    x = np.stack(np.meshgrid(*[np.arange(24.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    x = 0.1 * x[np.linalg.norm(x - 11.5, axis=1) < 11.0]
+    mesh = trimesh.load_mesh(_surface(x, np.full(len(x), 1e-3), tmp_path / "ball"))
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(1e-3 * len(x), rel=0.05)
+    assert np.allclose(mesh.center_mass, 1.15, atol=0.01)
+
+
+def test_a_surface_without_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "igl", None)
+    with pytest.raises(MissingExtra, match=r"a surface needs igl, which is not installed: pip install 'cqrun\[mesh\]'"):
+        _surface(np.zeros((1, 3)), np.ones(1), tmp_path / "ball")
+
+
+def test_a_design_is_replayed_with_its_geometry(run, tmp_path):
+    """The trained body is that of the run, not one sampled anew; and its geometry cannot be another."""
+    again = run_simulate(run, [], tmp_path, False, 1, True)
+    _, values = designed(run)
+    assert values[TALL] == result_of(run)["unknowns"][TALL]["value"]
+    (first, last) = (h5py.File(path / "trajectory.h5")["particles/x"][-1] for path in (run, again))
+    np.testing.assert_array_equal(first, last)
+    with pytest.raises(UsageError, match="holds the body's geometry, which was learned"):
+        run_simulate(run, [f"{TALL}=1.2"], tmp_path, False, 1, True)
+
+
+def test_what_has_no_design(run, tmp_path):
+    plain = tmp_path / "finger.yaml"
+    plain.write_text(FINGER)
+    control = run_control(plain, ["time.duration=0.02"], tmp_path / "out", False, 1, True)
+    with pytest.raises(UsageError, match="its scene has no `unknowns`: nothing was designed"):
+        export_design(control, tmp_path / "design")
+    with pytest.raises(UsageError):
+        export_design(tmp_path, tmp_path / "design")
