@@ -12,7 +12,7 @@ from cqrun.errors import UsageError
 
 SUFFIXES = {"gif": ".gif", "mp4": ".mp4", "png": ".png", "stills": ".png", "onion": ".png"}
 
-Quantity = Literal["activation", "strain", "velocity", "stiffness", "displacement"]
+Quantity = Literal["activation", "strain", "velocity", "stiffness", "density", "poissons_ratio", "displacement"]
 Look = Literal["front", "side", "top", "iso"]
 
 

@@ -107,13 +107,21 @@ def draw_bodies(run: RunData) -> Figure:
 
 
 def plot_body(
-    axes: Axes, scene: Scene, shot: Snapshot, look: View, corners: Array, unit: Unit, largest: float
+    axes: Axes,
+    scene: Scene,
+    shot: Snapshot,
+    look: View,
+    corners: Array,
+    unit: Unit,
+    largest: float,
+    shown: tuple[Array, float, float] | None = None,
 ) -> EllipseCollection:
     """Draw particles as dots that cover the body, the far ones first, and what holds them.
 
     Args:
         corners: what to show (2, 2) [m].
         largest: displacement at the end of the colours [m].
+        shown: what colours particles (N,) instead of their displacement, and both ends of the colours.
     """
     x = shot.dots.positions(shot.x)
     stride = -(-len(x) // MOST_DOTS)
@@ -124,8 +132,9 @@ def plot_body(
     dots = add_dots(axes, size, edge=0.15 if scene.dim == 3 else 0.0, cover=1.0 if scene.dim == 3 else COVER)
     dots.set_offsets(unit.factor * x[order] @ look.axes.T)
     dots.set_cmap(AMOUNT_MAP)
-    dots.set_array(unit.factor * shot.moved[shot.dots.source[order]])
-    dots.set_clim(0.0, unit.factor * largest or 1.0)
+    values, low, high = shown or (unit.factor * shot.moved, 0.0, unit.factor * largest or 1.0)
+    dots.set_array(values[shot.dots.source[order]])
+    dots.set_clim(low, high)
     plot_goals(axes, goals(scene), look, unit.factor)
     frame_axes(axes, look, corners, unit)
     return dots

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,11 +13,19 @@ from cqrun.figures.quantities import length_unit, shown_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.strain import Strain, green_norm
 from cqrun.figures.style import AMOUNT_MAP, PASSIVE, SIGNED_MAP
+from cqrun.jobs.unknowns import values_found
 from cqrun.scene.assembly import Assembly
 from cqrun.scene.particles import Particles, sample
 from cqrun.store.frames import Frames
 
-QUANTITIES = ("activation", "strain", "velocity", "stiffness", "displacement")
+QUANTITIES = ("activation", "strain", "velocity", "stiffness", "density", "poissons_ratio", "displacement")
+
+MATERIAL = {
+    "stiffness": ("youngs_modulus", "Young's modulus", "Pa"),
+    "density": ("density", "density", "kg/m^3"),
+    "poissons_ratio": ("poissons_ratio", "Poisson's ratio", ""),
+}
+"""Quantities of the material: the last name of their paths, what they are called, their unit."""
 
 SHARE = 0.995
 """Of a frame's particles: colours reach as far as these, so that one fast particle does not dim all others."""
@@ -68,7 +75,9 @@ def colours(quantity: str | None, run: RunData, frames: Frames, shown: Sequence[
     """
     if quantity is None:
         quantity = "activation" if _has_activation(run, frames) else "displacement"
-    makers = {"activation": _activation, "strain": _strain, "velocity": _velocity, "stiffness": _stiffness}
+    if quantity in MATERIAL:
+        return quantity, _of_material(quantity, run, frames)
+    makers = {"activation": _activation, "strain": _strain, "velocity": _velocity}
     return quantity, makers.get(quantity, _displacement)(run, frames, shown)
 
 
@@ -123,30 +132,30 @@ def sampled(run: RunData, frames: Frames) -> Particles:
     return particles
 
 
-def _stiffness(run: RunData, frames: Frames, shown: Sequence[int]) -> Colours:
-    particles = sampled(run, frames)
-    for name, body in run.scene.bodies.items():
-        law: Any = body.material.elastic.value
-        if "youngs_modulus" not in law.parameters:
-            law_name = body.material.elastic.name
-            raise UsageError(f"--color stiffness: the law {law_name} of body '{name}' has no youngs_modulus to show")
-    found = (run.result or {}).get("unknowns") or {}
-    values = {path: np.array(entry["value"], dtype=float) for path, entry in found.items()}
-    groups = Assembly(run.scene, particles).inputs(values).terms
-    rows, begin = [], 0
-    for terms in groups:  # one group of bodies after another, in the order of the particles
-        count = terms[0].shape[1]
-        first = next(name for name in particles.names if particles.of(name).start == begin)
-        law = run.scene.bodies[first].material.elastic.value
-        rows.append(terms[0][law.parameters.index("youngs_modulus")])
-        begin += count
-    modulus = np.concatenate(rows)
-    unit = shown_unit("Pa", float(modulus.max()))
-    stiffness = unit.factor * modulus
-    low, high = float(stiffness.min()), float(stiffness.max())
+def _of_material(quantity: str, run: RunData, frames: Frames) -> Colours:
+    values = material_of(run, sampled(run, frames), quantity)
+    label, unit_name = MATERIAL[quantity][1:]
+    unit = shown_unit(unit_name, float(values.max()))
+    shown = unit.factor * values
+    low, high = float(shown.min()), float(shown.max())
     if high - low < 1e-6 * high:
         low, high = 0.0, 2.0 * high
-    return Colours(unit.label("Young's modulus"), low, high, AMOUNT_MAP, lambda _: stiffness)
+    return Colours(unit.label(label), low, high, AMOUNT_MAP, lambda _: shown)
+
+
+def material_of(run: RunData, particles: Particles, quantity: str) -> Array:
+    """Return one of MATERIAL for every particle (N,), with the values that a run has found; UsageError without it."""
+    assembly = Assembly(run.scene, particles)
+    values = values_found(run.scene, particles, (run.result or {}).get("unknowns") or {})
+    found, key = np.zeros(len(particles.x)), MATERIAL[quantity][0]
+    for body in particles.names:
+        material = assembly.material(body, values)
+        path = next((path for path in material if path.endswith(f".{key}")), None)
+        if path is None:
+            law = run.scene.bodies[body].material.elastic.name
+            raise UsageError(f"--color {quantity}: the law {law} of body '{body}' has no {key} to show")
+        found[particles.of(body)] = material[path]
+    return found
 
 
 def _has_activation(run: RunData, frames: Frames) -> bool:

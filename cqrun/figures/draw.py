@@ -10,6 +10,7 @@ from cqrun.errors import UsageError
 from cqrun.figures.bodies import draw_bodies
 from cqrun.figures.compare import draw_comparison
 from cqrun.figures.convergence import draw_convergence
+from cqrun.figures.design import designed_quantities, draw_design
 from cqrun.figures.overview import draw_overview
 from cqrun.figures.run_data import HISTORY, RESULT, TRACKS, TRAJECTORY, RunData, read_run
 from cqrun.figures.style import save, styled
@@ -91,6 +92,8 @@ def _figures(run: RunData) -> list[tuple[str, Figure]]:
         drawn += [(f"tracks_{tracks.recording}", draw_recording(tracks, run.name)) for tracks in run.tracks()]
     if run.has_trajectory():
         drawn.append(("bodies", draw_bodies(run)))
+        if shown := designed_quantities(run):
+            drawn.append(("design", draw_design(run, shown)))
     if run.history and run.succeeded:
         drawn.append(("overview", draw_overview(run)))
     return drawn

@@ -12,15 +12,13 @@ import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cqrun.contract import Array
 from cqrun.design.spread import field
 from cqrun.errors import MissingExtra, UsageError
-from cqrun.jobs.agent import CONTROLLER
-from cqrun.jobs.unknowns import make_params
+from cqrun.jobs.unknowns import values_found
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
@@ -64,10 +62,7 @@ def designed(run: Path) -> tuple[Built, dict[str, Array]]:
     if not scene.unknowns:
         raise UsageError(f"{run}: its scene has no `unknowns`: nothing was designed")
     built = build(scene)
-    found: Mapping[str, Any] = json.loads(result.read_text())["unknowns"]
-    blocks = make_params(built).blocks
-    values = {b.path: np.array(found[b.path]["value"], float) for b in blocks if not b.path.startswith(CONTROLLER)}
-    return built, values | {f.path: f.of(values[b.path]) for b in blocks for f in b.followers}
+    return built, values_found(scene, built.particles, json.loads(result.read_text())["unknowns"])
 
 
 def table(built: Built, values: Mapping[str, Array]) -> dict[str, Array]:
@@ -78,7 +73,7 @@ def table(built: Built, values: Mapping[str, Array]) -> dict[str, Array]:
     inputs, flat = built.assembly.inputs(values), built.scene.dim == 2
     volume, mass = inputs.fields.volume, inputs.fields.mass
     names = ("area [m^2]", "mass [kg/m]") if flat else ("volume [m^3]", "mass [kg]")
-    columns = {names[0]: volume, names[1]: mass, "density [kg/m^3]": mass / volume}
+    columns = {names[0]: volume, names[1]: mass}
     for body in built.particles.names:
         part = built.particles.of(body)
         for path, numbers in built.assembly.material(body, values).items():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,9 @@ from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.scene.build import Built
 from cqrun.scene.data import Unknown
+from cqrun.scene.particles import Particles
 from cqrun.scene.paths import canonical
+from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start
 
 RESOLUTION = 4
@@ -21,20 +24,36 @@ RESOLUTION = 4
 
 def make_params(built: Built) -> Params:
     """Return the unknowns of a scene, at their starts."""
-    return Params(tuple(_block(built, path, unknown) for path, unknown in built.scene.unknowns.items()))
+    return Params(blocks_of(built.scene, built.particles))
 
 
-def _block(built: Built, path: str, unknown: Unknown) -> Block:
+def blocks_of(scene: Scene, particles: Particles) -> tuple[Block, ...]:
+    """Return the unknowns of a scene, at their starts; SceneError where bodies do not match."""
+    return tuple(_block(scene, particles, path, unknown) for path, unknown in scene.unknowns.items())
+
+
+def values_found(scene: Scene, particles: Particles, found: Mapping[str, Any]) -> dict[str, Array]:
+    """Return the values that a result has for the unknowns, and for what follows them.
+
+    Args:
+        found: `unknowns` of a result: path -> its `value`.
+    """
+    values = {path: np.array(entry["value"], float) for path, entry in found.items()}
+    blocks = [block for block in blocks_of(scene, particles) if block.path in values]
+    return values | {f.path: f.of(values[b.path]) for b in blocks for f in b.followers}
+
+
+def _block(scene: Scene, particles: Particles, path: str, unknown: Unknown) -> Block:
     """Return an unknown as a block at its start; SceneError where a body is not its own mirror image."""
-    scene, name, initial = built.scene, canonical(built.scene, path), start(built.scene, path)
+    name, initial = canonical(scene, path), start(scene, path)
     low, high, log = *unknown.bounds, unknown.scale == "log"
-    body, followers = name.split(".")[1], tuple(_followers(built, path, unknown))
+    body, followers = name.split(".")[1], tuple(_followers(scene, particles, path, unknown))
     if unknown.per == "body":
         return Block(name, low, high, log, np.array(initial), followers=followers)
     if unknown.per == "group":
         groups = np.full(len(scene.bodies[body].group_names), initial)
         return Block(name, low, high, log, groups, followers=followers)
-    x = built.particles.x[built.particles.of(body)]
+    x = particles.x[particles.of(body)]
     values, axis = np.full(len(x), initial), -1 if unknown.mirror is None else "xyz".index(unknown.mirror)
     if unknown.per == "particle" and unknown.mirror is None:
         return Block(name, low, high, log, values, followers=followers)
@@ -50,26 +69,26 @@ def _block(built: Built, path: str, unknown: Unknown) -> Block:
     return Spread(name, low, high, log, values, over, followers=followers)
 
 
-def _followers(built: Built, path: str, unknown: Unknown) -> Iterator[Follower]:
+def _followers(scene: Scene, particles: Particles, path: str, unknown: Unknown) -> Iterator[Follower]:
     """Yield what follows an unknown; SceneError where two bodies do not match."""
-    scene, name = built.scene, canonical(built.scene, path)
+    name = canonical(scene, path)
     for other, tie in unknown.also.items():
         same, order = canonical(scene, other), None
         if unknown.per != "body":
             try:
-                order = _matched(built, name.split(".")[1], same.split(".")[1], unknown.per)
+                order = _matched(scene, particles, name.split(".")[1], same.split(".")[1], unknown.per)
             except UsageError as error:
                 place = f"unknowns.{path}.also.{other}"
                 raise SceneError([Problem(scene.where(place), place, str(error))]) from error
         yield Follower(same, tie.factor, tie.offset, order)
 
 
-def _matched(built: Built, body: str, other: str, per: str) -> Array | None:
+def _matched(scene: Scene, particles: Particles, body: str, other: str, per: str) -> Array | None:
     """Return which of a body's groups or particles each of another body's is like."""
     if per == "group":
-        ours, theirs = built.scene.bodies[body].group_names, built.scene.bodies[other].group_names
+        ours, theirs = scene.bodies[body].group_names, scene.bodies[other].group_names
         if sorted(ours) != sorted(theirs):
             raise UsageError(f"'{other}' has the groups {listed(theirs)}, '{body}' has {listed(ours)}: they must match")
         return np.array([ours.index(name) for name in theirs])
-    x, y = (built.particles.x[built.particles.of(name)] for name in (body, other))
+    x, y = (particles.x[particles.of(name)] for name in (body, other))
     return spread.shifted(x, y, f"particles of '{other}'", f"of '{body}'")

@@ -232,11 +232,9 @@ class Assembly:
 
     def material(self, body: str, values: Values) -> dict[str, Array]:
         """Return every number of a body's material for each of its particles (N_b,), by its path."""
-        return {
-            path: self._spread(body, path, own, values)
-            for term in self._terms_of(body)
-            for path, own in self._rows(body, *term)
-        }
+        rows = [(f"bodies.{body}.material.density", self.scene.bodies[body].material.density)]
+        rows += [row for term in self._terms_of(body) for row in self._rows(body, *term)]
+        return {path: self._spread(body, path, own, values) for path, own in rows}
 
     def _theta(self, body: str, term: tuple[str, Any, str], values: Values) -> Array:
         return np.array([self._spread(body, path, own, values) for path, own in self._rows(body, *term)])

@@ -1,0 +1,58 @@
+"""design.png: what was designed, coloured on the body at rest and where it has moved farthest; a row a quantity."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.figures.bodies import PANEL, farthest_frame, plot_body, snapshot
+from cqrun.figures.colours import MATERIAL, material_of
+from cqrun.figures.quantities import length_unit, shown_unit
+from cqrun.figures.run_data import RunData
+from cqrun.figures.style import GREY, new_figure
+from cqrun.figures.views import of_equal_width, room_around, views, window
+from cqrun.scene.particles import sample
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def designed_quantities(run: RunData) -> dict[str, Array]:
+    """Return what of MATERIAL the unknowns of a codesign run change from particle to particle, (N,) each."""
+    if run.job != "codesign" or not (run.result or {}).get("unknowns"):
+        return {}
+    particles = sample(run.scene)
+    paths = [path for unknown, spec in run.scene.unknowns.items() for path in (unknown, *spec.also)]
+    asked = [name for name, (key, *_) in MATERIAL.items() if any(path.endswith(f".{key}") for path in paths)]
+    found = {name: material_of(run, particles, name) for name in asked}
+    return {name: values for name, values in found.items() if np.ptp(values) > 0}
+
+
+def draw_design(run: RunData, shown: dict[str, Array]) -> Figure:
+    """Return the picture of some designed quantities (`designed_quantities`)."""
+    trajectory = run.trajectory()
+    shots = [snapshot(trajectory, frame) for frame in (0, farthest_frame(trajectory))]
+    x = np.stack([shot.x for shot in shots])
+    look = views(run.scene, x)[0]
+    (corners,) = of_equal_width([window(x, look, room_around(x, shots[0].dots.size))])
+    tall = PANEL * float(np.clip((corners[1, 1] - corners[0, 1]) / (corners[1, 0] - corners[0, 0]), 0.25, 2.2))
+    figure = new_figure(2 * PANEL + 1.3, (tall + 0.5) * len(shown) + 0.5)
+    panels, unit = figure.subplots(len(shown), 2, squeeze=False), length_unit(float(np.max(corners)))
+    for axes, title in zip(panels[0], ("at rest", f"t = {shots[1].time:.4g} s"), strict=True):
+        axes.set_title(title)
+    for row, (name, values) in zip(panels, shown.items(), strict=True):
+        label, unit_name = MATERIAL[name][1:]
+        scale = shown_unit(unit_name, float(values.max()))
+        ends = scale.factor * float(values.min()), scale.factor * float(values.max())
+        for axes, shot in zip(row, shots, strict=True):
+            colours = (scale.factor * values, *ends)
+            dots = plot_body(axes, run.scene, shot, look, corners, unit, 1.0, colours)
+        row[1].tick_params(labelleft=False)
+        row[1].set_ylabel("")
+        bar = figure.colorbar(dots, ax=row, shrink=0.85, pad=0.015, aspect=20)
+        bar.set_label(scale.label(label))
+        bar.outline.set_visible(False)
+    figure.suptitle(run.name, fontsize=9, color=GREY, x=0.995, ha="right")
+    return figure

@@ -1,0 +1,54 @@
+"""design.png: the designed quantities, of particles that differ."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from small_beam import changed, result_of
+from small_finger import FINGER
+
+from cqrun.figures.design import designed_quantities, draw_design
+from cqrun.figures.draw import draw_run
+from cqrun.figures.run_data import read_run
+from cqrun.jobs.control import run_control
+
+E, RHO = (f"bodies.finger.material.{name}" for name in ("elastic.fixed_corotated.youngs_modulus", "density"))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Return a run that has designed a stiffness a particle, and one density."""
+    path = tmp_path_factory.mktemp("design") / "finger.yaml"
+    unknowns = f"unknowns:\n  {E}: {{bounds: [5, 20], per: particle}}\n  {RHO}: {{bounds: [0.5, 2]}}\n"
+    path.write_text(FINGER.replace("job: control", "job: codesign") + unknowns)
+    changed(path, "duration: 0.1", "duration: 0.04")
+    return run_control(path, [], path.parent / "out", False, 1, True, job="codesign")
+
+
+def test_what_differs_from_particle_to_particle_is_shown(run):
+    shown = designed_quantities(read_run(run))
+    assert list(shown) == ["stiffness"]  # the density is one number
+    np.testing.assert_array_equal(shown["stiffness"], result_of(run)["unknowns"][E]["value"])
+
+
+def test_the_body_is_drawn_at_rest_and_moved(run):
+    data = read_run(run)
+    figure = draw_design(data, designed_quantities(data))
+    panels = [axes for axes in figure.axes if axes.get_title()]
+    assert [axes.get_title().split(" = ")[0] for axes in panels] == ["at rest", "t"]
+    values = np.sort(result_of(run)["unknowns"][E]["value"])
+    for axes in panels:
+        dots = next(c for c in axes.collections if c.get_array() is not None and len(c.get_array()) >= len(values))
+        assert dots.get_clim() == (values[0], values[-1])
+        np.testing.assert_array_equal(np.unique(dots.get_array()), np.unique(values))
+    assert figure.axes[-1].get_ylabel() == "Young's modulus (Pa)"
+    assert run / "figures" / "design.png" in draw_run(run)
+
+
+def test_a_control_run_has_no_design(run, tmp_path):
+    record = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps(record | {"job": "control"}))
+    assert designed_quantities(read_run(run)) == {}
+    (run / "run.json").write_text(json.dumps(record))
