@@ -12,6 +12,7 @@ many there are, so results are the same bits for any number.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import threading
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from typing import Any
 
 from llvmlite import binding, ir
 from numba import config, njit
-from numba.core import codegen, types
+from numba.core import caching, codegen, types
 from numba.extending import intrinsic, overload
 
 _compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -44,6 +45,23 @@ class _OwnHelpers(codegen.JITCodeLibrary):
 
 
 codegen.JITCPUCodegen._library_class = _OwnHelpers
+
+
+class SharedIndex(caching.IndexDataCacheFile):
+    """A kernel's index of compiled versions, to which one process at a time adds.
+
+    Numba reads the index, takes the next free number for a file and writes both; two processes that compile different
+    versions at once take the same number, and one is then given the other's code.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        """Add a version under its key."""
+        with Path(f"{self._index_path}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            super().save(key, data)
+
+
+caching.IndexDataCacheFile = SharedIndex
 
 
 def kernel(function: Callable[..., Any]) -> Any:

@@ -110,6 +110,10 @@ class RegionActuator(Actuator):
 class DirectedStress(RegionActuator):
     """A stress F S F^T with S along an axis of the body at rest, or isotropic."""
 
+    weight: float = quantity(
+        "1", "Share of its strength that each particle has; as an unknown `per: field`, where it lies",
+        differentiable=True, ge=0, default=1.0,
+    )  # fmt: skip
     axis: list[float] | Literal["isotropic"] = Field(description="Direction at rest, made unit; or isotropic")
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:

@@ -37,7 +37,9 @@ class Backward:
         self.drive_bar = drive._replace(
             activation=np.zeros_like(drive.activation),
             strength=np.zeros_like(drive.strength),
-            stresses=tuple(s._replace(theta=np.zeros_like(s.theta)) for s in drive.stresses),
+            stresses=tuple(
+                s._replace(theta=np.zeros_like(s.theta), weight=np.zeros_like(s.weight)) for s in drive.stresses
+            ),
             push=np.zeros_like(drive.push),
         )
         zeros = [[np.zeros_like(theta) for theta in group] for group in rollout.inputs.terms]
@@ -127,4 +129,13 @@ class Backward:
                 bar.terms[g][k][:] = unpack(group.terms[k].theta)[:, columns[slice_]]
         bar.activation[:], bar.strength[:] = self.drive_bar.activation, self.drive_bar.strength
         bar.coefficients[:] = self.coefficient_bar
+        if len(bar.weights):
+            self._add_weights(bar.weights)
         return bar
+
+    def _add_weights(self, weights_bar: Array) -> None:
+        """Put the cotangents of the stress actuators' weights in the order of the inputs."""
+        slices = self.rollout.model.weight_slices
+        for kind in self.drive_bar.stresses:
+            for k, a in enumerate(kind.actuators):
+                weights_bar[slices[a]] = kind.weight[kind.start[k] : kind.start[k + 1]]

@@ -1,7 +1,7 @@
 """Activations to active stresses, once a control step, and to forces, every substep; and back. One thread runs these.
 
-theta_p = sum_a activation_a strength_a direction_a over the stress actuators a that hold particle p; what forces do
-is their own (`actuators/push.py`).
+theta_p = sum_a activation_a strength_a weight_ap direction_a over the stress actuators a that hold particle p; what
+forces do is their own (`actuators/push.py`).
 """
 
 from __future__ import annotations
@@ -25,22 +25,24 @@ def stress(stresses: Stresses, activation: Array, strength: Array, control: int)
             tension = activation[control, a] * strength[a] * stresses.direction[k, row]
             for index in range(stresses.start[k], stresses.start[k + 1]):
                 p = stresses.columns[index]
-                stresses.theta[p // width, row, p % width] += tension
+                stresses.theta[p // width, row, p % width] += tension * stresses.weight[index]
 
 
 @kernel
 def stress_vjp(
     pair: tuple[Stresses, Stresses], activation: Array, strength: Array, control: int, bar: Drive
 ) -> None:
-    """Turn the cotangent of theta, summed over a control step, into those of activation and strength; clear it."""
+    """Turn the cotangent of theta, summed over a control step, into those of activation, strength, weight; clear it."""
     stresses, theta_bar = pair[0], pair[1].theta
     width = theta_bar.shape[2]
     for k in range(len(stresses.actuators)):
         a, total = stresses.actuators[k], 0.0
-        for row in range(stresses.direction.shape[1]):
-            for index in range(stresses.start[k], stresses.start[k + 1]):
-                p = stresses.columns[index]
-                total += theta_bar[p // width, row, p % width] * stresses.direction[k, row]
+        for index in range(stresses.start[k], stresses.start[k + 1]):
+            p, pull = stresses.columns[index], 0.0
+            for row in range(stresses.direction.shape[1]):
+                pull += theta_bar[p // width, row, p % width] * stresses.direction[k, row]
+            total += pull * stresses.weight[index]
+            pair[1].weight[index] += pull * activation[control, a] * strength[a]
         bar.activation[control, a] += total * strength[a]
         bar.strength[a] += total * activation[control, a]
     theta_bar[:] = 0.0

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -121,10 +122,18 @@ class Model:
         kinds = list(dict.fromkeys(a.kernel for a in self.actuators))
         return [k for k in kinds if not pushes(k)], [k for k in kinds if pushes(k)]
 
-    def kernel_drive(self, activation: Array, strength: Array) -> Drive:
-        """Return what the actuators act through, for activations (T, A) and strengths (A,)."""
+    @property
+    def weight_slices(self) -> list[slice]:
+        """Each actuator's slice of the weights of particles."""
+        ends = np.cumsum([0, *(len(a.particles) for a in self.actuators)])
+        return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+
+    def kernel_drive(self, activation: Array, strength: Array, weights: Array) -> Drive:
+        """Return what the actuators act through, for activations (T, A), strengths (A,) and weights of particles."""
         columns, (stresses, forces) = self.layout.columns(), self.kinds()
-        pieces = [columns[a.particles] for a in self.actuators]
+        pieces, shares = [columns[a.particles] for a in self.actuators], self.weight_slices
+        if not len(weights):
+            weights = np.ones(shares[-1].stop if shares else 0)
 
         def of(kind: type) -> tuple[Array, list[Array], list[Array]]:
             own = [k for k, a in enumerate(self.actuators) if a.kernel is kind]
@@ -133,7 +142,8 @@ class Model:
         def stress(kind: type) -> Stresses:
             own, held, directions = of(kind)
             theta = pack(np.zeros((len(directions[0]), self.layout.n)), self.real)
-            return Stresses(theta, *starts_of(held), own, np.array(directions, float))
+            weight = np.concatenate([weights[shares[k]] for k in own])
+            return Stresses(theta, *starts_of(held), own, np.array(directions, float), weight)
 
         n_pushed = self.layout.n if forces else 0
         return Drive(
@@ -150,7 +160,8 @@ class Inputs:
     """What a rollout depends on; as a cotangent, the derivative of the loss by each of them.
 
     `terms[g][k]` (rows, N_g) are the parameters of term k of group g, `activation` (T, A) has one row a control step,
-    `strength` (A,) one number an actuator, in its own unit, `coefficients` one a plane of a boundary condition.
+    `strength` (A,) one number an actuator, in its own unit, `coefficients` one a plane of a boundary condition,
+    `weights` one a particle of each actuator, one actuator after another; all 1 if empty. Forces have no weights.
     """
 
     state: State
@@ -159,6 +170,7 @@ class Inputs:
     activation: Array
     strength: Array
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
+    weights: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def zeros_like(cls, other: Inputs) -> Inputs:
@@ -171,6 +183,7 @@ class Inputs:
             np.zeros_like(other.activation),
             np.zeros_like(other.strength),
             np.zeros_like(other.coefficients),
+            np.zeros_like(other.weights),
         )
 
 

@@ -36,13 +36,17 @@ class Group(NamedTuple):
 
 
 class Stresses(NamedTuple):
-    """Active stresses of one kind: theta is the sum over a particle's actuators of activation strength direction."""
+    """Active stresses of one kind; as a cotangent, theta and weight are theirs.
+
+    theta is the sum over a particle's actuators of activation strength weight direction.
+    """
 
     theta: Array  # (rows, n) parameters of the kind's stress term, packed [Pa]
     start: Array  # (A_k + 1,) where an actuator's columns begin
     columns: Array  # particles of all actuators of the kind
     actuators: Array  # (A_k,) which of all A actuators they are
     direction: Array  # (A_k, rows)
+    weight: Array  # of each of the columns [1]
 
 
 class Drive(NamedTuple):

@@ -37,6 +37,7 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, leaf, leaves, with_values
 from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
+from cqrun.scene.unknowns import body_of
 from cqrun.state import State
 
 Values = Mapping[str, Any]
@@ -236,6 +237,9 @@ class Experiment:
             part = self.built.particles.of(keys[1])
             groups = len(self.scene.bodies[keys[1]].group_names)
             legal += [(part.stop - part.start,), *[(groups,)] * (groups > 0)]
+        elif keys[0] == "actuators" and keys[-1] == "weight":
+            part = self.built.particles.of(body_of(self.scene, path))
+            legal.append((part.stop - part.start,))
         if value.shape not in legal:
             raise UsageError(f"{path}: a value of shape {value.shape}; it must be one of {listed(map(str, legal))}")
         if not np.isfinite(value).all():

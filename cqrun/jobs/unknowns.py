@@ -17,7 +17,7 @@ from cqrun.scene.data import Unknown
 from cqrun.scene.particles import Particles
 from cqrun.scene.paths import canonical
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import start
+from cqrun.scene.unknowns import body_of, start
 
 RESOLUTION = 4
 """Cells along the longest edge of a body that a field has if its unknown does not say."""
@@ -47,7 +47,7 @@ def _block(scene: Scene, particles: Particles, path: str, unknown: Unknown) -> B
     """Return an unknown as a block at its start; SceneError where a body is not its own mirror image."""
     name, initial = canonical(scene, path), start(scene, path)
     low, high, log = *unknown.bounds, unknown.scale == "log"
-    body, followers = name.split(".")[1], tuple(_followers(scene, particles, path, unknown))
+    body, followers = body_of(scene, name), tuple(_followers(scene, particles, path, unknown))
     if unknown.per == "body":
         return Block(name, low, high, log, np.array(initial), followers=followers)
     if unknown.per == "group":
@@ -76,7 +76,7 @@ def _followers(scene: Scene, particles: Particles, path: str, unknown: Unknown) 
         same, order = canonical(scene, other), None
         if unknown.per != "body":
             try:
-                order = _matched(scene, particles, name.split(".")[1], same.split(".")[1], unknown.per)
+                order = _matched(scene, particles, body_of(scene, name), body_of(scene, same), unknown.per)
             except UsageError as error:
                 place = f"unknowns.{path}.also.{other}"
                 raise SceneError([Problem(scene.where(place), place, str(error))]) from error

@@ -88,6 +88,39 @@ class Actuation:
     def _scale(part: Part) -> str:
         return f"{part.path}.{part.spec.scale}"
 
+    # --- weights --------------------------------------------------------------------------------------------------
+
+    def weights(self, values: Values) -> Array:
+        """Return the weight of every particle of each part, one part after another; none where all are 1."""
+        if not any(self._weight(p) in values or getattr(p.spec, "weight", 1.0) != 1.0 for p in self.parts):
+            return np.zeros(0)
+        return np.concatenate([self._weights_of(part, values) for part in self.parts])
+
+    def _weights_of(self, part: Part, values: Values) -> Array:
+        held = part.model.particles
+        value = np.asarray(values.get(self._weight(part), getattr(part.spec, "weight", 1.0)), float)
+        return np.full(len(held), float(value)) if value.ndim == 0 else value[held - self._start(part)]
+
+    def weights_vjp(self, weights_bar: Array, out: dict[str, Array]) -> None:
+        """Add to the gradients of the weights that are wanted."""
+        begin = 0
+        for part in self.parts if len(weights_bar) else ():
+            held = part.model.particles
+            own, begin = weights_bar[begin : begin + len(held)], begin + len(held)
+            if self._weight(part) not in out:
+                continue
+            if np.ndim(out[self._weight(part)]) == 0:
+                out[self._weight(part)] += own.sum()
+            else:
+                np.add.at(out[self._weight(part)], held - self._start(part), own)
+
+    def _start(self, part: Part) -> int:
+        return int(self.particles.of(part.spec.body).start)
+
+    @staticmethod
+    def _weight(part: Part) -> str:
+        return f"{part.path}.weight"
+
     # --- open-loop signals ----------------------------------------------------------------------------------------
 
     def _wanted(self, sequence: int, values: Values) -> Array:
@@ -156,7 +189,7 @@ class Actuation:
         out = np.zeros(len(self.particles.x))
         sizes = self.greatest(values) * self.strengths(values)
         for part, size in zip(self.parts, sizes, strict=True):
-            out[part.model.particles] += size * part.spec.wave_modulus()
+            out[part.model.particles] += size * part.spec.wave_modulus() * self._weights_of(part, values)
         return out
 
 

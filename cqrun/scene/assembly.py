@@ -132,7 +132,7 @@ class Assembly:
         drive = self.actuation
         return Inputs(
             state, fields, self._terms(values), drive.activations(self.sequence, values), drive.strengths(values),
-            self._coefficients(values),
+            self._coefficients(values), drive.weights(values),
         )  # fmt: skip
 
     def gradient(self, values: Values, bar: Inputs) -> dict[str, Array]:
@@ -144,6 +144,7 @@ class Assembly:
         self._terms_vjp(values, bar, out)
         self.actuation.activations_vjp(bar.activation, self.sequence, values, out)
         self.actuation.strengths_vjp(bar.strength, out)
+        self.actuation.weights_vjp(bar.weights, out)
         self._coefficients_vjp(values, bar, out)
         return out
 

@@ -25,6 +25,14 @@ def tied(scene: Scene, path: str, value: float) -> dict[str, float]:
     return {path: value, **{other: tie.factor * value + tie.offset for other, tie in others}}
 
 
+def body_of(scene: Scene, name: str) -> str:
+    """Return the body whose particles a value at a path, in its long spelling, belongs to; empty if there is none."""
+    keys = name.split(".")
+    if keys[0] == "actuators":
+        return str(scene.actuators[keys[1]].value.body)  # type: ignore[attr-defined]
+    return keys[1] if keys[0] == "bodies" else ""
+
+
 def findings_of_paths(scene: Scene) -> list[InitErrorDetails]:
     """Return what is wrong with the unknowns, the synthetic truth and the recordings' overrides."""
     found = [item for path, unknown in scene.unknowns.items() for item in _unknown(scene, path, unknown)]
@@ -94,9 +102,12 @@ def _per(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails
         return
     keys = canonical(scene, path).split(".")
     place: Loc = ("unknowns", path, "per")
+    if keys[0] == "actuators" and keys[-1] == "weight" and unknown.per != "group":
+        return
     if keys[0] != "bodies" or keys[2] != "material":
         how = "be a field" if unknown.per == "field" else f"differ by {unknown.per}"
-        yield finding(f"only a body's material can {how}; use `per: body`", place)
+        also = "" if unknown.per == "group" else ", and an actuator's `weight`,"
+        yield finding(f"only a body's material{also} can {how}; use `per: body`", place)
     elif unknown.per == "group" and not scene.bodies[keys[1]].group_names:
         yield finding(f"the body '{keys[1]}' has no groups; name some or use `per: body`", place)
     else:

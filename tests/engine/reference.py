@@ -93,15 +93,22 @@ def driven(model: Model, inputs: Inputs, kind: type, step: int) -> Iterator[tupl
             yield actuator, inputs.activation[step // model.substeps, a], inputs.strength[a]
 
 
+def weights(model: Model, inputs: Inputs, actuator: ActuatorModel) -> Any:
+    """Return the weights of an actuator's particles, 1 where there are none."""
+    a = next(k for k, other in enumerate(model.actuators) if other is actuator)
+    return inputs.weights[model.weight_slices[a]] if len(inputs.weights) else np.ones(len(actuator.particles))
+
+
 def active_stress(model: Model, inputs: Inputs, step: int) -> tuple[Array, Array]:
     """Return the second Piola-Kirchhoff stress of the muscles (N, D, D), and the pressures (N, 1, 1)."""
     n, dim = inputs.state.x.shape
-    kind = np.result_type(inputs.activation, inputs.strength)
+    kind = np.result_type(inputs.activation, inputs.strength, inputs.weights)
     S, p = np.zeros((n, dim, dim), kind), np.zeros((n, 1, 1), kind)
     for actuator, u, strength in driven(model, inputs, muscle.Kernel, step):
-        S[actuator.particles] += u * strength * matrix(actuator.constants)
+        share = weights(model, inputs, actuator)[:, None, None]
+        S[actuator.particles] += u * strength * share * matrix(actuator.constants)
     for actuator, u, strength in driven(model, inputs, pressure.Kernel, step):
-        p[actuator.particles] += u * strength * actuator.constants
+        p[actuator.particles] += u * strength * weights(model, inputs, actuator)[:, None, None] * actuator.constants
     return S, p
 
 

@@ -103,6 +103,7 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
     inputs.strength[:] = rng.uniform(0.8, 1.2, 9)
     inputs.strength[ACTUATORS["cable"]] *= STIFFNESS[dim]
     inputs.fields.force[:] = mass[:, None] * rng.normal(size=s.x.shape)
+    inputs.weights = rng.uniform(0.5, 1.5, model.weight_slices[-1].stop)
     return model, inputs
 
 
@@ -111,6 +112,7 @@ KINDS = (
     "neo_hookean.E", "neo_hookean.nu", "viscosity.shear", "viscosity.bulk", "incompressibility.E",
     "incompressibility.nu", "friction",
     *(f"{kind}.{what}" for kind in ACTUATORS for what in ("activation", "strength")),
+    "weights",
 )  # fmt: skip
 """What a rollout depends on, in the order of `arrays`."""
 
@@ -120,7 +122,8 @@ def arrays(inputs: Inputs) -> list[np.ndarray]:
     s, f = inputs.state, inputs.fields
     terms = [row for theta in inputs.terms[0] for row in theta]
     drive = [a for at in ACTUATORS.values() for a in (inputs.activation[:, at], inputs.strength[at])]
-    return [s.x, s.v, s.C, s.F, f.mass, f.volume, f.damping, f.force, *terms, inputs.coefficients, *drive]
+    fields = [f.mass, f.volume, f.damping, f.force]
+    return [s.x, s.v, s.C, s.F, *fields, *terms, inputs.coefficients, *drive, inputs.weights]
 
 
 def direction(inputs: Inputs, kind: str, rng: np.random.Generator) -> np.ndarray:
@@ -145,7 +148,7 @@ def make_complex(inputs: Inputs) -> None:
         for name, value in vars(part).items():
             setattr(part, name, value.astype(complex))
     inputs.terms = [[theta.astype(complex) for theta in group] for group in inputs.terms]
-    for name in ("activation", "strength", "coefficients"):
+    for name in ("activation", "strength", "coefficients", "weights"):
         setattr(inputs, name, getattr(inputs, name).astype(complex))
 
 

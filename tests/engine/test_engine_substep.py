@@ -69,7 +69,7 @@ def test_bodies_with_other_terms_than_their_neighbours(dim, rng):
     groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1], TERMS[3])))
     apart = replace(model, groups=groups, actuators=())
     inputs.terms = [[one[0][:, first], one[2][:, first]], [one[1][:, second], one[3][:, second]]]
-    inputs.activation, inputs.strength = np.zeros((model.n_controls, 0)), np.zeros(0)
+    inputs.activation, inputs.strength, inputs.weights = np.zeros((model.n_controls, 0)), np.zeros(0), np.zeros(0)
     records = Rollout(apart, inputs).run()
     for got, want in zip(parts(records), parts(expected), strict=True):
         np.testing.assert_allclose(got, want, rtol=0, atol=TOLERANCE * np.abs(want).max())

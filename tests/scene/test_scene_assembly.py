@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from cqrun.engine.model import Inputs
+from cqrun.errors import SceneError
+from cqrun.jobs.unknowns import make_params
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf, leaves
@@ -67,7 +69,7 @@ def flat(inputs: Inputs) -> np.ndarray:
     """Return all of the inputs as one vector."""
     s, f = inputs.state, inputs.fields
     parts = [s.x, s.v, s.C, s.F, f.mass, f.volume, f.damping, f.force, inputs.activation, inputs.strength,
-             inputs.coefficients, *(theta for group in inputs.terms for theta in group)]  # fmt: skip
+             inputs.coefficients, inputs.weights, *(theta for group in inputs.terms for theta in group)]  # fmt: skip
     return np.concatenate([part.reshape(-1) for part in parts])
 
 
@@ -79,7 +81,7 @@ def random_bar(inputs: Inputs, rng: np.random.Generator) -> Inputs:
             size = np.abs(getattr(like, name)).max(initial=0.0) or 1.0
             setattr(whole, name, rng.normal(size=getattr(like, name).shape) / size)
     bar.terms = [[rng.normal(size=a.shape) / (np.abs(a).max() or 1.0) for a in group] for group in inputs.terms]
-    for name in ("activation", "strength", "coefficients"):
+    for name in ("activation", "strength", "coefficients", "weights"):
         value = getattr(inputs, name)
         setattr(bar, name, rng.normal(size=value.shape) / (np.abs(value).max() or 1.0))
     return bar
@@ -91,13 +93,13 @@ def test_dot_product_of_every_number(built, rng):
     paths = [path for path in leaves(scene, differentiable=True) if assembly.reaches(path)]
     wanted = (
         "world.gravity.0", "loads.pull.point_force.force.1", "loads.weight.attached_mass.mass",
-        "loads.air.damping.rate",
+        "loads.air.damping.rate", "actuators.muscle.muscle.weight",
         "boundaries.floor.friction.coefficient", "bodies.a.velocity.1", "bodies.a.spin.0",
         "bodies.a.material_of.tip.density", "actuators.cord.cable.stiffness", "activation.signals.air.1",
     )  # fmt: skip
     assert set(wanted) <= set(paths)
-    bar = random_bar(assembly.inputs({}), rng)
     values = {path: np.array(float(leaf(scene, path).value)) for path in paths}
+    bar = random_bar(assembly.inputs(values), rng)
     gradient = assembly.gradient(values, bar)
     for path, value in values.items():
         h = STEP * (abs(float(value)) or 1.0)
@@ -106,3 +108,35 @@ def test_dot_product_of_every_number(built, rng):
         assert slope != 0, path
         rounding = 1e-14 * abs(at[1]) / h
         assert abs(float(gradient[path]) - slope) <= 1e-9 * abs(slope) + rounding, path
+
+
+@pytest.mark.parametrize("name", ["muscle.muscle", "air.pneumatic"])
+def test_weights_of_an_actuators_particles(built, name, rng):
+    """One a particle of the body; those that the actuator does not hold have none of it."""
+    assembly, path = built.assembly, f"actuators.{name}.weight"
+    count = len(built.particles.points["a"].x)
+    values = {path: rng.uniform(0.2, 1.0, count)}
+    inputs = assembly.inputs(values)
+    actuator = next(k for k, part in enumerate(assembly.actuation.parts) if part.path == f"actuators.{name}")
+    held = assembly.actuation.parts[actuator].model.particles
+    own = built.model.weight_slices[actuator]
+    np.testing.assert_array_equal(inputs.weights[own], values[path][held])
+    assert set(np.delete(inputs.weights, np.r_[own])) == {1.0}
+    bar = random_bar(inputs, rng)
+    gradient = assembly.gradient(values, bar)[path]
+    np.testing.assert_array_equal(gradient[held], bar.weights[own])
+    assert not np.delete(gradient, held).any()
+    assert not len(assembly.inputs({}).weights)
+    stress = assembly.actuation.greatest_stress(values) / assembly.actuation.greatest_stress({}).max()
+    assert stress.max() < 1.0
+
+
+def test_where_a_muscle_lies_can_be_a_field():
+    """An unknown of its weight: a smooth field over the body it lies in."""
+    path = "actuators.muscle.muscle.weight"
+    scene = everything(2) | {"unknowns": {path: {"bounds": [0, 1], "per": "field", "resolution": 2, "initial": 0.5}}}
+    built = build(load_scene(scene))
+    (block,) = make_params(built).blocks
+    assert block.size < len(built.particles.points["a"].x) == len(block.initial)
+    with pytest.raises(SceneError, match="only a body's material can differ by group"):
+        load_scene(scene, [f"unknowns.{path}={{bounds: [0, 1], per: group}}"])
