@@ -63,7 +63,8 @@ class Row:
         differences: the same by differences, on the plateau; None where every step's rollout failed.
         error: |adjoint - differences| / the larger of the two, or None.
         step: of the plateau.
-        noise: what rounding alone can make of a difference at that step; both below it: flat, nothing to compare.
+        noise: what rounding can make of a difference there, or the scan's own scatter; both below it: flat, nothing to
+            compare.
         scan: E at every step; None where a rollout failed.
         agrees: the two agree.
     """
@@ -191,7 +192,8 @@ def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Ar
     scan = extrapolated(lambda h: _central(loss, d, h))
     best = plateau(scan)
     differences, step = float(scan[best]), float(STEPS[best])
-    noise = NOISE * float(np.finfo(precision).eps) * float(max(abs(value), loss.scale)) / step
+    rounding = NOISE * float(np.finfo(precision).eps) * float(max(abs(value), loss.scale)) / step
+    noise = max(rounding, scatter(scan, best))
     shown = [float(e) if np.isfinite(e) else None for e in scan]
     if not np.isfinite(differences):
         return Row(block, count, adjoint, None, None, step, noise, shown, False)
@@ -219,6 +221,12 @@ def plateau(scan: Array) -> int:
     change = np.abs(np.diff(scan))
     both = np.maximum(change[1:], change[:-1])
     return 1 + int(np.nanargmin(both)) if np.isfinite(both).any() else len(scan) - 1
+
+
+def scatter(scan: Array, best: int) -> float:
+    """Return how far a scan's plateau is from its neighbours: no smaller difference can be told from it."""
+    change = np.abs(np.diff(scan[max(0, best - 1) : best + 2]))
+    return float(np.nanmax(change)) if np.isfinite(change).any() else 0.0
 
 
 def lines_of(found: dict[str, Any]) -> list[str]:

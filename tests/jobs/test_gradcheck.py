@@ -11,7 +11,8 @@ from small_beam import E_PATH, SHEAR_PATH, Listener, changed
 from cqrun.design.params import Params
 from cqrun.errors import RunError, SceneError, Stopped
 from cqrun.jobs import gradcheck
-from cqrun.jobs.gradcheck import ALL, STEPS, extrapolated, plateau, run_gradcheck
+from cqrun.jobs.checked_losses import Loss
+from cqrun.jobs.gradcheck import ALL, STEPS, check_direction, extrapolated, plateau, run_gradcheck
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
 from cqrun.store.run import read_record
@@ -43,10 +44,11 @@ def test_a_scene_without_data_is_checked_by_all_its_numbers(beam, tmp_path):
     _, agrees, found = check(beam, tmp_path)
     assert agrees
     assert [row["block"] for row in found["rows"]] == [
-        "world.gravity", "bodies.beam.velocity", "bodies.beam.spin", "bodies.beam.material.density", E_PATH,
+        "world.gravity", "bodies.beam.shape.box.corner", "bodies.beam.shape.box.size", "bodies.beam.velocity",
+        "bodies.beam.spin", "bodies.beam.material.density", E_PATH,
         E_PATH.replace("youngs_modulus", "poissons_ratio"), SHEAR_PATH, "bodies.beam.material.viscosity.bulk", ALL,
     ]  # fmt: skip
-    assert [row["count"] for row in found["rows"]] == [2, 2, 1, 1, 1, 1, 1, 1, 10]
+    assert [row["count"] for row in found["rows"]] == [2, 2, 2, 2, 1, 1, 1, 1, 1, 1, 14]
     assert max(row["error"] for row in found["rows"]) < 1e-6
 
 
@@ -138,3 +140,13 @@ def test_a_direction_whose_steps_all_fail_disagrees(fit, tmp_path, monkeypatch):
     assert not agrees
     assert found["rows"][0]["scan"] == [None] * (len(STEPS) - 1)
     assert report_lines(run)[2].endswith("every step's rollout failed: DISAGREES")
+
+
+def test_a_scan_that_is_rounding_alone_is_flat(rng):
+    """Larger rounding than the loss lets expect: differences tell nothing below their own scatter."""
+    noise = iter(1e-9 * rng.normal(size=1000))
+    loss = Loss("noise", Params(()), np.zeros(1), lambda x: 1.0 + next(noise), lambda x: (1.0, np.zeros(1)), 1.0)
+    flat = check_direction("a", loss, 1.0, np.array([1e-9]), np.ones(1), "float64")
+    assert flat.agrees
+    assert flat.noise >= abs(flat.differences)
+    assert not check_direction("a", loss, 1.0, np.array([1.0]), np.ones(1), "float64").agrees
