@@ -133,6 +133,9 @@ def shortened(path: Path, folder: Path, *, steps: int = 2) -> list[str]:
         if spec.length is not None:
             overrides.append(f"data.recordings.{name}.length={steps * scene.time.control_step!r}")
         overrides.append(f"data.recordings.{name}.skip=0")
+        if f"data.recordings.{name}.start" in scene.unknowns:
+            bounds = [spec.start - 1e-3, spec.start + 1e-3]
+            overrides.append(f"unknowns.data.recordings.{name}.start.bounds={bounds}")
     if scene.optimizer is not None:
         overrides.append(f"optimizer.{scene.optimizer.name}.max_iterations=1")
     return [*overrides, *recorded(scene, folder)]

@@ -25,6 +25,7 @@ NAMES = [
     "schema",
     "plot",
     "render",
+    "export",
     "compress",
     "bench",
     "warmup",
