@@ -112,7 +112,10 @@ def run_ablation(
             searched[v.name] = {str(rate).partition("=")[2]: loss for rate, loss in losses.items()}
             known = {rate: loss for rate, loss in losses.items() if loss is not None}
             best[v.name] = min(known, key=known.__getitem__, default=tried[0])
-    runs = {v.name: members(v, best[v.name], range(seeds), fresh and len(tried) == 1) for v in variants}
+    runs = {}
+    for v in variants:  # seed 0 has been learned anew by the search, if there was one
+        first = members(v, best[v.name], [0], fresh and not searched)
+        runs[v.name] = first + (members(v, best[v.name], range(1, seeds), fresh) if seeds > 1 else [])
     talk.phase(f"learning {len(variants)} variants from {seeds} seeds, {at_once} at once")
     _run([run for each in runs.values() for run in each], at_once, "runs", talk)
     result = summary(source.stem, scene, variants, runs)

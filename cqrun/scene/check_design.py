@@ -57,8 +57,7 @@ def _words(ends: Mapping[str, float]) -> str:
 def _beside_cables(scene: Scene, unknowns: Mapping[str, object]) -> Iterator[Problem]:
     cables = {chosen.value.body: name for name, chosen in scene.actuators.items() if chosen.name == "cable"}  # type: ignore[attr-defined]
     for path in unknowns:
-        body = path.split(".")[1]
-        if body in cables:
+        for body in {p.split(".")[1] for p in _geometric(scene, path, 0.0)} & set(cables):
             message = (
                 f"the cable '{cables[body]}' ties points of '{body}' at their distances at rest, which would not "
                 "follow: use another actuator, or leave the geometry"

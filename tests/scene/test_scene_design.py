@@ -94,6 +94,10 @@ def test_geometry_beside_a_cable():
     unknowns = {"bodies.a.shape.box.size.1": {"bounds": [0.4, 0.5]}}
     with pytest.raises(SceneError, match="the cable 'cord' ties points of 'a' at their distances at rest"):
         build(load_scene(data(unknowns, actuators={"cord": cable})))
+    taller = {"bodies.a.shape.box.size.1": {"factor": 0.01, "offset": 0.4}}
+    follows = {f"bodies.b.{E}": {"bounds": [5, 20], "also": taller}}
+    with pytest.raises(SceneError, match="the cable 'cord' ties points of 'a' at their distances at rest"):
+        build(load_scene(data(follows, actuators={"cord": cable})))
 
 
 def test_bodies_that_do_not_match():
