@@ -32,8 +32,7 @@ from cqrun.errors import CqrunError, SceneError
 
 COMMANDS = (
     sysid, control, codesign, simulate, gradcheck, resume, validate, describe, schema, plot, render, export, compress,
-    bench,
-    warmup, doctor,
+    bench, warmup, doctor,
 )  # fmt: skip
 
 app = typer.Typer(

@@ -159,7 +159,7 @@ def _rate_overrides(scene: Scene, rates: Sequence[float]) -> list[str | None]:
         return [None]
     if scene.optimizer is None or not hasattr(scene.optimizer.value, "learning_rate"):
         named = "none" if scene.optimizer is None else scene.optimizer.name
-        raise UsageError(f"--rates: the scene's optimizer, {named}, has no learning_rate: leave out --rates")
+        raise UsageError(f"--rate: the scene's optimizer, {named}, has no learning_rate: leave out --rate")
     return [f"optimizer.{scene.optimizer.name}.learning_rate={rate!r}" for rate in rates]
 
 

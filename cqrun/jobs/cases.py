@@ -24,7 +24,7 @@ from cqrun.observers.markers import Points, centroid, markers, particles
 from cqrun.observers.record import Record
 from cqrun.scene.build import Built, build
 from cqrun.scene.data import Recording as RecordingSpec
-from cqrun.scene.paths import with_values
+from cqrun.scene.paths import canonical, with_values
 from cqrun.scene.schema import ON_CONTROL_STEP
 from cqrun.state import State
 from cqrun.store.alignment import Measured, measure
@@ -335,7 +335,7 @@ def _made(
     if all(file is not None and file.is_file() for file in files):
         return [read_recording(file) for file in files if file is not None]
     model = built.model
-    truth = {path: np.asarray(value, float) for path, value in spec.truth.items()}
+    truth = {canonical(scene, path): np.asarray(value, float) for path, value in spec.truth.items()}
     record = as_record(Rollout(model, built.assembly.inputs(truth)).run())
     steps, step = model.n_controls, scene.time.control_step
     if spec.every is not None:

@@ -2,7 +2,7 @@
 
 design.csv       a row a particle: body, groups, position, volume, mass, density and every number of its material
 design.vtkhdf    the same for ParaView
-BODY.stl         the surface of a 3D body (marching cubes, extra `mesh`), in 2D BODY.csv: its outlines
+surface_BODY.stl the surface of a 3D body (marching cubes, extra `mesh`); in 2D outline_BODY.csv: its outlines
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from cqrun.jobs.unknowns import values_found
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
-from cqrun.store.atomic import disk_errors, make_directory, write_text
+from cqrun.store.atomic import make_directory, write_bytes, write_text
 from cqrun.store.run import read_record
 from cqrun.store.vtkhdf import write_points
 
@@ -48,7 +48,10 @@ def export_design(run: Path, out: Path) -> list[Path]:
     for name in built.particles.names:
         part = built.particles.of(name)
         x, volume = inputs.state.x[part], _true_volumes(built, name, inputs.fields.volume[part])
-        written.append(_surface(x, volume, out / name) if built.scene.dim == 3 else _outline(x, volume, out / name))
+        flat = built.scene.dim == 2
+        file = out / (f"outline_{name}.csv" if flat else f"surface_{name}.stl")
+        (_outline if flat else _surface)(x, volume, file)
+        written.append(file)
     return written
 
 
@@ -119,7 +122,7 @@ def _filled(x: Array, volume: Array) -> tuple[Array, Array, float]:
     return np.pad(share, 1), x.min(axis=0) - 1.5 * edge, edge
 
 
-def _surface(x: Array, volume: Array, base: Path) -> Path:
+def _surface(x: Array, volume: Array, path: Path) -> None:
     """Write the surface of a 3D body as STL [m]."""
     try:
         import igl
@@ -133,13 +136,10 @@ def _surface(x: Array, volume: Array, base: Path) -> Path:
                                             *share.shape, HALF_FULL)  # fmt: skip
     mesh = trimesh.Trimesh(vertices, faces)
     mesh.fix_normals()
-    path = base.with_suffix(".stl")
-    with disk_errors(path):
-        mesh.export(path)
-    return path
+    write_bytes(path, mesh.export(file_type="stl"))
 
 
-def _outline(x: Array, volume: Array, base: Path) -> Path:
+def _outline(x: Array, volume: Array, path: Path) -> None:
     """Write the outlines of a 2D body as CSV: number of the closed line, x, y [m]."""
     import contourpy
 
@@ -148,6 +148,4 @@ def _outline(x: Array, volume: Array, base: Path) -> Path:
     rows = ["line,x [m],y [m]"]
     for k, line in enumerate(lines):
         rows += [f"{k},{a!r},{b!r}" for a, b in (low + edge * np.asarray(line)).tolist()]
-    path = base.with_suffix(".csv")
     write_text(path, "\n".join(rows) + "\n")
-    return path

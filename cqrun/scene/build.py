@@ -17,7 +17,7 @@ from cqrun.scene.assembly import Assembly
 from cqrun.scene.check_design import design_problems
 from cqrun.scene.memory import memory_problems
 from cqrun.scene.particles import Particles, sample, stress_key
-from cqrun.scene.paths import with_values
+from cqrun.scene.paths import canonical, with_values
 from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start, tied
@@ -169,7 +169,7 @@ def _limits_of_data(scene: Scene, particles: Particles, assembly: Assembly) -> l
 def _truth(scene: Scene) -> dict[str, Array]:
     """Return the values that synthetic data are made with."""
     made = scene.data.synthetic if scene.data is not None else None
-    return {} if made is None else {path: np.array(value) for path, value in made.truth.items()}
+    return {} if made is None else {canonical(scene, path): np.array(value) for path, value in made.truth.items()}
 
 
 def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:

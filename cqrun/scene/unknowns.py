@@ -20,9 +20,9 @@ def start(scene: Scene, path: str) -> float:
 
 
 def tied(scene: Scene, path: str, value: float) -> dict[str, float]:
-    """Return the values of an unknown and of what follows it, by path."""
-    others = scene.unknowns[path].also.items()
-    return {path: value, **{other: tie.factor * value + tie.offset for other, tie in others}}
+    """Return the values of an unknown and of what follows it, by path in its long spelling."""
+    others = {canonical(scene, other): tie for other, tie in scene.unknowns[path].also.items()}
+    return {canonical(scene, path): value, **{p: tie.factor * value + tie.offset for p, tie in others.items()}}
 
 
 def body_of(scene: Scene, name: str) -> str:
@@ -158,7 +158,7 @@ def _truth(scene: Scene) -> Iterator[InitErrorDetails]:
             yield finding("a truth can only be what can be an unknown: set it in the scene itself", place, kind=KEY)
             continue
         try:
-            with_values(scene, {path: value})
+            with_values(scene, {info.path: value})
         except SceneError as error:
             yield finding(error.problems[0].message, place)
 

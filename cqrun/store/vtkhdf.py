@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.store.atomic import disk_errors
+from cqrun.store.atomic import replacing
 
 if TYPE_CHECKING:
     import h5py
@@ -60,7 +60,7 @@ def write_points(path: Path, x: Array, columns: Mapping[str, Array]) -> None:
     """
     import h5py
 
-    with disk_errors(path), h5py.File(path, "w", libver=("v110", "v110")) as file:
+    with replacing(path) as temporary, h5py.File(temporary, "w", libver=("v110", "v110")) as file:
         group = file.create_group("VTKHDF", track_order=True)
         group.attrs["Version"] = np.array([2, 0], "i8")
         group.attrs.create("Type", np.bytes_("PolyData"))

@@ -39,7 +39,7 @@ def run(tmp_path_factory):
 
 def test_the_table_has_the_designed_body(run, tmp_path):
     paths = export_design(run, tmp_path / "design")
-    assert [path.name for path in paths] == ["design.csv", "design.vtkhdf", "finger.csv"]
+    assert [path.name for path in paths] == ["design.csv", "design.vtkhdf", "outline_finger.csv"]
     rows = list(csv.DictReader(paths[0].read_text().splitlines()))
     found = result_of(run)["unknowns"]
     assert [float(row["fixed_corotated.youngs_modulus [Pa]"]) for row in rows] == found[E]["value"]
@@ -68,8 +68,8 @@ def test_paraviews_file_has_the_same(run, tmp_path):
 
 def test_the_outline_of_a_slice(tmp_path):
     x = np.stack(np.meshgrid(*[0.05 + 0.1 * np.arange(n) for n in (40, 10)], indexing="ij"), axis=-1).reshape(-1, 2)
-    path = _outline(x, np.full(len(x), 0.01), tmp_path / "bar")
-    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    _outline(x, np.full(len(x), 0.01), tmp_path / "bar.csv")
+    table = np.loadtxt(tmp_path / "bar.csv", delimiter=",", skiprows=1)
     assert set(table[:, 0]) == {0.0}
     a, b = table[:, 1:].T
     assert 0.5 * abs(a @ np.roll(b, 1) - b @ np.roll(a, 1)) == pytest.approx(4.0, rel=0.03)
@@ -78,7 +78,8 @@ def test_the_outline_of_a_slice(tmp_path):
 def test_the_surface_of_a_body(tmp_path):
     x = np.stack(np.meshgrid(*[np.arange(24.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     x = 0.1 * x[np.linalg.norm(x - 11.5, axis=1) < 11.0]
-    mesh = trimesh.load_mesh(_surface(x, np.full(len(x), 1e-3), tmp_path / "ball"))
+    _surface(x, np.full(len(x), 1e-3), tmp_path / "ball.stl")
+    mesh = trimesh.load_mesh(tmp_path / "ball.stl")
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(1e-3 * len(x), rel=0.05)
     assert np.allclose(mesh.center_mass, 1.15, atol=0.01)
@@ -87,7 +88,7 @@ def test_the_surface_of_a_body(tmp_path):
 def test_a_surface_without_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "igl", None)
     with pytest.raises(MissingExtra, match=r"a surface needs igl, which is not installed: pip install 'cqrun\[mesh\]'"):
-        _surface(np.zeros((1, 3)), np.ones(1), tmp_path / "ball")
+        _surface(np.zeros((1, 3)), np.ones(1), tmp_path / "ball.stl")
 
 
 def test_a_design_is_replayed_with_its_geometry(run, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from cqrun.errors import SceneError
+from cqrun.jobs.cases import make_cases
 from cqrun.jobs.gradcheck import run_gradcheck
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.unknowns import make_params
@@ -160,3 +161,19 @@ def test_a_body_starts_where_its_unknowns_do():
     params = make_params(built)
     x = built.assembly.inputs(params.unpack(params.start)).state.x[built.particles.of("a")]
     assert np.ptp(x[:, 1]) == pytest.approx(0.4 * 15 / 16)
+
+
+def test_the_short_spelling_of_a_path_in_a_union():
+    """`union.0` is `union.shapes.0`, in an unknown, in what follows one and in a truth."""
+    ties = ["bodies.b.shape.union.0.box.size.1"]
+    scene = data({"bodies.a.shape.union.0.box.size.1": {"bounds": [0.4, 0.5], "also": ties}})
+    for body in scene["bodies"].values():
+        body["shape"] = {"union": [body["shape"]]}
+    scene["data"] = {"synthetic": {"truth": {"bodies.a.shape.union.0.box.size.1": 0.45}, "body": "a", "tracked": 5,
+                                   "key_frames": 3}}  # fmt: skip
+    built = build(load_scene(scene))
+    params = make_params(built)
+    x = built.assembly.inputs(params.unpack(np.zeros(1))).state.x
+    assert [np.ptp(x[built.particles.of(body), 1]) for body in "ab"] == pytest.approx([0.4 * 15 / 16] * 2)
+    (case,) = make_cases(built)
+    assert len(case.objectives) == 1
