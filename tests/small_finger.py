@@ -38,6 +38,22 @@ time: {duration: 0.1, control_step: 0.01, substeps: 2}
 optimizer: {adam: {learning_rate: 0.1, max_iterations: 4}}
 """
 
+STIFFNESS = "bodies.finger.material.elastic.fixed_corotated.youngs_modulus"
+DESIGN = (
+    FINGER.replace("  tip: {reach: {body: finger, group: tip, goal: target}}\n", "")
+    .replace("job: control", "job: codesign")
+    .replace("optimizer: {adam: {learning_rate: 0.1, max_iterations: 4}}", "optimizer: {slsqp: {max_iterations: 30}}")
+    .replace("effort: {effort: {weight: 1.0e-3}}", "effort: {effort: {}}")
+    + f"""\
+unknowns:
+  {STIFFNESS}: {{bounds: [5, 20], per: particle}}
+constraints:
+  tip: {{of: {{reach: {{body: finger, group: tip, goal: target}}}}, at_most: 0.018, scale: 0.01}}
+  up: {{of: {{height: {{body: finger, group: tip, axis: y}}}}, at_least: 0.3, at_most: 0.9}}
+"""
+)
+"""Its stiffness, a particle each, beside its control, with the tip near its goal and the effort small."""
+
 
 def written(folder: Path, text: str = FINGER) -> Path:
     """Return a scene file of the small finger."""

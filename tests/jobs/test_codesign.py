@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 from small_beam import result_of
-from small_finger import FINGER, written
+from small_finger import DESIGN, STIFFNESS, written
 
 from cqrun.design.spread import mirrored
 from cqrun.errors import RunError, SceneError
@@ -21,22 +21,6 @@ from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 from cqrun.store.history import read_history
 from cqrun.store.run import read_record
-
-E = "bodies.finger.material.elastic.fixed_corotated.youngs_modulus"
-DESIGN = (
-    FINGER.replace("  tip: {reach: {body: finger, group: tip, goal: target}}\n", "")
-    .replace("job: control", "job: codesign")
-    .replace("optimizer: {adam: {learning_rate: 0.1, max_iterations: 4}}", "optimizer: {slsqp: {max_iterations: 30}}")
-    .replace("effort: {effort: {weight: 1.0e-3}}", "effort: {effort: {}}")
-    + f"""\
-unknowns:
-  {E}: {{bounds: [5, 20], per: particle}}
-constraints:
-  tip: {{of: {{reach: {{body: finger, group: tip, goal: target}}}}, at_most: 0.018, scale: 0.01}}
-  up: {{of: {{height: {{body: finger, group: tip, axis: y}}}}, at_least: 0.3, at_most: 0.9}}
-"""
-)
-
 
 MORE = [
     "unknowns.bodies.finger.material.density={bounds: [0.5, 2], per: group}",
@@ -117,14 +101,14 @@ def test_it_meets_its_constraints(finger, tmp_path, method):
     assert tip["value"] <= 0.018 + 1e-6 * 0.01
     assert tip["violation"] <= 1e-8
     assert result["constraints"]["up"].keys() == {"at_least", "at_most", "start", "value", "violation"}
-    assert len(result["unknowns"][E]["value"]) == 48
-    assert np.ptp(result["unknowns"][E]["value"]) > 1e-3
+    assert len(result["unknowns"][STIFFNESS]["value"]) == 48
+    assert np.ptp(result["unknowns"][STIFFNESS]["value"]) > 1e-3
     rows = read_history(run / "history.csv")
     assert min(rows["violation"]) <= 1e-6
     text = "\n".join(report_lines(run))
     assert re.search(r"constraint +wanted +before +learned +violated by", text)
     assert "at least 0.3, at most 0.9" in text
-    assert f"{E}  10" in text
+    assert f"{STIFFNESS}  10" in text
 
 
 def test_a_design_that_cannot_be_had_ends_infeasible_and_is_kept(finger, tmp_path):
@@ -150,10 +134,10 @@ def test_an_extended_design_is_that_of_a_longer_run(finger, tmp_path):
 
 
 def test_a_mirrored_field_is_smooth_and_the_same_on_either_side(finger, tmp_path):
-    run = learn(finger, tmp_path, f"unknowns.{E}={{bounds: [5, 20], per: field, resolution: 3, mirror: x}}")
+    run = learn(finger, tmp_path, f"unknowns.{STIFFNESS}={{bounds: [5, 20], per: field, resolution: 3, mirror: x}}")
     result = result_of(run)
     assert result["constraints"]["tip"]["violation"] <= 1e-8
-    values = np.array(result["unknowns"][E]["value"])
+    values = np.array(result["unknowns"][STIFFNESS]["value"])
     x = build(load_scene(finger)).particles.x
     _, twin = cKDTree(x).query(mirrored(x, 0))
     assert len(values) == 48
@@ -167,7 +151,7 @@ def test_constraints_alone_are_enough(finger, tmp_path):
 
 
 def test_control_honours_constraints_too(finger, tmp_path):
-    run = learn(finger, tmp_path, f"unknowns.{E}=null", job="control")
+    run = learn(finger, tmp_path, f"unknowns.{STIFFNESS}=null", job="control")
     assert result_of(run)["job"] == "control"
     assert result_of(run)["constraints"]["tip"]["violation"] <= 1e-8
 
@@ -185,16 +169,16 @@ def test_validate_tells_the_constraints(finger):
     ("override", "message"),
     [
         ("optimizer={adam: {}}", "optimizer.adam: honours no constraints; take augmented_lagrangian, nlopt, slsqp,"),
-        (f"unknowns.{E}=null", "unknowns: codesign needs it: say what of the design may change"),
+        (f"unknowns.{STIFFNESS}=null", "unknowns: codesign needs it: say what of the design may change"),
         ("constraints.up.equals=0.5", "constraints.up: needs `at_least`, `at_most` or both, or else `equals`"),
         ("constraints.up.at_least=0.95", "constraints.up.at_most: leaves nothing: at_least 0.95 is not below"),
         ("constraints.tip={of: {reach: {body: finger, goal: target}}}", "constraints.tip: needs `at_least`"),
         ("constraints.tip.of.reach.group=tpi", "constraints.tip.of.reach.group: there is no group of the body"),
         ("constraints.up.scale=0", "constraints.up.scale: must be greater than 0"),
-        (f"unknowns.{E}.resolution=3", "resolution: has a meaning only for `per: field`"),
-        (f"unknowns.{E}={{bounds: [5, 20], mirror: x}}", "mirror: has a meaning only for `per: particle` and `per: f"),
-        (f"unknowns.{E}.mirror=z", "mirror: a 2D world has no axis z"),
-        (f"unknowns.{E}.mirror=y", "of 48 particles of 'finger' have no mirror image across y, the first at"),
+        (f"unknowns.{STIFFNESS}.resolution=3", "resolution: has a meaning only for `per: field`"),
+        (f"unknowns.{STIFFNESS}={{bounds: [5, 20], mirror: x}}", "mirror: has a meaning only for `per: particle`"),
+        (f"unknowns.{STIFFNESS}.mirror=z", "mirror: a 2D world has no axis z"),
+        (f"unknowns.{STIFFNESS}.mirror=y", "of 48 particles of 'finger' have no mirror image across y, the first at"),
     ],
 )
 def test_bad_input_is_told(finger, tmp_path, override, message):

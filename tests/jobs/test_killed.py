@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_beam import BEAM, FIT, assert_same, changed, record, recorded, result_of
-from small_finger import FINGER, written
+from small_finger import DESIGN, FINGER, written
 
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.reporter import Silent
@@ -36,6 +36,15 @@ LEARNERS = {
     "cma_es": "optimizer={cma_es: {max_iterations: 20, population: 6}}",
 }
 """For control, where sgd draws fresh goals at every iteration."""
+
+DESIGNERS = {
+    "slsqp": "optimizer={slsqp: {max_iterations: 60}}",
+    "trust_constr": "optimizer={trust_constr: {max_iterations: 30}}",
+    "augmented_lagrangian": "optimizer={augmented_lagrangian: {max_iterations: 60, learning_rate: 0.05}}",
+    "nlopt_slsqp": "optimizer={nlopt: {algorithm: slsqp, max_iterations: 60}}",
+    "nlopt_mma": "optimizer={nlopt: {algorithm: mma, max_iterations: 60}}",
+    "nlopt_auglag": "optimizer={nlopt: {algorithm: auglag, max_iterations: 60}}",
+}
 
 PATIENCE = 120.0
 """Longest that one process may take [s]."""
@@ -131,6 +140,16 @@ def test_learning_killed_twenty_times(tmp_path, rng, name):
     if name == "sgd":
         changed(scene, "unseen: 1", "unseen: 1, fresh: true")
     killed_and_resumed(scene, tmp_path, LEARNERS[name], 20, rng, "control")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DESIGNERS)
+def test_a_design_killed_twenty_times(tmp_path, rng, name):
+    if name.startswith("nlopt"):
+        pytest.importorskip("nlopt")
+    scene = written(tmp_path, DESIGN)
+    changed(scene, "at_most: 0.018, scale: 0.01", "at_most: 0.03, scale: 0.01")
+    killed_and_resumed(scene, tmp_path, DESIGNERS[name], 20, rng, "codesign")
 
 
 @pytest.mark.slow
