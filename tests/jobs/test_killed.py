@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -88,8 +89,12 @@ def kill_after(process: subprocess.Popen[str], begun: Path, delay: float) -> boo
 
 
 def _stamp(folder: Path) -> tuple[int, ...]:
-    """Return when each run.json below a folder was written last."""
-    return tuple(path.stat().st_mtime_ns for path in sorted(folder.glob("*/*/run.json")))
+    """Return when each run.json below a folder was written last; `--fresh` may remove one as we look."""
+    stamps = []
+    for path in sorted(folder.glob("*/*/run.json")):
+        with contextlib.suppress(FileNotFoundError):
+            stamps.append(path.stat().st_mtime_ns)
+    return tuple(stamps)
 
 
 def killed_and_resumed(
