@@ -5,16 +5,18 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 SCENE ?= scenes/sysid/beam_twin.yaml
 DEMO := scenes/sysid/beam_twin.yaml
+SIZE ?= quick
+MINUTES ?= inf
 
 # Tests run two at a time, each on one thread, unless a test asks for more itself.
 PYTEST := NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 PARALLEL := -n 2 --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help setup lint types test test-nojit test-slow test-rl bench profile demo clean-cache clean
+.PHONY: help setup lint types test test-nojit test-slow test-rl bench profile demo reproduce-figures clean-cache clean
 
 help: ## list these targets
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-17s %s\n", $$1, $$2}'
 
 setup: $(READY) ## make the environment in .venv, from constraints.txt
 
@@ -56,6 +58,9 @@ profile: $(READY) ## where a run's time goes: make profile SCENE=path/to/scene.y
 demo: $(READY) ## recover the material of a soft beam from its motion, in under five minutes
 	$(BIN)/cqrun sysid $(DEMO)
 	@echo; echo "The result: $$(ls -td results/$(basename $(notdir $(DEMO)))/*/ | head -n 1)"
+
+reproduce-figures: $(READY) ## both papers' figures with a verdict each -> results/figures/index.html; SIZE=paper takes days, MINUTES=n stops after n
+	$(BIN)/python -m benchmarks.papers --size $(SIZE) --minutes $(MINUTES)
 
 clean-cache: $(READY) ## forget the compiled kernels of every version
 	$(BIN)/python -c 'import platformdirs, shutil; shutil.rmtree(platformdirs.user_cache_dir("cqrun"), True)'

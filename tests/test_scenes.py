@@ -71,6 +71,9 @@ SMALLER = {
     "quadruped": ["bodies.quadruped.sampling.lattice.count=4", boundaries(3)],
     "crawler": ["bodies.crawler.sampling.lattice.count=4", boundaries(3)],
     "arm_reach_3d": ["bodies.arm.sampling.lattice.count=4", "episodes.count=2", "episodes.unseen=1"],
+    "leg_actuate": ["bodies.leg.spacing=0.5", "world.dx=1.6", "time.substeps=40"],
+    "leg_drop": ["bodies.leg.spacing=0.5", "world.dx=1.6", "time.substeps=40",
+                 "bodies.leg.place={offset: [0, -15, 0]}"],  # in free fall nothing tells its material
     "arm_two_link": ["bodies.arm.sampling.lattice.count=10", boundaries(2)],
     "biped_codesign": ["bodies.biped.sampling.lattice.count=10", "bodies.biped.spin=[9]", boundaries(2),
                        *designed("biped")],
@@ -90,6 +93,8 @@ PAPERS = {
     "biped": (2_800, 600),
     "quadruped": (84_375, 800),
     "crawler": (64_125, 400),
+    "leg_drop": (290_000, 9_600),
+    "leg_actuate": (290_000, 4_800),
     "arm_reach_3d": (50_625, 200),
     "biped_cable": (5_024, 8_000),
     "rhino": (20_000, 8_000),

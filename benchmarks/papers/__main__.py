@@ -1,0 +1,100 @@
+"""python -m benchmarks.papers [--size quick|paper] [--only ID ...] [--minutes N] [--list] [--page]
+
+Do what is missing, go on with what was stopped, skip what is done; then write each figure's CSV, PNG, PDF and verdict
+to results/figures/SIZE, and results/figures/index.html.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.papers.catalogue import FIGURES
+from benchmarks.papers.figure import Figure, Size
+from benchmarks.papers.page import write_page
+from benchmarks.papers.publish import publish
+from benchmarks.papers.work import ROOT, Work
+
+FIGURES_DIR = ROOT / "results" / "figures"
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status: 0 all done, 75 out of time."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--size", type=Size, choices=list(Size), default=Size.QUICK)
+    parser.add_argument("--only", nargs="+", choices=list(FIGURES), default=list(FIGURES), metavar="ID")
+    parser.add_argument(
+        "--minutes", type=float, default=float("inf"), help="stop after so long; the rest goes on later"
+    )
+    parser.add_argument("--jobs", type=int, default=2, help="runs side by side")
+    parser.add_argument("--runs", type=Path, default=ROOT / "results" / "papers", help="where the runs are kept")
+    parser.add_argument("--out", type=Path, default=FIGURES_DIR, help="where the figures go")
+    parser.add_argument("--list", action="store_true", help="list the figures and how long they take")
+    parser.add_argument("--page", action="store_true", help="only write index.html, from what was published")
+    options = parser.parse_args(words)
+    chosen = [FIGURES[name] for name in options.only]
+    if options.list:
+        _list(chosen, options.runs)
+        return 0
+    finished = options.page or _do(chosen, options.size, options)
+    page = write_page(options.out)
+    print(f"\n{page}")
+    return 0 if finished else 75
+
+
+def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> bool:
+    """Do the work of figures until the time is over, and publish each; say whether all is done."""
+    runs = options.runs / size
+    end = time.monotonic() + 60.0 * options.minutes
+    left = sum(_left(work, runs) for figure in figures for work in figure.work(size))
+    print(f"{len(figures)} figures, size {size}: about {_span(left)} of work left on two cores")
+    complete = True
+    for k, figure in enumerate(figures, start=1):
+        works = figure.work(size)
+        todo = [work for work in works if work.done(runs / work.name) is None]
+        about = sum(_left(work, runs) for work in todo)
+        told = f"about {_span(about)}" if todo else "done"
+        print(f"[{k}/{len(figures)}] {figure.id}: {figure.title} ({told}; {_span(left)} left in all)", flush=True)
+        for work in todo:
+            seconds = end - time.monotonic()
+            if seconds <= 0.0 or not work.do(runs / work.name, seconds, options.jobs):
+                complete = False
+                break
+        left -= about
+        verdict = publish(figure, size, runs, options.out)
+        if verdict is not None:
+            print(f"    {verdict}", flush=True)
+    if not complete:
+        print("out of time: the same command goes on")
+    return complete
+
+
+def _left(work: Work, runs: Path) -> float:
+    """Return the minutes that some work still takes, at least a tenth of all while it is not done."""
+    folder = runs / work.name
+    if work.done(folder) is not None:
+        return 0.0
+    return max(0.1 * work.minutes, work.minutes - work.spent(folder) / 60.0)
+
+
+def _span(minutes: float) -> str:
+    return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"
+
+
+def _list(figures: Sequence[Figure], runs: Path) -> None:
+    for figure in figures:
+        print(f"{figure.id:<24} {figure.source:<18} {figure.title}")
+        for size in Size:
+            works = figure.work(size)
+            done = sum(work.done(runs / size / work.name) is not None for work in works)
+            minutes = sum(work.minutes for work in works)
+            print(
+                f"    {size:<6} {_span(minutes):>8}, {done} of {len(works)} done: " + "; ".join(w.name for w in works)
+            )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,133 @@
+"""A family of figures: which material parameters help a walker, all eight combinations of three (CQ2 Figs 11 to 14)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.histories import curves, runs_below
+from benchmarks.papers.work import Found, Runs, Work
+from cqrun.contract import Array
+from cqrun.figures.style import COLOURS, INK, new_figure, titled
+from cqrun.jobs.ablate import ALL, CONTROL
+from cqrun.jobs.seeds import interval
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+NAMES = {"youngs_modulus": "E", "poissons_ratio": "nu", "density": "mass"}
+ORDER = ("control", "mass", "nu", "nu + mass", "E", "E + mass", "E + nu", "all")
+"""The paper's."""
+
+
+class Ablation(Figure):
+    """Distance after learning, with eight combinations of what is free.
+
+    Attributes:
+        scene: below scenes/.
+        term: of the objective that is the distance [m].
+        quick, paper_size: overrides of the scene.
+        seeds, minutes: by size.
+        rates: learning rates that each variant is tried with.
+        printed: final distances, in the order of `ORDER` [m].
+        gain: of all over control, as printed.
+    """
+
+    scene: ClassVar[str]
+    term: ClassVar[str] = "far"
+    quick: ClassVar[tuple[str, ...]]
+    paper_size: ClassVar[tuple[str, ...]] = ()
+    seeds: ClassVar[Mapping[Size, int]]
+    minutes: ClassVar[Mapping[Size, float]]
+    rates: ClassVar[Mapping[Size, tuple[float, ...]]]
+    printed: ClassVar[Sequence[float]]
+    gain: ClassVar[float]
+
+    tolerance: ClassVar[dict[Size, str]] = {
+        Size.QUICK: "the design with everything free goes farther than control alone",
+        Size.PAPER: "control alone reaches the paper's distance (within 10 %); the gain of all is no less than half of "
+        "the paper's, with the same order of E, nu and mass",
+    }
+
+    @property
+    def stem(self) -> str:
+        """The scene's name."""
+        return self.scene.rpartition("/")[2]
+
+    def work(self, size: Size) -> Sequence[Work]:
+        """Return the ablation."""
+        small = self.quick if size is Size.QUICK else self.paper_size
+        rates = tuple(word for rate in self.rates[size] for word in ("--rate", f"{rate:g}"))
+        options = ("--ablate", *rates)
+        return [Runs(self.stem, self.minutes[size], "codesign", self.scene, small, self.seeds[size], options)]
+
+    def table(self, found: Found, size: Size) -> Table:
+        """Return variant, seed, iteration, seconds, value [m]."""
+        files = sorted(Path(found[self.stem]).rglob("ablation-*.json"))
+        if not files:
+            return {}
+        variants: dict[str, Any] = json.loads(files[-1].read_text())["variants"]
+        parts: list[dict[str, object]] = []
+        for name, entry in variants.items():
+            label = _label(name, entry["free"])
+            for path in entry["runs"]:
+                (run,) = runs_below(Path(path))
+                parts += (
+                    {"variant": label, "seed": run.seed, "iteration": k, "seconds": float(s), "value": float(value)}
+                    for k, (s, value) in enumerate(zip(run.seconds, run.history[self.term], strict=True))
+                )
+        return stacked(iter(parts))
+
+    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+        """Draw curves, and the ends beside the printed ones."""
+        picture = new_figure(9.0, 3.8)
+        left, right = picture.subplots(1, 2)
+        labels = [label for label in ORDER if np.any(table["variant"] == label)]
+        for colour, label in zip(COLOURS, labels, strict=False):
+            each = curves(table, label)
+            left.plot(each.mean, color=colour, lw=1.4, label=label)
+            mean, half = float(each.mean[-1]), float(each.half[-1])
+            right.errorbar([ORDER.index(label)], [mean], yerr=[half], color=colour, fmt="o", ms=5, capsize=3)
+        if size is Size.PAPER:
+            right.plot(range(len(ORDER)), self.printed, "D", color=INK, mec="white", ms=6, label="paper")
+            right.legend()
+        left.set_xlabel("iteration")
+        left.set_ylabel("distance travelled [m]")
+        left.legend(ncols=2, fontsize=7)
+        right.set_xticks(range(len(ORDER)), ORDER, rotation=35, ha="right")
+        titled(left, self.title)
+        titled(right, "in the end, mean and 90 % interval")
+        return picture
+
+    def ends(self, table: Table, label: str) -> Array:
+        """Return the final distance of every seed of a variant."""
+        return np.asarray(curves(table, label).value[:, -1])
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge control, the gain, and at the paper's size the order."""
+        control, every = self.ends(table, CONTROL), self.ends(table, ALL)
+        gain = interval(((every - control) / abs(control.mean())).tolist())
+        if size is Size.QUICK:
+            told = f"{control.mean():.2f} -> {every.mean():.2f} m"
+            return judged({f"all beside control: {told}": bool(every.mean() > control.mean())})
+        told = f"gain {gain['mean']:+.0%} ({gain['low']:+.0%} to {gain['high']:+.0%}), paper {self.gain:+.0%}"
+        order = sorted(("mass", "nu", "E"), key=lambda label: -self.ends(table, label).mean())
+        theirs = sorted(("mass", "nu", "E"), key=lambda label: -self.printed[ORDER.index(label)])
+        wanted = self.printed[0]
+        return judged({
+            f"control {control.mean():.2f} m, paper {wanted:g}": bool(control.mean() >= 0.9 * wanted),
+            told: float(gain["mean"] or 0.0) >= 0.5 * self.gain,
+            f"order {' > '.join(order)}, paper {' > '.join(theirs)}": order == theirs,
+        })  # fmt: skip
+
+
+def _label(name: str, free: Sequence[str]) -> str:
+    if name in (CONTROL, ALL):
+        return name
+    short = [NAMES[group] for group in free]
+    return " + ".join(label for label in ("E", "nu", "mass") if label in short)

@@ -1,0 +1,134 @@
+"""What a figure is: the work behind it, a table of numbers, a picture of the table, and a verdict on it.
+
+The table is all that the verdict knows, so that it can be checked on the CSV that is committed.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from benchmarks.papers.work import Found, Work
+from cqrun.store.atomic import write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+Column = np.ndarray
+Table = dict[str, Column]
+"""Columns of one length by name; numbers (NaN where there is none) or words."""
+
+
+class Size(StrEnum):
+    """How much work a figure is."""
+
+    QUICK = "quick"
+    PAPER = "paper"
+
+
+class Judgement(StrEnum):
+    """What a verdict comes to."""
+
+    MET = "reproduced"
+    PARTLY = "in part"
+    MISSED = "not reproduced"
+    UNFINISHED = "unfinished"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A judgement, and the checks behind it: what each says, with its numbers, and whether it holds."""
+
+    judgement: Judgement
+    checks: Mapping[str, bool]
+
+    def __str__(self) -> str:
+        told = "; ".join(f"{said} ({'yes' if holds else 'NO'})" for said, holds in self.checks.items())
+        return f"{self.judgement}: {told}"
+
+
+def judged(checks: Mapping[str, bool]) -> Verdict:
+    """Return the verdict on checks: all, some, or none of them hold."""
+    good = sum(checks.values())
+    return Verdict(Judgement.MET if good == len(checks) else Judgement.PARTLY if good else Judgement.MISSED, checks)
+
+
+class Figure(ABC):
+    """A figure or table of a paper.
+
+    Attributes:
+        id: names its files.
+        title: what it shows.
+        source: where in the papers.
+        paper: what is printed there, in words and numbers.
+        tolerance: what is asked at each size for the verdict, fixed before any run.
+        left_open: what the paper does not say and we chose, or why a number is not met; may be empty.
+    """
+
+    id: ClassVar[str]
+    title: ClassVar[str]
+    source: ClassVar[str]
+    paper: ClassVar[str]
+    tolerance: ClassVar[dict[Size, str]]
+    left_open: ClassVar[str] = ""
+
+    @abstractmethod
+    def work(self, size: Size) -> Sequence[Work]:
+        """Return what has to be done for it."""
+
+    @abstractmethod
+    def table(self, found: Found, size: Size) -> Table:
+        """Return its numbers, from the folders of its work; of what is unfinished, what there is."""
+
+    @abstractmethod
+    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+        """Return the picture of the table, with the paper's values as marks or bands; `found` is for bodies."""
+
+    @abstractmethod
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Return the verdict."""
+
+
+def write_table(table: Table, path: Path) -> None:
+    """Write a table as CSV."""
+    text = io.StringIO(newline="")
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(table)
+    rows.writerows([_cell(value) for value in row] for row in zip(*table.values(), strict=True))
+    write_text(path, text.getvalue())
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, str):
+        return value
+    number = float(value)  # type: ignore[arg-type]
+    return "" if np.isnan(number) else f"{number:.7g}"
+
+
+def read_table(path: Path) -> Table:
+    """Return a table from its CSV."""
+    with path.open(newline="") as file:
+        rows = list(csv.reader(file))
+    return {name: _column(cells) for name, cells in zip(rows[0], zip(*rows[1:], strict=True), strict=True)}
+
+
+def _column(cells: Sequence[str]) -> Column:
+    try:
+        return np.array([float(cell) if cell else np.nan for cell in cells])
+    except ValueError:
+        return np.array(cells)
+
+
+def stacked(parts: Iterator[Mapping[str, object]]) -> Table:
+    """Return a table of rows, each a mapping from columns to cells; what a row lacks is NaN."""
+    rows = list(parts)
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}

@@ -1,0 +1,31 @@
+"""CQ1 V-B: a biped learns to walk, by the gradient and by PPO."""
+
+from benchmarks.papers.figure import Size
+from benchmarks.papers.learners import CMA, GRADIENT, PPO, Learners
+
+
+class BipedAgainstPPO(Learners):
+    """The loss against the episode."""
+
+    id = "cq1_biped_ppo"
+    title = "A biped learns to walk, with and without the gradient"
+    source = "CQ1 V-B"
+    paper = "the gradient walks well within 20 minutes; PPO moves nearly at random after more than 4 hours"
+    tolerance = {size: "the gradient passes each threshold in fewer episodes than PPO and CMA-ES" for size in Size}
+    left_open = "time is counted in episodes: they cost the gradient about three times a plain rollout"
+    scene, label, optimizer = "control/biped", "loss: -x + v^2 of the head", "sgd"
+    small = ("bodies.biped.sampling.lattice.count=10",)
+    distance, squared = False, ""
+    episodes = {
+        GRADIENT: {Size.QUICK: 60, Size.PAPER: 100},
+        CMA: {Size.QUICK: 480, Size.PAPER: 2400},
+        PPO: {Size.QUICK: 150, Size.PAPER: 1000},
+    }
+    minutes = {
+        GRADIENT: {Size.QUICK: 1, Size.PAPER: 6},
+        CMA: {Size.QUICK: 2, Size.PAPER: 40},
+        PPO: {Size.QUICK: 3, Size.PAPER: 60},
+    }
+    seeds = {Size.QUICK: 2, Size.PAPER: 3}
+    thresholds = (-0.1, -0.2)
+    windows = {PPO: 10}

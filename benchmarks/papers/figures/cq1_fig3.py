@@ -1,0 +1,70 @@
+"""CQ1 Fig 3: a pneumatic leg bends, and falls; the simulated rows (the photographs cannot be simulated)."""
+
+from benchmarks.papers.figure import Size, Table, Verdict, judged
+from benchmarks.papers.frames import Frames
+from benchmarks.papers.work import Runs
+
+COARSE = ("bodies.leg.spacing=0.25", "world.dx=0.8", "time.substeps=80")
+STICKY = {
+    "leg_drop": "boundaries.floor.sticky.region={box: {corner: [-1, -1, -1], size: [82, 2.61, 82]}}",
+    "leg_actuate": "boundaries.floor.sticky.region={box: {corner: [-1, -1, -1], size: [82, 3.4, 82]}}",
+}
+"""Where the floor ends, in whole cells of the coarse grid."""
+
+
+class LegActuated(Frames):
+    """Frames of the leg as one chamber is inflated."""
+
+    id = "cq1_fig3_actuate"
+    title = "A pneumatic leg bends"
+    source = "CQ1 Fig 3, left"
+    paper = "photographs beside frames: a chamber is inflated more and more, and the leg bends away from it"
+    tolerance = {
+        size: "the middle moves away from the inflated chamber by more than .5 cm, and the leg stays whole"
+        for size in Size
+    }
+    left_open = "which chamber, and how long; real footage cannot be reproduced"
+    name, body, group, count, columns, unit = "leg_actuate", "leg", "core", 5, 5, "cm"
+
+    def work(self, size: Size) -> list[Runs]:
+        """Return the simulation."""
+        quick = size is Size.QUICK
+        small = (*COARSE, STICKY[self.name]) if quick else ()
+        return [Runs(self.name, 0.7 if quick else 6.0, "simulate", "simulate/leg_actuate", small)]
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge how far the core bends: to the right, as the left chamber grows."""
+        far = float(table["x"][-1] - table["x"][0])
+        whole = bool(table["fracture"].max() == 0 and table["least_volume_ratio"].min() > 0)
+        return judged({f"the core's middle moves {far:.2f} cm away": far > 0.5, "the leg stays whole": whole})
+
+
+class LegDropped(Frames):
+    """Frames of the leg as it falls."""
+
+    id = "cq1_fig3_drop"
+    title = "A pneumatic leg falls 15 cm"
+    source = "CQ1 Fig 3, right"
+    paper = "photographs beside frames: the leg falls 15 cm, is squeezed and springs back"
+    tolerance = {size: "it falls as a free body until it lands, is squeezed, and springs back" for size in Size}
+    left_open = "how long; real footage cannot be reproduced"
+    name, body, group, count, columns, unit = "leg_drop", "leg", "core", 6, 6, "cm"
+
+    def work(self, size: Size) -> list[Runs]:
+        """Return the simulation."""
+        quick = size is Size.QUICK
+        small = (*COARSE, STICKY[self.name]) if quick else ()
+        return [Runs(self.name, 0.7 if quick else 6.0, "simulate", "simulate/leg_drop", small)]
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge fall and rebound of the core's middle."""
+        time, y = table["time"], table["y"]
+        falling = time <= 0.1
+        error = float(abs((y[0] - 490.0 * time[falling] ** 2) - y[falling]).max())
+        lowest = int(y.argmin())
+        back = float(y[lowest:].max() - y[lowest])
+        return judged({
+            f"falls freely within {error:.2g} cm for .1 s": error < 0.05,
+            f"is lowest after {time[lowest]:.3f} s, {y[0] - y[lowest]:.1f} cm lower": y[0] - y[lowest] > 14.0,
+            f"springs back by {back:.2f} cm": back > 0.1,
+        })  # fmt: skip

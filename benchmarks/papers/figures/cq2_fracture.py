@@ -1,0 +1,86 @@
+"""CQ2's video: numerical fracture against particles a cell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.observed import observables
+from benchmarks.papers.work import Found, Runs, Work
+from cqrun.figures.style import COLOURS, new_figure, titled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+COUNTS = (1, 4, 9, 16)
+"""Particles a cell."""
+
+GREATEST = 150.0
+"""Acceleration of the bar's end at the end of the run; it grows in proportion to the time [m/s^2]."""
+
+DURATION = 4.0
+
+
+class Fracture(Figure):
+    """Neighbours that have lost sight of each other on the grid, against the pull."""
+
+    id = "cq2_fracture"
+    title = "More particles a cell put numerical fracture off"
+    source = "CQ2, video"
+    paper = "numerical fracture is put off by more particles a cell (shown, no numbers)"
+    tolerance = {size: "the pull at which the bar tears grows with the particles a cell" for size in Size}
+    left_open = "everything but that: the bar, its material and the pull are ours"
+
+    def work(self, size: Size) -> Sequence[Work]:
+        """Return a run for each number, the same at both sizes."""
+        return [
+            Runs(f"tear_{n}", 0.3, "simulate", "simulate/tear", (f"bodies.bar.particles_per_cell={n}",)) for n in COUNTS
+        ]
+
+    def table(self, found: Found, size: Size) -> Table:
+        """Return particles_per_cell, pull [m/s^2], lost (share of the neighbours that were ever lost)."""
+        rows: list[dict[str, object]] = []
+        for name, folder in found.items():
+            seen = observables(folder)
+            lost = seen["bar.fracture"] / max(1.0, seen["bar.fracture"].max())
+            pull = GREATEST * seen["time"] / DURATION
+            n = int(name.rpartition("_")[2])
+            rows += (
+                {"particles_per_cell": n, "pull": float(a), "lost": float(b)} for a, b in zip(pull, lost, strict=True)
+            )
+        return stacked(iter(rows))
+
+    def tears(self, table: Table) -> dict[int, float]:
+        """Return the pull at which neighbours are lost first, infinite if none is, by particles a cell."""
+        first = {}
+        for n in np.unique(table["particles_per_cell"]):
+            own = (table["particles_per_cell"] == n) & (table["lost"] > 0)
+            first[int(n)] = float(table["pull"][own].min()) if own.any() else np.inf
+        return first
+
+    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+        """Draw what is lost, and the pull at which the bar tears."""
+        picture = new_figure(7.6, 3.2)
+        left, right = picture.subplots(1, 2)
+        for colour, n in zip(COLOURS, np.unique(table["particles_per_cell"]), strict=False):
+            own = table["particles_per_cell"] == n
+            left.plot(table["pull"][own], 100 * table["lost"][own], color=colour, label=f"{n:g} a cell")
+        left.set_xlabel("pull on the bar's end [m/s$^2$]")
+        left.set_ylabel("lost neighbours [% of the most]")
+        left.legend(loc="lower right")
+        tears = self.tears(table)
+        right.plot(list(tears), list(tears.values()), "o-", color=COLOURS[0])
+        right.set_xlabel("particles a cell")
+        right.set_ylabel("pull at which it tears [m/s$^2$]")
+        right.set_ylim(bottom=0)
+        titled(left, self.title)
+        return picture
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge the order."""
+        tears = self.tears(table)
+        told = ", ".join(f"{n}: {pull:.3g}" for n, pull in tears.items())
+        return judged({f"tears at {told} m/s^2": bool(np.all(np.diff(list(tears.values())) > 0))})

@@ -1,0 +1,83 @@
+"""CQ2 5.3.1: how long must an arm be to touch its goal?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.histories import first_below, runs_below
+from benchmarks.papers.work import Found, Runs, Work
+from cqrun.figures.style import COLOURS, GREY, new_figure, titled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+SCENE = "codesign/arm_length"
+LENGTH = "value:bodies.arm.shape.box.size.1"
+START = 0.4
+LABELS = {"free": "length free", "fixed": "length fixed"}
+NEAR = 1e-3
+
+
+class LengthArm(Figure):
+    """Distance of the tip to its goal against the step, with the length free and fixed."""
+
+    id = "cq2_length_arm"
+    title = "An arm learns how long it should be"
+    source = "CQ2 5.3.1"
+    paper = "the tip comes within .001 of its goal in 100 steps (video only)"
+    tolerance = {
+        size: "below .001 within 100 steps where the length is free; not below it where it is fixed" for size in Size
+    }
+    left_open = "everything but that: size, material, muscles and goal are ours"
+
+    def work(self, size: Size) -> Sequence[Work]:
+        """Return both runs, which are small enough to be the same at both sizes."""
+        return [
+            Runs("arm_length_free", 0.7, "codesign", SCENE),
+            Runs("arm_length_fixed", 0.7, "control", SCENE, ("unknowns={}",)),
+        ]
+
+    def table(self, found: Found, size: Size) -> Table:
+        """Return variant, step, distance [m], length [m]."""
+        return stacked(
+            {
+                "variant": name.rpartition("_")[2],
+                "step": k,
+                "distance": float(np.sqrt(gap)),
+                "length": float(run.history[LENGTH][k]) if LENGTH in run.history else START,
+            }
+            for name, folder in found.items()
+            for run in runs_below(folder)
+            for k, gap in enumerate(run.history["tip"])
+        )
+
+    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+        """Draw both distances, with .001 as a line, and the length."""
+        picture = new_figure(6.6, 3.2)
+        distance, length = picture.subplots(1, 2)
+        for colour, name in zip(COLOURS, dict.fromkeys(table["variant"]), strict=False):
+            own = table["variant"] == name
+            distance.plot(table["step"][own], table["distance"][own], color=colour, label=LABELS[name])
+            length.plot(table["step"][own], table["length"][own], color=colour)
+        distance.axhline(NEAR, color=GREY, lw=1.0, ls="--", label="paper: .001 by step 100")
+        distance.set_yscale("log")
+        distance.set_ylabel("distance of the tip [m]")
+        distance.legend()
+        length.set_ylabel("length of the arm [m]")
+        for axes in (distance, length):
+            axes.set_xlabel("step")
+        titled(distance, self.title)
+        return picture
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge when the tip came near."""
+        free, fixed = (table["distance"][table["variant"] == name] for name in ("free", "fixed"))
+        near = first_below(free, NEAR)
+        return judged({
+            f"free: below .001 at step {near}, ends at {free[-1]:.2g}": near is not None and near <= 100,
+            f"fixed: {fixed.min():.2g} at best": bool(fixed.min() > NEAR),
+        })  # fmt: skip

@@ -1,0 +1,85 @@
+"""CQ2's video: Neo-Hookean against fixed corotated on an oscillating, nearly incompressible actuator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.observed import observables
+from benchmarks.papers.work import Found, Runs, Work
+from cqrun.figures.run_data import read_run
+from cqrun.figures.style import COLOURS, new_figure, titled
+from cqrun.scene.particles import sample
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+LAWS = {"neo_hookean": "neo-Hookean", "fixed_corotated": "fixed corotated"}
+PATH = "bodies.bar.material.elastic"
+
+
+class Oscillator(Figure):
+    """The tip's path and the least volume ratio for both laws."""
+
+    id = "cq2_oscillator"
+    title = "Two elastic laws on a nearly incompressible actuator"
+    source = "CQ2, video"
+    paper = (
+        "neo-Hookean and fixed corotated side by side on an oscillating, nearly incompressible actuator (no numbers)"
+    )
+    tolerance = {size: "both stay whole; neo-Hookean keeps its volume better where it is pressed most" for size in Size}
+    left_open = "everything but that: body, muscles, nu = .48 and their rhythm are ours"
+
+    def work(self, size: Size) -> Sequence[Work]:
+        """Return a run for each law, the same at both sizes."""
+        parameters = "{youngs_modulus: 10, poissons_ratio: 0.48}"
+        return [
+            Runs(f"oscillator_{law}", 0.3, "simulate", "simulate/oscillator", (f"{PATH}={{{law}: {parameters}}}",))
+            for law in LAWS
+        ]
+
+    def table(self, found: Found, size: Size) -> Table:
+        """Return law, time [s], tip_x and tip_y [m], least_volume_ratio."""
+        rows: list[dict[str, object]] = []
+        for name, folder in found.items():
+            law = name.removeprefix("oscillator_")
+            (path,) = (file.parent for file in folder.rglob("trajectory.h5"))
+            run, seen = read_run(path), observables(folder)
+            trajectory = run.trajectory()
+            tip = trajectory.fields["x"][:, sample(run.scene).groups("bar")["tip"]].mean(axis=1)
+            least = np.interp(trajectory.time, seen["time"], seen["bar.least_volume_ratio"])
+            rows += (
+                {"law": law, "time": float(t), "tip_x": float(x), "tip_y": float(y), "least_volume_ratio": float(J)}
+                for t, (x, y), J in zip(trajectory.time, tip, least, strict=True)
+            )
+        return stacked(iter(rows))
+
+    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+        """Draw both."""
+        picture = new_figure(8.0, 3.2)
+        left, right = picture.subplots(1, 2)
+        for colour, (law, label) in zip(COLOURS, LAWS.items(), strict=False):
+            own = table["law"] == law
+            left.plot(table["time"][own], table["tip_x"][own], color=colour, label=label)
+            right.plot(table["time"][own], table["least_volume_ratio"][own], color=colour)
+        left.set_ylabel("x of the tip [m]")
+        right.set_ylabel("least volume ratio of a particle")
+        for axes in (left, right):
+            axes.set_xlabel("time [s]")
+        left.legend()
+        titled(left, self.title)
+        return picture
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge volumes."""
+        least = {law: float(table["least_volume_ratio"][table["law"] == law].min()) for law in LAWS}
+        tips = [table["tip_x"][table["law"] == law] for law in LAWS]
+        apart = float(np.abs(tips[0] - tips[1]).max() / np.ptp(tips[0]))
+        return judged({
+            f"both stay whole, their tips {100 * apart:.1f} % of the swing apart at most": min(least.values()) > 0,
+            f"least volume ratio {least['neo_hookean']:.3f} beside {least['fixed_corotated']:.3f}": least["neo_hookean"]
+            > least["fixed_corotated"],
+        })  # fmt: skip

@@ -1,0 +1,103 @@
+"""cqrun's own: a real silicone beam, identified from motion capture, and predicted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.work import ROOT, Found, Measurement, Work
+from cqrun.figures.style import COLOURS, GREY, new_figure, titled
+from cqrun.store.atomic import write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+MEASURED = ROOT / "benchmarks" / "measured" / "real_beam.json"
+MODULUS = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus"
+LABELS = {
+    "swing": "swing, both", "swing_bare": "swing, bare alone", "swing_fine": "swing, both, 3.75 mm",
+    "rest": "rest, both", "rest_bare": "rest, bare alone", "rest_fine": "rest, both, 3.75 mm",
+}  # fmt: skip
+LIMITS = {"bare": 0.6, "loaded": 2.0}
+PREDICTED = 2.5
+"""Largest root mean square error that is asked where a recording is predicted [mm]."""
+
+RANGE = (230.0, 360.0)
+"""Young's moduli that published measurements of Dragon Skin 10 leave room for [kPa]."""
+
+
+class RealBeam(Figure):
+    """Young's modulus and errors of six fits."""
+
+    id = "real_beam"
+    title = "A real silicone beam, fitted and predicted"
+    source = "cqrun's own"
+    paper = "not in the papers; recordings of the Soft Robotics Lab, ETH Zurich (MIT licence), srl-ethz/diffPD_sim2real"
+    tolerance = {
+        size: "fitted: .6 mm bare and 2.0 mm loaded at most; predicted: 2.5 mm; E from 230 to 360 kPa" for size in Size
+    }
+    left_open = "the fits take hours and need the recordings, so what `python benchmarks/real_beam.py` found is shown"
+
+    def work(self, size: Size) -> Sequence[Work]:
+        """Return the reading of what was measured."""
+        told = "python benchmarks/real_beam.py --recordings DIR"
+        return [Measurement("real_beam", 0.1, _read, told, (MEASURED,))]
+
+    def table(self, found: Found, size: Size) -> Table:
+        """Return fit, E, low, high [kPa], bare and loaded [mm], holdout (1 where the loaded one was predicted)."""
+        fits = json.loads((found["real_beam"] / "fits.json").read_text())
+        return stacked(
+            {
+                "fit": label,
+                "E": 1e-3 * entry["unknowns"][MODULUS]["value"],
+                "low": 1e-3 * (entry["unknowns"][MODULUS]["interval"] or [np.nan] * 2)[0],
+                "high": 1e-3 * (entry["unknowns"][MODULUS]["interval"] or [np.nan] * 2)[1],
+                **{name: entry["recordings"][name]["rmse_mm"] for name in LIMITS},
+                "holdout": float(entry["recordings"]["loaded"]["holdout"]),
+            }
+            for name, label in LABELS.items()
+            if (entry := fits.get(name)) is not None
+        )
+
+    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+        """Draw moduli with their intervals, and errors beside what is asked."""
+        picture = new_figure(8.4, 3.4)
+        left, right = picture.subplots(1, 2, sharey=True)
+        place = -np.arange(len(table["fit"]))
+        bars = np.stack([table["E"] - table["low"], table["high"] - table["E"]])
+        left.errorbar(table["E"], place, xerr=np.nan_to_num(bars), fmt="o", color=COLOURS[0], capsize=3)
+        left.axvspan(*RANGE, color=GREY, alpha=0.12, lw=0)
+        left.set_yticks(place, table["fit"])
+        left.set_xlabel("Young's modulus [kPa], 95 % interval")
+        for colour, name in zip(COLOURS, LIMITS, strict=False):
+            right.plot(table[name], place, "o", color=colour, label=f"{name}")
+            right.axvline(LIMITS[name], color=colour, lw=0.8, ls=":")
+        held = table["holdout"] == 1
+        right.plot(table["loaded"][held], place[held], "o", mfc="none", mec=COLOURS[1], ms=10, label="predicted")
+        right.set_xlabel("root mean square error [mm]; dotted: what is asked of fits")
+        right.set_xlim(left=0)
+        right.legend()
+        titled(left, self.title)
+        return picture
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge errors and moduli."""
+        fitted, held = table["holdout"] == 0, table["holdout"] == 1
+        bare, loaded = float(table["bare"].max()), float(table["loaded"][fitted].max())
+        predicted, E = float(table["loaded"][held].max()), table["E"]
+        return judged({
+            f"bare {bare:.2f} mm at most": bare <= LIMITS["bare"],
+            f"loaded, fitted, {loaded:.2f} mm at most": loaded <= LIMITS["loaded"],
+            f"loaded, predicted, {predicted:.2f} mm at most": predicted <= PREDICTED,
+            f"E {E.min():.0f} to {E.max():.0f} kPa": bool(E.min() >= RANGE[0] and E.max() <= RANGE[1]),
+        })  # fmt: skip
+
+
+def _read(folder: Path, deadline: float) -> bool:
+    write_json(folder / "fits.json", json.loads(MEASURED.read_text()))
+    return True

@@ -1,0 +1,104 @@
+"""A family of figures: frames of a motion side by side, and the path of a part of the body (CQ1 Figs 3, 4 and 6)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from benchmarks.papers.figure import Figure, Size, Table
+from benchmarks.papers.histories import runs_below
+from benchmarks.papers.observed import observables
+from benchmarks.papers.work import Found
+from cqrun.figures.bodies import plot_body, snapshot
+from cqrun.figures.quantities import length_unit
+from cqrun.figures.run_data import RunData, read_run
+from cqrun.figures.style import COLOURS, new_figure
+from cqrun.figures.views import of_equal_width, room_around, views, window
+from cqrun.scene.particles import sample
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+WIDE = 9.0
+"""Width of the picture [inch]."""
+
+
+class Frames(Figure):
+    """Frames of one run.
+
+    Attributes:
+        name: of the work whose best run is shown.
+        term: of its objective that says which run is best; the first run if empty.
+        greatest: whether the term is to be great.
+        body, group: whose path is in the table.
+        count: frames.
+        columns: frames side by side.
+        unit: of the scene's lengths.
+    """
+
+    name: ClassVar[str]
+    term: ClassVar[str] = ""
+    greatest: ClassVar[bool] = True
+    body: ClassVar[str]
+    group: ClassVar[str | None] = None
+    count: ClassVar[int] = 6
+    columns: ClassVar[int] = 3
+    unit: ClassVar[str] = "m"
+
+    def best(self, found: Found) -> RunData | None:
+        """Return the run that is shown, or None while none has its trajectory."""
+        runs = [run for run in runs_below(found[self.name]) if (run.path / "trajectory.h5").exists()]
+        paths = [path.parent for path in sorted(Path(found[self.name]).rglob("trajectory.h5"))]
+        if not paths:
+            return None
+        if not self.term or not runs:
+            return read_run(paths[0])
+        sign = 1.0 if self.greatest else -1.0
+        return read_run(max(runs, key=lambda run: sign * float(run.history[self.term][-1])).path)
+
+    def table(self, found: Found, size: Size) -> Table:
+        """Return time [s], the mean place of the group, and of a simulation how whole the body is."""
+        run = self.best(found)
+        if run is None:
+            return {}
+        trajectory, particles = run.trajectory(), sample(run.scene)
+        part = particles.of(self.body)
+        own = np.arange(part.start, part.stop) if self.group is None else particles.groups(self.body)[self.group]
+        path = trajectory.fields["x"][:, own].mean(axis=1)
+        table = {"time": np.asarray(trajectory.time), **{"xyz"[d]: path[:, d] for d in range(path.shape[1])}}
+        if run.has("observables.csv"):
+            seen = observables(run.path)
+            for name in ("least_volume_ratio", "fracture"):
+                table[name] = np.interp(trajectory.time, seen["time"], seen[f"{self.body}.{name}"])
+        return table
+
+    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+        """Draw frames spread over the time."""
+        run = self.best(found)
+        assert run is not None
+        trajectory = run.trajectory()
+        frames = np.round(np.linspace(0, len(trajectory.time) - 1, self.count)).astype(int)
+        shots = [snapshot(trajectory, int(frame)) for frame in frames]
+        x = np.stack([shot.x for shot in shots])
+        look = views(run.scene, x)[0]
+        (corners,) = of_equal_width([window(x, look, room_around(x, shots[0].dots.size))])
+        rows = -(-self.count // self.columns)
+        each = WIDE / self.columns
+        tall = each * float(np.clip((corners[1, 1] - corners[0, 1]) / (corners[1, 0] - corners[0, 0]), 0.2, 1.6))
+        picture = new_figure(WIDE, rows * (tall + 0.55))
+        panels = picture.subplots(rows, self.columns, squeeze=False).ravel()
+        largest, unit = max(float(shot.moved.max()) for shot in shots), length_unit(float(np.max(corners)))
+        for axes, shot in zip(panels, shots, strict=False):
+            plot_body(axes, run.scene, shot, look, corners, unit, largest)
+            path = np.stack([table[axis] for axis in "xyz" if axis in table], axis=1)
+            upto = table["time"] <= shot.time + 1e-9
+            axes.plot(*(unit.factor * (path @ look.axes.T)[upto]).T, color=COLOURS[1], lw=1.0)
+            axes.set_title(f"t = {shot.time:.3g} s")
+            axes.locator_params(axis="x", nbins=4)
+            axes.set_xlabel(axes.get_xlabel().replace("(m)", f"[{self.unit}]"))
+            axes.set_ylabel(axes.get_ylabel().replace("(m)", f"[{self.unit}]"))
+        for axes in panels[self.count :]:
+            axes.remove()
+        return picture

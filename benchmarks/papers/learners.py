@@ -1,0 +1,228 @@
+"""A family of figures: the gradient against learners without it, at the same task (CQ1 Fig 7 and V-B).
+
+An episode is one rollout. PPO is stable-baselines3's with its defaults, a network of its own (64 x 64), observations
+and rewards normalised; its reward is by how much the loss falls, with the distance instead of its square. CMA-ES has
+the scene's own controller. PPO needs the extra `rl`; where that is absent, the committed curves are shown.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.histories import first_below, runs_below, smooth
+from benchmarks.papers.work import SCENES, Found, Measurement, Runs, Work
+from cqrun.contract import Array
+from cqrun.figures.style import COLOURS, new_figure, titled
+from cqrun.store.atomic import write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+KEPT = Path(__file__).with_name("ppo")
+"""Curves of PPO that are committed: SIZE/SCENE-SEED.csv."""
+
+GRADIENT, CMA, PPO = "gradient", "CMA-ES", "PPO"
+
+
+class Learners(Figure):
+    """The measure against the episode, for three learners.
+
+    Attributes:
+        scene: below scenes/.
+        label: the measure, a function of the loss.
+        distance: whether the measure is the root of the loss.
+        small: overrides of the scene at quick size.
+        optimizer: of the scene.
+        episodes: of each learner, by size.
+        seeds: of each learner, by size.
+        minutes: of each learner, by size.
+        thresholds: that episodes are counted to.
+        windows: episodes over which the gradient and PPO are averaged first.
+        printed: method -> points (episode, measure) of the paper.
+        squared: override that makes the objective a distance for PPO's reward; empty if the loss is the measure.
+    """
+
+    scene: ClassVar[str]
+    label: ClassVar[str]
+    distance: ClassVar[bool] = True
+    small: ClassVar[tuple[str, ...]]
+    optimizer: ClassVar[str]
+    episodes: ClassVar[dict[str, dict[Size, int]]]
+    seeds: ClassVar[dict[Size, int]] = {Size.QUICK: 1, Size.PAPER: 3}
+    minutes: ClassVar[dict[str, dict[Size, float]]]
+    thresholds: ClassVar[tuple[float, ...]]
+    windows: ClassVar[dict[str, int]]
+    printed: ClassVar[dict[str, Sequence[tuple[float, float]]]] = {}
+    squared: ClassVar[str] = "objective.tip.reach.squared=false"
+
+    @property
+    def stem(self) -> str:
+        """The scene's name."""
+        return self.scene.rpartition("/")[2]
+
+    def overrides(self, size: Size) -> tuple[str, ...]:
+        """Return the scene's overrides at a size."""
+        return self.small if size is Size.QUICK else ()
+
+    def work(self, size: Size) -> Sequence[Work]:
+        """Return the learners' work."""
+        ours = (*self.overrides(size), f"optimizer.{self.optimizer}.max_iterations={self.episodes[GRADIENT][size]}")
+        works: list[Work] = [
+            Runs(self.stem, self.minutes[GRADIENT][size], "control", self.scene, ours, self.seeds[size])
+        ]
+        if CMA in self.episodes:
+            generations = self.episodes[CMA][size] // self.population
+            method = f"optimizer={{cma_es: {{max_iterations: {generations}, population: {self.population}}}}}"
+            name, minutes = f"{self.stem}_cma_es", self.minutes[CMA][size]
+            works.append(Runs(name, minutes, "control", self.scene, (*self.overrides(size), method), self.seeds[size]))
+        told = f"python -m benchmarks.papers --size {size} --only {self.id}  # PPO, {self.episodes[PPO][size]} episodes"
+        path = SCENES / f"{self.scene}.yaml"
+        works.append(
+            Measurement(
+                f"{self.stem}_ppo", self.minutes[PPO][size], lambda f, end: self._ppo(f, end, size), told, (path,)
+            )
+        )
+        return works
+
+    population: ClassVar[int] = 16
+    """Of a generation of CMA-ES."""
+
+    def _ppo(self, folder: Path, deadline: float, size: Size) -> bool:
+        """Train PPO from every seed, each into its CSV; say whether all are there."""
+        has_extra = importlib.util.find_spec("stable_baselines3") is not None
+        for seed in range(self.seeds[size]):
+            file = folder / f"{self.stem}-{seed}.csv"
+            if file.exists():
+                continue
+            kept = KEPT / size / file.name
+            if not has_extra and kept.exists():
+                shutil.copy(kept, file)
+            elif not has_extra:
+                print(
+                    "    PPO is left out: it needs stable_baselines3, which is not installed: pip install 'cqrun[rl]'"
+                )
+                return True
+            elif time.monotonic() > deadline:
+                return False
+            else:
+                losses = train_ppo(SCENES / f"{self.scene}.yaml", [*self.overrides(size), self.squared],
+                                   self.episodes[PPO][size], seed)  # fmt: skip
+                write_text(file, "\n".join(["measure", *(f"{loss:.6g}" for loss in losses.tolist())]) + "\n")
+        return True
+
+    def table(self, found: Found, size: Size) -> Table:
+        """Return method, seed, episode, measure."""
+        parts: list[dict[str, object]] = []
+        for name, method in ((self.stem, GRADIENT), (f"{self.stem}_cma_es", CMA)):
+            for run in runs_below(found[name]) if name in found else ():
+                loss = np.sqrt(run.history["loss"]) if self.distance else run.history["loss"]
+                per = 1 if method == GRADIENT else self.population
+                parts += _rows(method, run.seed, 1 + per * np.arange(len(loss)), loss)
+        if f"{self.stem}_ppo" in found:
+            for seed in range(self.seeds[size]):
+                file = found[f"{self.stem}_ppo"] / f"{self.stem}-{seed}.csv"
+                if file.exists():
+                    measure = np.loadtxt(file, skiprows=1, ndmin=1)
+                    parts += _rows(PPO, seed, 1 + np.arange(len(measure)), measure)
+        return stacked(iter(parts))
+
+    def smoothed(self, table: Table) -> dict[str, list[tuple[Array, Array]]]:
+        """Return (episodes, measure) of every seed by method, averaged as the paper does."""
+        found: dict[str, list[tuple[Array, Array]]] = {}
+        for method in dict.fromkeys(table["method"]):
+            own = table["method"] == method
+            for seed in np.unique(table["seed"][own]):
+                held = own & (table["seed"] == seed)
+                measure = smooth(table["measure"][held], self.windows.get(method, 1))
+                found.setdefault(method, []).append((table["episode"][held], measure))
+        return found
+
+    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+        """Draw every seed; the paper's points as diamonds."""
+        picture = new_figure(6.4, 3.8)
+        axes = picture.add_subplot()
+        for colour, (method, seeds) in zip(COLOURS, self.smoothed(table).items(), strict=False):
+            for k, (episode, measure) in enumerate(seeds):
+                axes.plot(episode, measure, color=colour, lw=1.2, alpha=0.8, label=None if k else method)
+            if method in self.printed:
+                x, y = zip(*self.printed[method], strict=True)
+                axes.plot(x, y, "D", color=colour, mec="white", ms=7, label=f"{method}, paper")
+        for threshold in self.thresholds:
+            axes.axhline(threshold, color="0.5", lw=0.8, ls=":")
+        axes.set_xscale("log")
+        if self.distance:
+            axes.set_yscale("log")
+        axes.set_xlabel("episodes")
+        axes.set_ylabel(self.label)
+        axes.legend()
+        titled(axes, self.title)
+        return picture
+
+    def episodes_to(self, table: Table, method: str, threshold: float) -> float:
+        """Return the median over seeds of the episodes to a threshold; infinite where most never pass it."""
+        counts = []
+        for episode, measure in self.smoothed(table).get(method, []):
+            k = first_below(measure, threshold)
+            counts.append(np.inf if k is None else float(episode[k]))
+        return float(np.median(counts)) if counts else np.nan
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge the episodes to each threshold: those of the gradient beside the others', and the paper's."""
+        checks = {}
+        for threshold in self.thresholds:
+            ours = self.episodes_to(table, GRADIENT, threshold)
+            others = {m: self.episodes_to(table, m, threshold) for m in (CMA, PPO) if m in table["method"]}
+            told = ", ".join(f"{method} {_count(n)}" for method, n in others.items())
+            checks[f"below {threshold:g}: gradient {_count(ours)}, {told}"] = all(ours < n for n in others.values())
+            if size is Size.PAPER and (limit := self.allowed(threshold)) is not None:
+                checks[f"below {threshold:g} within {limit:g} episodes (paper), here {_count(ours)}"] = ours <= limit
+        if PPO not in table["method"]:
+            checks["PPO was run"] = False
+        return judged(checks)
+
+    def allowed(self, threshold: float) -> float | None:
+        """Return the paper's episodes of the gradient to a threshold, or None."""
+        return next((x for x, y in self.printed.get(GRADIENT, ()) if y == threshold), None)
+
+
+def _count(episodes: float) -> str:
+    return "never" if np.isinf(episodes) else "not run" if np.isnan(episodes) else f"{episodes:g}"
+
+
+def _rows(method: str, seed: int, episode: Array, measure: Array) -> list[dict[str, object]]:
+    return [
+        {"method": method, "seed": seed, "episode": int(k), "measure": float(value)}
+        for k, value in zip(episode, measure, strict=True)
+    ]
+
+
+def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int) -> Array:
+    """Return the loss at the end of every episode of PPO, as it explores."""
+    from stable_baselines3 import PPO as Algorithm
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    import cqrun
+
+    losses: list[float] = []
+
+    class Keep(BaseCallback):
+        def _on_step(self) -> bool:
+            over = zip(self.locals["dones"], self.locals["infos"], strict=True)
+            losses.extend(facts["loss"] for done, facts in over if done)
+            return len(losses) < episodes
+
+    wanted = [override for override in overrides if override]
+    env = VecNormalize(DummyVecEnv([lambda: cqrun.environment(scene, wanted, threads=1)]))
+    steps = env.envs[0].agent.model.n_controls
+    model = Algorithm("MlpPolicy", env, n_steps=10 * steps, batch_size=5 * steps // 2, device="cpu", seed=seed)
+    model.learn(episodes * steps, callback=Keep())
+    return np.array(losses)

@@ -1,0 +1,123 @@
+"""A family of figures: distance against iteration and wall time, mean of seeds and its 90 % interval (CQ2 Figs 6-9)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.histories import Curves, curves, rows, runs_below
+from benchmarks.papers.work import Found, Runs, Work
+from cqrun.figures.style import COLOURS, GREY, clock_ticks, new_figure, titled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Picture
+
+FIRST = 0
+"""Place of the variant that the verdict is on: our choice of what the paper leaves open."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One set of seeds: its label, overrides of the scene, and how many seeds and minutes at each size."""
+
+    label: str
+    overrides: Mapping[Size, tuple[str, ...]]
+    seeds: Mapping[Size, int]
+    minutes: Mapping[Size, float]
+
+
+class Distances(Figure):
+    """How far a robot comes, against the iteration.
+
+    Attributes:
+        scene: below scenes/.
+        job: its command.
+        term: of the objective that is the distance [m].
+        variants: the first is the one that the verdict is on.
+        final: the paper's final mean.
+        interval: its 90 % interval.
+        seconds: its seconds an iteration (GTX 1080).
+    """
+
+    scene: ClassVar[str]
+    job: ClassVar[str] = "control"
+    term: ClassVar[str] = "far"
+    variants: ClassVar[Sequence[Variant]]
+    final: ClassVar[float]
+    interval: ClassVar[tuple[float, float]]
+    seconds: ClassVar[float]
+
+    tolerance: ClassVar[dict[Size, str]] = {
+        Size.QUICK: "the distance grows: by seed, the end is above the start",
+        Size.PAPER: "at no more iterations, the mean over seeds is no less than the lower end of the paper's interval",
+    }
+
+    def work(self, size: Size) -> Sequence[Work]:
+        """Return one command for each variant that the size has."""
+        return [
+            Runs(self._name(v), v.minutes[size], self.job, self.scene, v.overrides[size], v.seeds[size])
+            for v in self.variants
+            if size in v.seeds
+        ]
+
+    def _name(self, variant: Variant) -> str:
+        return f"{Path(self.scene).name}_{variant.label.replace(' ', '_')}"
+
+    def table(self, found: Found, size: Size) -> Table:
+        """Return variant, seed, iteration, seconds, value [m]."""
+        parts: list[dict[str, object]] = []
+        for variant in self.variants:
+            if self._name(variant) in found:
+                runs = runs_below(found[self._name(variant)])
+                parts += rows(variant.label, runs, {run.seed: run.history[self.term] for run in runs})
+        return stacked(iter(parts))
+
+    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+        """Draw every variant as mean and interval; the paper's interval as a mark at the end."""
+        picture = new_figure(6.4, 3.8)
+        axes = picture.add_subplot()
+        labels = list(dict.fromkeys(table["variant"]))
+        for colour, label in zip(COLOURS, labels, strict=False):
+            draw_curves(axes, curves(table, label), label, colour)
+        longest = max((curves(table, label) for label in labels), key=lambda c: c.value.shape[1])
+        end = longest.value.shape[1] - 1
+        low, high = self.interval
+        printed = np.array([[self.final - low], [high - self.final]])
+        label = f"paper: {self.final:g} ({low:g} to {high:g})"
+        axes.errorbar([end], [self.final], yerr=printed, color=GREY, fmt="D", ms=4, capsize=4, lw=1.2, label=label)
+        clock = clock_ticks(axes.xaxis, np.arange(end + 1), longest.seconds) if end else "s"
+        axes.set_xlabel(f"iteration, and below it the wall time [{clock}]")
+        axes.set_ylabel("distance travelled [m]")
+        axes.legend(loc="best")
+        titled(axes, self.title)
+        return picture
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge the first variant."""
+        found = curves(table, self.variants[FIRST].label)
+        first, last = found.value[:, 0], found.value[:, -1]
+        if size is Size.QUICK:
+            return judged({f"{first.mean():.2f} -> {last.mean():.2f} m in {found.value.shape[1] - 1} iterations": bool(
+                np.all(last > first)
+            )})  # fmt: skip
+        low, high = self.interval
+        mean, half = float(found.mean[-1]), float(found.half[-1])
+        beyond = ", above its interval" if mean > high else ""
+        told = f"{mean:.2f} +- {half:.2f} m, paper {self.final:g} ({low:g} to {high:g}){beyond}"
+        return judged({told: mean >= low})
+
+
+def draw_curves(axes: Axes, found: Curves, label: str, colour: str) -> None:
+    """Draw seeds thin, their mean thick, and its interval as a band."""
+    x = np.arange(found.value.shape[1])
+    if len(found.value) > 1:
+        axes.plot(x, found.value.T, color=colour, lw=0.5, alpha=0.35)
+        axes.fill_between(x, found.mean - found.half, found.mean + found.half, color=colour, alpha=0.2, lw=0)
+    seeds = f", {len(found.value)} seeds" if len(found.value) > 1 else ""
+    axes.plot(x, found.mean, color=colour, lw=1.8, label=f"{label}{seeds}")

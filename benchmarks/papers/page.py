@@ -1,0 +1,85 @@
+"""index.html: all figures on one self-contained page, from what was published."""
+
+from __future__ import annotations
+
+import base64
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, StrictUndefined
+
+from benchmarks.papers.catalogue import FIGURES
+from benchmarks.papers.figure import Figure, Judgement, Size
+from benchmarks.papers.publish import published
+from cqrun.store.atomic import make_directory, write_text
+
+TEMPLATE = Path(__file__).with_name("page.html.j2")
+KINDS = {
+    Judgement.MET: "reproduced",
+    Judgement.PARTLY: "part",
+    Judgement.MISSED: "missed",
+    Judgement.UNFINISHED: "none",
+}
+"""The page's class of each verdict."""
+
+NOTHING = "not run"
+
+
+def write_page(out: Path) -> Path:
+    """Write index.html beside what was published below `out`; return its path."""
+    rows = [_row(figure, out) for figure in FIGURES.values()]
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    totals = {size.value: _total(rows, k) for k, size in enumerate(Size)}
+    text = environment.from_string(TEMPLATE.read_text()).render(rows=rows, totals=totals)
+    make_directory(out)
+    write_text(out / "index.html", text)
+    return out / "index.html"
+
+
+def _row(figure: Figure, out: Path) -> dict[str, Any]:
+    return {
+        "id": figure.id,
+        "source": figure.source,
+        "title": figure.title,
+        "paper": figure.paper,
+        "left_open": figure.left_open,
+        "results": [_result(figure, size, out) for size in Size],
+    }
+
+
+def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
+    record = published(figure, size, out)
+    if record is None:
+        return {"size": size.value, "verdict": NOTHING, "kind": "none", "picture": "", "minutes": 0.0}
+    machine = record["machine"] or {}
+    judgement = Judgement(record["verdict"])
+    return {
+        "size": size.value,
+        "verdict": judgement.value,
+        "kind": KINDS[judgement],
+        "picture": base64.b64encode((out / size / f"{figure.id}.png").read_bytes()).decode(),
+        "checks": record["checks"],
+        "done": ""
+        if record["done"][0] == record["done"][1]
+        else "{} of {} parts of the work are done".format(*record["done"]),
+        "tolerance": figure.tolerance[size],
+        "time": _time(record["minutes"]),
+        "minutes": record["minutes"],
+        "machine": f"{machine.get('cores', '?')} cores of {machine.get('processor', 'unknown')}",
+        "engine": ", ".join(record["engine"]),
+        "commands": record["commands"],
+    }
+
+
+def _time(minutes: float) -> str:
+    return (
+        f"{60 * minutes:.0f} s" if minutes < 2 else f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"
+    )
+
+
+def _total(rows: list[dict[str, Any]], size: int) -> str:
+    results = [row["results"][size] for row in rows]
+    counts = Counter(result["verdict"] for result in results)
+    told = ", ".join(f"{counts[name]} {name}" for name in (*(j.value for j in Judgement), NOTHING) if counts[name])
+    return f"{told}; {_time(sum(result['minutes'] for result in results))} of work in all"

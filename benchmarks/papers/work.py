@@ -1,0 +1,208 @@
+"""What takes time behind a figure: runs of cqrun and measurements. Each has a folder, and goes on where it stopped.
+
+A folder's `done.json` is written last, and says with which command, engine and machine the work was done and how long
+it took, pauses left out. Work whose command or scene has changed is done anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cqrun.fingerprint import engine_hash
+from cqrun.jobs.bench import machine
+from cqrun.store.atomic import make_directory, write_json
+
+ROOT = Path(__file__).parents[2]
+SCENES = ROOT / "scenes"
+DONE, CLOCK = "done.json", "clock.json"
+STOPPED, USAGE = 75, 2
+"""How cqrun ends when it was asked to stop, and when a run is another engine's."""
+
+LONG = 1e6
+"""More seconds than any work takes."""
+
+GRACE = 120.0
+"""Seconds that a run has to finish its iteration when its time is over."""
+
+
+@dataclass(frozen=True)
+class Work(ABC):
+    """Something that takes time.
+
+    Attributes:
+        name: its folder.
+        minutes: that it takes on two cores, as measured.
+    """
+
+    name: str
+    minutes: float
+
+    @property
+    @abstractmethod
+    def command(self) -> str:
+        """What a reader would type."""
+
+    @abstractmethod
+    def fingerprint(self) -> str:
+        """Return what its result depends on besides the engine, as hex digits."""
+
+    @abstractmethod
+    def go_on(self, folder: Path, seconds: float, jobs: int) -> bool:
+        """Work for so long at most; say whether all is done."""
+
+    def done(self, folder: Path) -> dict[str, Any] | None:
+        """Return what `done.json` says, or None where the work is not done or is not this any more."""
+        facts = _read(folder / DONE)
+        return facts if facts.get("fingerprint") == self.fingerprint() else None
+
+    def spent(self, folder: Path) -> float:
+        """Return the seconds that were spent on it so far."""
+        return float(_read(folder / CLOCK).get("seconds", 0.0))
+
+    def do(self, folder: Path, seconds: float, jobs: int) -> bool:
+        """Do it, or go on with it; say whether it is done."""
+        if _read(folder / CLOCK).get("fingerprint") != self.fingerprint():
+            shutil.rmtree(folder, ignore_errors=True)
+        make_directory(folder)
+        before, begun = self.spent(folder), time.monotonic()
+        finished = self.go_on(folder, seconds, jobs)
+        clock = {"fingerprint": self.fingerprint(), "seconds": before + time.monotonic() - begun}
+        write_json(folder / CLOCK, clock)
+        if finished:
+            facts = {"command": self.command, "engine": engine_hash(), "machine": machine()}
+            write_json(folder / DONE, clock | facts)
+        return finished
+
+
+def _read(file: Path) -> dict[str, Any]:
+    return json.loads(file.read_text()) if file.exists() else {}
+
+
+@dataclass(frozen=True)
+class Runs(Work):
+    """One command of cqrun: a run, several seeds of it, or an ablation.
+
+    Attributes:
+        job: the command.
+        scene: below scenes/, without suffix.
+        overrides: of the scene.
+        seeds: 0 for the scene's own alone.
+        options: further words of the command.
+    """
+
+    job: str
+    scene: str
+    overrides: tuple[str, ...] = ()
+    seeds: int = 0
+    options: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> Path:
+        """The scene's file."""
+        return SCENES / f"{self.scene}.yaml"
+
+    @property
+    def words(self) -> list[str]:
+        """The command's words after the scene."""
+        chosen = [word for override in self.overrides for word in ("-o", override)]
+        return [*chosen, *(("--seeds", str(self.seeds)) if self.seeds else ()), *self.options]
+
+    @property
+    def command(self) -> str:
+        """What a reader would type."""
+        words = [f"'{word}'" if set(word) & set(" {}[]") else word for word in self.words]
+        return " ".join(["cqrun", self.job, f"scenes/{self.scene}.yaml", *words])
+
+    def fingerprint(self) -> str:
+        """Return what its result depends on besides the engine, as hex digits."""
+        return hashlib.sha256(self.command.encode() + self.path.read_bytes()).hexdigest()[:12]
+
+    def go_on(self, folder: Path, seconds: float, jobs: int) -> bool:
+        """Run cqrun for so long at most; say whether it is finished."""
+        command = [
+            sys.executable,
+            "-m",
+            "cqrun",
+            self.job,
+            str(self.path),
+            *self.words,
+            "--quiet",
+            "--out",
+            str(folder),
+        ]
+        if self.seeds:
+            command += ["--jobs", str(min(jobs, self.seeds))]
+        code, said = _for_so_long(command, seconds)
+        if code == USAGE and "another engine" in said:
+            code, said = _for_so_long([*command, "--fresh"], seconds)
+        if code not in (0, 1, STOPPED):  # 1: a run failed or no design will do, which is a result too
+            raise SystemExit(f"{self.name}: `{self.command}` ended with {code}\n{said}")
+        return code != STOPPED
+
+    def runs(self, folder: Path) -> list[Path]:
+        """Return its run directories."""
+        return sorted(path.parent for path in (folder / self.path.stem).glob("*/run.json"))
+
+
+def _for_so_long(command: list[str], seconds: float) -> tuple[int, str]:
+    """Run a command; ask it to stop when its time is over. Return its exit status and what it complained."""
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    try:
+        _, said = process.communicate(timeout=min(max(1.0, seconds), LONG))
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGTERM)
+        try:
+            _, said = process.communicate(timeout=GRACE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            _, said = process.communicate()
+            return STOPPED, said
+    except BaseException:
+        process.send_signal(signal.SIGTERM)
+        process.wait()
+        raise
+    return process.returncode, said
+
+
+@dataclass(frozen=True)
+class Measurement(Work):
+    """A function of ours that measures something.
+
+    Attributes:
+        measure: (folder, deadline of time.monotonic) -> whether it is finished; it keeps what it has in the folder.
+        told: what a reader would type.
+        sources: files whose change makes it another measurement.
+    """
+
+    measure: Callable[[Path, float], bool]
+    told: str
+    sources: tuple[Path, ...] = ()
+
+    @property
+    def command(self) -> str:
+        """What a reader would type."""
+        return self.told
+
+    def fingerprint(self) -> str:
+        """Return what its result depends on besides the engine, as hex digits."""
+        parts: Iterable[bytes] = (self.told.encode(), *(path.read_bytes() for path in self.sources))
+        return hashlib.sha256(b"\0".join(parts)).hexdigest()[:12]
+
+    def go_on(self, folder: Path, seconds: float, jobs: int) -> bool:
+        """Measure for so long at most; say whether it is finished."""
+        return self.measure(folder, time.monotonic() + seconds)
+
+
+Found = Mapping[str, Path]
+"""The folders of work that is done, by its name."""

@@ -1,0 +1,264 @@
+"""`make reproduce-figures`: the catalogue, how its work goes on, what is published, and the page."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.papers import __main__ as command
+from benchmarks.papers.catalogue import FIGURES
+from benchmarks.papers.figure import Figure, Judgement, Size, judged, read_table, stacked, write_table
+from benchmarks.papers.histories import curves, first_below, smooth
+from benchmarks.papers.page import write_page
+from benchmarks.papers.publish import publish
+from benchmarks.papers.work import DONE, ROOT, Measurement, Runs
+from cqrun.figures.style import new_figure
+from cqrun.scene.load import load_scene
+
+PUBLISHED = ROOT / "results" / "figures"
+QUICK_MINUTES = 60.0
+"""The quick set takes no longer on two cores."""
+
+TEAR = Runs("tear", 0.1, "simulate", "simulate/tear", ("time.duration=0.04", "time.substeps=8"))
+
+WORKS = {
+    (figure.id, size, work.name): work for figure in FIGURES.values() for size in Size for work in figure.work(size)
+}
+
+
+class Toy(Figure):
+    """Three numbers, one after the other."""
+
+    id, title, source, paper = "toy", "three numbers", "nowhere", "1 2 3"
+    tolerance = dict.fromkeys(Size, "they grow")
+
+    def __init__(self, *works):
+        self.works = works
+
+    def work(self, size):
+        return self.works
+
+    def table(self, found, size):
+        files = sorted(file for folder in found.values() for file in folder.glob("*.txt"))
+        return stacked({"k": float(file.stem), "label": file.read_text()} for file in files)
+
+    def draw(self, table, size, found):
+        picture = new_figure(2.0, 2.0)
+        picture.add_subplot().plot(table["k"])
+        return picture
+
+    def judge(self, table, size):
+        return judged({"they grow": bool(np.all(np.diff(table["k"]) > 0)), "there are three": len(table["k"]) == 3})
+
+
+def counting(folder: Path, deadline: float) -> bool:
+    """Write the next of three files; say whether all are there."""
+    k = len(list(folder.glob("*.txt")))
+    (folder / f"{k}.txt").write_text("odd" if k % 2 else "even")
+    return k == 2
+
+
+COUNT = Measurement("count", 1.0, counting, "count to three")
+
+
+# --- the catalogue ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("figure", FIGURES.values(), ids=list(FIGURES))
+def test_a_figure_says_what_it_is(figure):
+    for text in (figure.title, figure.source, figure.paper, *figure.tolerance.values()):
+        assert text.strip()
+    assert set(figure.tolerance) == set(Size)
+    assert all(work.minutes > 0 for size in Size for work in figure.work(size))
+
+
+@pytest.mark.parametrize(
+    "work", [w for w in WORKS.values() if isinstance(w, Runs)], ids=lambda w: f"{w.name}-{w.fingerprint()[:6]}"
+)
+def test_what_is_run_is_a_valid_scene(work):
+    scene = load_scene(work.path, list(work.overrides))
+    assert scene.job == work.job or (scene.job, work.job) == ("codesign", "control")
+
+
+def test_work_of_one_name_is_one_work():
+    commands = defaultdict(set)
+    for (_, size, name), work in WORKS.items():
+        commands[size, name].add(work.command)
+    assert [names for names, told in commands.items() if len(told) > 1] == []
+
+
+def test_the_quick_set_is_quick():
+    works = {work.name: work.minutes for (_, size, _), work in WORKS.items() if size is Size.QUICK}
+    assert sum(works.values()) <= QUICK_MINUTES
+
+
+@pytest.mark.parametrize("record", sorted(PUBLISHED.glob("*/*.json")), ids=lambda p: f"{p.parent.name}-{p.stem}")
+def test_what_is_committed_is_what_is_judged(record):
+    """The verdict follows from the committed numbers, by today's rules."""
+    told = json.loads(record.read_text())
+    verdict = FIGURES[record.stem].judge(read_table(record.with_suffix(".csv")), Size(record.parent.name))
+    assert dict(verdict.checks) == told["checks"]
+    assert told["verdict"] in (verdict.judgement, Judgement.UNFINISHED)
+    for suffix in (".png", ".pdf"):
+        assert record.with_suffix(suffix).stat().st_size > 1000
+
+
+# --- work ---------------------------------------------------------------------------------------------------------
+
+
+def test_work_goes_on_where_it_stopped(tmp_path):
+    folder = tmp_path / "count"
+    assert [COUNT.do(folder, 1.0, 1) for _ in range(3)] == [False, False, True]
+    facts = COUNT.done(folder)
+    assert facts["command"] == "count to three"
+    assert facts["seconds"] == COUNT.spent(folder) > 0
+
+
+def test_work_that_has_changed_is_done_anew(tmp_path):
+    folder = tmp_path / "count"
+    while not COUNT.do(folder, 1.0, 1):
+        pass
+    other = replace(COUNT, told="count differently")
+    assert other.done(folder) is None
+    assert not other.do(folder, 1.0, 1)
+    assert [file.name for file in folder.glob("*.txt")] == ["0.txt"]
+
+
+def test_a_run_is_a_command_that_a_reader_can_type(tmp_path):
+    assert TEAR.command == "cqrun simulate scenes/simulate/tear.yaml -o time.duration=0.04 -o time.substeps=8"
+    braces = replace(TEAR, overrides=("loads={}",))
+    assert braces.command.endswith("-o 'loads={}'")
+    assert TEAR.do(tmp_path / "tear", 100.0, 1)
+    (run,) = TEAR.runs(tmp_path / "tear")
+    assert (run / "observables.csv").exists()
+    assert (tmp_path / "tear" / DONE).exists()
+
+
+def test_a_run_that_cannot_be_ends_with_its_command(tmp_path):
+    broken = replace(TEAR, overrides=("time.duration=-1",))
+    with pytest.raises(SystemExit, match=r"tear: `cqrun simulate .*` ended with 2\n(.|\n)*time.duration"):
+        broken.do(tmp_path / "tear", 100.0, 1)
+
+
+def test_killed_half_way_it_goes_on(tmp_path):
+    """SIGKILL as the second of two works runs: the first is kept, and the same command finishes."""
+    words = [sys.executable, "-m", "benchmarks.papers", "--only", "cq2_fracture", "--runs", str(tmp_path / "runs")]
+    words += ["--out", str(tmp_path / "out")]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    process = subprocess.Popen(words, cwd=ROOT, start_new_session=True, **pipes)
+    first, deadline = tmp_path / "runs" / "quick" / "tear_1" / DONE, time.monotonic() + 120.0
+    while not first.exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    stamp = first.stat().st_mtime_ns
+    assert not (tmp_path / "out" / "quick" / "cq2_fracture.png").exists()
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=300, check=True)
+    assert first.stat().st_mtime_ns == stamp
+    assert "reproduced" in done.stdout
+    assert (tmp_path / "out" / "index.html").exists()
+
+
+# --- what is published --------------------------------------------------------------------------------------------
+
+
+def test_an_unfinished_figure_shows_what_there_is(tmp_path):
+    toy = Toy(COUNT)
+    assert publish(toy, Size.QUICK, tmp_path, tmp_path / "out") is None
+    COUNT.do(tmp_path / "count", 1.0, 1)
+    COUNT.do(tmp_path / "count", 1.0, 1)
+    verdict = publish(toy, Size.QUICK, tmp_path, tmp_path / "out")
+    assert verdict.judgement == Judgement.UNFINISHED
+    COUNT.do(tmp_path / "count", 1.0, 1)
+    verdict = publish(toy, Size.QUICK, tmp_path, tmp_path / "out")
+    assert str(verdict) == "reproduced: they grow (yes); there are three (yes)"
+    assert sorted(path.suffix for path in (tmp_path / "out" / "quick").iterdir()) == [".csv", ".json", ".pdf", ".png"]
+
+
+def test_a_verdict_is_what_its_checks_come_to():
+    assert judged({"a": True, "b": True}).judgement is Judgement.MET
+    assert judged({"a": True, "b": False}).judgement is Judgement.PARTLY
+    assert judged({"a": False}).judgement is Judgement.MISSED
+
+
+def test_a_table_comes_back(tmp_path):
+    table = stacked(iter([{"name": "a, b", "x": 1.5}, {"name": "c", "y": 2.0}]))
+    write_table(table, tmp_path / "t.csv")
+    again = read_table(tmp_path / "t.csv")
+    assert list(again["name"]) == ["a, b", "c"]
+    np.testing.assert_array_equal(again["x"], [1.5, np.nan])
+    np.testing.assert_array_equal(again["y"], [np.nan, 2.0])
+
+
+def test_a_seed_that_has_ended_stays_where_it_ended():
+    rows = [(0, 0, 1.0), (0, 1, 2.0), (1, 0, 3.0)]
+    table = stacked(
+        {"variant": "a", "seed": seed, "iteration": k, "seconds": float(k), "value": v} for seed, k, v in rows
+    )
+    found = curves(table, "a")
+    np.testing.assert_array_equal(found.value, [[1.0, 2.0], [3.0, 3.0]])
+    np.testing.assert_array_equal(found.mean, [2.0, 2.5])
+    assert found.half[0] > 0
+
+
+def test_means_over_a_window():
+    np.testing.assert_allclose(smooth(np.array([1.0, 3.0, 5.0]), 2), [1.0, 2.0, 4.0])
+    assert first_below(np.array([3.0, 1.0, 0.5]), 1.0) == 2
+    assert first_below(np.array([3.0]), 1.0) is None
+
+
+# --- command and page ---------------------------------------------------------------------------------------------
+
+
+def test_the_list_names_every_figure(capsys):
+    assert command.main(["--list"]) == 0
+    told = capsys.readouterr().out
+    assert all(figure.id in told and figure.title in told for figure in FIGURES.values())
+
+
+def test_no_time_is_no_work(tmp_path, capsys):
+    words = ["--only", "cq2_fracture", "--minutes", "0", "--runs", str(tmp_path / "r"), "--out", str(tmp_path / "o")]
+    assert command.main(words) == 75
+    assert "out of time: the same command goes on" in capsys.readouterr().out
+
+
+def test_the_page_stands_alone(tmp_path):
+    page = write_page(tmp_path).read_text()
+    assert all(f'id="{figure.id}"' in page for figure in FIGURES.values())
+    assert not re.findall(r'(?:src|href)="(?:https?:)?//', page)
+    assert "Not run yet: <code>python -m benchmarks.papers --only cq1_table2</code>" in page
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="Debian's package chromium is absent")
+def test_the_page_in_a_browser(tmp_path, width):
+    """Every picture is loaded, and nothing is wider than the window."""
+    page = write_page(PUBLISHED if list(PUBLISHED.glob("quick/*.json")) else tmp_path).read_text()
+    script = """<script>addEventListener("load", () => {
+      const width = i => { i.loading = "eager"; return i.decode().then(() => i.naturalWidth) };
+      const pictures = [...document.images].map(width);
+      Promise.all(pictures).then(widths => { document.title = JSON.stringify(
+        {broken: widths.filter(w => !w).length, wide: document.documentElement.scrollWidth - innerWidth,
+         sections: document.querySelectorAll("section").length}) }) })</script>"""
+    probe = tmp_path / "probe.html"
+    probe.write_text(page.replace("</body>", script + "</body>"))
+    words = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width},900", "--dump-dom"]
+    words += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=20000", probe.as_uri()]
+    seen = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True).stdout
+    (title,) = re.findall(r"<title>(\{.*?\})</title>", seen)
+    told = json.loads(title)
+    assert told["broken"] == 0
+    assert told["wide"] <= 0
+    assert told["sections"] == len(FIGURES)
