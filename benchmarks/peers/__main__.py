@@ -1,0 +1,131 @@
+"""python -m benchmarks.peers [--sizes 2d_6400 ...] [--repeat 7] [--core 0] [--output FILE]
+
+Every implementation that is installed runs in a process of its own on the same core, one after the other, in turns;
+a time is the median over the turns. All have to agree on the loss and on the norms of both gradients.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.peers.problem import SIZES, SUBSTEPS
+from benchmarks.peers.worker import NAMES
+from cqrun.fingerprint import engine_hash
+from cqrun.jobs.bench import machine
+from cqrun.store.atomic import make_directory, write_json
+
+PACKAGES = {"cqrun": "cqrun", "warp": "warp", "taichi": "taichi", "jax": "jax"}
+WANTED = {"2d": {"taichi": 8.0, "warp": 4.0, "jax": 15.0}, "3d": {"taichi": 10.0, "warp": 4.0, "jax": 15.0}}
+"""How many times faster cqrun is to be, forward and backward together."""
+
+AGREE = 2e-4
+"""Relative difference that float32 is allowed."""
+
+ROOT = Path(__file__).parents[2]
+
+
+class Worker:
+    """A process that holds one implementation."""
+
+    def __init__(self, name: str, size: str, core: int) -> None:
+        words = [sys.executable, "-m", "benchmarks.peers.worker", name, size, str(core)]
+        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        self.process = subprocess.Popen(words, cwd=ROOT, text=True, **pipes)
+        self.first = self.read()["first"]
+
+    def read(self) -> dict[str, Any]:
+        """Return the next answer."""
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line:
+            self.process.communicate()
+            raise SystemExit(f"{' '.join(self.process.args)} ended with {self.process.returncode}")  # type: ignore[arg-type]
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def ask(self, what: str) -> dict[str, Any]:
+        """Ask for something and return the answer."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(what + "\n")
+        self.process.stdin.flush()
+        return self.read()
+
+    def end(self) -> None:
+        """End the process."""
+        self.process.communicate()
+
+
+def compare(size: str, names: Sequence[str], repeat: int, core: int) -> list[dict[str, Any]]:
+    """Return a row for each implementation: ms a substep forward, backward and together, and cqrun's ratio."""
+    workers = {name: Worker(name, size, core) for name in names}
+    seconds: dict[str, dict[str, list[float]]] = {name: {"forward": [], "backward": []} for name in names}
+    for _ in range(repeat):
+        for name, worker in workers.items():
+            for way, times in seconds[name].items():
+                times.append(worker.ask(way)["seconds"])
+    rows = []
+    for name, worker in workers.items():
+        found = worker.ask("results")
+        worker.end()
+        ways = {way: 1e3 * float(np.median(times)) / SUBSTEPS for way, times in seconds[name].items()}
+        both = np.array(seconds[name]["backward"])
+        if not found["backward_holds_forward"]:
+            both = both + np.array(seconds[name]["forward"])
+        rows.append({
+            "size": size, "name": name, "precision": "float64" if name == "cqrun" else "float32", **ways,
+            "together": 1e3 * float(np.median(both)) / SUBSTEPS, "first_call_s": worker.first,
+            **{key: found[key] for key in ("loss", "by_v", "by_E")}, "load": os.getloadavg()[0],
+        })  # fmt: skip
+    ours = next(row for row in rows if row["name"] == "cqrun")
+    for row in rows:
+        row["ratio"] = row["together"] / ours["together"]
+        row["disagreement"] = max(abs(row[key] / ours[key] - 1.0) for key in ("loss", "by_v", "by_E"))
+    return rows
+
+
+def told(row: dict[str, Any]) -> str:
+    """Return a row as a line."""
+    wanted = WANTED[row["size"][:2]].get(row["name"])
+    asked = f"  (asked {wanted:g})" if wanted else ""
+    return (
+        f"{row['size']:<10} {row['name']:<7} {row['precision']}  forward {row['forward']:8.3f}  backward "
+        f"{row['backward']:8.3f}  together {row['together']:8.3f} ms  {row['ratio']:6.2f} times cqrun{asked}  "
+        f"differs by {row['disagreement']:.0e}"
+    )
+
+
+def main() -> None:
+    """Measure what is installed; print a table and write JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", nargs="+", choices=list(SIZES), default=list(SIZES))
+    parser.add_argument("--names", nargs="+", choices=list(NAMES), default=list(NAMES))
+    parser.add_argument("--repeat", type=int, default=7)
+    parser.add_argument("--core", type=int, default=0)
+    parser.add_argument("--output", type=Path, default=ROOT / "benchmarks" / "measured" / "peers.json")
+    options = parser.parse_args()
+    here = [name for name in options.names if importlib.util.find_spec(PACKAGES[name]) is not None]
+    if missing := [name for name in options.names if name not in here]:
+        print(f"left out: {', '.join(missing)}, not installed: pip install 'cqrun[peers]'")
+    rows = []
+    for size in options.sizes:
+        for row in compare(size, [name for name in here if name != "cqrun"] + ["cqrun"], options.repeat, options.core):
+            rows.append(row)
+            print(told(row), flush=True)
+            if row["disagreement"] > AGREE:
+                raise SystemExit(f"{row['name']} does not compute the same: {row}")
+        make_directory(options.output.parent)
+        write_json(options.output, {"engine": engine_hash(), "machine": machine(), "rows": rows})
+
+
+if __name__ == "__main__":
+    main()

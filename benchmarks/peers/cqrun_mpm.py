@@ -1,0 +1,51 @@
+"""cqrun itself, float64, one thread."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from benchmarks.peers.problem import SUBSTEPS, model_of
+from cqrun.engine.backward import Backward
+from cqrun.engine.model import LossBar
+from cqrun.engine.rollout import Rollout
+from cqrun.state import State
+
+
+class Cqrun:
+    """One size."""
+
+    def __init__(self, size: str) -> None:
+        self.rollout = Rollout(*model_of(size), threads=1, adjoint=True)
+        self.states = np.empty((SUBSTEPS + 1, *self.rollout.start.shape))
+        self.forward()
+
+    def forward(self) -> None:
+        """Run all substeps and keep their states."""
+        self.states[0] = self.rollout.start
+        self.rollout.advance(0, SUBSTEPS, self.states, keep=True)
+        self.last = self.rollout.unpack(self.states[SUBSTEPS], 1)
+
+    def backward(self) -> None:
+        """Run the adjoint of all substeps from the kept states."""
+        x = self.last.x
+        bar = State(x / len(x), np.zeros_like(x), np.zeros_like(self.last.C), np.zeros_like(self.last.F))
+        self.pass_back = Backward(self.rollout, LossBar(final=bar))
+        self.pass_back.run(0, SUBSTEPS, self.states)
+
+    def results(self) -> Mapping[str, float]:
+        """Return loss and norms."""
+        bar = self.pass_back.inputs_bar()
+        by_v, by_E = bar.state.v, bar.terms[0][0][0]
+        loss = 0.5 * float((self.last.x**2).sum(axis=1).mean())
+        return {"loss": loss, "by_v": float(np.linalg.norm(by_v)), "by_E": float(np.linalg.norm(by_E))}
+
+
+def make(size: str) -> Cqrun:
+    """Return the implementation of a size."""
+    return Cqrun(size)
+
+
+BACKWARD_HOLDS_FORWARD = False
+"""Whether `backward` runs the substeps forward itself, so that `forward` counts no second time."""
