@@ -56,7 +56,7 @@ profile: $(READY) ## where a run's time goes: make profile SCENE=path/to/scene.y
 	$(BIN)/python -c 'import pstats; pstats.Stats("results/profile.pstats").sort_stats("cumulative").print_stats(40)'
 
 demo: $(READY) ## recover the material of a soft beam from its motion, in under five minutes
-	$(BIN)/cqrun sysid $(DEMO)
+	$(BIN)/cqrun sysid $(DEMO) --fresh
 	@echo; echo "The result: $$(ls -td results/$(basename $(notdir $(DEMO)))/*/ | head -n 1)"
 
 reproduce-figures: $(READY) ## both papers' figures with a verdict each -> results/figures/index.html; SIZE=paper takes days, MINUTES=n stops after n

@@ -95,7 +95,8 @@ def main() -> None:
         result[name] = fit(name, recordings, options.runs)
         if name == "swing_bare":
             result["rest_predicted_from_swing_bare_mm"] = predicted_rest(result[name], recordings)
-        write_json(options.out, {"command": "python benchmarks/real_beam.py", **result, "engine": engine_hash()})
+        told = {"command": "python benchmarks/real_beam.py --recordings DIR", "engine": engine_hash()}
+        write_json(options.out, {**result, **told})
         errors = {k: round(v["rmse_mm"], 3) for k, v in result[name]["recordings"].items()}
         print(f"{name}: E {result[name]['unknowns'][MODULUS]['value'] / 1e3:.1f} kPa, RMSE [mm] {errors}", flush=True)
 

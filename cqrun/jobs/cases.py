@@ -26,6 +26,7 @@ from cqrun.scene.build import Built, build
 from cqrun.scene.data import Recording as RecordingSpec
 from cqrun.scene.paths import canonical, with_values
 from cqrun.scene.schema import ON_CONTROL_STEP
+from cqrun.scene.unknowns import body_of, bounds_of
 from cqrun.state import State
 from cqrun.store.alignment import Measured, measure
 from cqrun.store.atomic import disk_errors, make_directory
@@ -218,21 +219,34 @@ def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
             f"{max(1, steps) * step:.10g} s"
         )
     own = build(with_values(scene, {**spec.overrides, "time.duration": steps * step}))
+    _require_same_particles(built, own)
     recording = read_recording(scene.resolve_path(spec.file), units=spec.units)
     measured = measure(recording, {k: np.array(v) for k, v in spec.markers.items()}, _still(spec))
     observer = _observe_markers(own, spec.body, dict(zip(measured.names, measured.rest, strict=True)))
     if measured.absolute:
         _require_near(own, spec.body, measured)
     start_path = f"{path}.start"
-    unknown = scene.unknowns.get(start_path)
     objective = MarkerObjective(
         observer, measured.names, measured.time, measured.values, control_step=step, steps=steps,
-        start=spec.start, start_bounds=None if unknown is None else (unknown.bounds[0], unknown.bounds[1]),
+        start=spec.start, start_bounds=bounds_of(scene, start_path),
         skip=spec.skip, absolute=measured.absolute, weight=spec.weight, source=measured.source,
     )  # fmt: skip
     return Case(
         name, _probed(own, spec.body, observer), (objective,), start_path, spec.start, spec.holdout, (measured,)
     )
+
+
+def _require_same_particles(built: Built, own: Built) -> None:
+    """Refuse overrides that change the particles of a body of which each, or a field over them, is unknown."""
+    for path, unknown in built.scene.unknowns.items():
+        for body in {body_of(built.scene, canonical(built.scene, p)) for p in (path, *unknown.also)} - {""}:
+            if unknown.per in ("particle", "field"):
+                ours, theirs = (b.particles.x[b.particles.of(body)] for b in (built, own))
+                if not np.array_equal(ours, theirs):
+                    raise DataError(
+                        f"its overrides change the particles of '{body}', each of which has a value of the unknown "
+                        f"'{path}': leave the body's particles as they are, or use `per: body`"
+                    )
 
 
 def _require_near(built: Built, body: str, measured: Measured) -> None:

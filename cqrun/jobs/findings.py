@@ -2,7 +2,7 @@
 
 result.json     values, intervals, errors, what the data leave open
 tracks.csv      recorded and modelled markers, for the plots
-trajectory.h5   the first case with the values found
+trajectory.h5   the first fitted case with the values found
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MILLI = 1e3
 def write_findings(
     run: RunDirectory, built: Built, cases: list[Case], problem: FitProblem, outcome: Outcome
 ) -> dict[str, Any]:
-    """Write result.json and, unless the run failed, tracks and trajectory; return the result."""
+    """Write result.json and, unless the run failed or was stopped, tracks and trajectory; return the result."""
     params = problem.params
     values = params.unpack(outcome.x)
     result: dict[str, Any] = {
@@ -57,13 +57,15 @@ def write_findings(
         "fracture": None,
         "findings": [],
     }
-    if outcome.status != "failed":
+    if outcome.status == "stopped":
+        _no_intervals(result, "the run was stopped; the values are those of where it stands")
+    elif outcome.status != "failed":
         _add_intervals(result, problem, outcome)
         records = _predict(cases, values, problem, result)
         result["loss"] = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
         result["recordings"] = _errors(cases, records, values)
         _write_tracks(run, cases, records, values)
-        first = cases[0].built
+        first = next(case for case in cases if not case.holdout).built  # one held out may blow up
         rollout = Rollout(first.model, first.assembly.inputs(values), threads=problem.threads)
         write_trajectory(run.path / "trajectory.h5", first, rollout)
     if outcome.status in ("iteration_limit", "stalled"):
@@ -114,6 +116,9 @@ def _add_intervals(result: dict[str, Any], problem: FitProblem, outcome: Outcome
         return
     if len(unknowns) > MOST_UNKNOWNS:
         _no_intervals(result, f"more than {MOST_UNKNOWNS} unknowns")
+        return
+    if problem.cases[0].built.scene.precision == "float32":
+        _no_intervals(result, "`precision: float32` is too coarse for the differences that intervals come from")
         return
     try:
         found = find_intervals(problem, outcome.x, unknowns)
@@ -182,7 +187,7 @@ def _predict(
 ) -> list[Record | None]:
     """Return every case's records with the values found, None where a held-out one blows up; note fractures."""
     records: list[Record | None] = []
-    most = dict.fromkeys(cases[0].built.particles.names, 0)
+    most = {name: 0 for case in cases for name in case.built.particles.names}
     for case in cases:
         fracture = fracture_of(case.built)
 
@@ -196,7 +201,7 @@ def _predict(
                 raise
             records.append(None)
             result["findings"].append(f"{case.name}: held out, and it blows up with the values found: {error}")
-        most = {name: max(most[name], number) for name, number in fracture.most.items()}
+        most |= {name: max(most[name], number) for name, number in fracture.most.items()}
         result["findings"] += [f"{case.name}: {sentence}" for sentence in fracture.findings()]
     result["fracture"] = most
     return records

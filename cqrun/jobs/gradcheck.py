@@ -48,6 +48,9 @@ TOLERANCE = {"float64": 1e-5, "float32": 5e-2}
 NOISE = 100.0
 """Rounding errors of the loss that count as noise."""
 
+ROUGH = 1e-4
+"""Largest relative scatter of a plateau within which adjoint and differences count as equal."""
+
 FILE = "gradcheck.json"
 ALL = "all together"
 
@@ -199,7 +202,8 @@ def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Ar
         return Row(block, count, adjoint, None, None, step, noise, shown, False)
     size = max(abs(adjoint), abs(differences))
     error = abs(adjoint - differences) / size if size > 0 else 0.0
-    agrees = error <= TOLERANCE[precision] or size <= noise
+    near = abs(adjoint - differences) <= noise <= ROUGH * size
+    agrees = error <= TOLERANCE[precision] or near or size <= noise
     return Row(block, count, adjoint, differences, error, step, noise, shown, agrees)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from cqrun.contract import Array
 from cqrun.errors import Problem, RunError, SceneError, UsageError
@@ -116,7 +117,8 @@ def require_same_data(run: RunDirectory) -> None:
     if saved.contents() != run.record["files"]:
         raise UsageError(f"{run.path}: a recording that it names has changed since the run began; run the scene again")
     # an extended run keeps the name of the scene it began with
-    if not (run.record.get("extended") or saved.digest() == run.path.name):
+    same = run.is_as_extended() if run.record.get("extended") else saved.digest() == run.path.name
+    if not same:
         raise UsageError(
             f"{run.path}: its folder is not named after its scene: the folder was renamed, or its scene.yaml has "
             "changed since the run began; give it its name back, or run the scene again"
@@ -150,7 +152,8 @@ def require_extension(run: RunDirectory, overrides: Sequence[str]) -> None:
                 "what else changes makes another run: start it from the scene"
             )
         done = iterations_done(run)
-        if value.strip().isdigit() and int(value) < done + run.finished:
+        wanted = yaml.safe_load(value)
+        if isinstance(wanted, int) and wanted < done + run.finished:
             raise UsageError(f"-o {override}: the run has done {done} iterations, and can only be extended: give more")
 
 

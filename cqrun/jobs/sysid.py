@@ -73,7 +73,12 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
     if missing:
         told = {"unknowns": "name what shall be found, by key path, with bounds", "data": "say what it is fitted to"}
         raise SceneError([Problem(scene.where(key), key, f"sysid needs it: {told[key]}") for key in missing])
-    built = build_and_warn(with_optimizer(scene), talk)
+    scene = with_optimizer(scene)
+    if scene.precision == "float32" and not uses_gradients(scene) and _optimizer(scene).squares:
+        path = f"optimizer.{scene.optimizer.name}"  # type: ignore[union-attr]
+        message = "its Jacobian is by differences, for which `precision: float32` is too coarse: use lbfgs, or float64"
+        raise SceneError([Problem(scene.where(path), path, message)])
+    built = build_and_warn(scene, talk)
     if uses_gradients(built.scene):
         gradient_plan(built)
     _require_batches(built.scene)
@@ -96,8 +101,11 @@ def _require_batches(scene: Scene) -> None:
 
 def uses_gradients(scene: Scene) -> bool:
     """Say whether a scene's optimizer asks for gradients; the Jacobian of least squares is by differences."""
-    optimizer: Any = None if scene.optimizer is None else scene.optimizer.value
-    return optimizer is None or optimizer.gradients
+    return scene.optimizer is None or _optimizer(scene).gradients
+
+
+def _optimizer(scene: Scene) -> Any:
+    return None if scene.optimizer is None else scene.optimizer.value
 
 
 def with_optimizer(scene: Scene) -> Scene:
@@ -108,7 +116,7 @@ def with_optimizer(scene: Scene) -> Scene:
 
     assert scene.data is not None
     per_body = all(unknown.per == "body" for unknown in scene.unknowns.values())
-    suited = scene.data.target is None and len(scene.unknowns) <= FEW and per_body
+    suited = scene.data.target is None and len(scene.unknowns) <= FEW and per_body and scene.precision == "float64"
     name = "least_squares" if suited else "lbfgs"
     return scene.with_plugin("optimizer", plugins("optimizer")[name]())
 
@@ -140,6 +148,7 @@ def conclude(
 ) -> Path:
     """Write what was found and end the run as the outcome says."""
     if outcome.status == "stopped":
+        write_findings(run, built, cases, problem, outcome)
         run.finish("stopped", outcome.message)
         raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
     if outcome.status != "failed":

@@ -66,7 +66,8 @@ def _prepared(scene: Scene) -> tuple[Built, Agent | None]:
     if scene.job in JOBS or has_episodes(scene):
         problem = prepare_control(scene, 1, Silent(), scene.job if scene.job in JOBS else "control")
         return problem.built, problem
-    built = prepare(scene, Silent()) if scene.job == "sysid" else build(scene)
+    fits = scene.job == "sysid" or (scene.job is None and bool(scene.unknowns) and scene.data is not None)
+    built = prepare(scene, Silent()) if fits else build(scene)
     return built, None if scene.controller is None else Agent(built)
 
 

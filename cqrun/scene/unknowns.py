@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 
 from pydantic_core import InitErrorDetails
@@ -23,6 +24,16 @@ def tied(scene: Scene, path: str, value: float) -> dict[str, float]:
     """Return the values of an unknown and of what follows it, by path in its long spelling."""
     others = {canonical(scene, other): tie for other, tie in scene.unknowns[path].also.items()}
     return {canonical(scene, path): value, **{p: tie.factor * value + tie.offset for p, tie in others.items()}}
+
+
+def bounds_of(scene: Scene, path: str) -> tuple[float, float] | None:
+    """Return the bounds of a value that is an unknown, or follows one; None if it does neither."""
+    name = canonical(scene, path)
+    for unknown, spec in scene.unknowns.items():
+        ends = [tied(scene, unknown, bound) for bound in spec.bounds]
+        if name in ends[0]:
+            return min(end[name] for end in ends), max(end[name] for end in ends)
+    return None
 
 
 def body_of(scene: Scene, name: str) -> str:
@@ -139,9 +150,12 @@ def _held_out(scene: Scene) -> Iterator[InitErrorDetails]:
     recordings = (scene.data.recordings if scene.data is not None else None) or {}
     for name, recording in recordings.items():
         path = f"data.recordings.{name}.start"
-        if recording.holdout and path in scene.unknowns:
-            message = f"the recording '{name}' is held out, so nothing tells its start: remove this unknown"
-            yield finding(message, ("unknowns", path), kind=KEY)
+        message = f"the recording '{name}' is held out, so nothing tells its start: remove this unknown"
+        for unknown, spec in scene.unknowns.items() if recording.holdout else ():
+            if unknown == path:
+                yield finding(message, ("unknowns", path), kind=KEY)
+            elif path in spec.also:
+                yield finding(message, ("unknowns", unknown, "also", path), kind=KEY)
 
 
 def _truth(scene: Scene) -> Iterator[InitErrorDetails]:
@@ -186,13 +200,26 @@ def _without_effect(scene: Scene, place: Loc, paths: list[str]) -> Iterator[Init
     """Yield overrides that would do nothing: of what all recordings share, and of what is fitted."""
     for path in paths:
         head = path.split(".")[0]
-        fitted = [unknown for unknown in scene.unknowns if unknown == path or unknown.startswith(f"{path}.")]
+        named = {name: [name, *spec.also] for name, spec in scene.unknowns.items()}
+        fitted = [name for name, others in named.items() if any(_holds(scene, path, other) for other in others)]
         if head in FIXED:
             message = f"all recordings share `{head}`: an override can change bodies, loads, the world ..."
             yield finding(message, (*place, path))
         elif fitted:
-            message = f"is fitted, as the unknown '{fitted[0]}': a recording cannot have its own value"
+            how = "is fitted, as" if _holds(scene, path, fitted[0]) else "follows"
+            message = f"{how} the unknown '{fitted[0]}': a recording cannot have its own value"
             yield finding(message, (*place, path))
+
+
+def _holds(scene: Scene, path: str, name: str) -> bool:
+    """Say whether a path is a number, or a part of the scene that has it, in whichever spelling."""
+    try:
+        full = canonical(scene, name)
+    except SceneError:
+        return False  # told where it is named
+    with contextlib.suppress(SceneError):  # of a part, which is no number
+        path = canonical(scene, path)
+    return any(other == path or other.startswith(f"{path}.") for other in (name, full))
 
 
 def _refused(scene: Scene, place: Loc, trials: dict[str, dict[str, object]]) -> Iterator[InitErrorDetails]:

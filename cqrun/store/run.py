@@ -192,9 +192,15 @@ class RunDirectory:
     def extend(self, resolved: str, argv: Sequence[str]) -> None:
         """Go on with another resolved scene, say with more iterations; the run keeps its name."""
         self.record["extended"] = [*self.record.get("extended", []), list(argv)]
+        # killed between here and the last line, the run has one or the other
+        self.record["scenes"] = [_hash_of(text) for text in (self.resolved, resolved)]
         self.log("extended: " + " ".join(argv))
         self.begin()  # first: a run that is killed here goes on with the scene it had
         write_text(self.path / "scene.yaml", resolved)
+
+    def is_as_extended(self) -> bool:
+        """Say whether scene.yaml is still what `extend` wrote."""
+        return _hash_of(self.resolved) in self.record["scenes"]
 
     def write_result(self, result: Mapping[str, Any]) -> None:
         """Write result.json."""
@@ -332,3 +338,7 @@ def read_record(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise UsageError(f"{file}: unreadable ({error}); run the scene again with --fresh") from error
     return record
+
+
+def _hash_of(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,149 @@
+"""Recordings with scenes of their own: other bodies, one that blows up, tied starts; what cannot be told apart."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from small_beam import E_PATH, SHEAR_PATH, record, recorded, result_of
+
+from cqrun.errors import SceneError, Stopped, UsageError
+from cqrun.jobs.resume import run_resume
+from cqrun.jobs.sysid import run_sysid
+from cqrun.jobs.validate import validate
+from cqrun.store.run import read_record
+
+ONCE = "optimizer={least_squares: {max_iterations: 1}}"
+WEIGHT = (
+    "data.recordings.{}.overrides.bodies.weight={{shape: {{box: {{corner: [0.10, 0.09], size: [0.02, 0.02]}}}}, "
+    "particles_per_cell: 4, material: {{density: 1000, elastic: {{fixed_corotated: {{youngs_modulus: 3.0e4, "
+    "poissons_ratio: 0.3}}}}, viscosity: {{shear: 3}}}}}}"
+)
+LINEAR = (
+    "loads={a: {damping: {rate: 1.0}}, b: {damping: {rate: 1.0}}}",
+    "unknowns={loads.a.damping.rate: {bounds: [0.1, 10], also: [loads.b.damping.rate]}}",
+)
+
+
+@pytest.fixture
+def two(fit, tmp_path):
+    """Return a scene of two recordings."""
+    files = record(fit, tmp_path / "data", copies=2)
+    return recorded(fit, dict(zip(("one", "two"), files, strict=True)))
+
+
+def find(scene, out, *overrides):
+    return run_sysid(scene, list(overrides), out, False, 1, True)
+
+
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_a_body_that_one_recording_has(two, tmp_path, name):
+    """Its own neighbours are counted, whichever recording has it."""
+    extra = WEIGHT.format(name).replace(".overrides.bodies.weight=", ".overrides={bodies.weight: ") + "}"
+    result = result_of(find(two, tmp_path, extra, ONCE))
+    assert set(result["fracture"]) == {"beam", "weight"}
+
+
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_one_held_out_blows_up(two, tmp_path, name):
+    """Wherever it stands, the others' findings and trajectory are written."""
+    blown = f"data.recordings.{name}.overrides={{world.gravity: [5000, 0]}}"
+    run = find(two, tmp_path, blown, f"data.recordings.{name}.holdout=true", ONCE)
+    result = result_of(run)
+    assert result["recordings"][name]["rmse_mm"] is None
+    assert any(f"{name}: held out, and it blows up" in text for text in result["findings"])
+    assert (run / "trajectory.h5").exists()
+
+
+def test_starts_that_are_tied(two, tmp_path):
+    """The second follows the first, and may be anywhere that the first's bounds take it."""
+    tied = (
+        "unknowns={data.recordings.one.start: {bounds: [0.0, 0.02], initial: 0.01, also: [data.recordings.two.start]}}"
+    )
+    often = "optimizer={least_squares: {max_iterations: 3}}"
+    result = result_of(find(two, tmp_path, tied, "time.duration=0.05", often))
+    assert 0.0 <= result["unknowns"]["data.recordings.one.start"]["value"] <= 0.02
+
+
+REFUSED = {
+    "particles of its own": (
+        (f"unknowns={{{E_PATH}: {{bounds: [1.0e4, 1.0e5], per: particle}}}}",
+         "data.recordings.two.overrides={bodies.beam.particles_per_cell: 9}", "optimizer={lbfgs: {}}"),
+        "data.recordings.two: its overrides change the particles of 'beam', each of which has a value of the unknown",
+    ),
+    "another grid": (
+        (f"unknowns={{{E_PATH}: {{bounds: [1.0e4, 1.0e5], per: field}}}}",
+         "data.recordings.two.overrides={world.dx: 0.008}", "optimizer={lbfgs: {}}"),
+        "data.recordings.two: its overrides change the particles of 'beam'",
+    ),
+    "what follows": (
+        (*LINEAR, "data.recordings.two.overrides={loads.b.damping.rate: 15}"),
+        "follows the unknown 'loads.a.damping.rate': a recording cannot have its own value",
+    ),
+    "a held-out follower": (
+        ("unknowns={data.recordings.one.start: {bounds: [0, 0.02], initial: 0.01, also: [data.recordings.two.start]}}",
+         "data.recordings.two.holdout=true"),
+        "the recording 'two' is held out, so nothing tells its start",
+    ),
+    "differences of rounding": (
+        ("precision=float32",),
+        "optimizer.least_squares: its Jacobian is by differences, for which `precision: float32` is too coarse",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be(two, tmp_path, name):
+    overrides, message = REFUSED[name]
+    with pytest.raises(SceneError, match=re.escape(message)):
+        find(two, tmp_path / "out", *overrides)
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(SceneError, match=re.escape(message)):
+        list(validate(two, list(overrides)))
+
+
+def test_single_precision_has_no_intervals(two, tmp_path):
+    run = find(two, tmp_path, "precision=float32", "optimizer={lbfgs: {max_iterations: 2}}")
+    entry = result_of(run)["unknowns"][SHEAR_PATH]
+    assert entry["interval"] is None
+    assert "too coarse for the differences" in entry["reason"]
+
+
+# --- stopped and extended -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", ["1", "+1", "0x1", "2"])
+def test_a_finished_run_is_not_shortened(two, tmp_path, value):
+    run = find(two, tmp_path, "optimizer={lbfgs: {max_iterations: 2}}")
+    before = result_of(run)
+    with pytest.raises(UsageError, match=r"has done 2 iterations, and can only be extended: give more"):
+        run_resume(run, [f"optimizer.lbfgs.max_iterations={value}"], 1, True)
+    assert result_of(run) == before
+
+
+def test_a_stopped_run_says_where_it_stands(two, tmp_path):
+    from small_beam import Listener
+
+    words = ["optimizer={adam: {max_iterations: 9}}"]
+    with pytest.raises(Stopped):
+        run_sysid(two, words, tmp_path, False, 1, True, reporter=Listener(stop_after=4))
+    (record_file,) = tmp_path.glob("fit/*/run.json")
+    run = record_file.parent
+    result = result_of(run)
+    assert (result["status"], read_record(run)["status"]) == ("stopped", "stopped")
+    entry = result["unknowns"][SHEAR_PATH]
+    assert entry["value"] != entry["initial"]
+    assert entry["interval"] is None
+    run_resume(run, [], 1, True)
+    assert result_of(run)["status"] == "iteration_limit"
+
+
+def test_an_extended_run_keeps_its_scene(two, tmp_path):
+    run = find(two, tmp_path, "optimizer={lbfgs: {max_iterations: 1}}")
+    run_resume(run, ["optimizer.lbfgs.max_iterations=2"], 1, True)
+    text = (run / "scene.yaml").read_text()
+    (run / "scene.yaml").write_text(text.replace("density: 1000", "density: 1100"))
+    with pytest.raises(UsageError, match=r"scene.yaml has changed since the run began"):
+        run_resume(run, ["optimizer.lbfgs.max_iterations=3"], 1, True)
+    (run / "scene.yaml").write_text(text)
+    run_resume(run, ["optimizer.lbfgs.max_iterations=3"], 1, True)
