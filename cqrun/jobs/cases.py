@@ -5,7 +5,7 @@ A case is the scene with a recording's overrides and length, its model, and what
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -176,6 +176,13 @@ def given_cases(built: Built) -> list[Case] | None:
         message = "every recording is held out: nothing is left to fit"
         raise SceneError([Problem(built.scene.where("data.recordings"), "data.recordings", message)])
     return cases
+
+
+def own_warnings(built: Built, cases: Sequence[Case]) -> Iterator[str]:
+    """Yield the warnings of recordings' own scenes that are not the scene's."""
+    told = {warning.message for warning in built.warnings}
+    for case in cases:
+        yield from (f"{case.name}: {warning}" for warning in case.built.warnings if warning.message not in told)
 
 
 def made_cases(run: RunDirectory, built: Built) -> list[Case]:

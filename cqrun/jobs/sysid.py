@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cqrun.errors import Problem, SceneError
-from cqrun.jobs.cases import Case, given_cases, made_cases
+from cqrun.jobs.cases import Case, given_cases, made_cases, own_warnings
 from cqrun.jobs.findings import write_findings
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.memory import gradient_plan
@@ -115,10 +115,18 @@ def with_optimizer(scene: Scene) -> Scene:
     from cqrun.registry import plugins
 
     assert scene.data is not None
-    per_body = all(unknown.per == "body" for unknown in scene.unknowns.values())
-    suited = scene.data.target is None and len(scene.unknowns) <= FEW and per_body and scene.precision == "float64"
+    suited = scene.data.target is None and _numbers(scene) <= FEW and scene.precision == "float64"
     name = "least_squares" if suited else "lbfgs"
     return scene.with_plugin("optimizer", plugins("optimizer")[name]())
+
+
+def _numbers(scene: Scene) -> float:
+    """Return how many numbers are unknown; infinitely many where each particle has one, or a field."""
+    count = 0.0
+    for path, unknown in scene.unknowns.items():
+        groups = scene.bodies[path.split(".")[1]].group_names if unknown.per == "group" else ()
+        count += {"body": 1, "group": len(groups)}.get(unknown.per, float("inf"))
+    return count
 
 
 def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads: int, talk: Reporter) -> Path:
@@ -131,6 +139,8 @@ def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads:
     if cases is None:
         talk.phase("making data")
         cases = made_cases(run, built)
+    for warning in own_warnings(built, cases):
+        talk.warn(warning)
     params = make_params(built)
     problem = FitProblem(cases, params, threads=threads)
     talk.phase(f"fitting {len(params.start)} unknowns")

@@ -11,7 +11,7 @@ import numpy as np
 from cqrun.errors import SceneError
 from cqrun.explain import listed
 from cqrun.jobs.agent import Agent
-from cqrun.jobs.cases import Case, given_cases
+from cqrun.jobs.cases import Case, given_cases, own_warnings
 from cqrun.jobs.control import JOBS, optimizer_of
 from cqrun.jobs.control import prepare as prepare_control
 from cqrun.jobs.episodes import EpisodeProblem, has_episodes
@@ -57,7 +57,7 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     if agent is not None:
         yield from control_lines(agent)
     yield from _cost(built, agent)
-    for warning in built.warnings:
+    for warning in (*built.warnings, *own_warnings(built, cases or [])):
         yield f"warning: {warning}"
 
 

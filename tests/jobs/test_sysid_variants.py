@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 
 import pytest
-from small_beam import E_PATH, SHEAR_PATH, record, recorded, result_of
+from small_beam import E_PATH, SHEAR_PATH, Listener, record, recorded, result_of
 
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.jobs.resume import run_resume
-from cqrun.jobs.sysid import run_sysid
+from cqrun.jobs.sysid import run_sysid, with_optimizer
 from cqrun.jobs.validate import validate
+from cqrun.scene.load import load_scene
 from cqrun.store.run import read_record
 
 ONCE = "optimizer={least_squares: {max_iterations: 1}}"
@@ -109,6 +110,28 @@ def test_single_precision_has_no_intervals(two, tmp_path):
     assert "too coarse for the differences" in entry["reason"]
 
 
+def test_what_a_recordings_own_scene_warns_of_is_told(two, tmp_path):
+    few = "data.recordings.two.overrides={bodies.beam.particles_per_cell: 1}"
+    told = "two: .*1 particles in a cell are few"
+    assert any(re.search(f"warning: {told}", line) for line in validate(two, [few]))
+    listener = Listener()
+    run_sysid(two, [few, ONCE], tmp_path, False, 1, True, reporter=listener)
+    assert [line for line in listener.said if re.match(f"warning: {told}", line)]
+
+
+@pytest.mark.parametrize(
+    ("override", "name"),
+    [
+        (f"unknowns.{E_PATH}.per=group", "least_squares"),
+        (f"unknowns.{E_PATH}.per=particle", "lbfgs"),
+        ("precision=float32", "lbfgs"),
+    ],
+)
+def test_the_optimizer_that_suits(two, override, name):
+    chosen = with_optimizer(load_scene(two, ["optimizer=null", override])).optimizer
+    assert chosen.name == name
+
+
 # --- stopped and extended -----------------------------------------------------------------------------------------
 
 
@@ -122,8 +145,6 @@ def test_a_finished_run_is_not_shortened(two, tmp_path, value):
 
 
 def test_a_stopped_run_says_where_it_stands(two, tmp_path):
-    from small_beam import Listener
-
     words = ["optimizer={adam: {max_iterations: 9}}"]
     with pytest.raises(Stopped):
         run_sysid(two, words, tmp_path, False, 1, True, reporter=Listener(stop_after=4))
