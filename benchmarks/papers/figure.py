@@ -57,6 +57,7 @@ class Verdict:
 
 def judged(checks: Mapping[str, bool]) -> Verdict:
     """Return the verdict on checks: all, some, or none of them hold."""
+    checks = {said: bool(holds) for said, holds in checks.items()}
     good = sum(checks.values())
     return Verdict(Judgement.MET if good == len(checks) else Judgement.PARTLY if good else Judgement.MISSED, checks)
 

@@ -91,7 +91,8 @@ class Frames(Figure):
         panels = picture.subplots(rows, self.columns, squeeze=False).ravel()
         largest, unit = max(float(shot.moved.max()) for shot in shots), length_unit(float(np.max(corners)))
         for axes, shot in zip(panels, shots, strict=False):
-            plot_body(axes, run.scene, shot, look, corners, unit, largest)
+            dots = plot_body(axes, run.scene, shot, look, corners, unit, largest)
+            dots.set_rasterized(True)  # thousands of them
             path = np.stack([table[axis] for axis in "xyz" if axis in table], axis=1)
             upto = table["time"] <= shot.time + 1e-9
             axes.plot(*(unit.factor * (path @ look.axes.T)[upto]).T, color=COLOURS[1], lw=1.0)
