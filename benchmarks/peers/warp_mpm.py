@@ -225,8 +225,9 @@ class Warp:
             wp.launch(loss, self.n, inputs=[self.states[-1][0], 0.5 / self.n], outputs=[self.loss], device="cpu")
 
     def backward(self) -> None:
-        """Run the tape back."""
-        self.tape.zero()
+        """Run the tape back; what the last one left is cleared first, which the new tape does not know of."""
+        for array in (self.E, self.loss, *(a for held in (*self.states, *self.grids) for a in held)):
+            array.grad.zero_()
         self.tape.backward(self.loss)
 
     def results(self) -> Mapping[str, float]:

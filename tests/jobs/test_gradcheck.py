@@ -142,6 +142,23 @@ def test_a_direction_whose_steps_all_fail_disagrees(fit, tmp_path, monkeypatch):
     assert report_lines(run)[2].endswith("every step's rollout failed: DISAGREES")
 
 
+@pytest.mark.parametrize(("off", "agrees"), [(0.0, True), (1.5e-5, True), (1e-3, False)])
+def test_a_gradient_within_the_scatter_of_its_differences(off, agrees):
+    """Differences that scatter by 2e-5 cannot tell an error of that size, but one of a thousandth."""
+    # f(x) = x, with an error of its differences at every step that does not fall with it
+    error = 2e-5 * (-1.0) ** np.arange(len(STEPS))
+    at = {round(float(np.log(h)), 6): e for h, e in zip(STEPS, error, strict=True)}
+
+    def value(x: np.ndarray) -> float:
+        h = float(x[0])
+        return h * (1.0 + at[round(float(np.log(abs(h))), 6)])
+
+    loss = Loss("x", Params(()), np.zeros(1), value, lambda x: (0.0, np.ones(1)), 0.0)
+    row = check_direction("x", loss, 0.0, np.array([1.0 + off]), np.ones(1), "float64")
+    assert row.noise > 1e-5
+    assert bool(row.agrees) is agrees
+
+
 def test_a_scan_that_is_rounding_alone_is_flat(rng):
     """Larger rounding than the loss lets expect: differences tell nothing below their own scatter."""
     noise = iter(1e-9 * rng.normal(size=1000))

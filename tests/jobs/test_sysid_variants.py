@@ -159,6 +159,15 @@ def test_a_stopped_run_says_where_it_stands(two, tmp_path):
     assert result_of(run)["status"] == "iteration_limit"
 
 
+def test_an_extended_run_that_is_stopped_says_so(two, tmp_path):
+    run = find(two, tmp_path, "optimizer={adam: {max_iterations: 2}}")
+    with pytest.raises(Stopped):
+        run_resume(run, ["optimizer.adam.max_iterations=9"], 1, True, reporter=Listener(stop_after=2))
+    result = result_of(run)
+    assert result["status"] == "stopped"
+    assert 2 < result["iterations"] < 9
+
+
 def test_an_extended_run_keeps_its_scene(two, tmp_path):
     run = find(two, tmp_path, "optimizer={lbfgs: {max_iterations: 1}}")
     run_resume(run, ["optimizer.lbfgs.max_iterations=2"], 1, True)

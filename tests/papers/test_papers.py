@@ -21,10 +21,11 @@ from benchmarks.papers import __main__ as command
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Figure, Judgement, Size, judged, read_table, stacked, write_table
 from benchmarks.papers.histories import curves, first_below, smooth
+from benchmarks.papers.learning import Distances
 from benchmarks.papers.page import write_page
 from benchmarks.papers.publish import publish
 from benchmarks.papers.work import DONE, ROOT, Measurement, Runs
-from cqrun.figures.style import new_figure
+from cqrun.figures.style import new_figure, styled
 from cqrun.scene.load import load_scene
 
 PUBLISHED = ROOT / "results" / "figures"
@@ -191,6 +192,24 @@ def test_a_verdict_is_what_its_checks_come_to():
     assert judged({"a": True, "b": True}).judgement is Judgement.MET
     assert judged({"a": True, "b": False}).judgement is Judgement.PARTLY
     assert judged({"a": False}).judgement is Judgement.MISSED
+
+
+@pytest.mark.parametrize("figure", [f for f in FIGURES.values() if isinstance(f, Distances)], ids=lambda f: f.id)
+@pytest.mark.parametrize("size", Size)
+def test_distances_are_drawn_and_judged(figure, size):
+    """Two seeds of every variant that the size has, which walk as far as the paper's."""
+    labels = [variant.label for variant in figure.variants if size in variant.seeds]
+    far = 0.5 * figure.final
+    rows = [
+        {"variant": label, "seed": seed, "iteration": k, "seconds": 9.0 * k, "value": far * k + 0.01 * seed}
+        for label in labels for seed in range(2) for k in range(3)
+    ]  # fmt: skip
+    table = stacked(iter(rows))
+    assert figure.judge(table, size).judgement is Judgement.MET
+    stood = {**table, "value": 0.0 * table["value"]}
+    assert figure.judge(stood, size).judgement is Judgement.MISSED
+    with styled():
+        assert figure.draw(table, size, {}).axes
 
 
 def test_a_table_comes_back(tmp_path):

@@ -18,7 +18,7 @@ class TerrainBiped(Distances):
     scene = "control/biped_terrain"
     final, interval, seconds = 1.61, (1.50, 1.72), 20.0
     variants = (
-        Variant("paper's size", {Size.PAPER: ()}, {Size.PAPER: 1}, {Size.PAPER: 600}),
+        Variant("paper size", {Size.PAPER: ()}, {Size.PAPER: 1}, {Size.PAPER: 600}),
         Variant("a quarter", {Size.QUICK: QUICK, Size.PAPER: SMALL}, {Size.QUICK: 2, Size.PAPER: 5},
                 {Size.QUICK: 3, Size.PAPER: 120}),
     )  # fmt: skip
