@@ -8,8 +8,15 @@ Chunks begin at multiples of `SORT_EVERY`, so that a repeated chunk repeats its 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from math import prod
+from typing import Any
 
+import numpy as np
+
+from cqrun.contract import Array
 from cqrun.engine.blocks import SORT_EVERY
 from cqrun.errors import RunError
 
@@ -67,3 +74,23 @@ def make_plan(n_steps: int, state_bytes: int, budget: int) -> Plan:
             f"{budget / 2**20:.4g} MiB: set `memory: {need / 2**20 + 1:.0f}MiB` or more, or use fewer particles"
         )
     return best
+
+
+@contextmanager
+def borrowed(spare: list[Array], shape: tuple[int, ...], real: Any) -> Iterator[Array]:
+    """Give memory for states, which the next gradient will use again.
+
+    Memory that a process gives back is cleared page by page before it has it again: a fifth of an iteration.
+
+    Args:
+        spare: bytes that are not in use; several threads may share it.
+    """
+    need = prod(shape) * np.dtype(real).itemsize
+    held = spare.pop() if spare else None
+    if held is None or held.nbytes < need:
+        held = None  # given back first: never both
+        held = np.empty(need, np.uint8)
+    try:
+        yield held[:need].view(real).reshape(shape)
+    finally:
+        spare.append(held)

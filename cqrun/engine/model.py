@@ -82,6 +82,7 @@ class Model:
     probe: sparse.csr_array | None = None  # (K, N) weighted sums to record
     real: Any = np.float64
     memory_budget: int = 2 * 2**30  # bytes for states kept for gradients
+    spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # memory for them (`checkpoint.py`)
 
     @property
     def dim(self) -> int:

@@ -20,7 +20,7 @@ from numba import config
 from cqrun.compile import run_side_by_side
 from cqrun.contract import Array
 from cqrun.engine.backward import Backward
-from cqrun.engine.checkpoint import Plan, make_plan
+from cqrun.engine.checkpoint import Plan, borrowed, make_plan
 from cqrun.engine.model import Inputs, LossBar, Model, Records
 from cqrun.engine.policy import Policy
 from cqrun.engine.probe import record
@@ -278,9 +278,19 @@ class Rollout:
         model = self.model
         n_steps = model.n_steps
         plan = self.plan = make_plan(n_steps, self.state_bytes, model.memory_budget)
-        chunk_states = np.empty((min(plan.chunk, n_steps) + 1, *self.start.shape), model.real)
+        with borrowed(model.spare, (plan.states, *self.start.shape), model.real) as states:
+            records, sweeps = self._sweep(plan, states, loss_bars)
+        self.growth_at = sweeps[0].growth_at if sweeps else -1
+        return records, sweeps
+
+    def _sweep(
+        self, plan: Plan, states: Array, loss_bars: Callable[[Records, State], Sequence[LossBar]]
+    ) -> tuple[Records, list[Backward]]:
+        """Run forward and backward as planned, with memory for the plan's states."""
+        model = self.model
+        n_steps = model.n_steps
+        chunk_states, spare = states[: plan.chunk + 1], list(states[plan.chunk + 1 :])
         snapshots: dict[int, Array] = {}
-        spare: list[Array] = []
         current = self.start[None].copy()
         sweeps: list[Backward] = []
         schedule = MultistageCheckpointSchedule(plan.n_chunks, plan.snapshots, 0) if plan.n_chunks > 1 else _ONE
@@ -291,9 +301,8 @@ class Rollout:
         for action in schedule:
             if isinstance(action, Forward):
                 if action.write_ics:
-                    kept = spare.pop() if spare else np.empty_like(self.start)
-                    kept[...] = current[0]
-                    snapshots[action.n0] = kept
+                    snapshots[action.n0] = spare.pop()
+                    snapshots[action.n0][...] = current[0]
                 last = action.n1 - 1 if action.write_adj_deps else action.n1
                 self.advance(ends(action.n0), ends(last), current, keep=False)
                 if action.write_adj_deps:
@@ -313,7 +322,6 @@ class Rollout:
                     spare.append(snapshots.pop(action.n))
             if isinstance(action, EndReverse):
                 break
-        self.growth_at = sweeps[0].growth_at if sweeps else -1
         return records, sweeps
 
 
