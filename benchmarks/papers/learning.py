@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
 
+SINGLE = ("precision=float32", "memory=8GiB")
+"""Overrides at paper size: the papers' own precision, and room for every state of a rollout."""
+
+
 @dataclass(frozen=True)
 class Variant:
     """One set of seeds: its label, overrides of the scene, and how many seeds and minutes at each size."""

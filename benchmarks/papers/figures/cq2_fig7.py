@@ -1,7 +1,7 @@
 """CQ2 Fig 7: a rhino from an image learns to walk."""
 
 from benchmarks.papers.figure import Size
-from benchmarks.papers.learning import Distances, Variant
+from benchmarks.papers.learning import SINGLE, Distances, Variant
 
 QUICK = ("bodies.rhino.spacing=0.006", "time.duration=2", "optimizer.adam.max_iterations=30")
 
@@ -21,8 +21,8 @@ class Rhino(Distances):
     scene = "control/rhino"
     final, interval, seconds = 0.85, (0.64, 1.07), 21.0
     variants = (
-        Variant("pressure 2", {Size.QUICK: QUICK, Size.PAPER: ()}, {Size.QUICK: 2, Size.PAPER: 3},
+        Variant("pressure 2", {Size.QUICK: QUICK, Size.PAPER: SINGLE}, {Size.QUICK: 2, Size.PAPER: 3},
                 {Size.QUICK: 2, Size.PAPER: 100}),
-        Variant("half", {Size.PAPER: _pressure(1)}, {Size.PAPER: 3}, {Size.PAPER: 100}),
-        Variant("double", {Size.PAPER: _pressure(4)}, {Size.PAPER: 3}, {Size.PAPER: 100}),
+        Variant("half", {Size.PAPER: (*SINGLE, *_pressure(1))}, {Size.PAPER: 3}, {Size.PAPER: 100}),
+        Variant("double", {Size.PAPER: (*SINGLE, *_pressure(4))}, {Size.PAPER: 3}, {Size.PAPER: 100}),
     )  # fmt: skip
