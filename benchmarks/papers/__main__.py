@@ -1,7 +1,8 @@
 """python -m benchmarks.papers [--size quick|paper] [--only ID ...] [--minutes N] [--list] [--page]
 
 Do what is missing, go on with what was stopped, skip what is done; then write each figure's CSV, PNG, PDF and verdict
-to results/figures/SIZE, and results/figures/index.html.
+to results/figures/SIZE, and results/figures/index.html. What a figure that is not complete needs to go on, here or on
+another machine, is left in results/figures/SIZE/unfinished; `--minutes 0` does nothing else.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Figure, Size
+from benchmarks.papers.kept import archive_of, keep, restore
 from benchmarks.papers.page import write_page
 from benchmarks.papers.publish import publish
 from benchmarks.papers.work import ROOT, Work
@@ -51,9 +53,11 @@ def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> b
     end = time.monotonic() + 60.0 * options.minutes
     left = sum(_left(work, runs) for figure in figures for work in figure.work(size))
     print(f"{len(figures)} figures, size {size}: about {_span(left)} of work left on two cores")
-    complete = True
+    complete, folder = True, options.out / size
     for k, figure in enumerate(figures, start=1):
         works = figure.work(size)
+        for work in works:
+            restore(work, runs, archive_of(work, folder))
         todo = [work for work in works if work.done(runs / work.name) is None]
         about = sum(_left(work, runs) for work in todo)
         told = f"about {_span(about)}" if todo else "done"
@@ -64,12 +68,24 @@ def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> b
                 complete = False
                 break
         left -= about
+        _keep(works, runs, folder)
         verdict = publish(figure, size, runs, options.out)
         if verdict is not None:
             print(f"    {verdict}", flush=True)
     if not complete:
         print("out of time: the same command goes on")
     return complete
+
+
+def _keep(works: Sequence[Work], runs: Path, folder: Path) -> None:
+    """Leave what a figure needs to go on, or remove that when it is complete."""
+    complete = all(work.done(runs / work.name) is not None for work in works)
+    for work in works:
+        archive = archive_of(work, folder)
+        if complete:
+            archive.unlink(missing_ok=True)
+        else:
+            keep(work, runs, archive)
 
 
 def _left(work: Work, runs: Path) -> float:

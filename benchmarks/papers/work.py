@@ -1,7 +1,7 @@
 """What takes time behind a figure: runs of cqrun and measurements. Each has a folder, and goes on where it stopped.
 
-A folder's `done.json` is written last, and says with which command, engine and machine the work was done and how long
-it took, pauses left out. Work whose command or scene has changed is done anew.
+A folder's `clock.json` says what was begun, by which engine, and how long it has taken, pauses left out; `done.json`
+is written last, and adds the machine. Work whose command or scene has changed is done anew.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ from cqrun.store.atomic import make_directory, write_json
 ROOT = Path(__file__).parents[2]
 SCENES = ROOT / "scenes"
 DONE, CLOCK = "done.json", "clock.json"
-STOPPED, USAGE = 75, 2
-"""How cqrun ends when it was asked to stop, and when a run is another engine's."""
+FAILED, USAGE, STOPPED = 1, 2, 75
+"""How cqrun ends: runs failed or no design will do, which is a result too; bad input; it was asked to stop."""
+
+WORTH = 600.0
+"""Seconds of work that are not thrown away unasked."""
 
 LONG = 1e6
 """More seconds than any work takes."""
@@ -72,16 +75,19 @@ class Work(ABC):
 
     def do(self, folder: Path, seconds: float, jobs: int) -> bool:
         """Do it, or go on with it; say whether it is done."""
-        if _read(folder / CLOCK).get("fingerprint") != self.fingerprint():
+        clock = _read(folder / CLOCK)
+        if clock.get("fingerprint") != self.fingerprint():
             shutil.rmtree(folder, ignore_errors=True)
-        make_directory(folder)
-        before, begun = self.spent(folder), time.monotonic()
+            make_directory(folder)
+            clock = {"fingerprint": self.fingerprint(), "engine": engine_hash(), "seconds": 0.0}
+            write_json(folder / CLOCK, clock)
+        begun = time.monotonic()
         finished = self.go_on(folder, seconds, jobs)
-        clock = {"fingerprint": self.fingerprint(), "seconds": before + time.monotonic() - begun}
+        clock = _read(folder / CLOCK)
+        clock["seconds"] += time.monotonic() - begun
         write_json(folder / CLOCK, clock)
         if finished:
-            facts = {"command": self.command, "engine": engine_hash(), "machine": machine()}
-            write_json(folder / DONE, clock | facts)
+            write_json(folder / DONE, clock | {"command": self.command, "machine": machine()})
         return finished
 
 
@@ -144,11 +150,28 @@ class Runs(Work):
         if self.seeds:
             command += ["--jobs", str(min(jobs, self.seeds))]
         code, said = _for_so_long(command, seconds)
-        if code == USAGE and "another engine" in said:
-            code, said = _for_so_long([*command, "--fresh"], seconds)
-        if code not in (0, 1, STOPPED):  # 1: a run failed or no design will do, which is a result too
+        if code in (FAILED, USAGE) and "made by another engine" in said:
+            self._start_over(folder)
+            code, said = _for_so_long(command, seconds)
+        if code not in (0, FAILED, STOPPED):
             raise SystemExit(f"{self.name}: `{self.command}` ended with {code}\n{said}")
         return code != STOPPED
+
+    def _start_over(self, folder: Path) -> None:
+        """Empty the folder of runs that another engine has begun, if that is soon done again.
+
+        Raises:
+            SystemExit: it is not.
+        """
+        clock = _read(folder / CLOCK)
+        if clock["seconds"] > WORTH:
+            raise SystemExit(
+                f"{folder}: {clock['seconds'] / 60:.0f} minutes of work by engine {clock['engine']}, and this is "
+                f"{engine_hash()}: go on with the commit that has that engine, or delete the folder to start over"
+            )
+        shutil.rmtree(folder)
+        make_directory(folder)
+        write_json(folder / CLOCK, clock | {"engine": engine_hash(), "seconds": 0.0})
 
     def runs(self, folder: Path) -> list[Path]:
         """Return its run directories."""
@@ -156,17 +179,17 @@ class Runs(Work):
 
 
 def _for_so_long(command: list[str], seconds: float) -> tuple[int, str]:
-    """Run a command; ask it to stop when its time is over. Return its exit status and what it complained."""
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    """Run a command; ask it to stop when its time is over. Return its exit status and what it said."""
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
-        _, said = process.communicate(timeout=min(max(1.0, seconds), LONG))
+        said, _ = process.communicate(timeout=min(max(1.0, seconds), LONG))
     except subprocess.TimeoutExpired:
         process.send_signal(signal.SIGTERM)
         try:
-            _, said = process.communicate(timeout=GRACE)
+            said, _ = process.communicate(timeout=GRACE)
         except subprocess.TimeoutExpired:
             process.kill()
-            _, said = process.communicate()
+            said, _ = process.communicate()
             return STOPPED, said
     except BaseException:
         process.send_signal(signal.SIGTERM)

@@ -1,0 +1,89 @@
+"""What long work needs to go on elsewhere: its folder without trajectories and pictures, packed, to be committed.
+
+A work's archive lies in results/figures/SIZE/unfinished while its figure is not complete: some hundred kB for a run
+that is not finished (its optimizer's state), a few for one that is (its history and result). Paths of this machine
+are packed as names and unpacked as the paths of the other.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from benchmarks.papers.work import CLOCK, DONE, ROOT, Work
+from cqrun.fingerprint import engine_hash
+from cqrun.store.atomic import make_directory, write_bytes
+from cqrun.store.run import FINISHED, read_record
+
+SMALL = (".json", ".yaml", ".csv", ".npz", ".npy")
+TEXT = (".json", ".yaml")
+STATES = "evals."
+"""Files of an optimizer's state, which a finished run no longer needs."""
+
+
+def archive_of(work: Work, folder: Path) -> Path:
+    """Return where a work's archive is, in the folder of a size's figures."""
+    return folder / "unfinished" / f"{work.name}.tar.xz"
+
+
+def keep(work: Work, runs: Path, archive: Path) -> None:
+    """Pack what was begun, if anything was."""
+    root = runs / work.name
+    if not (root / CLOCK).exists():
+        return
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w:xz") as tar:
+        for path in _small(root):
+            data = path.read_bytes()
+            if path.suffix in TEXT:
+                data = _renamed(data, {str(runs.resolve()): "@RUNS@", str(ROOT): "@ROOT@"})
+            member = tarfile.TarInfo(path.relative_to(root).as_posix())
+            member.size = len(data)
+            tar.addfile(member, io.BytesIO(data))
+    make_directory(archive.parent)
+    write_bytes(archive, packed.getvalue())
+
+
+def _small(root: Path) -> Iterator[Path]:
+    for path in sorted(root.rglob("*")):
+        if path.suffix in SMALL and not (path.name.startswith(STATES) and _is_finished(path.parent)):
+            yield path
+
+
+def _is_finished(run: Path) -> bool:
+    return (run / "run.json").exists() and read_record(run)["status"] in FINISHED
+
+
+def _renamed(data: bytes, names: dict[str, str]) -> bytes:
+    for old, new in names.items():
+        data = data.replace(old.encode(), new.encode())
+    return data
+
+
+def restore(work: Work, runs: Path, archive: Path) -> bool:
+    """Unpack a work that was begun elsewhere, if it is not here; say whether it was.
+
+    What another engine has begun is left alone, as this one could not go on with it; what it has finished is taken.
+    """
+    root = runs / work.name
+    if root.exists() or not archive.exists():
+        return False
+    with tarfile.open(archive) as tar:
+        facts = json.loads(tar.extractfile(CLOCK).read())  # type: ignore[union-attr]
+        is_usable = facts["engine"] == engine_hash() or DONE in tar.getnames()
+        if facts["fingerprint"] != work.fingerprint() or not is_usable:
+            return False
+        make_directory(runs)
+        with tempfile.TemporaryDirectory(dir=runs) as name:
+            fresh = Path(name) / work.name
+            tar.extractall(fresh, filter="data")
+            for path in fresh.rglob("*"):
+                if path.suffix in TEXT:
+                    names = {"@RUNS@": str(runs.resolve()), "@ROOT@": str(ROOT)}
+                    path.write_bytes(_renamed(path.read_bytes(), names))
+            fresh.rename(root)
+    return True

@@ -1,0 +1,95 @@
+"""Long work goes on on another machine, from what was packed and committed."""
+
+from __future__ import annotations
+
+import json
+import tarfile
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.papers import kept, work
+from benchmarks.papers.kept import archive_of, keep, restore
+from benchmarks.papers.work import CLOCK, DONE, Runs
+
+SHORT = ("bodies.finger.sampling.lattice.count=5", "time.duration=0.05", "optimizer.sgd.max_iterations=2")
+LEARNED = Runs("finger", 0.1, "control", "control/finger", SHORT, 2)
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory):
+    """Two seeds, learned, and their archive."""
+    runs = tmp_path_factory.mktemp("runs")
+    assert LEARNED.do(runs / LEARNED.name, 300.0, 2)
+    archive = archive_of(LEARNED, runs / "figures")
+    keep(LEARNED, runs, archive)
+    return runs, archive
+
+
+def test_an_archive_is_small_and_names_no_path(learned):
+    runs, archive = learned
+    assert archive.stat().st_size < 50_000
+    with tarfile.open(archive) as tar:
+        names = tar.getnames()
+        said = b"".join(tar.extractfile(name).read() for name in names if name.endswith((".json", ".yaml")))
+    assert {CLOCK, DONE} <= set(names)
+    assert sum(name.endswith("history.csv") for name in names) == 2
+    assert not [name for name in names if "trajectory" in name or "evals" in name]  # finished: no state is needed
+    assert str(runs).encode() not in said
+    assert str(work.ROOT).encode() not in said
+
+
+def test_it_goes_on_elsewhere_without_doing_again_what_was_done(learned, tmp_path):
+    runs, archive = learned
+    assert restore(LEARNED, tmp_path, archive)
+    folder = tmp_path / LEARNED.name
+    assert LEARNED.done(folder) == LEARNED.done(runs / LEARNED.name)
+    (folder / DONE).unlink()
+    before = [path.read_bytes() for path in sorted(folder.rglob("history.csv"))]
+    assert LEARNED.do(folder, 300.0, 2)
+    assert [path.read_bytes() for path in sorted(folder.rglob("history.csv"))] == before
+    assert not list(folder.rglob("trajectory.h5"))
+    assert not restore(LEARNED, tmp_path, archive)  # it is here
+
+
+def test_a_state_is_kept_until_the_run_is_finished(learned, tmp_path):
+    _, archive = learned
+    restore(LEARNED, tmp_path, archive)
+    record = next((tmp_path / LEARNED.name).rglob("run.json"))
+    (record.parent / "evals.0.npz").write_bytes(b"state")
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"status": "stopped"}))
+    keep(LEARNED, tmp_path, tmp_path / "again.tar.xz")
+    with tarfile.open(tmp_path / "again.tar.xz") as tar:
+        assert sum(name.endswith("evals.0.npz") for name in tar.getnames()) == 1
+
+
+def test_work_that_has_changed_or_is_another_engines_is_not_taken(learned, tmp_path, monkeypatch):
+    runs, archive = learned
+    changed = replace(LEARNED, overrides=(*SHORT, "time.substeps=2"))
+    assert not restore(changed, tmp_path, archive)
+    unfinished = tmp_path / "unfinished.tar.xz"
+    done = runs / LEARNED.name / DONE
+    text = done.read_text()
+    done.unlink()
+    keep(LEARNED, runs, unfinished)
+    done.write_text(text)
+    monkeypatch.setattr(kept, "engine_hash", lambda: "another")
+    assert not restore(LEARNED, tmp_path, unfinished)
+    assert restore(LEARNED, tmp_path, archive)  # finished
+
+
+def test_minutes_of_another_engine_are_not_thrown_away(learned, tmp_path):
+    _, archive = learned
+    restore(LEARNED, tmp_path, archive)
+    folder = tmp_path / LEARNED.name
+    (folder / DONE).unlink()
+    for record in folder.rglob("run.json"):
+        facts = json.loads(record.read_text())
+        record.write_text(json.dumps(facts | {"engine": "another", "status": "stopped"}))
+    clock = json.loads((folder / CLOCK).read_text()) | {"engine": "another", "seconds": 4000.0}
+    (folder / CLOCK).write_text(json.dumps(clock))
+    with pytest.raises(SystemExit, match="67 minutes of work by engine another"):
+        LEARNED.do(folder, 300.0, 2)
+    (folder / CLOCK).write_text(json.dumps(clock | {"seconds": 4.0}))
+    assert LEARNED.do(folder, 300.0, 2)
+    assert list(folder.rglob("trajectory.h5"))  # learned again
