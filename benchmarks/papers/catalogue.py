@@ -1,11 +1,12 @@
 """All figures and tables, in the papers' order."""
 
 from benchmarks.papers.figure import Figure
+from benchmarks.papers.figures.cq1_arm_reach import ArmReach
 from benchmarks.papers.figures.cq1_biped_ppo import BipedAgainstPPO
 from benchmarks.papers.figures.cq1_fig3 import LegActuated, LegDropped
 from benchmarks.papers.figures.cq1_fig4 import Biped
 from benchmarks.papers.figures.cq1_fig5 import Poses
-from benchmarks.papers.figures.cq1_fig6 import Quadruped
+from benchmarks.papers.figures.cq1_fig6 import Crawler, Quadruped
 from benchmarks.papers.figures.cq1_fig7 import FixedGoal, RandomGoal, WideGoal
 from benchmarks.papers.figures.cq1_fig8 import TwoLinkArm
 from benchmarks.papers.figures.cq1_inference import Inference
@@ -25,12 +26,14 @@ from benchmarks.papers.figures.cq2_fig11_to_14 import (
 from benchmarks.papers.figures.cq2_fracture import Fracture
 from benchmarks.papers.figures.cq2_length_arm import LengthArm
 from benchmarks.papers.figures.cq2_oscillator import Oscillator
+from benchmarks.papers.figures.cq2_seconds import Seconds
 from benchmarks.papers.figures.real_beam import RealBeam
 
 _ORDER: tuple[type[Figure], ...] = (
-    Speed, Accuracy, Inference, LegActuated, LegDropped, Biped, BipedAgainstPPO, Poses, Quadruped, FixedGoal,
-    RandomGoal, WideGoal, TwoLinkArm, FingerMaterial, CableBiped, Rhino, TerrainBiped, Creature, BipedAblation,
-    QuadrupedAblation, HexapodAblation, OctopodAblation, LengthArm, Oscillator, Fracture, RealBeam,
+    Speed, Accuracy, Inference, LegActuated, LegDropped, Biped, BipedAgainstPPO, Poses, Quadruped, Crawler, FixedGoal,
+    RandomGoal, WideGoal, ArmReach, TwoLinkArm, FingerMaterial, CableBiped, Rhino, TerrainBiped, Creature,
+    BipedAblation, QuadrupedAblation, HexapodAblation, OctopodAblation, LengthArm, Oscillator, Fracture, Seconds,
+    RealBeam,
 )  # fmt: skip
 
 FIGURES: dict[str, Figure] = {kind.id: kind() for kind in _ORDER}

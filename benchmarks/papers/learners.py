@@ -42,7 +42,8 @@ class Learners(Figure):
         small: overrides of the scene at quick size.
         optimizer: of the scene.
         episodes: of each learner, by size.
-        seeds: of each learner, by size.
+        seeds: of the gradient, by size.
+        trials: of each other learner, by size.
         minutes: of each learner, by size.
         thresholds: that episodes are counted to.
         windows: episodes over which the gradient and PPO are averaged first.
@@ -56,7 +57,8 @@ class Learners(Figure):
     small: ClassVar[tuple[str, ...]]
     optimizer: ClassVar[str]
     episodes: ClassVar[dict[str, dict[Size, int]]]
-    seeds: ClassVar[dict[Size, int]] = {Size.QUICK: 1, Size.PAPER: 3}
+    seeds: ClassVar[dict[Size, int]] = {Size.QUICK: 1, Size.PAPER: 10}
+    trials: ClassVar[dict[Size, int]] = {Size.QUICK: 1, Size.PAPER: 3}
     minutes: ClassVar[dict[str, dict[Size, float]]]
     thresholds: ClassVar[tuple[float, ...]]
     windows: ClassVar[dict[str, int]]
@@ -82,7 +84,7 @@ class Learners(Figure):
             generations = self.episodes[CMA][size] // self.population
             method = f"optimizer={{cma_es: {{max_iterations: {generations}, population: {self.population}}}}}"
             name, minutes = f"{self.stem}_cma_es", self.minutes[CMA][size]
-            works.append(Runs(name, minutes, "control", self.scene, (*self.overrides(size), method), self.seeds[size]))
+            works.append(Runs(name, minutes, "control", self.scene, (*self.overrides(size), method), self.trials[size]))
         told = f"python -m benchmarks.papers --size {size} --only {self.id}  # PPO, {self.episodes[PPO][size]} episodes"
         path = SCENES / f"{self.scene}.yaml"
         works.append(
@@ -98,7 +100,7 @@ class Learners(Figure):
     def _ppo(self, folder: Path, deadline: float, size: Size) -> bool:
         """Train PPO from every seed, each into its CSV; say whether all are there."""
         has_extra = importlib.util.find_spec("stable_baselines3") is not None
-        for seed in range(self.seeds[size]):
+        for seed in range(self.trials[size]):
             file = folder / f"{self.stem}-{seed}.csv"
             if file.exists():
                 continue
@@ -127,7 +129,7 @@ class Learners(Figure):
                 per = 1 if method == GRADIENT else self.population
                 parts += _rows(method, run.seed, 1 + per * np.arange(len(loss)), loss)
         if f"{self.stem}_ppo" in found:
-            for seed in range(self.seeds[size]):
+            for seed in range(self.trials[size]):
                 file = found[f"{self.stem}_ppo"] / f"{self.stem}-{seed}.csv"
                 if file.exists():
                     measure = np.loadtxt(file, skiprows=1, ndmin=1)

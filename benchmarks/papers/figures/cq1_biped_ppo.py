@@ -26,6 +26,6 @@ class BipedAgainstPPO(Learners):
         CMA: {Size.QUICK: 2, Size.PAPER: 40},
         PPO: {Size.QUICK: 3, Size.PAPER: 60},
     }
-    seeds = {Size.QUICK: 2, Size.PAPER: 3}
+    seeds, trials = {Size.QUICK: 2, Size.PAPER: 10}, {Size.QUICK: 2, Size.PAPER: 3}
     thresholds = (-0.1, -0.2)
     windows = {PPO: 10}

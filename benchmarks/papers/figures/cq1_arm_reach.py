@@ -1,0 +1,91 @@
+"""CQ1's arm in 3D: what it learned on some goals, does it do on goals that it has not seen?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.histories import Run, runs_below
+from benchmarks.papers.learning import SINGLE
+from benchmarks.papers.work import Found, Runs, Work
+from cqrun.figures.style import COLOURS, GREY, new_figure, titled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+QUICK = ("bodies.arm.sampling.lattice.count=5", "optimizer.sgd.max_iterations=150", "episodes.unseen=10")
+SETS = {"start": "before", "trained": "trained goals", "unseen": "unseen goals"}
+RATIO, PART = 1.5, 0.25
+
+
+class ArmReach(Figure):
+    """Where goals lie, and how far from them the tip ends."""
+
+    id = "cq1_arm_reach"
+    title = "An arm reaches for goals that it has not seen"
+    source = "CQ1, repository"
+    paper = "a scene of CQ1's repository without a figure; no number is printed"
+    tolerance = {
+        Size.QUICK: "the mean error over unseen goals is less than at the start",
+        Size.PAPER: f"the mean error over 20 unseen goals is at most {RATIO:g} times that over trained goals, and at "
+        f"most {PART:.0%} of that at the start",
+    }
+
+    def work(self, size: Size) -> Sequence[Work]:
+        """Return the seeds."""
+        if size is Size.QUICK:
+            return [Runs("arm_reach_3d", 1.0, "control", "control/arm_reach_3d", QUICK, 1)]
+        return [Runs("arm_reach_3d", 60.0, "control", "control/arm_reach_3d", SINGLE, 3)]
+
+    def table(self, found: Found, size: Size) -> Table:
+        """Return set, seed, x and z of the goal [m], error [m]."""
+        return stacked(row for run in runs_below(found["arm_reach_3d"]) for row in _rows(run))
+
+    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+        """Draw the goals with their errors from above, and all errors side by side."""
+        picture = new_figure(8.4, 3.6)
+        above, side = picture.subplots(1, 2)
+        for colour, (name, label) in zip((GREY, *COLOURS), SETS.items(), strict=False):
+            own = table["set"] == name
+            if not own.any():
+                continue
+            error = table["error"][own]
+            if name != "start":
+                above.scatter(table["x"][own], table["z"][own], s=2000 * error, alpha=0.5, color=colour, label=label)
+            place = list(SETS).index(name)
+            spread = np.linspace(-0.25, 0.25, len(error)) if len(error) > 1 else [0.0]
+            side.plot(place + np.asarray(spread), error, ".", color=colour, ms=5)
+            side.plot([place - 0.3, place + 0.3], [error.mean()] * 2, color=colour, lw=2)
+        above.set_xlabel("x of the goal [m]")
+        above.set_ylabel("z of the goal [m]")
+        above.set_aspect("equal", adjustable="datalim")
+        above.legend(title="area: error", markerscale=0.5)
+        side.set_xticks(range(len(SETS)), SETS.values())
+        side.set_ylabel("tip to goal at the end [m]")
+        side.set_ylim(bottom=0.0)
+        titled(above, self.title)
+        titled(side, "every goal, and the mean")
+        return picture
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge the means over all seeds."""
+        before, trained, unseen = (float(table["error"][table["set"] == name].mean()) for name in SETS)
+        if size is Size.QUICK:
+            return judged({f"unseen goals {unseen:.3f} m, at the start {before:.3f}": unseen < before})
+        return judged({
+            f"unseen {unseen:.3f} m, trained {trained:.3f}: {unseen / trained:.2f} times": unseen <= RATIO * trained,
+            f"{unseen / before:.0%} of the {before:.3f} m at the start": unseen <= PART * before,
+        })  # fmt: skip
+
+
+def _rows(run: Run) -> Iterator[dict[str, object]]:
+    result = run.path / "result.json"
+    found = json.loads(result.read_text()) if result.exists() else {}
+    for name in SETS:
+        for episode in (found.get(name) or {"episodes": []})["episodes"]:
+            x, _, z = episode["goals"]["target"]
+            yield {"set": name, "seed": run.seed, "x": x, "z": z, "error": float(np.sqrt(episode["terms"]["tip"]))}

@@ -1,0 +1,129 @@
+"""CQ2, Appendix D: how long an iteration of each robot takes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.learning import SINGLE
+from benchmarks.papers.work import ROOT, Found, Measurement, Work
+from cqrun.figures.style import COLOURS, GREY, INK, new_figure, titled
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
+from cqrun.store.atomic import write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+ITERATIONS = 3
+PRINTED = {
+    "control/biped_cable": 12.0, "control/rhino": 21.0, "control/biped_terrain": 20.0, "control/creature": 38.0,
+    "codesign/biped_codesign": 5.9, "codesign/quadruped_codesign": 6.2, "codesign/hexapod_codesign": 8.8,
+    "codesign/octopod_codesign": 11.3,
+}  # fmt: skip
+"""Seconds an iteration on a GTX 1080: wall time on the figures' upper axes over iterations."""
+
+SMALL = {
+    "control/biped_cable": ("bodies.biped.spacing=0.00625", "time.duration=1"),
+    "codesign/biped_codesign": ("bodies.biped.sampling.lattice.count=15", "time.duration=1"),
+}
+"""What is timed at quick size, and its overrides."""
+
+
+class Seconds(Figure):
+    """Seconds an iteration on all cores beside the printed ones."""
+
+    id = "cq2_seconds"
+    title = "How long an iteration takes"
+    source = "CQ2, Appendix D"
+    paper = "on a GTX 1080 " + ", ".join(f"{name.rpartition('/')[2]} {s:g} s" for name, s in PRINTED.items())
+    tolerance = {
+        Size.QUICK: "an iteration is timed, and is no slower than 2 microseconds a particle and substep",
+        Size.PAPER: "on two cores in float32, no slower than the paper's GPU",
+    }
+    left_open = "seconds are wall time over iterations, read off the figures' upper axes"
+
+    def work(self, size: Size) -> Sequence[Work]:
+        """Return the measurement."""
+        told = f"python -m benchmarks.papers --size {size} --only {self.id}"
+        minutes = 0.6 if size is Size.QUICK else 25.0
+        return [
+            Measurement("seconds", minutes, lambda folder, end: _measure(folder, end, size), told, (Path(__file__),))
+        ]
+
+    def table(self, found: Found, size: Size) -> Table:
+        """Return robot, particles, substeps, seconds, printed [s], ns a particle and substep, memory [GB], load."""
+        files = sorted(found["seconds"].glob("row-*.json"))
+        return stacked(json.loads(file.read_text()) for file in files)
+
+    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+        """Draw ours as bars and the printed ones as diamonds."""
+        picture = new_figure(7.2, 3.6)
+        axes = picture.add_subplot()
+        at = np.arange(len(table["robot"]))
+        axes.bar(at, table["seconds"], 0.6, color=COLOURS[0], label="cqrun, two cores, float32")
+        if size is Size.PAPER:
+            axes.plot(at, table["printed"], "D", color=INK, mec="white", ms=7, label="paper, GTX 1080")
+        for x, seconds in zip(at, table["seconds"], strict=True):
+            axes.annotate(f"{seconds:.3g}", (x, seconds), (0, 2), textcoords="offset points", ha="center", color=GREY)
+        axes.set_xticks(at, [str(robot).replace("_", "\n") for robot in table["robot"]], fontsize=8)
+        axes.set_yscale("log")
+        axes.set_ylabel("seconds an iteration")
+        axes.legend()
+        titled(axes, self.title)
+        return picture
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge every robot."""
+        if size is Size.QUICK:
+            return judged({f"{r}: {ns:.0f} ns": ns < 2000.0 for r, ns in zip(table["robot"], table["ns"], strict=True)})
+        rows = zip(table["robot"], table["seconds"], table["printed"], strict=True)
+        return judged({f"{robot} {ours:.3g} s, paper {theirs:g}": ours <= theirs for robot, ours, theirs in rows})
+
+
+def _measure(folder: Path, deadline: float, size: Size) -> bool:
+    """Time what is missing, a file each; say whether all is there."""
+    for k, (scene, printed) in enumerate(PRINTED.items()):
+        file = folder / f"row-{k}.json"
+        if file.exists() or (size is Size.QUICK and scene not in SMALL):
+            continue
+        if time.monotonic() > deadline:
+            return False
+        overrides = (*SINGLE, *(SMALL[scene] if size is Size.QUICK else ()))
+        write_json(file, {"robot": scene.rpartition("/")[2], "printed": printed} | _timed(scene, overrides, folder))
+    return True
+
+
+def _timed(name: str, overrides: Sequence[str], folder: Path) -> dict[str, object]:
+    """Run a few iterations of a scene alone on all cores; return what they took, the median."""
+    path = ROOT / "scenes" / f"{name}.yaml"
+    scene = load_scene(path, list(overrides))
+    assert scene.optimizer is not None
+    words = [*overrides, f"optimizer.{scene.optimizer.name}.max_iterations={ITERATIONS}"]
+    out = folder / path.stem
+    assert scene.job is not None
+    command = [sys.executable, "-m", "cqrun", scene.job, str(path), "--quiet", "--fresh", "--out", str(out)]
+    load = os.getloadavg()[0]
+    process = subprocess.Popen(command + [word for override in words for word in ("-o", override)], cwd=ROOT)
+    _, status, usage = os.wait4(process.pid, 0)
+    if os.waitstatus_to_exitcode(status):
+        raise SystemExit(f"{' '.join(command)} ended with {os.waitstatus_to_exitcode(status)}")
+    (history,) = out.rglob("history.csv")
+    with history.open(newline="") as lines:
+        seconds = float(np.median(np.diff([float(row["seconds"]) for row in csv.DictReader(lines)])))
+    model = build(scene).model
+    steps = model.layout.n_particles * model.n_steps
+    return {
+        "particles": model.layout.n_particles, "substeps": model.n_steps, "seconds": seconds,
+        "ns": seconds / steps * 1e9, "memory": 1.024e-6 * usage.ru_maxrss, "load": load,
+    }  # fmt: skip
