@@ -1,4 +1,4 @@
-"""index.html: all figures on one self-contained page, from what was published."""
+"""All figures on one self-contained page, index.html, and as README.md for who reads the repository."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from benchmarks.papers.figure import Figure, Judgement, Size
 from benchmarks.papers.publish import published
 from cqrun.store.atomic import make_directory, write_text
 
-TEMPLATE = Path(__file__).with_name("page.html.j2")
+PAGE, GALLERY = (Path(__file__).with_name(name) for name in ("page.html.j2", "gallery.md.j2"))
 KINDS = {
     Judgement.MET: "reproduced",
     Judgement.PARTLY: "part",
@@ -27,13 +27,15 @@ NOTHING = "not run"
 
 
 def write_page(out: Path) -> Path:
-    """Write index.html beside what was published below `out`; return its path."""
+    """Write index.html and README.md beside what was published below `out`; return the former's path."""
     rows = [_row(figure, out) for figure in FIGURES.values()]
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     totals = {size.value: _total(rows, k) for k, size in enumerate(Size)}
-    text = environment.from_string(TEMPLATE.read_text()).render(rows=rows, totals=totals)
     make_directory(out)
-    write_text(out / "index.html", text)
+    for template, name in ((PAGE, "index.html"), (GALLERY, "README.md")):
+        environment = Environment(
+            autoescape=template is PAGE, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        )
+        write_text(out / name, environment.from_string(template.read_text()).render(rows=rows, totals=totals))
     return out / "index.html"
 
 

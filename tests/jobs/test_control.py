@@ -62,7 +62,7 @@ def test_it_learns_and_writes_what_it_learned(finger, tmp_path):
     assert "on unseen goals" in text
 
 
-@pytest.mark.parametrize("method", ["slsqp", "trust_constr", "augmented_lagrangian"])
+@pytest.mark.parametrize("method", ["slsqp", "sqp", "trust_constr", "augmented_lagrangian"])
 def test_solvers_for_constraints_learn_without_any(finger, tmp_path, method):
     run = learn(finger, tmp_path, f"optimizer={{{method}: {{max_iterations: 4}}}}")
     result = result_of(run)

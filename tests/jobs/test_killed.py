@@ -40,6 +40,7 @@ LEARNERS = {
 
 DESIGNERS = {
     "slsqp": "optimizer={slsqp: {max_iterations: 60}}",
+    "sqp": "optimizer={sqp: {max_iterations: 60}}",
     "trust_constr": "optimizer={trust_constr: {max_iterations: 30}}",
     "augmented_lagrangian": "optimizer={augmented_lagrangian: {max_iterations: 60, learning_rate: 0.05}}",
     "nlopt_slsqp": "optimizer={nlopt: {algorithm: slsqp, max_iterations: 60}}",

@@ -13,6 +13,7 @@ from cqrun.optimizers.augmented_lagrangian import AugmentedLagrangian
 from cqrun.optimizers.constrained import Kkt, kkt, most_violated, violation
 from cqrun.optimizers.nlopt import Nlopt
 from cqrun.optimizers.slsqp import MOST_UNKNOWNS, Slsqp
+from cqrun.optimizers.sqp import Sqp
 from cqrun.optimizers.trust_constr import TrustConstr
 from cqrun.store.history import read_history
 
@@ -20,6 +21,7 @@ AIM, W = np.array([3.0, -1.0, 0.5]), np.array([1.0, 2.0, 2.0])
 METHODS = {
     "slsqp": Slsqp(max_iterations=200),
     "slsqp at once": Slsqp(max_iterations=200, feasibility_first=False),
+    "sqp": Sqp(max_iterations=200),
     "trust_constr": TrustConstr(max_iterations=400),
     "nlopt slsqp": Nlopt(max_iterations=200),
     "nlopt auglag": Nlopt(algorithm="auglag", max_iterations=2000, feasibility_first=False),

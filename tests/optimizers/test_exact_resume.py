@@ -14,6 +14,7 @@ from cqrun.optimizers.least_squares import LeastSquares
 from cqrun.optimizers.nlopt import Nlopt
 from cqrun.optimizers.sgd import Sgd
 from cqrun.optimizers.slsqp import Slsqp
+from cqrun.optimizers.sqp import Sqp
 from cqrun.optimizers.trust_constr import TrustConstr
 
 METHODS = {
@@ -24,6 +25,7 @@ METHODS = {
     "adam_batches": Adam(max_iterations=25, learning_rate=0.05, batch_size=3),
     "adam_tamed": Adam(max_iterations=25, learning_rate=0.05, batch_size=3, clip=2.0, clip_entries=1.0, mask=0.2),
     "slsqp": Slsqp(max_iterations=12),
+    "sqp": Sqp(max_iterations=12),
     "nlopt": Nlopt(max_iterations=12),
     "trust_constr": TrustConstr(max_iterations=12),
     "augmented_lagrangian": AugmentedLagrangian(max_iterations=25, inner=4),
@@ -111,7 +113,7 @@ def test_asked_to_stop_then_resumed(tmp_path, method):
     assert bits(cut) == bits(whole)
 
 
-@pytest.mark.parametrize("name", ["least_squares", "lbfgs", "slsqp", "trust_constr", "nlopt"])
+@pytest.mark.parametrize("name", ["least_squares", "lbfgs", "slsqp", "sqp", "trust_constr", "nlopt"])
 def test_replay_computes_nothing_twice(tmp_path, name):
     problem = problem_for(METHODS[name])
     _, session = solve(tmp_path, METHODS[name], problem)

@@ -29,7 +29,8 @@ def name_of(method: Plugin) -> str:
 def test_registry_finds_them_all():
     found = plugins("optimizer")
     assert set(found) == {
-        "adam", "augmented_lagrangian", "cma_es", "lbfgs", "least_squares", "nlopt", "sgd", "slsqp", "trust_constr"
+        "adam", "augmented_lagrangian", "cma_es", "lbfgs", "least_squares", "nlopt", "sgd", "slsqp", "sqp",
+        "trust_constr",
     }  # fmt: skip
     assert all(issubclass(cls, Optimizer) and cls.__doc__ for cls in found.values())
     assert all(cls().max_iterations >= 1 for cls in found.values())

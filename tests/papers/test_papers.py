@@ -253,6 +253,13 @@ def test_no_time_is_no_work(tmp_path, capsys):
     assert "out of time: the same command goes on" in capsys.readouterr().out
 
 
+def test_the_gallery_is_of_what_is_committed(tmp_path):
+    """`python -m benchmarks.papers --page` was run after what is committed was published."""
+    shutil.copytree(PUBLISHED, tmp_path / "figures")
+    write_page(tmp_path / "figures")
+    assert (tmp_path / "figures" / "README.md").read_text() == (PUBLISHED / "README.md").read_text()
+
+
 def test_the_page_stands_alone(tmp_path):
     page = write_page(tmp_path).read_text()
     assert all(f'id="{figure.id}"' in page for figure in FIGURES.values())

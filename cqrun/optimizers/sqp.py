@@ -1,0 +1,139 @@
+"""SQP with limited memory: constraints with any number of unknowns, first-order in memory and time.
+
+An iteration solves, with rollouts linearised at x and B the Hessian of the Lagrangian by L-BFGS,
+
+    minimise g.d + d.B d / 2   over   c_low <= c + J d <= c_high,   the box,   |d| <= radius
+
+and takes the step if the merit f + rho sum |violation| falls by enough of what that promised; else the radius shrinks.
+Quadratic programs cost nothing beside a rollout. J. Nocedal, S. Wright: Numerical optimization (2006), sections 7.2
+(compact L-BFGS, eq 7.24), 18.2 (damping) and 18.5 (S l1 QP).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array
+from cqrun.optimizers.base import Status
+from cqrun.optimizers.constrained import ConstrainedTrials, most_violated, violation
+from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
+from cqrun.optimizers.two_searches import Feasible, TwoSearches
+from cqrun.registry import plugin
+
+TAKEN, GOOD, POOR = 1e-4, 0.75, 0.25
+"""Part of the promised fall of the merit at which a step is taken, the radius grows, and it shrinks."""
+
+DAMPED = 0.2
+"""Least part of s.B s that s.y may be (Powell's damping)."""
+
+SMALLEST = 1e-9
+"""Radius at which no step helps any more."""
+
+LARGE = 1e3
+"""Multipliers of the quadratic program are at most so many times the merit's weight, where nothing meets it."""
+
+
+
+@plugin("optimizer", "sqp")
+class Sqp(TwoSearches):
+    """Sequential quadratic programming with limited memory, for any number of unknowns and few constraints.
+
+    It first looks for a point that meets the constraints, without the objective, and then lowers that.
+    """
+
+    memory: int = Field(20, ge=1, description="last steps that the curvature is made of")
+    radius: float = Field(0.25, gt=0, description="longest step of an unknown at the start, in its scaled range")
+
+    def search(
+        self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
+    ) -> tuple[Status, str]:
+        """Search once; for feasibility alone f counts as 0, and `Feasible` is raised on success."""
+        low, high = trials.problem.c_low, trials.problem.c_high
+        curvature, radius, rho = Curvature(self.memory), self.radius, 1.0
+        here = _Point.of(x, trials.gradients(x), feasibility)
+        while radius > SMALLEST:
+            ends, box = (low - here.c, high - here.c), (np.maximum(lower - x, -radius), np.minimum(upper - x, radius))
+            if feasibility:  # the step of least length; any curvature does, where no multiplier comes near rho
+                curvature = Curvature.of_feasibility(here.J, violation(here.c, low, high))
+            d, y = quadratic_program(curvature.matrix, here.g, here.J, ends, box, LARGE * rho)
+            promised = float(np.sum(violation(here.c, low, high)) - np.sum(violation(here.c + here.J @ d, low, high)))
+            if not feasibility:
+                rho = max(rho, 1.5 * float(np.max(np.abs(y), initial=0.0)))
+                promised = rho * promised - float(here.g @ d + 0.5 * d @ curvature.matrix.times(d))
+            if not promised > self.function_tolerance:
+                met = most_violated(here.c, low, high) <= self.constraint_tolerance
+                told = f"SQP: a step promises no more than {max(promised, 0.0):.2g}"
+                return ("converged" if met else "stalled"), told
+            there = _Point.of(x + d, trials.gradients(x + d), feasibility)
+            fallen = here.merit(rho, low, high) - there.merit(rho, low, high)
+            length = float(np.max(np.abs(d), initial=0.0))
+            if fallen < POOR * promised:
+                radius = 0.5 * length
+            elif fallen > GOOD * promised:
+                radius = max(radius, 2.0 * length)
+            if not fallen > TAKEN * promised:
+                continue
+            if not feasibility:
+                curvature.learn(d, there.g - here.g + y @ (there.J - here.J))
+            x, here = there.x, there
+            trials.accept(x)
+            if feasibility and trials.violated(x) <= self.constraint_tolerance:
+                raise Feasible
+        return "stalled", "SQP: no step lowers the merit any more"
+
+
+class _Point(NamedTuple):
+    """What is known at a point: f, its gradient, constraints and their Jacobian."""
+
+    x: Array
+    f: float
+    g: Array
+    c: Array
+    J: Array
+
+    @classmethod
+    def of(cls, x: Array, answer: dict[str, Array], feasibility: bool) -> _Point:
+        f, g = (0.0, np.zeros(len(x))) if feasibility else (float(answer["f"]), answer["g"])
+        return cls(x, f, g, answer["c"], answer["J"])
+
+    def merit(self, rho: float, low: Array, high: Array) -> float:
+        return self.f + rho * float(np.sum(violation(self.c, low, high)))
+
+
+class Curvature:
+    """The Hessian B of the Lagrangian from the last steps s and changes y of its gradient.
+
+    B = delta I - W M^-1 W^T, W = [delta S, Y], M = [[delta S^T S, L], [L^T, -D]], where S^T Y = L + D + R.
+    """
+
+    def __init__(self, memory: int) -> None:
+        self.memory = memory
+        self.pairs: list[tuple[Array, Array]] = []
+        self.matrix = LowRank(1.0)
+
+    @classmethod
+    def of_feasibility(cls, J: Array, excess: Array) -> Curvature:
+        """Return a multiple of the identity with which the multipliers of a step to c + J d = 0 stay below 1."""
+        found = cls(1)
+        size = np.einsum("ij,ij->i", J, J)[excess > 0.0]
+        found.matrix = LowRank(0.1 * float(np.min(size / excess[excess > 0.0], initial=1.0)) or 1.0)
+        return found
+
+    def learn(self, s: Array, y: Array) -> None:
+        """Take in a step s and the change y of the Lagrangian's gradient, damped so that B stays positive."""
+        Bs = self.matrix.times(s)
+        sBs, sy = float(s @ Bs), float(s @ y)
+        if not sBs > 0.0:
+            return
+        if sy < DAMPED * sBs:
+            part = (1.0 - DAMPED) * sBs / (sBs - sy)
+            y = part * y + (1.0 - part) * Bs
+        self.pairs = [*self.pairs, (s, y)][-self.memory :]
+        S, Y = (np.array(side).T for side in zip(*self.pairs, strict=True))
+        delta, SY = float(y @ y) / float(s @ y), S.T @ Y
+        L = np.tril(SY, -1)
+        M = np.block([[delta * (S.T @ S), L], [L.T, -np.diag(np.diag(SY))]])
+        self.matrix = LowRank(delta, np.hstack([delta * S, Y]), M)

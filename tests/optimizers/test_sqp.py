@@ -1,0 +1,94 @@
+"""The parts of `sqp`: curvature from the last steps, the quadratic program, and thousands of unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import LinearConstraint, minimize
+from toy_problems import Nearest, solve
+
+from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
+from cqrun.optimizers.sqp import Curvature, Sqp
+
+
+def learned(rng, n=8, pairs=5, memory=20):
+    """Return curvature from steps in a convex quadratic, and the pairs."""
+    root = rng.normal(size=(n, n))
+    H = root @ root.T + np.eye(n)
+    steps = [rng.normal(size=n) for _ in range(pairs)]
+    found = Curvature(memory)
+    for s in steps:
+        found.learn(s, H @ s)
+    return found, [(s, H @ s) for s in steps]
+
+
+def dense(curvature, n):
+    return np.array([curvature.matrix.times(e) for e in np.eye(n)]).T
+
+
+def test_curvature_is_that_of_bfgs(rng):
+    """From the same multiple of the identity, by the recursion (Nocedal and Wright, eq 6.19)."""
+    found, pairs = learned(rng)
+    B = found.matrix.delta * np.eye(8)
+    for s, y in pairs:
+        Bs = B @ s
+        B += np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / (s @ Bs)
+    np.testing.assert_allclose(dense(found, 8), B, rtol=1e-9, atol=1e-9)
+
+
+def test_curvature_forgets(rng):
+    found, pairs = learned(rng, memory=3)
+    fresh = Curvature(3)
+    for s, y in pairs[-3:]:
+        fresh.learn(s, y)
+    np.testing.assert_allclose(dense(found, 8), dense(fresh, 8), rtol=1e-12)
+
+
+def test_curvature_stays_positive_where_the_slope_falls(rng):
+    found, _ = learned(rng)
+    for _ in range(5):
+        s = rng.normal(size=8)
+        found.learn(s, -s)
+    assert np.linalg.eigvalsh(dense(found, 8)).min() > 0
+    before = dense(found, 8)
+    found.learn(np.zeros(8), np.ones(8))
+    np.testing.assert_array_equal(dense(found, 8), before)
+
+
+@pytest.mark.parametrize("trial", range(6))
+def test_a_quadratic_program_is_solved(trial):
+    """Against scipy's SLSQP: some constraints held, some not, some unknowns at the box."""
+    rng = np.random.default_rng(trial)
+    found, _ = learned(rng)
+    B, g, J = dense(found, 8), rng.normal(size=8), rng.normal(size=(3, 8))
+    ends = np.array([-np.inf, 0.2, -0.1]), np.array([-0.3, 0.2, 4.0])
+    box = np.full(8, -0.5), np.full(8, 0.6)
+    d, y = quadratic_program(found.matrix, g, J, ends, box, 1e3)
+    theirs = minimize(
+        lambda d: (g @ d + 0.5 * d @ B @ d, g + B @ d), np.zeros(8), jac=True, method="SLSQP",
+        bounds=np.stack(box, axis=1), 
+        constraints=[LinearConstraint(J[[k]], ends[0][k], ends[1][k]) for k in range(3)], options={"ftol": 1e-14},
+    )  # fmt: skip
+    assert theirs.success
+    np.testing.assert_allclose(d, theirs.x, atol=1e-5)
+    assert np.max(np.maximum(J @ d - ends[1], ends[0] - J @ d)) < 1e-7
+    slope = g + B @ d + y @ J
+    free = (d > box[0] + 1e-7) & (d < box[1] - 1e-7)
+    np.testing.assert_allclose(slope[free], 0.0, atol=1e-5)
+
+
+def test_what_the_box_leaves_no_room_for_is_violated_as_little_as_can_be():
+    d, _ = quadratic_program(
+        LowRank(1.0), np.zeros(2), np.array([[1.0, 1.0]]), (np.array([5.0]), np.array([5.0])),
+        (np.full(2, -1.0), np.full(2, 1.0)), 1e3,
+    )  # fmt: skip
+    np.testing.assert_allclose(d, 1.0, atol=1e-6)
+
+
+def test_tens_of_thousands_of_unknowns(tmp_path, rng):
+    n = 20_000
+    aim, w = rng.normal(size=n), rng.normal(size=n)
+    outcome, _ = solve(tmp_path, Sqp(max_iterations=60), Nearest(aim, w, -300.0))
+    wanted = aim - w * max(0.0, w @ aim + 300.0) / (w @ w)
+    assert outcome.status == "converged"
+    np.testing.assert_allclose(outcome.x, wanted, atol=1e-3)
