@@ -75,17 +75,17 @@ class Actuator(Plugin):
             x: the part's particles at rest (n, D) [m].
         """
 
-    def problem(self, x: Array) -> str | None:
-        """Return what is wrong with a part whose particles at rest are x (n, D) [m], or None."""
+    def problem(self, x: Array, dx: float) -> str | None:
+        """Return what is wrong with a part whose particles at rest are x (n, D) [m], in cells of dx [m], or None."""
         return None
 
     def wave_modulus(self) -> float:
         """Return what one unit of activation and strength adds to the stiffness of a pressure wave."""
         return 0.0
 
-    def step_limit(self, strength: float, mass: float) -> float:
-        """Return the largest stable substep [s], for nodes of the grid of a mass [kg], besides that of waves."""
-        return float(np.inf)
+    def stiffness_at_nodes(self, strength: float) -> float:
+        """Return the stiffness that a part adds to nodes of the grid that its particles touch [N/m]."""
+        return 0.0
 
 
 class RegionActuator(Actuator):
@@ -97,6 +97,14 @@ class RegionActuator(Actuator):
     each: list[str] | None = Field(
         description="Groups of the body, each with an activation of its own", min_length=1, default=None
     )
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions, or itself."""
+        return super().dim_problems(dim) + [
+            (("each", k), f"'{group}' is named twice: a group has one activation")
+            for k, group in enumerate(self.each or [])
+            if group in (self.each or [])[:k]
+        ]
 
     def parts(self) -> tuple[str, ...]:
         """Return the names of its parts; one without a name if there is but one."""

@@ -89,8 +89,16 @@ class Cable(Actuator):
             route.append(tied[k + 1])
         return np.array(route, np.int64)
 
-    def problem(self, x: Array) -> str | None:
-        """Return what is wrong with a route along particles at x (r, D), or None."""
+    def problem(self, x: Array, dx: float) -> str | None:
+        """Return what is wrong with a route along particles at x (r, D) in cells of dx, or None."""
+        for point in self.route:
+            gap = np.linalg.norm(x - np.array(point), axis=1)
+            if gap.min() > dx:
+                near, place = (", ".join(f"{c:.4g}" for c in of) for of in (x[np.argmin(gap)], point))
+                return (
+                    f"its point ({place}) is {gap.min():.3g} m from the body '{self.body}', whose nearest particle at "
+                    f"rest is at ({near}): each point of a route lies within a cell ({dx:.3g} m) of a particle"
+                )
         different = len(np.unique(x, axis=0))
         if different < 2:
             return "runs through fewer than two particles: lengthen the route"
@@ -106,9 +114,9 @@ class Cable(Actuator):
         """Return the rest length (1,) [m] of a route along particles at x (r, D)."""
         return np.array([np.linalg.norm(np.diff(x, axis=0), axis=1).sum()])
 
-    def step_limit(self, strength: float, mass: float) -> float:
-        """Return the largest stable substep [s]: that of a node between two springs of the cable's stiffness."""
-        return float(2.0 / np.sqrt(4.0 * strength / mass)) if strength > 0 else float(np.inf)
+    def stiffness_at_nodes(self, strength: float) -> float:
+        """Return that of a node between two springs of the cable's stiffness [N/m]."""
+        return 4.0 * strength
 
 
 def make_kernel(actuators: Array, columns: list[Array], constants: list[Array]) -> Kernel:

@@ -66,6 +66,12 @@ class Wanted:
     output: Path | None = None
 
 
+def _no_frames(run: RunData) -> str:
+    if run.job in ("control", "codesign"):
+        return "a learned motion is written in the end; `cqrun simulate RUN` runs the best controller so far"
+    return "nothing to draw before the first frame"
+
+
 def render(path: Path, wanted: Wanted, talk: Reporter | None = None) -> list[Path]:
     """Draw the trajectory of a run, as far as it is written; return the files.
 
@@ -78,7 +84,7 @@ def render(path: Path, wanted: Wanted, talk: Reporter | None = None) -> list[Pat
     talk = talk or Silent()
     run = read_run(path)
     if not run.has_trajectory():
-        raise UsageError(f"{path}: there is no {TRAJECTORY}: nothing to draw before the first frame")
+        raise UsageError(f"{path}: there is no {TRAJECTORY}: {_no_frames(run)}")
     if wanted.kind == "mp4":
         ffmpeg()
     if run.scene.dim == 3:

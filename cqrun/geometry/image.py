@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cqrun.contract import Array, quantity, vector
 from cqrun.errors import UsageError
-from cqrun.explain import Loc, complaint, finding
+from cqrun.explain import Loc, complaint, finding, listed, suggest
 from cqrun.geometry.file_shape import FileShape
 from cqrun.registry import plugin
 
@@ -83,8 +83,15 @@ class Image(FileShape):
     def coloured(self, points: Array, colour: str) -> Array:
         if colour in self.colours:
             return self._at(points, self._nearest() == list(self.colours).index(colour))
-        wanted = self._far_from(colour.lower()) <= self.tolerance if _is_colour(colour) else False
-        return self._at(points, self._cut_out() & wanted)
+        if not _is_colour(colour):
+            named = f"named here are {listed(self.colours)}{suggest(colour, self.colours)}"
+            known = named if self.colours else "none is named"
+            raise UsageError(f"'{colour}' is no colour of {self.path}: {known}; or give #rrggbb")
+        wanted = self._cut_out() & (self._far_from(colour.lower()) <= self.tolerance)
+        if not wanted.any():
+            found = ", ".join(_commonest(self._pixels()[self._cut_out()]))
+            raise UsageError(f"no pixel of {self.path} has the colour {colour}; the commonest are {found}")
+        return self._at(points, wanted)
 
     def bounds(self) -> tuple[Array, Array]:
         body = self._cut_out()
@@ -111,6 +118,9 @@ class Image(FileShape):
         if not body.any():
             told = f"the background {self.background}" if self.background else "white, the background"
             raise UsageError(f"{self.path}: none of its {size} is part of a body: all are transparent or {told}")
+        twice = [name for k, name in enumerate(self.colours) if self.colours[name] in list(self.colours.values())[:k]]
+        if twice:
+            raise UsageError(f"{self.path}: {listed(twice)}: its colour has another name too; give each its own")
         nearest = self._nearest()
         absent = [name for k, name in enumerate(self.colours) if not (nearest == k).any()]
         if absent:

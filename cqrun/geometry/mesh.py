@@ -150,6 +150,9 @@ def _read(path: Path, time: int, size: int) -> Surface:
     vertices, faces = np.ascontiguousarray(mesh.vertices, float), np.ascontiguousarray(mesh.faces, np.int64)
     if not len(faces):
         raise UsageError(f"{path}: holds no triangle; is it a {path.suffix[1:].upper()} file of a surface, and whole?")
+    strange = int((~np.isfinite(vertices)).any(axis=1).sum())
+    if strange:
+        raise UsageError(f"{path}: {strange} of its points are no finite numbers")
     lower, upper = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
     if (upper <= lower).any():
         raise UsageError(f"{path}: is flat, so it encloses nothing; a body needs a closed surface")

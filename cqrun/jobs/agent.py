@@ -22,6 +22,7 @@ from cqrun.engine.model import Inputs, LossBar, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
+from cqrun.jobs.acted_on import acted_on, require_same
 from cqrun.jobs.unknowns import make_params
 from cqrun.objectives.term import Objective, Track, TrackBar
 from cqrun.observers.matter import Matter, Unfit
@@ -161,6 +162,7 @@ class Agent:
             "middle": self.observation.middle.tolist(),
             "half": self.observation.half.tolist(),
             "n_controls": self.learning.n_controls,
+            "acted_on": acted_on(self.built),
             "unknowns": {p: np.asarray(v).tolist() for p, v in values.items() if not p.startswith(CONTROLLER)},
         }
         with disk_errors(path):
@@ -179,6 +181,8 @@ class Agent:
                     f"{path}: was trained with another {name.replace('_', ' ').removesuffix('s')}: {then}; this scene "
                     f"has {now}"
                 )
+        if "acted_on" in meta:
+            require_same(path, meta["acted_on"], self.built, meta["unknowns"])
         return meta
 
     def _taken_up(self, path: Path, said: Mapping[str, Any]) -> dict[str, Array]:

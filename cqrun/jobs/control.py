@@ -1,6 +1,6 @@
 """`cqrun control` and `cqrun codesign`: learn how a body should move, and what it should be.
 
-controller.npz    the controller's parameters that did best
+controller.npz    the controller's parameters that did best, from the first iteration on
 trajectory.h5     the first episode under it
 activation.csv    what drove the actuators in it
 result.json       the objective's terms at the start and at the end, on goals that were trained on and on unseen ones;
@@ -9,7 +9,7 @@ result.json       the objective's terms at the start and at the end, on goals th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +35,13 @@ from cqrun.jobs.runs import (
 )
 from cqrun.jobs.trajectories import write_activation, write_trajectory
 from cqrun.optimizers.base import Optimizer, Outcome
-from cqrun.optimizers.constrained import ConstrainedOptimizer, report_names
+from cqrun.optimizers.constrained import VIOLATION, ConstrainedOptimizer, ranked, report_names
 from cqrun.registry import plugins
 from cqrun.scene.build import Built
 from cqrun.scene.constraint import ENDS
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
+from cqrun.store.history import read_history
 from cqrun.store.run import RunDirectory
 from cqrun.store.session import RunSession
 
@@ -146,7 +147,7 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
     session = RunSession(
         run, seed=built.scene.seed, blocks=params.slices, physical=params.physical,
         term_names=[*problem.term_names, *report_names(problem)], stop=lambda: talk.stop.asked,
-        progress=Progress(run, talk),
+        progress=Keeping(run, problem, talk),
     )  # fmt: skip
     outcome = optimizer.minimise(problem, session)
     if outcome.status == "stopped":
@@ -163,6 +164,33 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
     write_learned(run, problem, outcome)
     run.finish(outcome.status, outcome.message)
     return raise_if_failed(run)
+
+
+class Keeping(Progress):
+    """Keeps the controller of the best iteration so far in the run's directory, for who cannot wait.
+
+    Where episodes change from iteration to iteration, losses are not of the same: the last one is kept.
+    """
+
+    def __init__(self, run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> None:
+        super().__init__(run, talk)
+        optimizer: Any = optimizer_of(problem.built)
+        self._problem, self._tolerance = problem, getattr(optimizer, "constraint_tolerance", 0.0)
+        self._latest = problem.stochastic or getattr(optimizer, "batch_size", None) is not None
+        file = run.path / "history.csv"
+        before = read_history(file) if (run.path / FILE).exists() and file.exists() else {}
+        ranks = zip(before.get(VIOLATION, [0.0] * len(before.get("loss", []))), before.get("loss", []), strict=True)
+        self._rank = min((self._of(*rank) for rank in ranks), default=(np.inf, np.inf))
+
+    def _of(self, excess: float, loss: float) -> tuple[float, float]:
+        return ranked(excess, loss, self._tolerance)
+
+    def __call__(self, iteration: int, x: Array, loss: float, terms: Mapping[str, float]) -> None:
+        super().__call__(iteration, x, loss, terms)
+        rank = self._of(terms.get(VIOLATION, 0.0), loss)
+        if rank < self._rank or self._latest:
+            self._rank = rank
+            self._problem.save(self._run.path / FILE, self._problem.values(x))
 
 
 # --- what was learned -----------------------------------------------------------------------------------------

@@ -91,9 +91,10 @@ def run_seeds(
 
 def require_seeds(overrides: Sequence[str], seeds: int, jobs: int | None) -> None:
     """Refuse numbers of seeds and processes that cannot be, and a seed of the user's own."""
+    without = {"seeds": "the scene is learned from its own seed", "jobs": "there are as many processes as threads"}
     for name, count in (("seeds", seeds), ("jobs", jobs)):
         if count is not None and count < 1:
-            raise UsageError(f"--{name} {count}: must be at least 1; without it the scene is learned from its own seed")
+            raise UsageError(f"--{name} {count}: must be at least 1; without it {without[name]}")
     for override in overrides:
         if override.partition("=")[0].strip() == "seed":
             raise UsageError(f"-o {override}: --seeds gives every run a seed of its own: remove one of the two")

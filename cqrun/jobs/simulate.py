@@ -35,7 +35,7 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.state import State
 from cqrun.store.atomic import write_bytes
-from cqrun.store.run import RunDirectory, read_record
+from cqrun.store.run import FINISHED, RunDirectory, read_record
 
 UNTRAINED = "the controller has learned nothing yet: it acts with the parameters that it starts from"
 
@@ -64,7 +64,7 @@ def run_simulate(
         SceneError, UsageError: bad input. RunError: it blew up. Stopped: it was asked to stop.
     """
     talk, n_threads = reporter or Silent(), cores(threads)
-    trained = controller if controller is not None or not source.is_dir() else _controller_of(source)
+    trained = controller if controller is not None or not source.is_dir() else _controller_of(source, talk)
     scene = _scene(source, overrides)
     if trained is not None:
         scene = _scene(source, [*learned_values(trained, scene, overrides), *overrides])
@@ -90,15 +90,17 @@ def _scene(source: Path, overrides: Sequence[str]) -> Scene:
     return load_scene(source / "scene.yaml", overrides, Path(str(read_record(source).get("base", ""))))
 
 
-def _controller_of(run: Path) -> Path:
+def _controller_of(run: Path, talk: Reporter) -> Path:
     """Return the file of the controller that a run has trained."""
     record, file = read_record(run), run / FILE
     if not file.is_file():
-        why = f"it is {record['status']}" if record.get("job") in JOBS else f"it is a run of {record.get('job')}"
+        why = "no iteration is finished" if record.get("job") in JOBS else f"it is a run of {record.get('job')}"
         raise UsageError(
-            f"{run}: has no trained controller ({why}): `cqrun simulate RUN` replays a finished run of control or "
-            "codesign; to run a scene give its file"
+            f"{run}: has no trained controller ({why}): `cqrun simulate RUN` replays a run of control or codesign; to "
+            "run a scene give its file"
         )
+    if record["status"] not in FINISHED:
+        talk.phase("the run is not finished: its best controller so far acts")
     return file
 
 

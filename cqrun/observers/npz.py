@@ -39,7 +39,7 @@ def read_arrays(path: Path, what: str) -> dict[str, Array]:
     except OSError as error:
         raise UsageError(f"{path}: cannot be read as {what}: {error.strerror or error}") from error
     except (ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise UsageError(f"{path}: is no {what}, an .npz file of arrays: {error}") from error
+        raise UsageError(f"{path}: is no {what}: not an .npz file of arrays, or a damaged one") from error
     if not arrays or not all(isinstance(array, np.ndarray) for array in arrays.values()):
         raise UsageError(f"{path}: is no {what}: it holds no arrays by name")
     return arrays

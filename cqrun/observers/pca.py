@@ -40,20 +40,22 @@ class Pca(Observer):
     """Coordinates [m] of a body's displacement along its principal components.
 
     Displacements are counted from rest and from the centroid, so that the components describe how the body is
-    bent, not where it is. They come from a file that `save_components` wrote, or are fitted before the run to
-    trajectories of the same body.
+    bent, not where it is. They come from a file that `cqrun compress --method pca` fits to trajectories of the same
+    body.
     """
 
     body: str = Field(description="Body that is observed")
     components: int = Field(description="How many components", ge=1)
-    file: str | None = Field(description="File (.npz) of the components; none: fitted before the run", default=None)
+    file: str | None = Field(description="File (.npz) of the components, made by `cqrun compress`", default=None)
     range: Range = Field(
         description="[low, high] in m that becomes [-1, 1]; auto: what was reached in the fit, or null", default="auto"
     )
 
     def bind(self, matter: Matter) -> BoundObserver:
         if self.file is None:
-            raise UsageError("the pca has no components yet: give a `file`, or fit them before the run")
+            raise UsageError(
+                "the pca has no components: give a `file` of them, which `cqrun compress RUN... --method pca` makes"
+            )
         return self.bind_to(matter, load_components(matter.resolve(self.file)))
 
     def bind_to(self, matter: Matter, found: Components) -> BoundObserver:

@@ -32,8 +32,8 @@ DAMPED = 0.2
 SMALLEST = 1e-9
 """Radius at which no step helps any more."""
 
-LARGE = 1e3
-"""Multipliers of the quadratic program are at most so many times the merit's weight, where nothing meets it."""
+HEAVY, HEAVIER, ENOUGH = 10.0, 6, 0.9
+"""The weight of violations grows by this factor at a time, so often at most, while they fall to this part."""
 
 
 
@@ -52,17 +52,18 @@ class Sqp(TwoSearches):
     ) -> tuple[Status, str]:
         """Search once; for feasibility alone f counts as 0, and `Feasible` is raised on success."""
         low, high = trials.problem.c_low, trials.problem.c_high
-        curvature, radius, rho = Curvature(self.memory), self.radius, 1.0
+        radius, rho = self.radius, 1.0
         here = _Point.of(x, trials.gradients(x), feasibility)
+        curvature = Curvature(self.memory)
+        if feasibility:
+            curvature.begin_at(here.J, violation(here.c, low, high))
         while radius > SMALLEST:
             ends, box = (low - here.c, high - here.c), (np.maximum(lower - x, -radius), np.minimum(upper - x, radius))
-            if feasibility:  # the step of least length; any curvature does, where no multiplier comes near rho
-                curvature = Curvature.of_feasibility(here.J, violation(here.c, low, high))
-            d, y = quadratic_program(curvature.matrix, here.g, here.J, ends, box, LARGE * rho)
-            promised = float(np.sum(violation(here.c, low, high)) - np.sum(violation(here.c + here.J @ d, low, high)))
+            d, y, left = _step(curvature.matrix, here, ends, box, rho)
             if not feasibility:
-                rho = max(rho, 1.5 * float(np.max(np.abs(y), initial=0.0)))
-                promised = rho * promised - float(here.g @ d + 0.5 * d @ curvature.matrix.times(d))
+                d, y, left, rho = _steered(curvature.matrix, here, ends, box, rho, (d, y, left))
+            less = float(np.sum(violation(here.c, low, high))) - left
+            promised = rho * less - float(here.g @ d + 0.5 * d @ curvature.matrix.times(d))
             if not promised > self.function_tolerance:
                 met = most_violated(here.c, low, high) <= self.constraint_tolerance
                 told = f"SQP: a step promises no more than {max(promised, 0.0):.2g}"
@@ -76,13 +77,39 @@ class Sqp(TwoSearches):
                 radius = max(radius, 2.0 * length)
             if not fallen > TAKEN * promised:
                 continue
-            if not feasibility:
-                curvature.learn(d, there.g - here.g + y @ (there.J - here.J))
+            curvature.learn(d, there.g - here.g + y @ (there.J - here.J))
             x, here = there.x, there
             trials.accept(x)
             if feasibility and trials.violated(x) <= self.constraint_tolerance:
                 raise Feasible
         return "stalled", "SQP: no step lowers the merit any more"
+
+
+def _step(
+    B: LowRank, here: _Point, ends: tuple[Array, Array], box: tuple[Array, Array], rho: float
+) -> tuple[Array, Array, float]:
+    """Return the step for a weight of the violations, its multipliers, and what it leaves of the violations."""
+    d, y = quadratic_program(B, here.g, here.J, ends, box, rho)
+    return d, y, float(np.sum(violation(here.J @ d, *ends)))
+
+
+def _steered(
+    B: LowRank, here: _Point, ends: tuple[Array, Array], box: tuple[Array, Array], rho: float,
+    found: tuple[Array, Array, float],
+) -> tuple[Array, Array, float, float]:  # fmt: skip
+    """Return the step, its multipliers, what it leaves, and the weight, larger where that helps.
+
+    R. H. Byrd, J. Nocedal, R. A. Waltz: Steering exact penalty methods for nonlinear programming, Optim. Methods Softw.
+    23 (2008), in short: the weight grows while more of it leaves markedly less of the violations.
+    """
+    for _ in range(HEAVIER):
+        if found[2] <= SMALLEST:
+            break
+        heavier = _step(B, here, ends, box, HEAVY * rho)
+        if not heavier[2] < ENOUGH * found[2]:
+            break
+        found, rho = heavier, HEAVY * rho
+    return *found, rho
 
 
 class _Point(NamedTuple):
@@ -114,13 +141,10 @@ class Curvature:
         self.pairs: list[tuple[Array, Array]] = []
         self.matrix = LowRank(1.0)
 
-    @classmethod
-    def of_feasibility(cls, J: Array, excess: Array) -> Curvature:
-        """Return a multiple of the identity with which the multipliers of a step to c + J d = 0 stay below 1."""
-        found = cls(1)
+    def begin_at(self, J: Array, excess: Array) -> None:
+        """Take a multiple of the identity with which the multipliers of the first step to c + J d = 0 are below 1."""
         size = np.einsum("ij,ij->i", J, J)[excess > 0.0]
-        found.matrix = LowRank(0.1 * float(np.min(size / excess[excess > 0.0], initial=1.0)) or 1.0)
-        return found
+        self.matrix = LowRank(0.1 * float(np.min(size / excess[excess > 0.0], initial=1.0)) or 1.0)
 
     def learn(self, s: Array, y: Array) -> None:
         """Take in a step s and the change y of the Lagrangian's gradient, damped so that B stays positive."""

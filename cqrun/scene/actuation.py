@@ -60,7 +60,7 @@ class Actuation:
             path = f"actuators.{name}.{chosen.name}"
             for part in spec.parts():
                 held = spec.particles(part, x, self.particles.inside)
-                problem = spec.problem(x[held])
+                problem = spec.problem(x[held], scene.world.dx) if len(held) else None
                 if problem or not len(held):
                     raise SceneError([Problem(scene.where(path), path, problem or "holds no particle")])
                 full = f"{name}.{part}" if part else name

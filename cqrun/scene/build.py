@@ -13,6 +13,7 @@ from cqrun.contract import Array
 from cqrun.engine.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, wave_limit
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
 from cqrun.errors import Problem, SceneError
+from cqrun.scene.actuation import Actuation
 from cqrun.scene.assembly import Assembly
 from cqrun.scene.check_design import design_problems
 from cqrun.scene.memory import memory_problems
@@ -21,6 +22,9 @@ from cqrun.scene.paths import canonical, with_values
 from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start, tied
+
+WASTEFUL = 1e-3
+"""Part of the largest stable substep below which one is hardly meant."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ def build(scene: Scene) -> Built:
         raise SceneError(found)
     assembly = Assembly(scene, particles)
     limits = _possible(scene, _stiffest(scene, particles, assembly))
-    warnings = list(particles.warnings)
+    warnings = [*particles.warnings, *_unused_episodes(scene)]
     if scene.time.substeps == "auto":
         bounds = [*limits, *_possible(scene, _limits_of_data(scene, particles, assembly))]
         scene = with_values(scene, {"time.substeps": auto_substeps(scene.time.control_step, bounds)})
@@ -83,6 +87,15 @@ def build(scene: Scene) -> Built:
         memory_budget=scene.memory,
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))
+
+
+def _unused_episodes(scene: Scene) -> list[Problem]:
+    """Warn of episodes that would all be the same one."""
+    said = scene.episodes
+    if (said.count == 1 and not said.unseen) or any(goal.drawn for goal in scene.goals.values()):
+        return []
+    message = "counts for nothing: no goal has a `spread` to draw from, so there is one episode"
+    return [Problem(scene.where("episodes"), "episodes", message)]
 
 
 def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[GroupModel, ...]:
@@ -132,10 +145,29 @@ def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict
         lightest = float(density.min()) * scene.world.dx**scene.dim
         if scene.bodies[name].unit_mass:  # its particles fill less than the volume of 1 that they count for
             lightest /= particles.spacing[name] ** scene.dim
-        for driven, strength in zip(actuation.parts, actuation.strengths(values), strict=True):
-            if driven.spec.body == name and np.isfinite(step := driven.spec.step_limit(strength, lightest)):
-                limits.append(Limit(driven.path, step))
+        limits += _spring_limits(scene, particles, actuation, values, name, lightest)
     return limits
+
+
+def _spring_limits(
+    scene: Scene, particles: Particles, actuation: Actuation, values: dict[str, Array], body: str, mass: float
+) -> list[Limit]:
+    """Return the bound of what pulls at nodes of a mass [kg] like springs, those that meet in a cell together.
+
+    A mass on springs of stiffness k together swings with omega^2 = k / m, and is stable up to dt = 2 / omega.
+    """
+    parts = [
+        (part.path, part.model.particles, k)
+        for part, strength in zip(actuation.parts, actuation.strengths(values), strict=True)
+        if part.spec.body == body and (k := part.spec.stiffness_at_nodes(strength)) > 0.0
+    ]
+    if not parts:
+        return []
+    cells = [np.unique(np.floor(particles.x[held] / scene.world.dx), axis=0) for _, held, _ in parts]
+    every, place = np.unique(np.concatenate(cells), axis=0, return_inverse=True)
+    together = np.bincount(place.ravel(), np.repeat([k for *_, k in parts], [len(c) for c in cells]), len(every))
+    stiffest = max(parts, key=lambda part: part[2])
+    return [Limit(stiffest[0], float(2.0 * np.sqrt(mass / together.max())))]
 
 
 def _stiffest(scene: Scene, particles: Particles, assembly: Assembly) -> list[Limit]:
@@ -186,15 +218,15 @@ def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:
 
 
 def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
-    """Refuse a given number of substeps that blows up, and warn about one that is near it."""
+    """Refuse a given number of substeps that blows up, and warn about one that is near it, or far from all need."""
     least = min(limits, key=lambda limit: limit.dt)
     dt = scene.time.control_step / int(scene.time.substeps)
     share = dt / least.dt
-    if share <= WARN:
+    if share <= WARN and (share >= WASTEFUL or scene.time.substeps == 1):
         return []
     needed = auto_substeps(scene.time.control_step, limits)
     message = (
-        f"a substep of {dt:.3g} s is {share:.2f} of the largest stable one, {least.dt:.3g} s ({least.part}); "
+        f"a substep of {dt:.3g} s is {share:.2g} of the largest stable one, {least.dt:.3g} s ({least.part}); "
         f"use {needed} substeps, or auto"
     )
     problem = Problem(scene.where("time.substeps"), "time.substeps", message)

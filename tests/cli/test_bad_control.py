@@ -53,6 +53,16 @@ CASES = {
         cable("[[0.41, 0.25], [0.41, 0.55], [0.41, 0.25]]"),
         ["actuators.string.cable: runs through a particle twice: separate the points of the route, or tie it less"],
     ),
+    "a cable beside its body": (
+        MUSCLE,
+        cable("[[0.41, 0.25], [0.9, 0.55]]"),
+        ["actuators.string.cable: its point (0.9, 0.55) is 0.3", "within a cell (0.1 m) of a particle"],
+    ),
+    "a group named twice": (
+        "each: [left, right]",
+        "each: [left, left]",
+        ["finger.yaml:19:48: actuators.muscle.muscle.each.1: 'left' is named twice: a group has one activation"],
+    ),
     "a cable with neighbours at one particle": (
         MUSCLE,
         cable("[[0.41, 0.25], [0.41, 0.251], [0.41, 0.55]]"),

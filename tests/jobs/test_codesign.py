@@ -91,7 +91,10 @@ def test_one_sweep_gives_the_lagrangians_gradient(problem, somewhere):
 # --- runs ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["slsqp: {max_iterations: 30}", "sqp: {max_iterations: 30}", "augmented_lagrangian: {max_iterations: 60}"])
+@pytest.mark.parametrize(
+    "method",
+    ["slsqp: {max_iterations: 30}", "sqp: {max_iterations: 30}", "augmented_lagrangian: {max_iterations: 60}"],
+)
 def test_it_meets_its_constraints(finger, tmp_path, method):
     run = learn(finger, tmp_path, f"optimizer={{{method}}}")
     result = result_of(run)

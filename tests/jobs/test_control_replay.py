@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,16 @@ from small_finger import FINGER, written
 
 from cqrun.controllers.saved import read_controller, save_controller
 from cqrun.errors import Stopped, UsageError
-from cqrun.jobs.control import run_control
+from cqrun.figures.render import Wanted, render
+from cqrun.jobs.control import Keeping, run_control
 from cqrun.jobs.report import report_lines
+from cqrun.jobs.reporter import Silent
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.simulate import UNTRAINED, run_simulate
-from cqrun.store.run import read_record
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
+from cqrun.store.history import read_history
+from cqrun.store.run import RunDirectory, read_record
 from cqrun.store.trajectory import read_trajectory
 
 PNEUMATIC = "muscle: {pneumatic: {body: finger, each: [left, right], axis: [0, 1], max_pressure: 4, law: chainqueen}}"
@@ -139,6 +145,49 @@ def test_a_stopped_replay_runs_again_with_its_own_copy(trained, tmp_path):
 def test_a_controller_that_is_not_this_scenes_is_refused(trained, tmp_path, override, message):
     with pytest.raises(UsageError, match=rf"controller.npz: .*{message}"):
         replay(trained, tmp_path, override)
+
+
+def test_elsewhere_what_lies_at_a_place_in_the_world_acts_on_others(tmp_path):
+    """A region does not move with the body; groups do (the tests above), and of other particles nothing is known."""
+    region = "region: {box: {corner: [0.4, 0.2], size: [0.1, 0.4]}}"
+    text = FINGER.replace("each: [left, right]", region).replace("max_iterations: 4", "max_iterations: 1")
+    run = run_control(written(tmp_path, text), [], tmp_path / "out", False, 1, True)
+    moved = "bodies.finger.place.offset=[0.25, 0.2]"
+    with pytest.raises(UsageError, match="muscle would act on other particles than in the training"):
+        replay(run, tmp_path / "moved", moved)
+    too = "actuators.muscle.muscle.region={box: {corner: [0.45, 0.2], size: [0.1, 0.4]}}"
+    replay(run, tmp_path / "both", moved, too)
+    replay(run, tmp_path / "finer", "bodies.finger.sampling.lattice.count=5", "time.substeps=4")
+
+
+def test_a_run_that_is_not_finished_has_its_best_controller(tmp_path):
+    text = FINGER.replace(", spread: [0.05, 0.05]", "").replace("episodes: {count: 2, unseen: 1}\n", "")
+    scene = written(tmp_path, text)
+    with pytest.raises(Stopped):
+        run_control(scene, [], tmp_path / "out", False, 1, True, reporter=Listener(stop_after=2))
+    (run,) = (tmp_path / "out" / "finger").iterdir()
+    found = result_of(replay(run, tmp_path / "early"))
+    history = read_history(run / "history.csv")
+    assert found["loss"] == pytest.approx(min(history["loss"]), rel=1e-12)
+    with pytest.raises(UsageError, match="`cqrun simulate RUN` runs the best controller so far"):
+        render(run, Wanted())
+    (run / "controller.npz").unlink()
+    with pytest.raises(UsageError, match=r"has no trained controller \(no iteration is finished\)"):
+        replay(run, tmp_path / "none")
+
+
+def test_a_resumed_run_keeps_what_was_better(trained):
+    """Its history says how good the controller is that is kept."""
+    best = min(read_history(trained / "history.csv")["loss"])
+    saved = []
+    problem = SimpleNamespace(
+        built=build(load_scene(trained / "scene.yaml")), stochastic=False, values=lambda x: x,
+        save=lambda path, x: saved.append((path.name, float(x[0]))),
+    )  # fmt: skip
+    keep = Keeping(RunDirectory(trained), problem, Silent())
+    for k, loss in enumerate([best + 1.0, best, best - 1.0, best - 0.5]):
+        keep(k, np.array([loss]), loss, {})
+    assert saved == [("controller.npz", best - 1.0)]
 
 
 def test_a_file_that_saw_other_numbers_or_says_nothing(trained, tmp_path):
