@@ -184,7 +184,7 @@ def test_a_resumed_run_keeps_what_was_better(trained):
         built=build(load_scene(trained / "scene.yaml")), stochastic=False, values=lambda x: x,
         save=lambda path, x: saved.append((path.name, float(x[0]))),
     )  # fmt: skip
-    keep = Keeping(RunDirectory(trained), problem, Silent())
+    keep = Keeping(RunDirectory.resume(trained), problem, Silent())
     for k, loss in enumerate([best + 1.0, best, best - 1.0, best - 0.5]):
         keep(k, np.array([loss]), loss, {})
     assert saved == [("controller.npz", best - 1.0)]
