@@ -132,7 +132,7 @@ def draw_convergence(run: RunData) -> Figure:
     for place, draw in enumerate(panels, first):
         axes = figure.add_subplot(grid[place // columns, place % columns])
         draw(axes)
-        if place >= (rows - 1) * columns:
+        if place >= (rows - 1) * columns and not axes.get_xlabel():
             axes.set_xlabel("iteration")
     return figure
 
@@ -162,6 +162,8 @@ def plot_loss(axes: Axes, loss: LossCurve) -> None:
         text = f"noise: {millimetres(loss.floor)} mm"
         axes.axhline(loss.floor, color=TRUTH, linestyle="--", linewidth=1.0, label=text)
         axes.legend(loc="upper right")
+    if axes.get_yscale() == "linear":  # no power of ten above the axis, where the title is
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:.5g}".replace("-", "\u2212"))
     whole_ticks(axes.xaxis)
     _pad_iterations(axes, loss.iteration)
     unit = clock_ticks(axes.xaxis, loss.iteration, loss.seconds)
@@ -208,7 +210,13 @@ def _plot_gradients(axes: Axes, iteration: Array, blocks: dict[str, Array]) -> N
         _log_axis(axes, float(everything.min()), float(everything.max()))
     whole_ticks(axes.xaxis)
     _pad_iterations(axes, iteration)
-    axes.legend(loc="best", handlelength=1.6)
+    many = len(blocks) > 3
+    low, high = axes.get_ylim()
+    if many:  # room above the lines for the names, two side by side
+        axes.set_ylim(low, high * (high / low) ** (0.14 * (len(blocks) + 1) / 2))
+        axes.legend(loc="upper center", ncols=2, handlelength=1.2, fontsize=6.5)
+    else:
+        axes.legend(loc="best", handlelength=1.6)
     titled(axes, "Norm of the gradient")
 
 

@@ -59,6 +59,7 @@ class Stage:
         dots: that fill the bodies.
         colours: of the particles.
         trails: of what is followed.
+        cables: the particles along each, in order.
         goals: that are marked.
         name: of the run, for the corner.
         quantity: that the colours show.
@@ -71,6 +72,7 @@ class Stage:
     dots: Dots
     colours: Colours
     trails: Trails
+    cables: list[Array]
     goals: list[Goal]
     name: str
     quantity: str
@@ -103,6 +105,10 @@ class Picture:
             self.axes.plot([], [], color=INK, linewidth=1.0, alpha=0.8, zorder=3, label=name)[0]
             for name in stage.trails.paths
         ]
+        self._cables = [
+            self.axes.plot([], [], color=INK, linewidth=1.6, marker=".", markersize=4, zorder=2.5)[0]
+            for _ in stage.cables
+        ]
         if not stage.look.names:
             _scale_bar(self.axes, self._corners, self._unit)
         _colour_bar(self.figure, self.axes, stage.colours)
@@ -126,6 +132,8 @@ class Picture:
         travelled = int(np.searchsorted(trails.frames, frame, side="right"))
         for line, path in zip(self._trails, trails.paths.values(), strict=True):
             line.set_data(*(self._unit.factor * path[:travelled] @ self.stage.look.axes.T).T)
+        for line, route in zip(self._cables, self.stage.cables, strict=True):
+            line.set_data(*(self._unit.factor * layers[-1][0][route] @ self.stage.look.axes.T).T)
         self._stamp.set_text(stamp)
         self._canvas.draw()
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()

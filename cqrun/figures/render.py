@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from cqrun.actuators.cable import Cable
 from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
@@ -22,6 +23,7 @@ from cqrun.figures.solid import require_pyvista
 from cqrun.figures.style import styled
 from cqrun.figures.views import PLANE, View, room_around, view
 from cqrun.jobs.reporter import Reporter, Silent
+from cqrun.scene.assembly import Assembly
 from cqrun.store.atomic import make_directory
 from cqrun.store.frames import Frames
 
@@ -144,9 +146,19 @@ def set_stage(run: RunData, frames: Frames, shown: Sequence[int], wanted: Wanted
     dots = Dots.of(rest, frames.bodies)
     suffix = "" if frames.complete else ": as far as it is written"
     quantity, scheme = colours(wanted.color, run, frames, shown)
+    ropes = cables(run, frames)
     marked = goals(run.scene, frames.provenance.get("goals"))
     corners = seen(frames, shown, look, trails, marked, dots.size)
-    return Stage(run.scene, look, corners, box, dots, scheme, trails, marked, f"{run.name}{suffix}", quantity)
+    name = f"{run.name}{suffix}"
+    return Stage(run.scene, look, corners, box, dots, scheme, trails, ropes, marked, name, quantity)
+
+
+def cables(run: RunData, frames: Frames) -> list[Array]:
+    """Return the particles along each cable of the scene, in order."""
+    if not any(isinstance(chosen.value, Cable) for chosen in run.scene.actuators.values()):
+        return []
+    actuation = Assembly(run.scene, sampled(run, frames)).actuation
+    return [part.model.particles for part in actuation.parts if isinstance(part.spec, Cable)]
 
 
 def seen(
