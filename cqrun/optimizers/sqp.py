@@ -157,7 +157,7 @@ class Curvature:
             y = part * y + (1.0 - part) * Bs
         self.pairs = [*self.pairs, (s, y)][-self.memory :]
         S, Y = (np.array(side).T for side in zip(*self.pairs, strict=True))
-        delta, SY = float(y @ y) / float(s @ y), S.T @ Y
+        delta, SY = float(s @ y) / float(s @ s), S.T @ Y
         L = np.tril(SY, -1)
         M = np.block([[delta * (S.T @ S), L], [L.T, -np.diag(np.diag(SY))]])
         self.matrix = LowRank(delta, np.hstack([delta * S, Y]), M)
