@@ -166,19 +166,21 @@ def _choices(info: FieldInfo) -> list[str]:
 def _what(info: FieldInfo) -> str:
     """Say what kind of value a field takes, in a scene's words."""
     chosen = _choices(info)
-    several = any(part in (list, dict) or typing.get_origin(part) in (list, dict) for part in _parts(info.annotation))
+    kinds = {typing.get_origin(part) or part for part in _parts(info.annotation) if part is not typing.Any}
+    several = list in kinds or dict in kinds
     if chosen:
         what = " or ".join(chosen)
         return f"{'several of' if several else 'choice of'} {what} (cqrun describe {chosen[0]})"
-    words = [
-        str(value)
-        for part in _parts(info.annotation)
-        if typing.get_origin(part) is typing.Literal
-        for value in typing.get_args(part)
-    ]
+    mappings = [part for part in _parts(info.annotation) if typing.get_origin(part) is dict]
+    parts = list(_parts(typing.get_args(mappings[0])[1] if mappings else info.annotation))
+    words = [str(v) for part in parts if typing.get_origin(part) is typing.Literal for v in typing.get_args(part)]
     names = {float: "number", int: "whole number", bool: "true or false", str: "text"}
-    words += list(dict.fromkeys(names[part] for part in _parts(info.annotation) if part in names))
-    return ("list of " if several else "") + " | ".join(words)
+    words += list(dict.fromkeys(names[part] for part in parts if part in names))
+    from annotated_types import MaxLen, MinLen
+
+    if MinLen(2) in info.metadata and MaxLen(3) in info.metadata:
+        return "a number for each dimension"
+    return ("name -> " if dict in kinds else "list of " if several else "") + " | ".join(words or ["its fields"])
 
 
 def _range(info: FieldInfo) -> str:
@@ -187,7 +189,9 @@ def _range(info: FieldInfo) -> str:
 
 
 def _default(info: FieldInfo) -> str:
-    if info.is_required():
+    if info.is_required() and "if absent" not in (info.description or ""):
         return "required"
+    if info.is_required():
+        return "optional"
     default = info.get_default() if info.default_factory is None else None
     return "optional" if default is None else f"default {default}"
