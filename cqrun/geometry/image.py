@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -185,6 +185,15 @@ def _commonest(pixels: Array, count: int = 4) -> list[str]:
     return [f"#{values[k]:06x} ({counts[k] / len(packed):.1%})" for k in most]
 
 
+def _eight_bits(image: Any) -> Any:
+    """Return an image of grey with 16 bits a pixel as one of eight, which `convert` would cut off at 255 instead."""
+    from PIL import Image as Pillow
+
+    if not image.mode.startswith("I"):
+        return image
+    return Pillow.fromarray((np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8))
+
+
 @lru_cache(maxsize=8)
 def _read(path: Path, time: int, size: int) -> Array:
     """Return the pixels of an image file, read anew when it changes."""
@@ -195,7 +204,7 @@ def _read(path: Path, time: int, size: int) -> Array:
         with Pillow.open(path) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise UsageError(f"{path}: {image.width} x {image.height} pixels; at most {MAX_PIXELS:.0e} are read")
-            pixels = np.asarray(image.convert("RGBA"))
+            pixels = np.asarray(_eight_bits(image).convert("RGBA"))
     except UnidentifiedImageError:
         raise UsageError(f"{path}: is no image that can be read; save it as PNG") from None
     except (OSError, SyntaxError, ValueError, Pillow.DecompressionBombError) as error:

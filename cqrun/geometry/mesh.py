@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -144,7 +145,8 @@ def _read(path: Path, time: int, size: int) -> Surface:
     if path.suffix.lower() not in FORMATS:
         raise UsageError(f"{path}: a mesh is read from {listed(FORMATS)}; save it as one of them")
     try:
-        mesh = trimesh.load_mesh(path)
+        with warnings.catch_warnings(action="ignore"):  # of numbers that are told of below
+            mesh = trimesh.load_mesh(path)
     except Exception as error:  # whatever its readers raise on a broken file
         raise UsageError(f"{path}: cannot be read as {path.suffix[1:].upper()}: {error}") from None
     vertices, faces = np.ascontiguousarray(mesh.vertices, float), np.ascontiguousarray(mesh.faces, np.int64)

@@ -24,7 +24,8 @@ def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = (
 
     Args:
         source: a file's path, YAML text (a str with a line break), or plain data.
-        overrides: `key.path=value` each, the value in YAML; a later one wins, and null removes a named part.
+        overrides: `key.path=value` each, the value in YAML; a later one wins, and null removes a named part or a
+            section.
         base: folder of the files that the scene names, where a run keeps the scene; its plug-ins it keeps too, in
             `plugins/` beside it. Without, the folder of the scene's own file.
 
@@ -88,7 +89,8 @@ def _overridden(data: Any, overrides: Sequence[str]) -> tuple[Any, list[Override
             continue
         try:
             loc, new = locate(data, path), read(value).data
-            data = removed(data, loc) if new is None and is_named(loc) else replaced(data, loc, new)
+            is_part = is_named(loc) or (len(loc) == 1 and loc[0] in data)  # or a section of the scene
+            data = removed(data, loc) if new is None and is_part else replaced(data, loc, new)
         except SceneError as error:
             problems += [Problem(where, p.path or path, p.message) for p in error.problems]
         except KeyError as error:

@@ -70,7 +70,8 @@ def test_colours_pick_the_nearest_within_the_tolerance(flag: str) -> None:
     assert body.coloured(x, "top").tolist() == [True, False, False, False]
     assert body.coloured(x, "low").tolist() == [False, True, False, False]
     assert body.coloured(x, "#ffd2d2").tolist() == [False, False, True, False]
-    assert not body.coloured(x, "white").any()
+    with pytest.raises(UsageError, match="'white' is no colour of .*: named here are top, low; or give #rrggbb"):
+        body.coloured(x, "white")
     # colours that are near to each other share no pixel
     reds = image(flag, corner=[1.0, 2.0], colours={"a": "#dc1414", "b": "#e61e1e"}, tolerance=40)
     assert not (reds.coloured(x, "a") & reds.coloured(x, "b")).any()
@@ -179,3 +180,23 @@ def test_what_is_no_image_is_refused(fields: dict[str, Any], message: str) -> No
 def test_an_image_is_flat() -> None:
     assert "an image needs a 2D world" in image("a.png").dim_problems(3)[0][1]
     assert image("a.png", corner=[0.0, 0.0]).dim_problems(2) == []
+
+
+def test_grey_of_sixteen_bits_is_scaled(tmp_path: Path) -> None:
+    grey = np.full((2, 3), 65535, np.uint16)
+    grey[:, 0], grey[:, 1] = 0x4040, 0x8080
+    Pillow.fromarray(grey).save(tmp_path / "grey.png")
+    body = image(str(tmp_path / "grey.png"), height=0.2, colours={"dark": "#404040", "pale": "#808080"})
+    assert body.examine() == []
+    x = np.array([[0.05, 0.05], [0.15, 0.05], [0.25, 0.05]])
+    np.testing.assert_array_equal(body.coloured(x, "dark"), [True, False, False])
+    np.testing.assert_array_equal(body.coloured(x, "pale"), [False, True, False])
+
+
+def test_colours_that_are_not_there_or_have_two_names(flag: str) -> None:
+    with pytest.raises(UsageError, match=r"'rod' is no colour of .*: named here are red \(did you mean 'red'\?\)"):
+        image(flag, colours={"red": "#dc1414"}).coloured(np.zeros((1, 2)), "rod")
+    with pytest.raises(UsageError, match=r"no pixel of .* has the colour #00ff00; the commonest are #0000ff"):
+        image(flag).coloured(np.zeros((1, 2)), "#00ff00")
+    with pytest.raises(UsageError, match="b: its colour has another name too"):
+        image(flag, colours={"a": "#dc1414", "b": "#dc1414"}).examine()

@@ -127,6 +127,7 @@ def test_a_surface_that_crosses_itself_is_refused(sphere: Any, tmp_path: Path) -
         ("points.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 1\n", "points.obj: holds no triangle"),
         ("text.ply", b"no mesh at all", "text.ply: cannot be read as PLY: "),
         ("beyond.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 9\n", "beyond.obj: cannot be read as OBJ: "),
+        ("nan.obj", b"v 0 0 0\nv nan 0 0\nv 0 1 1\nf 1 2 3\n", "nan.obj: 1 of its points are no finite numbers"),
         ("body.step", b"ISO-10303-21;", "body.step: a mesh is read from .stl, .obj, .ply"),
     ],
 )

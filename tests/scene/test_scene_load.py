@@ -147,5 +147,6 @@ def test_null_removes_a_named_part(beam: str) -> None:
     paths = list(load_scene(beam).unknowns)
     assert load_scene(beam, [f"unknowns.{paths[0]}=null"]).unknowns.keys() == set(paths[1:])
     assert not load_scene(beam, ["boundaries.clamp=null"]).boundaries
+    assert not load_scene(beam, ["unknowns=null"]).unknowns  # a section, too
     with pytest.raises(SceneError, match=r"-o loads.wind=null: loads.wind: cannot be removed: there is no 'wind'"):
         load_scene(beam, ["loads.air={damping: {rate: 1.0}}", "loads.wind=null"])
