@@ -146,15 +146,16 @@ def _read(path: Path, time: int, size: int) -> Surface:
         raise UsageError(f"{path}: a mesh is read from {listed(FORMATS)}; save it as one of them")
     try:
         with warnings.catch_warnings(action="ignore"):  # of numbers that are told of below
-            mesh = trimesh.load_mesh(path)
+            mesh = trimesh.load_mesh(path, process=False)
+            strange = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
+            mesh.process()  # which leaves out what is not finite, without a word
     except Exception as error:  # whatever its readers raise on a broken file
         raise UsageError(f"{path}: cannot be read as {path.suffix[1:].upper()}: {error}") from None
+    if strange:
+        raise UsageError(f"{path}: {strange} of its points are no finite numbers")
     vertices, faces = np.ascontiguousarray(mesh.vertices, float), np.ascontiguousarray(mesh.faces, np.int64)
     if not len(faces):
         raise UsageError(f"{path}: holds no triangle; is it a {path.suffix[1:].upper()} file of a surface, and whole?")
-    strange = int((~np.isfinite(vertices)).any(axis=1).sum())
-    if strange:
-        raise UsageError(f"{path}: {strange} of its points are no finite numbers")
     lower, upper = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
     if (upper <= lower).any():
         raise UsageError(f"{path}: is flat, so it encloses nothing; a body needs a closed surface")
