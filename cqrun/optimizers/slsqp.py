@@ -79,5 +79,5 @@ def require_size(problem: Problem, name: str) -> None:
     if n > MOST_UNKNOWNS:
         raise UsageError(
             f"{name} needs {format_bytes(8 * n * n)} for its matrix of {n:,} x {n:,} unknowns, and time as their cube; "
-            f"beyond {MOST_UNKNOWNS:,} use augmented_lagrangian, or fewer unknowns (`per: group`, `per: field`)"
+            f"beyond {MOST_UNKNOWNS:,} use sqp or augmented_lagrangian, or fewer unknowns (`per: group`, `per: field`)"
         )
