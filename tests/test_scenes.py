@@ -76,6 +76,7 @@ SMALLER = {
     "leg_drop": ["bodies.leg.spacing=0.5", "world.dx=1.6", "time.substeps=40",
                  "bodies.leg.place={offset: [0, -15, 0]}"],  # in free fall nothing tells its material
     "arm_two_link": ["bodies.arm.sampling.lattice.count=10", boundaries(2)],
+    "arm_3d": ["bodies.arm.sampling.lattice.count=4", boundaries(3), *designed("arm")],
     "biped_codesign": ["bodies.biped.sampling.lattice.count=10", "bodies.biped.spin=[9]", boundaries(2),
                        *designed("biped")],
     **{
@@ -103,6 +104,7 @@ PAPERS = {
     "biped_terrain": (36_200, 20_000),
     "arm_two_link": (1_176, 800),
     "arm_length": (816, 250),
+    "arm_3d": (17_280, 2_000),
     "biped_codesign": (12_800, 2_000),
     "quadruped_codesign": (84_375, 600),
     "hexapod_codesign": (111_375, 600),

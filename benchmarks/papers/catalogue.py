@@ -17,6 +17,7 @@ from benchmarks.papers.figures.cq2_fig6 import CableBiped
 from benchmarks.papers.figures.cq2_fig7 import Rhino
 from benchmarks.papers.figures.cq2_fig8 import TerrainBiped
 from benchmarks.papers.figures.cq2_fig9 import Creature
+from benchmarks.papers.figures.cq2_fig10 import SwingingArm
 from benchmarks.papers.figures.cq2_fig11_to_14 import (
     BipedAblation,
     HexapodAblation,
@@ -32,8 +33,8 @@ from benchmarks.papers.figures.real_beam import RealBeam
 _ORDER: tuple[type[Figure], ...] = (
     Speed, Accuracy, Inference, LegActuated, LegDropped, Biped, BipedAgainstPPO, Poses, Quadruped, Crawler, FixedGoal,
     RandomGoal, WideGoal, ArmReach, TwoLinkArm, FingerMaterial, CableBiped, Rhino, TerrainBiped, Creature,
-    BipedAblation, QuadrupedAblation, HexapodAblation, OctopodAblation, LengthArm, Oscillator, Fracture, Seconds,
-    RealBeam,
+    SwingingArm, BipedAblation, QuadrupedAblation, HexapodAblation, OctopodAblation, LengthArm, Oscillator, Fracture,
+    Seconds, RealBeam,
 )  # fmt: skip
 
 FIGURES: dict[str, Figure] = {kind.id: kind() for kind in _ORDER}

@@ -29,7 +29,7 @@ class Violations(Figure):
         scene: below scenes/.
         modulus: path of the stiffness.
         fixed: label -> Young's modulus of the robots that are not designed.
-        quick: overrides of the scene at quick size.
+        quick, paper_size: overrides of the scene.
         minutes: of a robot, by size.
         printed: label -> (iteration, violation) points that the paper shows.
         tolerated: violation at which the constraints are called met.
@@ -39,13 +39,14 @@ class Violations(Figure):
     modulus: ClassVar[str]
     fixed: ClassVar[Mapping[str, float]]
     quick: ClassVar[tuple[str, ...]]
+    paper_size: ClassVar[tuple[str, ...]] = ()
     minutes: ClassVar[Mapping[Size, float]]
     printed: ClassVar[Mapping[str, Sequence[tuple[float, float]]]]
     tolerated: ClassVar[float]
 
     def work(self, size: Size) -> Sequence[Work]:
         """Return a run for each robot."""
-        small = self.quick if size is Size.QUICK else ()
+        small = self.quick if size is Size.QUICK else self.paper_size
         minutes = self.minutes[size]
         return [
             Runs(self.work_name(DESIGNED), minutes, "codesign", self.scene, small),

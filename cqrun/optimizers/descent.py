@@ -144,13 +144,13 @@ class Descent(Optimizer):
         """Refuse mini-batches with more parts than there are, or of data that is drawn anew anyway."""
         if self.batch_size is not None and problem.stochastic:
             raise UsageError(
-                f"optimizer.{self.name}.batch_size takes parts of a fixed set, but the objective draws fresh goals at "
+                "batch_size takes parts of a fixed set, but the objective draws fresh goals at "
                 "every iteration: remove one of the two"
             )
         if self.batch_size is not None and self.batch_size > problem.n_batches:
             raise UsageError(
-                f"optimizer.{self.name}.batch_size is {self.batch_size}, but the data falls into {problem.n_batches} "
-                f"parts (recordings, goals): give at most {problem.n_batches}"
+                f"batch_size is {self.batch_size}, but the data falls into {problem.n_batches} parts (recordings, "
+                f"goals): give at most {problem.n_batches}"
             )
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:

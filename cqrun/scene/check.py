@@ -141,7 +141,7 @@ def empty_regions(scene: Scene, points: Points) -> Iterator[Problem]:
         for name in spec.material_of:
             yield from _empty(scene, f"bodies.{body}.material_of.{name}", name, {body: points[body]})
         for group in (*spec.colours, *spec.groups):
-            path = f"bodies.{body}." + (f"groups.{group}" if group in spec.groups else _placed(scene, body))
+            path = f"bodies.{body}.groups.{group}" if group in spec.groups else _placed(scene, body)
             yield from _empty(scene, path, group, {body: points[body]})
     for loc, part in parts(scene):
         region = getattr(part, "region", None)
@@ -159,11 +159,11 @@ def _empty(scene: Scene, path: str, region: Chosen[Region] | str, points: Points
     except UsageError as error:
         yield _problem(scene, path, str(error))
         return
-    if not held:
+    if filled and not held:  # a body without particles is told of by itself
         extents = [
             f"'{name}' lies within {_corner(x.min(axis=0))} to {_corner(x.max(axis=0))} m" for name, x in filled.items()
         ]
-        yield _problem(scene, path, f"holds no particle: {', '.join(extents) or 'there are none'}")
+        yield _problem(scene, path, f"holds no particle: {', '.join(extents)}")
 
 
 def _corner(x: Array) -> str:

@@ -199,12 +199,12 @@ CASES = {
     "mini-batches larger than the set": (
         ADAM,
         ADAM.replace("max_iterations: 4", "batch_size: 3"),
-        ["optimizer.adam: optimizer.adam.batch_size is 3, but the data falls into 2 parts (recordings, goals): give"],
+        ["optimizer.adam: batch_size is 3, but the data falls into 2 parts (recordings, goals): give"],
     ),
     "mini-batches of fresh goals": (
         f"episodes: {{count: 2, unseen: 1}}|{ADAM}",
         "episodes: {count: 2, fresh: true}|" + ADAM.replace("max_iterations: 4", "batch_size: 1"),
-        ["optimizer.adam.batch_size takes parts of a fixed set, but the objective draws fresh goals at every iter"],
+        ["optimizer.adam: batch_size takes parts of a fixed set, but the objective draws fresh goals at every iter"],
     ),
     "least squares": (
         ADAM,

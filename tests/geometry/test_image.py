@@ -70,7 +70,7 @@ def test_colours_pick_the_nearest_within_the_tolerance(flag: str) -> None:
     assert body.coloured(x, "top").tolist() == [True, False, False, False]
     assert body.coloured(x, "low").tolist() == [False, True, False, False]
     assert body.coloured(x, "#ffd2d2").tolist() == [False, False, True, False]
-    with pytest.raises(UsageError, match="'white' is no colour of .*: named here are top, low; or give #rrggbb"):
+    with pytest.raises(UsageError, match=r"'white' is no colour of .*: named here are top, low; or give #rrggbb"):
         body.coloured(x, "white")
     # colours that are near to each other share no pixel
     reds = image(flag, corner=[1.0, 2.0], colours={"a": "#dc1414", "b": "#e61e1e"}, tolerance=40)

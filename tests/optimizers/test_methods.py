@@ -308,7 +308,7 @@ def test_options_are_checked(options):
 
 
 def test_a_mini_batch_larger_than_the_data_is_refused(tmp_path):
-    with pytest.raises(UsageError, match=r"optimizer.sgd.batch_size is 11, .* falls into 10 parts.*at most 10"):
+    with pytest.raises(UsageError, match=r"batch_size is 11, .* falls into 10 parts.*at most 10"):
         solve(tmp_path, Sgd(batch_size=11), Rosenbrock())
     assert solve(tmp_path / "all", Sgd(batch_size=10, max_iterations=1), Rosenbrock())[0].iterations == 1
 
