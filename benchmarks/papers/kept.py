@@ -14,13 +14,16 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.papers.work import CLOCK, DONE, ROOT, Work
+from benchmarks.papers.work import CLOCK, DONE, SCENES, Work
 from cqrun.fingerprint import engine_hash
 from cqrun.store.atomic import make_directory, write_bytes
 from cqrun.store.run import FINISHED, read_record
 
 SMALL = (".json", ".yaml", ".csv", ".npz", ".npy")
-TEXT = (".json", ".yaml")
+TEXT = (".json", ".yaml", ".csv")
+RUNS, SCENES_HERE = "@RUNS@", "@SCENES@"
+"""What the folder of all runs, and that of the scenes, are called in an archive."""
+
 STATES = "evals."
 """Files of an optimizer's state, which a finished run no longer needs."""
 
@@ -39,8 +42,10 @@ def keep(work: Work, runs: Path, archive: Path) -> None:
     with tarfile.open(fileobj=packed, mode="w:xz") as tar:
         for path in _small(root):
             data = path.read_bytes()
+            if path.name == "run.json":
+                data = _without_places(data)
             if path.suffix in TEXT:
-                data = _renamed(data, {str(runs.resolve()): "@RUNS@", str(ROOT): "@ROOT@"})
+                data = _renamed(data, {str(runs.resolve()): RUNS})
             member = tarfile.TarInfo(path.relative_to(root).as_posix())
             member.size = len(data)
             tar.addfile(member, io.BytesIO(data))
@@ -52,6 +57,14 @@ def _small(root: Path) -> Iterator[Path]:
     for path in sorted(root.rglob("*")):
         if path.suffix in SMALL and not (path.name.startswith(STATES) and _is_finished(path.parent)):
             yield path
+
+
+def _without_places(record: bytes) -> bytes:
+    """Return a run's record without the paths of who ran it."""
+    facts = json.loads(record)
+    facts["argv"] = ["cqrun", facts["job"]]
+    facts["base"] = SCENES_HERE + str(facts.get("base", "")).rpartition("scenes")[2]
+    return json.dumps(facts, indent=2).encode()
 
 
 def _is_finished(run: Path) -> bool:
@@ -83,7 +96,7 @@ def restore(work: Work, runs: Path, archive: Path) -> bool:
             tar.extractall(fresh, filter="data")
             for path in fresh.rglob("*"):
                 if path.suffix in TEXT:
-                    names = {"@RUNS@": str(runs.resolve()), "@ROOT@": str(ROOT)}
+                    names = {RUNS: str(runs.resolve()), SCENES_HERE: str(SCENES)}
                     path.write_bytes(_renamed(path.read_bytes(), names))
             fresh.rename(root)
     return True

@@ -31,12 +31,13 @@ def test_an_archive_is_small_and_names_no_path(learned):
     assert archive.stat().st_size < 50_000
     with tarfile.open(archive) as tar:
         names = tar.getnames()
-        said = b"".join(tar.extractfile(name).read() for name in names if name.endswith((".json", ".yaml")))
+        said = b"".join(tar.extractfile(name).read() for name in names if name.endswith((".json", ".yaml", ".csv")))
     assert {CLOCK, DONE} <= set(names)
     assert sum(name.endswith("history.csv") for name in names) == 2
     assert not [name for name in names if "trajectory" in name or "evals" in name]  # finished: no state is needed
     assert str(runs).encode() not in said
     assert str(work.ROOT).encode() not in said
+    assert b"@SCENES@/control" in said
 
 
 def test_it_goes_on_elsewhere_without_doing_again_what_was_done(learned, tmp_path):
@@ -44,6 +45,8 @@ def test_it_goes_on_elsewhere_without_doing_again_what_was_done(learned, tmp_pat
     assert restore(LEARNED, tmp_path, archive)
     folder = tmp_path / LEARNED.name
     assert LEARNED.done(folder) == LEARNED.done(runs / LEARNED.name)
+    bases = {json.loads(record.read_text())["base"] for record in folder.rglob("run.json")}
+    assert bases == {str(work.SCENES / "control")}
     (folder / DONE).unlink()
     before = [path.read_bytes() for path in sorted(folder.rglob("history.csv"))]
     assert LEARNED.do(folder, 300.0, 2)
