@@ -12,7 +12,7 @@ from little_worlds import needs_jit, world
 from rich_scene import KINDS, arrays, parts, random_records, rich
 
 from cqrun.engine.blocks import SORT_EVERY
-from cqrun.engine.checkpoint import make_plan, repetitions
+from cqrun.engine.checkpoint import borrowed, make_plan, repetitions
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RunError
@@ -76,7 +76,8 @@ def test_the_budget_is_what_is_used(rng):
     model, inputs = world(x, size=[1.2, 1.2], dx=0.1, dt=1e-3, substeps=99, controls=1, volume=1e-3, E=10.0)
     peaks, plans = [], []
     for states in (12, 12, 92):  # the first one compiles
-        rollout = Rollout(replace(model, memory_budget=states * state_bytes(model)), inputs, adjoint=True)
+        fresh = replace(model, memory_budget=states * state_bytes(model), spare=[])
+        rollout = Rollout(fresh, inputs, adjoint=True)
         tracemalloc.start()
         rollout.gradient(lambda records, state: LossBar(final=state))
         peaks.append(tracemalloc.get_traced_memory()[1])
@@ -84,6 +85,21 @@ def test_the_budget_is_what_is_used(rng):
         plans.append(rollout.plan.states)
     assert plans[2] > 50 > 12 >= plans[1]
     assert peaks[2] - peaks[1] == pytest.approx((plans[2] - plans[1]) * state_bytes(model), rel=0.05)
+
+
+def test_memory_is_used_again():
+    """The same bytes, as long as they suffice; given back where the work fails, too; two at once have two."""
+    spare = []
+    with borrowed(spare, (3, 4), np.float64) as first:
+        assert first.shape == (3, 4)
+        address = first.ctypes.data
+    with borrowed(spare, (6,), np.float32) as second, borrowed(spare, (2,), np.float64) as third:
+        assert second.ctypes.data == address
+        assert third.ctypes.data != address
+    assert len(spare) == 2
+    with pytest.raises(ValueError, match="no"), borrowed(spare, (100,), np.float64):
+        raise ValueError("no")
+    assert sorted(held.nbytes for held in spare)[-1] == 800
 
 
 @pytest.mark.parametrize("snapshots", [1, 2, 3, 5, 8])

@@ -182,7 +182,7 @@ def test_goal_is_seen_from_the_body(matter, state):
         ("goal", {"goal": "targt"}, r"no goal called 'targt' \(did you mean 'target'"),
         ("goal", {"goal": "pace"}, "the goal 'pace' has 1 entries; a position here has 2"),
         ("goal", {"goal": "target", "group": "tip"}, "the group 'tip' needs its body"),
-        ("pca", {"body": "arm", "components": 2}, "has no components yet: give a `file`, or fit them"),
+        ("pca", {"body": "arm", "components": 2}, "the pca has no components: give a `file` of them"),
     ],
 )  # fmt: skip
 def test_names_that_do_not_fit_the_scene(matter, name, fields, words):
