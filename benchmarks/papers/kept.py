@@ -25,7 +25,7 @@ RUNS, SCENES_HERE = "@RUNS@", "@SCENES@"
 """What the folder of all runs, and that of the scenes, are called in an archive."""
 
 STATES = "evals."
-"""Files of an optimizer's state, which a finished run no longer needs."""
+"""Files of an optimizer's state or log of evaluations, which a finished run no longer needs."""
 
 
 def archive_of(work: Work, folder: Path) -> Path:
@@ -55,7 +55,8 @@ def keep(work: Work, runs: Path, archive: Path) -> None:
 
 def _small(root: Path) -> Iterator[Path]:
     for path in sorted(root.rglob("*")):
-        if path.suffix in SMALL and not (path.name.startswith(STATES) and _is_finished(path.parent)):
+        is_state = path.name.startswith(STATES)
+        if (is_state and not _is_finished(path.parent)) or (not is_state and path.suffix in SMALL):
             yield path
 
 

@@ -36,7 +36,6 @@ HEAVY, HEAVIER, ENOUGH = 10.0, 6, 0.9
 """The weight of violations grows by this factor at a time, so often at most, while they fall to this part."""
 
 
-
 @plugin("optimizer", "sqp")
 class Sqp(TwoSearches):
     """Sequential quadratic programming with limited memory, for any number of unknowns and few constraints.

@@ -59,11 +59,12 @@ def test_a_state_is_kept_until_the_run_is_finished(learned, tmp_path):
     _, archive = learned
     restore(LEARNED, tmp_path, archive)
     record = next((tmp_path / LEARNED.name).rglob("run.json"))
-    (record.parent / "evals.0.npz").write_bytes(b"state")
+    for name in ("evals.0.npz", "evals.log"):
+        (record.parent / name).write_bytes(b"state")
     record.write_text(json.dumps(json.loads(record.read_text()) | {"status": "stopped"}))
     keep(LEARNED, tmp_path, tmp_path / "again.tar.xz")
     with tarfile.open(tmp_path / "again.tar.xz") as tar:
-        assert sum(name.endswith("evals.0.npz") for name in tar.getnames()) == 1
+        assert sum("evals." in name for name in tar.getnames()) == 2
 
 
 def test_work_that_has_changed_or_is_another_engines_is_not_taken(learned, tmp_path, monkeypatch):

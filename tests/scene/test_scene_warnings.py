@@ -1,0 +1,39 @@
+"""What a scene is warned of, and how cables that meet in a cell bound the substep together."""
+
+from __future__ import annotations
+
+import numpy as np
+from small_finger import FINGER
+
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
+
+CABLES = "\n".join(
+    f"  {name}: {{cable: {{body: finger, route: [[{x}, 0.25], [{x}, 0.55]], stiffness: 1000}}}}"
+    for name, x in (("one", 0.41), ("other", 0.44))
+)
+MUSCLE = "  muscle: {muscle: {body: finger, each: [left, right], axis: [0, 1], strength: 4}}"
+
+
+def limit_of_cables(text: str) -> float:
+    return min(limit.dt for limit in build(load_scene(text)).limits if "cable" in limit.part)
+
+
+def test_cables_that_meet_in_a_cell_bound_the_substep_together():
+    both = FINGER.replace(MUSCLE, CABLES).replace("substeps: 2", "substeps: auto")
+    alone = FINGER.replace(MUSCLE, CABLES.partition("\n")[0]).replace("substeps: 2", "substeps: auto")
+    np.testing.assert_allclose(limit_of_cables(both), limit_of_cables(alone) / np.sqrt(2.0))
+
+
+def warned(text: str) -> str:
+    return "\n".join(str(warning) for warning in build(load_scene(text)).warnings)
+
+
+def test_episodes_that_are_all_the_same():
+    assert "episodes: counts for nothing" in warned(FINGER.replace(", spread: [0.05, 0.05]", ""))
+    assert "counts for nothing" not in warned(FINGER)
+
+
+def test_substeps_that_nobody_needs():
+    assert "of the largest stable one" in warned(FINGER.replace("substeps: 2", "substeps: 100000"))
+    assert "of the largest stable one" not in warned(FINGER.replace("substeps: 2", "substeps: 20"))
