@@ -16,6 +16,7 @@ import fcntl
 import hashlib
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from numba import config, njit
 from numba.core import caching, codegen, types
 from numba.extending import intrinsic, overload
 
-_compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+_compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 _KERNELS: list[Any] = []
 
 
@@ -65,8 +66,20 @@ caching.IndexDataCacheFile = SharedIndex
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function of the engine when it is first called, or take it from the cache (decorator)."""
-    _KERNELS.append(_compiled(function))
+    """Compile a function of the engine when it is first called, or take it from the cache (decorator).
+
+    Kernels work on arrays they are given. They count no references to them: Numba would, for every node and lane.
+    """
+    return _kernel(function, references=False)
+
+
+def allocating_kernel(function: Callable[..., Any]) -> Any:
+    """As `kernel`, for a function that makes arrays of its own; it returns none."""
+    return _kernel(function, references=True)
+
+
+def _kernel(function: Callable[..., Any], references: bool) -> Any:
+    _KERNELS.append(_compiled(_nrt=references)(function))
     return _KERNELS[-1]
 
 

@@ -19,6 +19,7 @@ KERNELS = (
     "polar.py",
     "lanes.py",
     "packed.py",
+    "records.py",
     "state.py",
     "compile.py",
     "materials",

@@ -17,7 +17,7 @@ import numpy as np
 from numba import types
 from numba.extending import overload, register_jitable
 
-from cqrun.compile import kernel
+from cqrun.compile import allocating_kernel
 from cqrun.lanes import Lanes, all_lanes, lane, select, sqrt, with_lane
 from cqrun.tensor import (
     add,
@@ -170,7 +170,7 @@ def _put(a: Any, k: int, b: Any) -> Any:
     )  # fmt: skip
 
 
-@kernel
+@allocating_kernel
 def nearest_rotation(F: Any) -> Any:
     """Return the rotation nearest to a 3D matrix of numbers, whatever the sign of its determinant.
 

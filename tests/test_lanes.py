@@ -7,8 +7,22 @@ import pytest
 
 from cqrun import packed
 from cqrun.compile import kernel
-from cqrun.lanes import all_lanes, exp, floor, lane, lane_width, log, select, sqrt, with_lane
-from cqrun.packed import accumulate, load, load4, load_quads, make4, pack, store, store4, store_quads, unpack
+from cqrun.lanes import LANE_BYTES, all_lanes, exp, floor, lane, lane_width, log, select, sqrt, with_lane
+from cqrun.packed import accumulate, aligned, load, pack, store, unpack
+from cqrun.records import (
+    filled,
+    load4,
+    load_neighbours,
+    load_quads,
+    load_records,
+    make4,
+    records_in_lane,
+    spread,
+    store4,
+    store_neighbours,
+    store_quads,
+    sums,
+)
 
 REALS = pytest.mark.parametrize("real", [np.float64, np.float32])
 ROWS_OUT = 14
@@ -122,6 +136,43 @@ def test_records_of_four(real, body, rng):
     np.testing.assert_array_equal(np.delete(out, np.r_[piece], axis=0), 0.0)
     np.testing.assert_allclose(b[1], a[0] + np.array([1, 2, 3, 4], real), rtol=np.finfo(real).eps)
     np.testing.assert_array_equal(b[[0, 2, 3]], np.array([[0] * 4, [5] * 4, [0] * 4], real))
+
+
+@kernel
+def side_by_side(a, nodes, out):
+    """Compute on several records at once."""
+    count = records_in_lane(a)
+    store_neighbours(out, 0, load_records(a, nodes, 1))
+    store_neighbours(out, count, spread(load_neighbours(a, 3), 1))
+    store_neighbours(out, 2 * count, sums(load_neighbours(a, 0), load_neighbours(a, 1), load_neighbours(a, 2)))
+    store_neighbours(out, 3 * count, filled(2.5, a))
+
+
+@REALS
+@pytest.mark.parametrize("body", [side_by_side, getattr(side_by_side, "py_func", side_by_side)], ids=["jit", "plain"])
+def test_records_side_by_side(real, body, rng):
+    count = lane_width(real) // 4
+    a, out = rng.normal(size=(10, 4)).astype(real), np.zeros((5 * count, 4), real)
+    nodes = (7, 2, 2, 8)[:count]
+    body(a, nodes, out)
+    got = out.reshape(5, count, 4)
+    np.testing.assert_array_equal(got[0], a[np.array(nodes) + 1])
+    np.testing.assert_array_equal(got[1], np.repeat(a[3 : 3 + count, 1:2], 4, axis=1))
+    total = (a[:, 0] + a[:, 1]) + (a[:, 2] + a[:, 3])
+    for k in range(3):
+        np.testing.assert_array_equal(got[2][:, k], total[k : k + count])
+    np.testing.assert_array_equal(got[2][:, 3], 0.0)
+    np.testing.assert_array_equal(got[3], 2.5)
+    np.testing.assert_array_equal(got[4], 0.0)
+
+
+@REALS
+def test_tables_begin_where_a_line_of_the_cache_does(real, rng):
+    for shape in ((1,), (3, 5, lane_width(real))):
+        empty = aligned(shape, real)
+        assert (empty.shape, empty.dtype, empty.any()) == (shape, real, False)
+        assert empty.ctypes.data % LANE_BYTES == 0
+    assert pack(rng.normal(size=(2, 4 * lane_width(real))), real).ctypes.data % LANE_BYTES == 0
 
 
 def test_a_lane_is_one_register():

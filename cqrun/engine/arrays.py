@@ -13,7 +13,8 @@ from numba.extending import overload
 
 from cqrun.compile import written
 from cqrun.lanes import floor, select
-from cqrun.packed import accumulate, load, load_quads, store, store_quads
+from cqrun.packed import accumulate, load, store
+from cqrun.records import load_quads, store_quads
 
 _NAMES = {
     "load": load, "store": store, "accumulate": accumulate,

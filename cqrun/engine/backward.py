@@ -12,7 +12,7 @@ from cqrun.contract import Array
 from cqrun.engine.model import Inputs, LossBar
 from cqrun.engine.probe import record_vjp
 from cqrun.engine.step import reverse
-from cqrun.packed import pack, unpack
+from cqrun.packed import aligned, pack, unpack
 from cqrun.state import DECAY, FORCE, MASS, VOLUME, State
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ class Backward:
     def __init__(self, rollout: Rollout, loss_bar: LossBar) -> None:
         self.rollout = rollout
         drive = rollout.drive
-        self.q_bar = np.zeros_like(rollout.start)
-        self.fields_bar = np.zeros_like(rollout.fields)
+        self.q_bar = aligned(rollout.start.shape, rollout.start.dtype)
+        self.fields_bar = aligned(rollout.fields.shape, rollout.fields.dtype)
         self.drive_bar = drive._replace(
             activation=np.zeros_like(drive.activation),
             strength=np.zeros_like(drive.strength),

@@ -19,6 +19,7 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.engine.blocks import SORT_EVERY
 from cqrun.errors import RunError
+from cqrun.packed import aligned
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ def borrowed(spare: list[Array], shape: tuple[int, ...], real: Any) -> Iterator[
     held = spare.pop() if spare else None
     if held is None or held.nbytes < need:
         held = None  # given back first: never both
-        held = np.empty(need, np.uint8)
+        held = aligned((need,), np.uint8)
     try:
         yield held[:need].view(real).reshape(shape)
     finally:

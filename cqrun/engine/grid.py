@@ -16,8 +16,8 @@ from cqrun.compile import kernel, share
 from cqrun.contract import Array
 from cqrun.engine.blocks import BLOCK, first_node
 from cqrun.engine.setting import Setting, Work
-from cqrun.lanes import lane
-from cqrun.packed import load4, make4, store4
+from cqrun.lanes import lane, with_lane
+from cqrun.records import load4, make4, store4
 
 
 def components(a: Any, dims: Any) -> Any:
@@ -88,8 +88,9 @@ def update_grid_vjp(setting: Setting, conditions: Any, work: Work, thread: int, 
     strides = setting.strides
     for index in range(lo, hi):
         first = first_node(work.blocks, work.blocks.nodes[index], strides)
-        partial = work.friction_bar[index]
-        partial[:] = 0.0
+        sums = index * len(conditions)
+        for k in range(len(conditions)):
+            work.friction_bar[sums + k] = 0.0
         for i in range(BLOCK if len(setting.dims) == 3 else 1):
             for j in range(BLOCK):
                 for k in range(BLOCK):
@@ -97,16 +98,16 @@ def update_grid_vjp(setting: Setting, conditions: Any, work: Work, thread: int, 
                     mv = load4(work.grid, node)
                     m = lane(mv, 3)
                     if m > 0.0:
-                        v = components(mv / m, setting.dims)
-                        v_bar = components(load4(work.grid_bar, node), setting.dims)
+                        v_bar = load4(work.grid_bar, node)
                         held = work.held[node]
                         if held != 0:
-                            v_bar = project_all_vjp(conditions, node, held, v, v_bar, partial, 0)
-                        mv_bar = record(v_bar, 0.0, work.grid) / m
+                            v, after = components(mv / m, setting.dims), components(v_bar, setting.dims)
+                            before = project_all_vjp(conditions, node, held, v, after, work.friction_bar, sums)
+                            v_bar = record(before, 0.0, work.grid)
+                        mv_bar = v_bar / m
                         flow = mv_bar * mv / m
                         m_bar = -(lane(flow, 0) + lane(flow, 1) + lane(flow, 2))
-                        mv_bar = mv_bar + make4(0.0, 0.0, 0.0, m_bar, work.grid)
-                        store4(work.grid_bar, node, mv_bar)
+                        store4(work.grid_bar, node, with_lane(mv_bar, 3, m_bar))
                     else:
                         store4(work.grid_bar, node, 0.0)
 
@@ -116,4 +117,4 @@ def add_friction_bar(coefficient_bar: Array, work: Work) -> None:
     """Add the blocks' partial sums (one thread, in block order)."""
     for index in range(work.blocks.n_nodes[0]):
         for k in range(len(coefficient_bar)):
-            coefficient_bar[k] += work.friction_bar[index, k]
+            coefficient_bar[k] += work.friction_bar[index * len(coefficient_bar) + k]

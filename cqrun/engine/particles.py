@@ -14,8 +14,6 @@ In cells, d = dx (o - f): P2G scatters a = p, columns dx G; G2P gathers B / dx.
 
 from __future__ import annotations
 
-import numpy as np
-
 from cqrun.compile import kernel, share
 from cqrun.contract import Array
 from cqrun.engine.arrays import (
@@ -88,7 +86,7 @@ def move(group: Group, q: Array, q_next: Array, setting: Setting, work: Work, th
     D = len(dims)
     width = LANE_BYTES // q.itemsize
     lo, hi = tiles_of(group, thread, n_threads)
-    value, moment = np.empty((TILE, 4), q.dtype), np.empty((3 * TILE, 4), q.dtype)
+    value, moment = work.tile_value[thread], work.tile_moment[thread]
     fastest = load(q, 0, group.lo) * 0.0
     for tile in range(lo, hi, TILE):
         end = min(tile + TILE, hi)
@@ -161,8 +159,7 @@ def momentum_vjp(
     D, n = len(dims), work.place.shape[0]
     width = LANE_BYTES // q.itemsize
     lo, hi = tiles_of(group, thread, n_threads)
-    value, moment = np.empty((TILE, 4), q.dtype), np.empty((3 * TILE, 4), q.dtype)
-    slope = np.empty((TILE, 4), q.dtype)
+    value, moment, slope = work.tile_value[thread], work.tile_moment[thread], work.tile_slope[thread]
     fields_1, fields_2 = (work.value, work.affine), (work.value_2, work.affine_2)
     for tile in range(lo, hi, TILE):
         end = min(tile + TILE, hi)

@@ -8,6 +8,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.engine.blocks import BLOCK, Blocks, make_blocks
+from cqrun.packed import aligned
 
 MARGIN = 3
 """Grid nodes beyond each face of the world, so that stencils near a wall stay on the grid."""
@@ -79,9 +80,12 @@ class Work(NamedTuple):
     grid_v: Array  # (nodes, 4) velocity after the boundaries
     grid_bar: Array  # (nodes, 4) cotangents
     held: Array  # (nodes,) bit k: boundary condition k holds the node
-    friction_bar: Array  # (blocks, conditions) partial sums
+    friction_bar: Array  # (blocks * conditions,) partial sums
     speed: Array  # (threads,) fastest particle of the substep [m/s]
     stray: Array  # (threads,) first particle that left the grid or is not finite, else -1
+    tile_value: Array  # (threads, TILE, 4), tile_moment (threads, 3 TILE, 4): what a thread gathers at a time
+    tile_moment: Array
+    tile_slope: Array  # (threads, TILE, 4)
     blocks: Blocks
     barrier: Array  # (2,) thread barrier
 
@@ -107,13 +111,14 @@ def make_work(
     blocks = (-(-loop_shape[0] // BLOCK), loop_shape[1] // BLOCK, loop_shape[2] // BLOCK)
     n_2, nodes_2 = (n, n_nodes) if adjoint else (0, 0)
 
-    def records(rows: int) -> Array:
-        return np.zeros((rows, 4), real)
+    def records(*rows: int) -> Array:
+        return aligned((*rows, 4), real)
 
     return Work(
         records(n), records(3 * n), records(n), records(n_2), records(3 * n_2),
         records(n_nodes), records(n_nodes), records(nodes_2), held,
-        np.zeros((int(np.prod(blocks)), max(n_conditions, 1))), np.zeros(threads), np.full(threads, -1),
+        np.zeros(int(np.prod(blocks)) * n_conditions), np.zeros(threads), np.full(threads, -1),
+        records(threads, TILE), records(threads, 3 * TILE), records(threads, TILE),
         make_blocks(blocks, n), np.zeros(2, np.int64),
     )  # fmt: skip
 

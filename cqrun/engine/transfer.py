@@ -19,10 +19,22 @@ from __future__ import annotations
 
 from typing import Any
 
-from cqrun.compile import kernel
+from numba.extending import overload
+
+from cqrun.compile import kernel, written
 from cqrun.contract import Array
 from cqrun.lanes import floor, lane
-from cqrun.packed import load4, make4, store4
+from cqrun.records import (
+    filled,
+    load4,
+    load_neighbours,
+    load_records,
+    records_in_lane,
+    spread,
+    store4,
+    store_neighbours,
+    sums,
+)
 
 
 @kernel
@@ -71,43 +83,71 @@ def scatter(
         p = order[index]
         first, f = stencil(place, p, strides)
         W = weights(f)
+        w0, w1, w2 = lane(W[0], 2), lane(W[1], 2), lane(W[2], 2)
         a = load4(value, p)
         b0, b1, b2 = load4(affine, p), load4(affine, n + p), load4(affine, 2 * n + p)
+        c1, c2 = b2 * w1, (b2 + b2) * w2
         for i in range(3 if in_3d else 1):
             w_i = lane(W[i], 0) if in_3d else 1.0
             a_i = a + b0 * i
             for j in range(3):
                 w = w_i * lane(W[j], 1)
-                a_j, step = (a_i + b1 * j) * w, b2 * w
+                a_j = a_i + b1 * j
                 node = first + i * strides[0] + j * strides[1]
-                for k in range(3):
-                    store4(grid, node + k, load4(grid, node + k) + (a_j + step * k) * lane(W[k], 2))
+                store4(grid, node, load4(grid, node) + a_j * w0 * w)
+                store4(grid, node + 1, load4(grid, node + 1) + (a_j * w1 + c1) * w)
+                store4(grid, node + 2, load4(grid, node + 2) + (a_j * w2 + c2) * w)
+
+
+@kernel
+def stencils(place: Array, p: int, strides: Any) -> Any:
+    """Return the first nodes of the stencils of particles p, p + 1, ... of a lane value, and their f's."""
+    x = load_neighbours(place, p)
+    base = floor(x - 0.5)
+    return first_nodes(base, strides), x - base
+
+
+def first_nodes(base: Any, strides: Any) -> Any:
+    """Return the node number of every record (i, j, k, -), as a tuple."""
+    i, j, k = (base[axis::4].astype(int) for axis in range(3))
+    return tuple(i * strides[0] + j * strides[1] + k)
+
+
+@overload(first_nodes)
+def _first_nodes(base, strides):
+    nodes = [
+        f"int(lane(base, {at})) * strides[0] + int(lane(base, {at + 1})) * strides[1] + int(lane(base, {at + 2}))"
+        for at in range(0, base.width, 4)
+    ]
+    return written(f"lambda base, strides: ({', '.join(nodes)})", {"lane": lane})
 
 
 @kernel
 def gather(grid: Array, place: Array, value: Array, moment: Array, lo: int, hi: int, strides: Any, dims: Any) -> None:
     """Gather particles lo:hi into tile arrays: value[p - lo] = sum w g, moment = sum w g (o - f)^T.
 
+    As many particles as there are records in a lane value go side by side; hi - lo is a multiple of them.
+
     Args:
         value: (tile, 4); moment: (3 tile, 4), one axis after the other.
     """
     n = value.shape[0]
     in_3d = len(dims) == 3
-    for p in range(lo, hi):
-        first, f = stencil(place, p, strides)
+    zero, one = filled(0.0, grid), filled(1.0, grid)
+    for p in range(lo, hi, records_in_lane(grid)):
+        nodes, f = stencils(place, p, strides)
         W = weights(f)
-        w0, w1, w2 = lane(W[0], 2), lane(W[1], 2), lane(W[2], 2)
-        zero = make4(0.0, 0.0, 0.0, 0.0, grid)
+        w0, w1, w2 = spread(W[0], 2), spread(W[1], 2), spread(W[2], 2)
         v, m0, m1, m2 = zero, zero, zero, zero
         # sums over k, then j, then i: 93 multiply-adds instead of 27 * 4
         for i in range(3 if in_3d else 1):
-            w_i = lane(W[i], 0) if in_3d else 1.0
+            w_i = spread(W[i], 0) if in_3d else one
             s, s1, s2 = zero, zero, zero
             for j in range(3):
-                w_j = lane(W[j], 1)
-                node = first + i * strides[0] + j * strides[1]
-                g1, g2 = load4(grid, node + 1) * w1, load4(grid, node + 2) * w2
-                r = load4(grid, node) * w0 + g1 + g2
+                w_j = spread(W[j], 1)
+                node = i * strides[0] + j * strides[1]
+                g1, g2 = load_records(grid, nodes, node + 1) * w1, load_records(grid, nodes, node + 2) * w2
+                r = load_records(grid, nodes, node) * w0 + g1 + g2
                 s = s + r * w_j
                 s1 = s1 + r * (w_j * j)
                 s2 = s2 + (g1 + g2 * 2.0) * w_j
@@ -115,15 +155,10 @@ def gather(grid: Array, place: Array, value: Array, moment: Array, lo: int, hi: 
             m0 = m0 + s * (w_i * i)
             m1 = m1 + s1 * w_i
             m2 = m2 + s2 * w_i
-        store4(value, p - lo, v)
-        store4(moment, p - lo, m0 - v * lane(f, 0))
-        store4(moment, n + p - lo, m1 - v * lane(f, 1))
-        store4(moment, 2 * n + p - lo, m2 - v * lane(f, 2))
-
-
-@kernel
-def _sum4(a: Any) -> Any:
-    return (lane(a, 0) + lane(a, 1)) + (lane(a, 2) + lane(a, 3))
+        store_neighbours(value, p - lo, v)
+        store_neighbours(moment, p - lo, m0 - v * spread(f, 0))
+        store_neighbours(moment, n + p - lo, m1 - v * spread(f, 1))
+        store_neighbours(moment, 2 * n + p - lo, m2 - v * spread(f, 2))
 
 
 @kernel
@@ -131,7 +166,7 @@ def gather_vjp(
     grid_bar: Array, fields: Any, grid_v: Array, fields_2: Any, place: Array, value: Array, moment: Array,
     slope: Array, lo: int, hi: int, strides: Any, dims: Any,
 ) -> None:  # fmt: skip
-    """Gather the adjoints of P2G and of G2P for particles lo:hi into tile arrays.
+    """Gather the adjoints of P2G and of G2P for particles lo:hi into tile arrays, side by side as in `gather`.
 
     `value` and `moment` as in `gather`, of grid_bar; `slope` (tile, 4) is the derivative by the position in
     cells, through the weights alone, of sum_n w (grid_bar . P2G's field) + sum_n w (grid_v . the field that the
@@ -142,32 +177,33 @@ def gather_vjp(
     """
     n, m = value.shape[0], place.shape[0]
     in_3d = len(dims) == 3
-    for p in range(lo, hi):
-        first, f = stencil(place, p, strides)
+    zero, one = filled(0.0, grid_bar), filled(1.0, grid_bar)
+    for p in range(lo, hi, records_in_lane(grid_bar)):
+        nodes, f = stencils(place, p, strides)
         W, S = weights(f), slopes(f)
-        w0, w1, w2 = lane(W[0], 2), lane(W[1], 2), lane(W[2], 2)
-        d0, d1, d2 = lane(S[0], 2), lane(S[1], 2), lane(S[2], 2)
-        a, b0, b1 = load4(fields[0], p), load4(fields[1], p), load4(fields[1], m + p)
-        b2 = load4(fields[1], 2 * m + p)
-        e, c0, c1 = load4(fields_2[0], p), load4(fields_2[1], p), load4(fields_2[1], m + p)
-        c2 = load4(fields_2[1], 2 * m + p)
-        zero = make4(0.0, 0.0, 0.0, 0.0, grid_bar)
+        w0, w1, w2 = spread(W[0], 2), spread(W[1], 2), spread(W[2], 2)
+        d0, d1, d2 = spread(S[0], 2), spread(S[1], 2), spread(S[2], 2)
+        a, b0 = load_neighbours(fields[0], p), load_neighbours(fields[1], p)
+        b1, b2 = load_neighbours(fields[1], m + p), load_neighbours(fields[1], 2 * m + p)
+        e, c0 = load_neighbours(fields_2[0], p), load_neighbours(fields_2[1], p)
+        c1, c2 = load_neighbours(fields_2[1], m + p), load_neighbours(fields_2[1], 2 * m + p)
         v, m0, m1, m2, x0, x1, x2 = zero, zero, zero, zero, zero, zero, zero
         for i in range(3 if in_3d else 1):
-            w_i = lane(W[i], 0) if in_3d else 1.0
+            w_i, d_i = (spread(W[i], 0), spread(S[i], 0)) if in_3d else (one, zero)
             s, s1, s2, h, h1, h2 = zero, zero, zero, zero, zero, zero
             a_i, e_i = a + b0 * i, e + c0 * i
             for j in range(3):
-                w_j, d_j = lane(W[j], 1), lane(S[j], 1)
-                node = first + i * strides[0] + j * strides[1]
+                w_j, d_j = spread(W[j], 1), spread(S[j], 1)
+                node = i * strides[0] + j * strides[1]
                 a_j, e_j = a_i + b1 * j, e_i + c1 * j
-                g0, g1, g2 = load4(grid_bar, node), load4(grid_bar, node + 1), load4(grid_bar, node + 2)
+                g0, g1 = load_records(grid_bar, nodes, node), load_records(grid_bar, nodes, node + 1)
+                g2 = load_records(grid_bar, nodes, node + 2)
                 # entries of the scalar product <g, field>; the four are summed at the end
-                t0 = g0 * a_j + load4(grid_v, node) * e_j
+                t0 = g0 * a_j + load_records(grid_v, nodes, node) * e_j
                 a_j, e_j = a_j + b2, e_j + c2
-                t1 = g1 * a_j + load4(grid_v, node + 1) * e_j
+                t1 = g1 * a_j + load_records(grid_v, nodes, node + 1) * e_j
                 a_j, e_j = a_j + b2, e_j + c2
-                t2 = g2 * a_j + load4(grid_v, node + 2) * e_j
+                t2 = g2 * a_j + load_records(grid_v, nodes, node + 2) * e_j
                 t = t0 * w0 + t1 * w1 + t2 * w2
                 h = h + t * w_j
                 h1 = h1 + t * d_j
@@ -181,11 +217,11 @@ def gather_vjp(
             m0 = m0 + s * (w_i * i)
             m1 = m1 + s1 * w_i
             m2 = m2 + s2 * w_i
-            x0 = x0 + h * (lane(S[i], 0) if in_3d else 0.0)
+            x0 = x0 + h * d_i
             x1 = x1 + h1 * w_i
             x2 = x2 + h2 * w_i
-        store4(value, p - lo, v)
-        store4(moment, p - lo, m0 - v * lane(f, 0))
-        store4(moment, n + p - lo, m1 - v * lane(f, 1))
-        store4(moment, 2 * n + p - lo, m2 - v * lane(f, 2))
-        store4(slope, p - lo, make4(_sum4(x0), _sum4(x1), _sum4(x2), 0.0, grid_bar))
+        store_neighbours(value, p - lo, v)
+        store_neighbours(moment, p - lo, m0 - v * spread(f, 0))
+        store_neighbours(moment, n + p - lo, m1 - v * spread(f, 1))
+        store_neighbours(moment, 2 * n + p - lo, m2 - v * spread(f, 2))
+        store_neighbours(slope, p - lo, sums(x0, x1, x2))

@@ -50,7 +50,7 @@ def thrown(dim: int, direction: np.ndarray, speed: float = 20.0):
     first, second = np.full((20, dim), 0.25), np.full((40, dim), 0.3)
     first += 0.1 * np.random.default_rng(0).random(first.shape)
     second += 0.1 * np.random.default_rng(1).random(second.shape)
-    second[37] = 0.9
+    second[37] = 0.905  # at the margin's edge between substeps, not at one
     model, inputs = world([first, second], size=[1.2] * dim, dx=0.1, dt=1e-3, substeps=10, controls=10)
     inputs.state.v[20 + 37] = speed * direction
     return model, inputs
@@ -66,7 +66,7 @@ def test_a_particle_that_leaves_is_named(dim, axis, towards, threads):
     assert isinstance(error, RolloutError)
     assert (error.body, error.particle) == ("body 1", 37)
     # two cells of the margin beyond the world's face, at .02 m a substep
-    edge = (model.grid_shape[axis] - 2 - MARGIN) * 0.1 - 0.9 if towards == "high" else 0.9 + 0.2
+    edge = (model.grid_shape[axis] - 2 - MARGIN) * 0.1 - 0.905 if towards == "high" else 0.905 + 0.2
     assert error.time == pytest.approx(np.ceil(edge / 0.02 - 1e-6) * 1e-3)
     assert "left the grid at" in str(error)
     assert "enlarge the world, add a boundary" in str(error)

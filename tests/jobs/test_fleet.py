@@ -13,7 +13,11 @@ from small_beam import Listener
 from cqrun.jobs import fleet
 from cqrun.jobs.fleet import Member, run_fleet
 
-FAILS_AT_ONE = "import sys; sys.exit('told before\\nerror: seed one blew up' if sys.argv[-1] == 'seed=1' else 0)"
+FAILS_AT_ONE = """
+import sys, time
+time.sleep(0.5)
+sys.exit('told before\\nerror: seed one blew up' if sys.argv[-1] == 'seed=1' else 0)
+"""
 WAITS = """
 import pathlib, signal, sys, time
 def stop(number, frame): sys.exit(130 if number == signal.SIGINT else 75)

@@ -119,7 +119,7 @@ def test_bodies_that_do_not_match():
 def test_gradients_by_geometry_through_a_rollout(dim, tmp_path):
     """Two spinning bodies that fall, one placed and turned: every number of their shapes, against differences."""
     ends = [0.2] * (dim - 2)
-    place = {"offset": [0.3, 0.6, *[0.5] * (dim - 2)], **({"angle": 20} if dim == 2 else {"rotation": [10, 0, 20]})}
+    place = {"offset": [0.45, 0.5, *[0.3] * (dim - 2)], **({"angle": 20} if dim == 2 else {"rotation": [10, 0, 20]})}
     ball = {"ball": {"center": [0.0] * dim, "radius": 0.12}}
     bodies = {
         "a": {"shape": ball, "place": place, "particles_per_cell": 3**dim, "material": MATERIAL},

@@ -1,0 +1,308 @@
+"""Records of four numbers (a, b, c, d): a grid node, or a particle's vector, in an (n, 4) array.
+
+    make4, load4, store4                        one record
+    load_quads, store_quads                     as many records as a lane is wide, from and to four lane values
+    load_records, load_neighbours, store_neighbours
+                                                as many records as fill one lane value: 2 in float64, 4 in float32
+    spread, sums                                computing on such lane values, record by record
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba.core import types
+from numba.core.typing.templates import signature
+from numba.extending import intrinsic, overload
+
+from cqrun.lanes import LANE_BYTES, Lanes, as_lanes, index32, lane_width, llvm_real
+from cqrun.packed import address, align
+
+
+def _shuffle(builder: Any, a: Any, b: Any, picks: list[int]) -> Any:
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(picks)), picks))
+
+
+def make4(a: Any, b: Any, c: Any, d: Any, like: np.ndarray) -> Any:
+    """Return the record (a, b, c, d) in the precision of the array `like`."""
+    return np.array([a, b, c, d], dtype=like.dtype)
+
+
+@intrinsic
+def _make4(typingctx: Any, a: Any, b: Any, c: Any, d: Any, like: Any) -> Any:
+    quad = Lanes(like.dtype, 4)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vector = ir.Constant(context.get_value_type(quad), ir.Undefined)
+        for k in range(4):
+            scalar = context.cast(builder, args[k], sig.args[k], quad.real)
+            vector = builder.insert_element(vector, scalar, index32(k))
+        return vector
+
+    return signature(quad, a, b, c, d, like), codegen
+
+
+@overload(make4)
+def _make4_overload(a, b, c, d, like):
+    return lambda a, b, c, d, like: _make4(a, b, c, d, like)
+
+
+def load4(a: np.ndarray, n: int) -> Any:
+    """Return record n of an (n, 4) array."""
+    return a[n].copy()
+
+
+@intrinsic
+def _load4(typingctx: Any, a: Any, n: Any) -> Any:
+    quad = Lanes(a.dtype, 4)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
+        vector = context.get_value_type(quad)
+        return builder.load(address(context, builder, a, args[0], offset, vector), align=align(a))
+
+    return signature(quad, a, types.intp), codegen
+
+
+@overload(load4)
+def _load4_overload(a, n):
+    return lambda a, n: _load4(a, n)
+
+
+def store4(a: np.ndarray, n: int, value: Any) -> None:
+    """Write record n of an (n, 4) array; a number goes to all four."""
+    a[n] = value
+
+
+@intrinsic
+def _store4(typingctx: Any, a: Any, n: Any, value: Any) -> Any:
+    quad = Lanes(a.dtype, 4)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = as_lanes(context, builder, args[2], value, quad)
+        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
+        pointer = address(context, builder, a, args[0], offset, context.get_value_type(quad))
+        builder.store(data, pointer, align=align(a))
+        return context.get_dummy_value()
+
+    return signature(types.none, a, types.intp, value), codegen
+
+
+@overload(store4)
+def _store4_overload(a, n, value):
+    return lambda a, n, value: _store4(a, n, value)
+
+
+def store_quads(a: np.ndarray, i: int, x: Any, y: Any, z: Any, w: Any) -> None:
+    """Write records i .. i + width of an (n, 4) array from four lane values (a transpose)."""
+    rows = slice(i, i + lane_width(a.dtype))
+    a[rows, 0], a[rows, 1], a[rows, 2], a[rows, 3] = x, y, z, w
+
+
+@intrinsic
+def _store_quads(typingctx: Any, a: Any, i: Any, x: Any, y: Any, z: Any, w: Any) -> Any:
+    width = LANE_BYTES * 8 // a.dtype.bitwidth
+    lanes = Lanes(a.dtype, width)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        columns = [as_lanes(context, builder, v, t, lanes) for v, t in zip(args[2:], sig.args[2:], strict=True)]
+        pairs = [_shuffle(builder, columns[k], columns[k + 1], list(range(2 * width))) for k in (0, 2)]
+        picks = [k * width + p for p in range(width) for k in range(4)]
+        records = _shuffle(builder, pairs[0], pairs[1], picks)
+        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
+        builder.store(records, address(context, builder, a, args[0], offset, records.type), align=align(a))
+        return context.get_dummy_value()
+
+    return signature(types.none, a, types.intp, x, y, z, w), codegen
+
+
+@overload(store_quads)
+def _store_quads_overload(a, i, x, y, z, w):
+    return lambda a, i, x, y, z, w: _store_quads(a, i, x, y, z, w)
+
+
+def load_quads(a: np.ndarray, i: int) -> tuple[Any, Any, Any, Any]:
+    """Return four lane values, the components of records i .. i + width of an (n, 4) array."""
+    rows = a[i : i + lane_width(a.dtype)]
+    return rows[:, 0].copy(), rows[:, 1].copy(), rows[:, 2].copy(), rows[:, 3].copy()
+
+
+@intrinsic
+def _load_quads(typingctx: Any, a: Any, i: Any) -> Any:
+    width = LANE_BYTES * 8 // a.dtype.bitwidth
+    lanes = Lanes(a.dtype, width)
+    result = types.UniTuple(lanes, 4)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vector = ir.VectorType(llvm_real(a.dtype), 4 * width)
+        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
+        records = builder.load(address(context, builder, a, args[0], offset, vector), align=align(a))
+        undefined = ir.Constant(vector, ir.Undefined)
+        columns = [_shuffle(builder, records, undefined, [4 * p + k for p in range(width)]) for k in range(4)]
+        return context.make_tuple(builder, result, columns)
+
+    return signature(result, a, types.intp), codegen
+
+
+@overload(load_quads)
+def _load_quads_overload(a, i):
+    return lambda a, i: _load_quads(a, i)
+
+# --- several records in one lane value -----------------------------------------------------------------------
+
+
+def records_in_lane(a: np.ndarray) -> int:
+    """Return how many records of four one lane value of an array's precision holds: 2 in float64, 4 in float32."""
+    return LANE_BYTES // (4 * a.itemsize)
+
+
+def load_neighbours(a: np.ndarray, n: int) -> Any:
+    """Return records n, n + 1, ... of an (n, 4) array, as many as a lane value holds."""
+    return a[n : n + records_in_lane(a)].reshape(-1)
+
+
+def store_neighbours(a: np.ndarray, n: int, value: Any) -> None:
+    """Write records n, n + 1, ... of an (n, 4) array."""
+    a[n : n + records_in_lane(a)] = np.reshape(value, (-1, 4))
+
+
+def load_records(a: np.ndarray, nodes: Any, offset: int) -> Any:
+    """Return records nodes[0] + offset, nodes[1] + offset, ... of an (n, 4) array in one lane value."""
+    return a[np.array(nodes) + offset].reshape(-1)
+
+
+def filled(number: float, like: np.ndarray) -> Any:
+    """Return a lane value of one number in the precision of the array `like`."""
+    return np.full(lane_width(like.dtype), number, like.dtype)
+
+
+def spread(a: Any, k: int) -> Any:
+    """Return each record's entry k in all four places of that record."""
+    return np.repeat(a[k::4], 4)
+
+
+def sums(a: Any, b: Any, c: Any) -> Any:
+    """Return the records (sum of a's, of b's, of c's, 0), where a record's sum is (0 + 1) + (2 + 3)."""
+    out = np.zeros_like(a)
+    for k, x in enumerate((a, b, c)):
+        out[k::4] = (x[0::4] + x[1::4]) + (x[2::4] + x[3::4])
+    return out
+
+
+@intrinsic
+def _load_neighbours(typingctx: Any, a: Any, n: Any) -> Any:
+    lanes = Lanes(a.dtype, LANE_BYTES * 8 // a.dtype.bitwidth)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
+        vector = context.get_value_type(lanes)
+        return builder.load(address(context, builder, a, args[0], offset, vector), align=align(a))
+
+    return signature(lanes, a, types.intp), codegen
+
+
+@intrinsic
+def _store_neighbours(typingctx: Any, a: Any, n: Any, value: Any) -> Any:
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
+        pointer = address(context, builder, a, args[0], offset, args[2].type)
+        builder.store(args[2], pointer, align=align(a))
+        return context.get_dummy_value()
+
+    return signature(types.none, a, types.intp, value), codegen
+
+
+@intrinsic
+def _load_records(typingctx: Any, a: Any, nodes: Any, offset: Any) -> Any:
+    lanes, quad = Lanes(a.dtype, LANE_BYTES * 8 // a.dtype.bitwidth), Lanes(a.dtype, 4)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vector = context.get_value_type(quad)
+        parts = []
+        for k in range(len(nodes)):
+            node = builder.add(builder.extract_value(args[1], k), args[2])
+            offset = builder.mul(node, ir.Constant(node.type, 4))
+            parts.append(builder.load(address(context, builder, a, args[0], offset, vector), align=align(a)))
+        while len(parts) > 1:
+            wide = list(range(2 * parts[0].type.count))
+            parts = [_shuffle(builder, parts[k], parts[k + 1], wide) for k in range(0, len(parts), 2)]
+        return parts[0]
+
+    return signature(lanes, a, nodes, types.intp), codegen
+
+
+@intrinsic
+def _filled(typingctx: Any, number: Any, like: Any) -> Any:
+    lanes = Lanes(like.dtype, LANE_BYTES * 8 // like.dtype.bitwidth)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return as_lanes(context, builder, args[0], number, lanes)
+
+    return signature(lanes, number, like), codegen
+
+
+@intrinsic(prefer_literal=True)
+def _spread(typingctx: Any, a: Any, k: Any) -> Any:
+    place = k.literal_value
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        picks = [lane // 4 * 4 + place for lane in range(a.width)]
+        return _shuffle(builder, args[0], ir.Constant(args[0].type, ir.Undefined), picks)
+
+    return signature(a, a, k), codegen
+
+
+@intrinsic
+def _sums(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        undefined = ir.Constant(args[0].type, ir.Undefined)
+        totals = []
+        for x in args:
+            for step in (1, 2):
+                other = _shuffle(builder, x, undefined, [lane ^ step for lane in range(a.width)])
+                x = builder.fadd(x, other)
+            totals.append(x)
+        first = [lane + a.width * (lane % 4 % 2) for lane in range(a.width)]
+        zero = ir.Constant(args[0].type, [0.0] * a.width)
+        pairs = _shuffle(builder, totals[0], totals[1], first), _shuffle(builder, totals[2], zero, first)
+        return _shuffle(builder, *pairs, [lane + a.width * (lane % 4 // 2) for lane in range(a.width)])
+
+    return signature(a, a, b, c), codegen
+
+
+@overload(records_in_lane)
+def _records_in_lane(a):
+    count = LANE_BYTES * 2 // a.dtype.bitwidth
+    return lambda a: count
+
+
+@overload(load_neighbours)
+def _load_neighbours_overload(a, n):
+    return lambda a, n: _load_neighbours(a, n)
+
+
+@overload(store_neighbours)
+def _store_neighbours_overload(a, n, value):
+    return lambda a, n, value: _store_neighbours(a, n, value)
+
+
+@overload(load_records)
+def _load_records_overload(a, nodes, offset):
+    return lambda a, nodes, offset: _load_records(a, nodes, offset)
+
+
+@overload(filled)
+def _filled_overload(number, like):
+    return lambda number, like: _filled(number, like)
+
+
+@overload(spread, prefer_literal=True)
+def _spread_overload(a, k):
+    return lambda a, k: _spread(a, k)
+
+
+@overload(sums)
+def _sums_overload(a, b, c):
+    return lambda a, b, c: _sums(a, b, c)
