@@ -8,6 +8,7 @@ another machine, is left in results/figures/SIZE/unfinished; `--minutes 0` does 
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -37,6 +38,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--list", action="store_true", help="list the figures and how long they take")
     parser.add_argument("--page", action="store_true", help="only write index.html, from what was published")
     options = parser.parse_args(words)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(75))  # so that runs are asked to stop, too
     chosen = [FIGURES[name] for name in options.only]
     if options.list:
         _list(chosen, options.runs)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
@@ -13,6 +14,7 @@ from cqrun.optimizers.adam import Adam
 from cqrun.optimizers.base import Outcome, Problem, Session, refuse_stochastic, require_finite, terms_of
 from cqrun.optimizers.constrained import (
     ConstrainedOptimizer,
+    ConstrainedProblem,
     Kkt,
     most_violated,
     projected,
@@ -22,7 +24,14 @@ from cqrun.optimizers.constrained import (
     verdict,
 )
 from cqrun.optimizers.descent import DescentState
+from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
 from cqrun.registry import plugin
+
+LONGEST = 0.1
+"""Of a step to the constraints, in an unknown's scaled range."""
+
+HEAVY = 1e6
+"""Weight of what such a step leaves of the violations, beside its length."""
 
 
 @plugin("optimizer", "augmented_lagrangian")
@@ -31,7 +40,9 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
 
     Its gradient is that of f + w.c with w = y + rho (c - p), which one backward run gives for all constraints. Every
     `inner` iterations the multipliers y become w, and the penalty rho grows where the violation has not fallen enough.
-    J. Nocedal, S. Wright: Numerical optimization (2006), sections 17.3 and 17.4.
+    Then come `restoring` steps of another kind: the shortest ones that meet the constraints linearised at x (Gauss and
+    Newton's), for the last digits of the constraints, which a penalty is slow to give.
+    J. Nocedal, S. Wright: Numerical optimization (2006), sections 15.4 (normal steps), 17.3 and 17.4.
     """
 
     max_iterations: int = Field(500, ge=1, description="iterations at most")
@@ -42,6 +53,13 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
     growth: float = Field(2.0, gt=1, description="by which rho grows")
     enough: float = Field(0.5, gt=0, lt=1, description="part to which the violation must fall, or rho grows")
     penalty_limit: float = Field(100.0, gt=0, description="rho grows no further")
+    restoring: int = Field(2, ge=0, description="steps straight to the constraints after each update; one sweep each more")
+
+    @model_validator(mode="after")
+    def _leaves_room(self) -> Self:
+        if self.restoring >= self.inner:
+            raise ValueError(f"`restoring` must be below `inner` ({self.inner}): nothing would lower the objective")
+        return self
 
     def require(self, problem: Problem) -> None:
         """Refuse what has no constraints to ask for, and what changes from iteration to iteration."""
@@ -67,6 +85,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         return super().begin_memory(problem, x) | {
             "multipliers": np.zeros(m),
             "penalty": np.array(self.penalty),
+            "restoring": np.array(0),
             "violation": np.array(np.inf),
             "best": np.array([np.inf, np.inf]),
         }
@@ -82,11 +101,31 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
             aim = c + y / rho
             return np.asarray(rho * (aim - np.clip(aim, low, high)))
 
-        f, c, g = problem.lagrangian(x, weigh)  # type: ignore[attr-defined]
+        normal = {}
+        if memory["restoring"] > 0:
+            f, g, c, J = problem.gradients_and_constraints(x)  # type: ignore[attr-defined]
+            require_finite(x, jacobian=J)
+            g = g + weigh(c) @ J
+            normal = {"normal": self._normal_step(problem, x, c, J)}  # type: ignore[arg-type]
+        else:
+            f, c, g = problem.lagrangian(x, weigh)  # type: ignore[attr-defined]
         require_finite(x, loss=np.asarray(f), constraints=c, gradient=g)
         terms = np.array(problem.term_values(), float)
         excess = np.array(most_violated(c, low, high))
-        return {"f": np.array(f, float), "g": g, "c": c, "w": weigh(c), "violation": excess, "terms": terms}
+        return {"f": np.array(f, float), "g": g, "c": c, "w": weigh(c), "violation": excess, "terms": terms} | normal
+
+    def _normal_step(self, problem: ConstrainedProblem, x: Array, c: Array, J: Array) -> Array:
+        """Return the shortest step (n,) in the box that meets the linearised constraints, cut to `LONGEST`."""
+        # a little inside, so that it does not end on the edge; an equality stays one
+        inside = np.minimum(0.5 * self.constraint_tolerance, 0.5 * (problem.c_high - problem.c_low))
+        ends = problem.c_low + inside - c, problem.c_high - inside - c
+        box = problem.lower - x, problem.upper - x
+        d, _ = quadratic_program(LowRank(1.0), np.zeros(len(x)), J, ends, box, HEAVY)
+        return np.asarray(d * min(1.0, LONGEST / max(float(np.max(np.abs(d), initial=0.0)), LONGEST)))
+
+    def stride(self, iteration: int, direction: Array, answer: dict[str, Array]) -> Array:
+        """Return the step of Adam, or minus the one straight to the constraints."""
+        return -answer["normal"] if "normal" in answer else super().stride(iteration, direction, answer)
 
     def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
         """Return Adam's direction, and all that is remembered."""
@@ -95,13 +134,19 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
 
     def learn(self, iteration: int, answer: dict[str, Array], memory: dict[str, Array]) -> dict[str, Array]:
         """Return the memory with the multipliers and the penalty moved on where they are due."""
-        memory = memory | {"best": np.array(min(tuple(memory["best"]), self._rank(answer)))}
+        memory = memory | {
+            "best": np.array(min(tuple(memory["best"]), self._rank(answer))),
+            "restoring": np.maximum(memory["restoring"] - 1, 0),
+        }
         if iteration == 0 or iteration % self.inner:
             return memory
         rho = memory["penalty"]
         if answer["violation"] > max(self.constraint_tolerance, self.enough * memory["violation"]):
             rho = np.minimum(self.growth * rho, self.penalty_limit)
-        return memory | {"multipliers": answer["w"], "penalty": rho, "violation": answer["violation"]}
+        return memory | {
+            "multipliers": answer["w"], "penalty": rho, "violation": answer["violation"],
+            "restoring": np.array(self.restoring),
+        }  # fmt: skip
 
     def better(self, state: DescentState, answer: dict[str, Array]) -> bool:
         """Say whether an evaluation violates less than all before, or nothing and is lower."""

@@ -26,6 +26,9 @@ METHODS = {
     "nlopt slsqp": Nlopt(max_iterations=200),
     "nlopt auglag": Nlopt(algorithm="auglag", max_iterations=2000, feasibility_first=False),
     "augmented_lagrangian": AugmentedLagrangian(max_iterations=900, learning_rate=0.05, gradient_tolerance=1e-5),
+    "augmented_lagrangian, by the penalty alone": AugmentedLagrangian(
+        max_iterations=900, learning_rate=0.05, gradient_tolerance=1e-5, restoring=0
+    ),
 }
 
 

@@ -29,6 +29,7 @@ METHODS = {
     "nlopt": Nlopt(max_iterations=12),
     "trust_constr": TrustConstr(max_iterations=12),
     "augmented_lagrangian": AugmentedLagrangian(max_iterations=25, inner=4),
+    "augmented_lagrangian, by the penalty alone": AugmentedLagrangian(max_iterations=25, inner=4, restoring=0),
     "sgd": Sgd(max_iterations=25, learning_rate=0.01, momentum=0.5, batch_size=4, decay=0.01),
 }
 
