@@ -24,6 +24,7 @@ import numpy as np
 
 from cqrun.errors import UsageError
 from cqrun.jobs.control import optimizer_of, prepare
+from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.fleet import Member, run_fleet
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.report import number, table
@@ -73,6 +74,11 @@ def run_seeds(
     at_once = min(seeds, n_threads if jobs is None else jobs)
     problem = prepare(load_scene(source, overrides), 1, talk, job)
     scene, optimizer = problem.built.scene, optimizer_of(problem.built)
+    if seeds > 1 and not optimizer.draws and starts_alike(problem):
+        talk.warn(
+            f"--seeds {seeds}: nothing in this scene is drawn from its seed, so every run will be the same; give "
+            "the controller a random start, such as open_loop's `noise`"
+        )
     compile_kernels([problem.built], talk, adjoint=optimizer.gradients)
     words = command_of(job, source, out, n_threads // at_once, fresh, allow_plugins)
     all_of_them = [member(words, source, scene, overrides, k, out, job) for k in range(seeds)]
@@ -98,6 +104,13 @@ def require_seeds(overrides: Sequence[str], seeds: int, jobs: int | None) -> Non
     for override in overrides:
         if override.partition("=")[0].strip() == "seed":
             raise UsageError(f"-o {override}: --seeds gives every run a seed of its own: remove one of the two")
+
+
+def starts_alike(problem: EpisodeProblem) -> bool:
+    """Say whether another seed of the scene gives the same start."""
+    built = problem.built
+    other = EpisodeProblem(replace(built, scene=with_values(built.scene, {"seed": built.scene.seed + 1})))
+    return bool(np.array_equal(other.start, problem.start))
 
 
 def command_of(job: str, source: Path, out: Path, threads: int, fresh: bool, allow_plugins: bool) -> list[str]:

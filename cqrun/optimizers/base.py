@@ -140,6 +140,11 @@ class Optimizer(Plugin):
     squares: ClassVar[bool] = False
     max_iterations: int
 
+    @property
+    def draws(self) -> bool:
+        """Whether it draws anything from the run's seed."""
+        return False
+
     def require(self, problem: Problem) -> None:
         """Refuse, with a UsageError, a problem that the method cannot minimise; `minimise` begins with it."""
 

@@ -52,6 +52,11 @@ class CmaEs(Optimizer):
         1e-11, ge=0, description="converged when the standard deviation is less in every coordinate"
     )
 
+    @property
+    def draws(self) -> bool:
+        """Its trials."""
+        return True
+
     def minimise(self, problem: Problem, session: Session) -> Outcome:
         """Minimise with exact resume through the session's log.
 

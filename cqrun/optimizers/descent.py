@@ -110,6 +110,11 @@ class Descent(Optimizer):
         description="converged when no component of the projected full gradient is larger; 0: never",
     )
 
+    @property
+    def draws(self) -> bool:
+        """Whether gradients are masked, or mini-batches drawn."""
+        return self.mask > 0 or self.batch_size is not None
+
     @abstractmethod
     def memory_names(self) -> tuple[str, ...]:
         """Return the names of the (n,) vectors the method remembers; they start at zero."""

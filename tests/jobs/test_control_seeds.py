@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import signal
 import subprocess
@@ -77,6 +78,20 @@ def test_seeds_that_change_nothing_are_told(tmp_path):
     path = tmp_path / "summary.json"
     path.write_text(json.dumps({"confidence": 0.9, "seeds": seeds, "all": {"trained": {"loss": same}}}))
     assert "note: every seed found the same: nothing in this scene is drawn from its seed" in summary_lines(path)
+
+
+def test_seeds_that_will_change_nothing_are_warned_of(finger, tmp_path, monkeypatch):
+    monkeypatch.setattr(seeds, "run_fleet", lambda *rest: None)
+    monkeypatch.setattr(seeds, "_summary", lambda stem, all_of_them: {"seeds": {}, "all": {}})
+    warned = {}
+    for controller, optimizer in itertools.product(
+        ["{}", "{noise: 0.1}"], ["adam: {}", "adam: {mask: 0.2}", "cma_es: {}", "lbfgs: {}"]
+    ):
+        listener = Listener()
+        overrides = [f"controller={{open_loop: {controller}}}", f"optimizer={{{optimizer}}}", "observers={}"]
+        run_seeds(finger, overrides, tmp_path, False, 1, seeds=2, reporter=listener)
+        warned[controller, optimizer] = any("nothing in this scene is drawn from its seed" in s for s in listener.said)
+    assert {key for key, told in warned.items() if told} == {("{}", "adam: {}"), ("{}", "lbfgs: {}")}
 
 
 def test_a_stopped_command_says_how_to_go_on(finger, tmp_path, monkeypatch):
