@@ -63,12 +63,14 @@ class Acting:
     kind: type
     particles: np.ndarray
     constants: np.ndarray
+    rest: float = 0.0
 
     @classmethod
     def of(cls, spec: Actuator, particles: np.ndarray, x: np.ndarray) -> Acting:
         """Return a plug-in on some of the particles at rest at x (N, D)."""
         particles = np.asarray(particles, np.int64)
-        return cls(spec.kernel(x.shape[1]), particles, spec.constants(x[particles]))
+        own = x[particles]
+        return cls(spec.kernel(x.shape[1]), particles, spec.constants(own), spec.rest_length(own))
 
 
 def every_kind(wanted: list[Acting], dim: int) -> tuple[list[Acting], np.ndarray]:
@@ -146,4 +148,5 @@ def world(
     signals = np.zeros((controls, len(acting)))
     if activation is not None:
         signals[:, chosen] = activation
-    return model, Inputs(State.at_rest(x), fields, [terms], signals, np.ones(len(acting)), coefficients)
+    rest = np.array([a.rest for a in acting])
+    return model, Inputs(State.at_rest(x), fields, [terms], signals, np.ones(len(acting)), coefficients, rest=rest)

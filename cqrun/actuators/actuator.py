@@ -75,6 +75,14 @@ class Actuator(Plugin):
             x: the part's particles at rest (n, D) [m].
         """
 
+    def rest_length(self, x: Array) -> float:
+        """Return the length at rest [m] of a part whose particles at rest are x (n, D) [m]; 0 where it has none."""
+        return 0.0
+
+    def rest_length_vjp(self, x: Array, bar: float) -> Array:
+        """Return the cotangent of x (n, D)."""
+        return np.zeros(x.shape)
+
     def problem(self, x: Array, dx: float) -> str | None:
         """Return what is wrong with a part whose particles at rest are x (n, D) [m], in cells of dx [m], or None."""
         return None

@@ -30,7 +30,6 @@ class Kernel(NamedTuple):
     start: Array  # (A_k + 1,) where a cable's particles begin
     columns: Array  # particles along the routes, in order
     actuators: Array  # (A_k,)
-    rest: Array  # (A_k,) length at rest [m]
 
 
 @plugin("actuator", "cable")
@@ -111,8 +110,19 @@ class Cable(Actuator):
         return Kernel
 
     def constants(self, x: Array) -> Array:
-        """Return the rest length (1,) [m] of a route along particles at x (r, D)."""
-        return np.array([np.linalg.norm(np.diff(x, axis=0), axis=1).sum()])
+        """Return nothing."""
+        return np.zeros(0)
+
+    def rest_length(self, x: Array) -> float:
+        """Return the length [m] of a route along particles at x (r, D) [m]."""
+        return float(np.linalg.norm(np.diff(x, axis=0), axis=1).sum())
+
+    def rest_length_vjp(self, x: Array, bar: float) -> Array:
+        """Return the cotangent of x (r, D)."""
+        gaps = np.diff(x, axis=0)
+        along = bar * gaps / np.linalg.norm(gaps, axis=1, keepdims=True)
+        ends = np.zeros((1, x.shape[1]))
+        return np.asarray(np.concatenate([ends, along]) - np.concatenate([along, ends]))
 
     def stiffness_at_nodes(self, strength: float) -> float:
         """Return that of a node between two springs of the cable's stiffness [N/m]."""
@@ -121,7 +131,7 @@ class Cable(Actuator):
 
 def make_kernel(actuators: Array, columns: list[Array], constants: list[Array]) -> Kernel:
     """Return the kernels' view of all cables."""
-    return Kernel(*starts_of(columns), actuators, np.array([c[0] for c in constants]))
+    return Kernel(*starts_of(columns), actuators)
 
 
 @kernel
@@ -137,12 +147,18 @@ def segment(q: Array, p: int, r: int, in_3d: bool) -> tuple[float, float, float,
 
 
 @kernel
-def stretch(cables: Kernel, k: int, u: float, q: Array, in_3d: bool) -> float:
+def stretch(cables: Kernel, k: int, left: float, q: Array, in_3d: bool) -> float:
     """Return how far a cable is stretched beyond what is left of it [m]; negative where it is slack."""
     total = 0.0
     for i in range(cables.start[k], cables.start[k + 1] - 1):
         total += segment(q, cables.columns[i], cables.columns[i + 1], in_3d)[3]
-    return total - (0.0 if u <= 0.0 else u) * cables.rest[k]
+    return total - left
+
+
+@kernel
+def reeled(u: float) -> float:
+    """Return max(0, u)."""
+    return 0.0 if u <= 0.0 else u
 
 
 @kernel
@@ -161,7 +177,8 @@ def pull(cables: Kernel, drive: Any, control: int, q: Array, fields: Array, forc
     in_3d = force.shape[1] == 3
     for k in range(len(cables.actuators)):
         a = cables.actuators[k]
-        tension = drive.strength[a] * stretch(cables, k, drive.activation[control, a], q, in_3d)
+        left = reeled(drive.activation[control, a]) * drive.rest[a]
+        tension = drive.strength[a] * stretch(cables, k, left, q, in_3d)
         # what is not a number pulls too, so that it is found where it moves a particle
         if not tension <= 0.0:
             for i in range(cables.start[k], cables.start[k + 1] - 1):
@@ -191,7 +208,7 @@ def pull_vjp(
     for k in range(len(cables.actuators)):
         a = cables.actuators[k]
         u, stiffness = drive.activation[control, a], drive.strength[a]
-        s = stretch(cables, k, u, q, in_3d)
+        s = stretch(cables, k, reeled(u) * drive.rest[a], q, in_3d)
         # one-sided at the kinks: just taut (s = 0) as if stretched; reeled in (u = 0) as for u > 0,
         # the only side within the limits
         if s >= 0.0:
@@ -203,8 +220,9 @@ def pull_vjp(
                 tension_bar += fx * x + fy * y + fz * z
             length_bar = stiffness * tension_bar
             drive_bar.strength[a] += s * tension_bar
+            drive_bar.rest[a] -= reeled(u) * length_bar
             if u >= 0.0:
-                drive_bar.activation[control, a] -= cables.rest[k] * length_bar
+                drive_bar.activation[control, a] -= drive.rest[a] * length_bar
             for i in range(cables.start[k], cables.start[k + 1] - 1):
                 p, r = cables.columns[i], cables.columns[i + 1]
                 x, y, z, length = segment(q, p, r, in_3d)

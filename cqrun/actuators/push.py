@@ -6,9 +6,10 @@ A kind of force reaches the kernels as a `NamedTuple` of its own class that hold
     push(kernel, drive, control, q, fields, force)
     push_vjp(kernel, drive, drive_bar, control, q, q_bar, fields, fields_bar)
 
-`drive.activation[control, a]` [1] and `drive.strength[a]` belong to actuator a; q, fields and force (D, n) [N] are
-packed (`state.py`, `packed.py`). The first adds to `force`; the second takes `drive_bar.push`, the cotangent of
-`force`, and adds to those of all others. Both run every substep on one thread, over few particles.
+`drive.activation[control, a]` [1], `drive.strength[a]` and `drive.rest[a]` [m] belong to actuator a; q, fields and
+force (D, n) [N] are packed (`state.py`, `packed.py`). The first adds to `force`; the second takes
+`drive_bar.push`, the cotangent of `force`, and adds to those of all others. Both run every substep on one thread, over
+few particles.
 """
 
 from __future__ import annotations

@@ -37,6 +37,7 @@ class Backward:
         self.drive_bar = drive._replace(
             activation=np.zeros_like(drive.activation),
             strength=np.zeros_like(drive.strength),
+            rest=np.zeros_like(drive.rest),
             stresses=tuple(
                 s._replace(theta=np.zeros_like(s.theta), weight=np.zeros_like(s.weight)) for s in drive.stresses
             ),
@@ -129,6 +130,8 @@ class Backward:
                 bar.terms[g][k][:] = unpack(group.terms[k].theta)[:, columns[slice_]]
         bar.activation[:], bar.strength[:] = self.drive_bar.activation, self.drive_bar.strength
         bar.coefficients[:] = self.coefficient_bar
+        if len(bar.rest):
+            bar.rest[:] = self.drive_bar.rest
         if len(bar.weights):
             self._add_weights(bar.weights)
         return bar

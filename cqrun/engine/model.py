@@ -129,8 +129,9 @@ class Model:
         ends = np.cumsum([0, *(len(a.particles) for a in self.actuators)])
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
-    def kernel_drive(self, activation: Array, strength: Array, weights: Array) -> Drive:
-        """Return what the actuators act through, for activations (T, A), strengths (A,) and weights of particles."""
+    def kernel_drive(self, inputs: Inputs) -> Drive:
+        """Return what the actuators act through."""
+        weights, rest = inputs.weights, inputs.rest
         columns, (stresses, forces) = self.layout.columns(), self.kinds()
         pieces, shares = [columns[a.particles] for a in self.actuators], self.weight_slices
         if not len(weights):
@@ -148,8 +149,9 @@ class Model:
 
         n_pushed = self.layout.n if forces else 0
         return Drive(
-            np.array(activation, np.float64, order="C"),
-            np.array(strength, np.float64),
+            np.array(inputs.activation, np.float64, order="C"),
+            np.array(inputs.strength, np.float64),
+            np.array(rest, np.float64) if len(rest) else np.zeros(len(self.actuators)),
             tuple(stress(kind) for kind in stresses),
             tuple(make_kernel(kind, *of(kind)) for kind in forces),
             pack(np.zeros((self.dim, n_pushed)), self.real),
@@ -163,6 +165,7 @@ class Inputs:
     `terms[g][k]` (rows, N_g) are the parameters of term k of group g, `activation` (T, A) has one row a control step,
     `strength` (A,) one number an actuator, in its own unit, `coefficients` one a plane of a boundary condition,
     `weights` one a particle of each actuator, one actuator after another; all 1 if empty. Forces have no weights.
+    `rest` (A,) is the length at rest of each actuator [m], which cables have; all 0 if empty.
     """
 
     state: State
@@ -172,6 +175,7 @@ class Inputs:
     strength: Array
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
     weights: Array = field(default_factory=lambda: np.zeros(0))
+    rest: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def zeros_like(cls, other: Inputs) -> Inputs:
@@ -185,6 +189,7 @@ class Inputs:
             np.zeros_like(other.strength),
             np.zeros_like(other.coefficients),
             np.zeros_like(other.weights),
+            np.zeros_like(other.rest),
         )
 
 
@@ -212,8 +217,8 @@ class Records:
 
     def to_rows(self) -> Array:
         """Return kernel rows (T + 1, rows, K)."""
-        lead = self.x.shape[:2]
-        parts = [self.x, self.v, self.C.reshape(*lead, -1), self.F.reshape(*lead, -1)]
+        flat = (*self.x.shape[:2], self.x.shape[2] ** 2)  # not -1: there may be no rows
+        parts = [self.x, self.v, self.C.reshape(flat), self.F.reshape(flat)]
         return np.ascontiguousarray(np.concatenate(parts, axis=2).transpose(0, 2, 1))
 
     @classmethod

@@ -86,7 +86,7 @@ class Rollout:
         layout, real, shape = model.layout, model.real, model.grid_shape
         self.start = inputs.state.pack(layout, real)
         self.fields = self._pack_fields(inputs.fields)
-        self.drive = model.kernel_drive(inputs.activation, inputs.strength, inputs.weights)
+        self.drive = model.kernel_drive(inputs)
         self.groups = self.kernel_groups(inputs.terms, self.drive)
         self.conditions = tuple(c.kernel(inputs.coefficients[k]) for k, c in enumerate(model.conditions))
         self.probe = model.kernel_probe()

@@ -51,10 +51,11 @@ class Stresses(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What activations act through; as a cotangent, theta, push, activation and strength are theirs."""
+    """What activations act through; as a cotangent, theta, push, activation, strength and rest are theirs."""
 
     activation: Array  # (T, A) one row a control step [1]
     strength: Array  # (A,) in each actuator's own unit
+    rest: Array  # (A,) length at rest [m]
     stresses: tuple[Stresses, ...]  # one a kind of active stress
     forces: tuple[Any, ...]  # one kernel a kind of force
     push: Array  # (D, n) force of the actuators, packed [N]; no columns where nothing pushes

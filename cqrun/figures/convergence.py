@@ -226,7 +226,7 @@ def plot_unknown(axes: Axes, iteration: Array, curve: UnknownCurve, *, tell_boun
     _pad_iterations(axes, iteration)
     name = curve.unit.label(curve.label)
     if curve.values.shape[1] == 0:
-        _plot_gradient(axes, iteration, curve, name)
+        _plot_gradient(axes, iteration, curve, curve.label)
         return
     low, high = view(curve)
     if curve.log and high / low >= WIDE_LOG:
@@ -258,7 +258,7 @@ def _plot_gradient(axes: Axes, iteration: Array, curve: UnknownCurve, name: str)
     found = ""
     if curve.final is not None:
         found = f"{curve.final.size} values, {number(curve.final.min())} to {number(curve.final.max())}"
-    titled(axes, name, found)
+    titled(axes, f"Gradient by {name}", found)
 
 
 def _plot_intervals(axes: Axes, iteration: Array, curve: UnknownCurve, shown: tuple[float, float]) -> None:

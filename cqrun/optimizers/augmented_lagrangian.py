@@ -53,7 +53,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
     growth: float = Field(2.0, gt=1, description="by which rho grows")
     enough: float = Field(0.5, gt=0, lt=1, description="part to which the violation must fall, or rho grows")
     penalty_limit: float = Field(100.0, gt=0, description="rho grows no further")
-    restoring: int = Field(2, ge=0, description="steps straight to the constraints after each update; one sweep each more")
+    restoring: int = Field(2, ge=0, description="steps straight to the constraints after an update, a sweep each more")
 
     @model_validator(mode="after")
     def _leaves_room(self) -> Self:
@@ -119,7 +119,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         # a little inside, so that it does not end on the edge; an equality stays one
         inside = np.minimum(0.5 * self.constraint_tolerance, 0.5 * (problem.c_high - problem.c_low))
         ends = problem.c_low + inside - c, problem.c_high - inside - c
-        box = problem.lower - x, problem.upper - x
+        box = np.maximum(problem.lower - x, -1.0), np.minimum(problem.upper - x, 1.0)
         d, _ = quadratic_program(LowRank(1.0), np.zeros(len(x)), J, ends, box, HEAVY)
         return np.asarray(d * min(1.0, LONGEST / max(float(np.max(np.abs(d), initial=0.0)), LONGEST)))
 

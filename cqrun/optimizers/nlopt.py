@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -48,7 +49,19 @@ class Nlopt(TwoSearches):
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
     ) -> tuple[Status, str]:
         """Run NLopt once; in search of feasibility f counts as 0, and `Feasible` is raised on success."""
-        nlopt, start = library(), x.tobytes()
+        nlopt, start, raised = library(), x.tobytes(), list[BaseException]()
+
+        def keeping(function: Callable[..., Any]) -> Callable[..., Any]:
+            """Keep what a function raises: a method inside a method loses it."""
+
+            def call(*args: Any) -> Any:
+                try:
+                    return function(*args)
+                except BaseException as error:
+                    raised.append(error)
+                    raise
+
+            return call
 
         def objective(x: Array, grad: Array) -> float:
             here = x.copy()  # NLopt's own memory, which changes
@@ -61,16 +74,22 @@ class Nlopt(TwoSearches):
             return 0.0 if feasibility else trials.values(here)[0]
 
         method = self._made(nlopt, len(x))
+        if not feasibility:  # a constant would be converged at once
+            method.set_ftol_rel(self.function_tolerance)
         method.set_lower_bounds(lower)
         method.set_upper_bounds(upper)
-        method.set_min_objective(objective)
-        _constrain(method, trials, 0.1 * self.constraint_tolerance)
+        method.set_min_objective(keeping(objective))
+        _constrain(method, trials, 0.1 * self.constraint_tolerance, keeping)
         try:
             method.optimize(np.clip(x, lower, upper))
-        except nlopt.RoundoffLimited:
-            return "converged", "NLopt: as far as rounding lets it come"
-        except (RuntimeError, ValueError) as error:
+        except Exception as error:  # its own classes differ from version to version
+            if raised:
+                raise raised[0] from None
+            if isinstance(error, nlopt.RoundoffLimited):
+                return "converged", "NLopt: as far as rounding lets it come"
             return "stalled", f"NLopt: {str(error) or 'failure'}"
+        if raised:
+            raise raised[0]
         code = int(method.last_optimize_result())
         return ("converged" if code in CONVERGED else "stalled"), f"NLopt: {nlopt_result(nlopt, code)}"
 
@@ -83,11 +102,12 @@ class Nlopt(TwoSearches):
             method.set_local_optimizer(inner)
         else:
             method = nlopt.opt({"slsqp": nlopt.LD_SLSQP, "mma": nlopt.LD_MMA}[self.algorithm], n)
-        method.set_ftol_rel(self.function_tolerance)
         return method
 
 
-def _constrain(method: Any, trials: ConstrainedTrials, tolerance: float) -> None:
+def _constrain(
+    method: Any, trials: ConstrainedTrials, tolerance: float, keeping: Callable[[Callable[..., Any]], Any]
+) -> None:
     """Give NLopt the constraints: c_low - c <= 0, c - c_high <= 0, and c - c_low = 0."""
     low, high = trials.problem.c_low, trials.problem.c_high
     equal = low == high
@@ -104,7 +124,7 @@ def _constrain(method: Any, trials: ConstrainedTrials, tolerance: float) -> None
                 grad[:] = sign * trials.gradients(here)["J"][rows]
             result[:] = sign * (trials.values(here)[1] - end)[rows]
 
-        add(constraint, np.full(int(rows.sum()), tolerance))
+        add(keeping(constraint), np.full(int(rows.sum()), tolerance))
 
 
 def nlopt_result(nlopt: Any, code: int) -> str:

@@ -12,6 +12,7 @@ from cqrun.contract import Array
 from cqrun.optimizers.base import Outcome, Problem, Session, Status, refuse_stochastic
 from cqrun.optimizers.constrained import ConstrainedOptimizer, ConstrainedTrials, ended, require_constraints
 from cqrun.optimizers.replayed import minimise_with_restarts
+from cqrun.optimizers.slsqp import require_size
 from cqrun.registry import plugin
 
 INSIDE = 1e-6
@@ -31,9 +32,10 @@ class TrustConstr(ConstrainedOptimizer):
     step_tolerance: float = Field(1e-8, gt=0, description="converged when the trust region is smaller")
 
     def require(self, problem: Problem) -> None:
-        """Refuse what has no constraints to ask for, and what changes from iteration to iteration."""
+        """Refuse what has no constraints to ask for, changes from iteration to iteration, or is too large."""
         require_constraints(problem, self.name)
         refuse_stochastic(problem, self)
+        require_size(problem, self.name)
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:
         """Minimise with exact resume through the session's log; UsageError as `require`."""

@@ -88,6 +88,20 @@ class Actuation:
     def _scale(part: Part) -> str:
         return f"{part.path}.{part.spec.scale}"
 
+    # --- lengths at rest ------------------------------------------------------------------------------------------
+
+    def rests(self, x: Array) -> Array:
+        """Return every part's length at rest (A,) [m] where particles rest at x (N, D)."""
+        return np.array([part.spec.rest_length(x[part.model.particles]) for part in self.parts])
+
+    def rests_vjp(self, x: Array, rest_bar: Array) -> Array:
+        """Return the cotangent of x (N, D)."""
+        x_bar = np.zeros(x.shape)
+        for part, bar in zip(self.parts, rest_bar, strict=True):
+            held = part.model.particles
+            np.add.at(x_bar, held, part.spec.rest_length_vjp(x[held], float(bar)))
+        return x_bar
+
     # --- weights --------------------------------------------------------------------------------------------------
 
     def weights(self, values: Values) -> Array:

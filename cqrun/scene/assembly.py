@@ -132,14 +132,14 @@ class Assembly:
         drive = self.actuation
         return Inputs(
             state, fields, self._terms(values), drive.activations(self.sequence, values), drive.strengths(values),
-            self._coefficients(values), drive.weights(values),
+            self._coefficients(values), drive.weights(values), drive.rests(x),
         )  # fmt: skip
 
     def gradient(self, values: Values, bar: Inputs) -> dict[str, Array]:
         """Return the gradient by path, of each value's shape, from the cotangent of the inputs."""
         out = {path: np.zeros(np.shape(value)) for path, value in values.items()}
         x, volume = self.geometry.at_rest(values)
-        x_bar = bar.state.x + self._velocities_vjp(x, values, bar, out)
+        x_bar = bar.state.x + self._velocities_vjp(x, values, bar, out) + self.actuation.rests_vjp(x, bar.rest)
         self.geometry.at_rest_vjp(values, x_bar, self._fields_vjp(volume, values, bar, out), out)
         self._terms_vjp(values, bar, out)
         self.actuation.activations_vjp(bar.activation, self.sequence, values, out)

@@ -25,7 +25,7 @@ def design_problems(scene: Scene, particles: Particles) -> list[Problem]:
     """Return what is wrong with geometric unknowns and their bounds, each bound alone and all at one side together."""
     unknowns = {path: unknown for path, unknown in scene.unknowns.items() if _geometric(scene, path, 0.0)}
     starts = {p: v for path in unknowns for p, v in _geometric(scene, path, start(scene, path)).items()}
-    found = list(_beside_cables(scene, unknowns))
+    found: list[Problem] = []
     trials = [(path, {path: end}) for path, unknown in unknowns.items() for end in unknown.bounds]
     if len(unknowns) > 1:
         first = next(iter(unknowns))
@@ -52,17 +52,6 @@ def _words(ends: Mapping[str, float]) -> str:
     if len(ends) == 1:
         return f"at {next(iter(ends.values())):g}"
     return "with all geometric unknowns at " + ", ".join(f"{end:g}" for end in ends.values())
-
-
-def _beside_cables(scene: Scene, unknowns: Mapping[str, object]) -> Iterator[Problem]:
-    cables = {chosen.value.body: name for name, chosen in scene.actuators.items() if chosen.name == "cable"}  # type: ignore[attr-defined]
-    for path in unknowns:
-        for body in {p.split(".")[1] for p in _geometric(scene, path, 0.0)} & set(cables):
-            message = (
-                f"the cable '{cables[body]}' ties points of '{body}' at their distances at rest, which would not "
-                "follow: use another actuator, or leave the geometry"
-            )
-            yield Problem(scene.where(f"unknowns.{path}"), f"unknowns.{path}", message)
 
 
 def _at(

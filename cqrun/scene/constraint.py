@@ -29,6 +29,9 @@ class Constraint(Spec):
         if not given or ("equals" in given and len(given) > 1):
             told = "needs `at_least`, `at_most` or both, or else `equals`"
             raise complaint("Constraint", [finding(told, involves=given)])
+        if getattr(self.of.value, "weight", 1.0) != 1.0:
+            told = "a constraint has no weight: its violation is judged in units of its `scale`"
+            raise complaint("Constraint", [finding(told, ("of", self.of.name, "weight"))])
         if len(given) == 2 and not self.low < self.high:
             message = f"leaves nothing: at_least {self.low:g} is not below at_most {self.high:g}"
             raise complaint("Constraint", [finding(message, ("at_most",), involves=("at_least",))])

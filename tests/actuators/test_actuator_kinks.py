@@ -26,7 +26,7 @@ ROUTE = (0, 1, 2)
 AT = slice(2, 3)
 """Where the cable stands: after a muscle and a chamber of nothing."""
 
-WANTED = ("x", "activation", "strength", "mass")
+WANTED = ("x", "activation", "strength", "rest", "mass")
 
 
 def tied(dim: int, u: float, rng: np.random.Generator) -> tuple[Model, Inputs]:
@@ -48,7 +48,7 @@ def of_cable(inputs: Inputs) -> dict[str, np.ndarray]:
     """Return what a cable's force depends on, or its cotangents; views."""
     return {
         "x": inputs.state.x, "activation": inputs.activation[:, AT], "strength": inputs.strength[AT],
-        "mass": inputs.fields.mass,
+        "rest": inputs.rest[AT], "mass": inputs.fields.mass,
     }  # fmt: skip
 
 
@@ -86,7 +86,7 @@ def test_away_from_the_kinks(dim, kind, u, taut, rng):
     change = rng.normal(size=found[kind].shape)
     want = derivative(model, inputs, bar, kind, change)
     assert (found[kind] * change).sum() == pytest.approx(want, rel=DOT_PRODUCT, abs=0)
-    if kind in ("activation", "strength"):
+    if kind in ("activation", "strength", "rest"):
         assert (want != 0) == (taut and (u > 0 or kind == "strength"))
 
 

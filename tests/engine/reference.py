@@ -117,13 +117,14 @@ def active_force(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Ar
 
     The energy of a cable is E = k/2 max(0, L - max(0, u) R)^2, and f = -dE/dx.
     """
-    f = np.zeros(s.x.shape, np.result_type(s.x, inputs.activation, inputs.strength, inputs.fields.mass))
+    f = np.zeros(s.x.shape, np.result_type(s.x, inputs.activation, inputs.strength, inputs.rest, inputs.fields.mass))
     taut = []
     for actuator, u, k in driven(model, inputs, cable.Kernel, step):
         route = s.x[actuator.particles]
         gaps = route[1:] - route[:-1]
         lengths = np.sqrt((gaps * gaps).sum(axis=1))
-        stretch = lengths.sum() - (u if u.real > 0 else 0.0) * actuator.constants[0]
+        rest = inputs.rest[next(a for a, other in enumerate(model.actuators) if other is actuator)]
+        stretch = lengths.sum() - (u if u.real > 0 else 0.0) * rest
         taut.append(("cable", actuator.name, stretch.real > 0, u.real > 0))
         if stretch.real > 0:
             pull = k * stretch * gaps / lengths[:, None]

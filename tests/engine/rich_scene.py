@@ -48,15 +48,15 @@ def tendons(x: np.ndarray) -> tuple[Acting, ...]:
     return (
         Acting(pressure.Kernel, both[COUNTS[0] :: 2], np.ones(1)),
         Acting(pressure.Kernel, both[::4], np.ones(1)),
-        *(Acting(cable.Kernel, np.array(r), length(x[r])) for r in routes),
+        *(Acting(cable.Kernel, np.array(r), np.zeros(0), length(x[r])) for r in routes),
         Acting(body_force.Kernel, first, ways[0]),
         Acting(body_force.Kernel, both[5::3], ways[1]),
     )
 
 
-def length(route: np.ndarray) -> np.ndarray:
-    """Return the length of a route through points (r, D), as (1,)."""
-    return np.array([np.sqrt((np.diff(route, axis=0) ** 2).sum(axis=1)).sum()])
+def length(route: np.ndarray) -> float:
+    """Return the length of a route through points (r, D)."""
+    return float(np.sqrt((np.diff(route, axis=0) ** 2).sum(axis=1)).sum())
 
 
 STIFFNESS = {2: 0.2, 3: 0.01}
@@ -112,7 +112,7 @@ KINDS = (
     "neo_hookean.E", "neo_hookean.nu", "viscosity.shear", "viscosity.bulk", "incompressibility.E",
     "incompressibility.nu", "friction",
     *(f"{kind}.{what}" for kind in ACTUATORS for what in ("activation", "strength")),
-    "weights",
+    "weights", "cable.rest",
 )  # fmt: skip
 """What a rollout depends on, in the order of `arrays`."""
 
@@ -122,8 +122,8 @@ def arrays(inputs: Inputs) -> list[np.ndarray]:
     s, f = inputs.state, inputs.fields
     terms = [row for theta in inputs.terms[0] for row in theta]
     drive = [a for at in ACTUATORS.values() for a in (inputs.activation[:, at], inputs.strength[at])]
-    fields = [f.mass, f.volume, f.damping, f.force]
-    return [s.x, s.v, s.C, s.F, *fields, *terms, inputs.coefficients, *drive, inputs.weights]
+    fields, last = [f.mass, f.volume, f.damping, f.force], [inputs.weights, inputs.rest[ACTUATORS["cable"]]]
+    return [s.x, s.v, s.C, s.F, *fields, *terms, inputs.coefficients, *drive, *last]
 
 
 def direction(inputs: Inputs, kind: str, rng: np.random.Generator) -> np.ndarray:
@@ -148,7 +148,7 @@ def make_complex(inputs: Inputs) -> None:
         for name, value in vars(part).items():
             setattr(part, name, value.astype(complex))
     inputs.terms = [[theta.astype(complex) for theta in group] for group in inputs.terms]
-    for name in ("activation", "strength", "coefficients", "weights"):
+    for name in ("activation", "strength", "coefficients", "weights", "rest"):
         setattr(inputs, name, getattr(inputs, name).astype(complex))
 
 

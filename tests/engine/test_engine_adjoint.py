@@ -108,6 +108,7 @@ def test_dot_product_where_bodies_have_other_terms(rng):
     groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1],), (muscle.Kernel,)))
     apart = replace(model, groups=groups, actuators=tuple(keep))
     inputs.activation, inputs.strength, inputs.weights = inputs.activation[:, :1], inputs.strength[:1], np.zeros(0)
+    inputs.rest = inputs.rest[:1]
     one = [a.copy() for a in inputs.terms[0]]
     one[0][0, second], one[1][0, first], one[2][:, second], one[3][0] = 0.0, 0.0, 0.0, 0.0
     inputs.terms = [[fixed[:, first], viscous[:, first]], [neo[:, second]]]

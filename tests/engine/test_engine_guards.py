@@ -21,7 +21,7 @@ from cqrun.state import State
 PATIENCE = 240
 """Seconds after which threads that wait for each other have waited for ever (kernels may have to be compiled)."""
 
-HARMLESS = ("damping", "incompressibility.nu", "cable.activation")
+HARMLESS = ("damping", "incompressibility.nu", "cable.activation", "cable.rest")
 """What may be infinite: it stops a particle, removes the penalty, slackens the cable."""
 
 THREADS = [1, pytest.param(2, marks=needs_jit)]

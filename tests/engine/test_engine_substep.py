@@ -70,6 +70,7 @@ def test_bodies_with_other_terms_than_their_neighbours(dim, rng):
     apart = replace(model, groups=groups, actuators=())
     inputs.terms = [[one[0][:, first], one[2][:, first]], [one[1][:, second], one[3][:, second]]]
     inputs.activation, inputs.strength, inputs.weights = np.zeros((model.n_controls, 0)), np.zeros(0), np.zeros(0)
+    inputs.rest = np.zeros(0)
     records = Rollout(apart, inputs).run()
     for got, want in zip(parts(records), parts(expected), strict=True):
         np.testing.assert_allclose(got, want, rtol=0, atol=TOLERANCE * np.abs(want).max())

@@ -153,6 +153,12 @@ def test_constraints_alone_are_enough(finger, tmp_path):
     assert result_of(run)["constraints"]["tip"]["violation"] <= 1e-8
 
 
+def test_neither_objective_nor_constraints_may_look_at_the_motion(finger, tmp_path):
+    stiff = "constraints={stiff: {of: {stiffness: {body: finger}}, at_most: 9}}"
+    run = learn(finger, tmp_path, "objective={effort: {effort: {}}}", stiff)
+    assert result_of(run)["constraints"]["stiff"]["value"] <= 9 + 1e-6
+
+
 def test_control_honours_constraints_too(finger, tmp_path):
     run = learn(finger, tmp_path, f"unknowns.{STIFFNESS}=null", job="control")
     assert result_of(run)["job"] == "control"
@@ -177,6 +183,7 @@ def test_validate_tells_the_constraints(finger):
         ("constraints.up.at_least=0.95", "constraints.up.at_most: leaves nothing: at_least 0.95 is not below"),
         ("constraints.tip={of: {reach: {body: finger, goal: target}}}", "constraints.tip: needs `at_least`"),
         ("constraints.tip.of.reach.group=tpi", "constraints.tip.of.reach.group: there is no group of the body"),
+        ("constraints.tip.of.reach.weight=5", "constraints.tip.of.reach.weight: a constraint has no weight"),
         ("constraints.up.scale=0", "constraints.up.scale: must be greater than 0"),
         (f"unknowns.{STIFFNESS}.resolution=3", "resolution: has a meaning only for `per: field`"),
         (f"unknowns.{STIFFNESS}={{bounds: [5, 20], mirror: x}}", "mirror: has a meaning only for `per: particle`"),

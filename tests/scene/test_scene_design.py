@@ -90,15 +90,44 @@ def test_bad_unknowns(name):
         build(load_scene(data(unknowns)))
 
 
-def test_geometry_beside_a_cable():
-    cable = {"cable": {"body": "a", "route": [[0.2, 0.3], [0.2, 0.6]], "stiffness": 3.0}}
-    unknowns = {"bodies.a.shape.box.size.1": {"bounds": [0.4, 0.5]}}
-    with pytest.raises(SceneError, match="the cable 'cord' ties points of 'a' at their distances at rest"):
-        build(load_scene(data(unknowns, actuators={"cord": cable})))
-    taller = {"bodies.a.shape.box.size.1": {"factor": 0.01, "offset": 0.4}}
-    follows = {f"bodies.b.{E}": {"bounds": [5, 20], "also": taller}}
-    with pytest.raises(SceneError, match="the cable 'cord' ties points of 'a' at their distances at rest"):
-        build(load_scene(data(follows, actuators={"cord": cable})))
+@pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
+def test_a_cable_is_as_long_as_the_body_that_it_is_made_for(dim, tmp_path):
+    """A taut, bent cable and a slack one, on a bar that is stretched, turned and made denser: against differences."""
+    ends = [0.2] * (dim - 2)
+
+    def cable(*route: list[float]) -> dict[str, Any]:
+        return {"cable": {"body": "a", "route": [[*point, *[0.25] * (dim - 2)] for point in route], "stiffness": 2}}
+
+    angle, turned = (10, "angle") if dim == 2 else ([10, 0, 0], "rotation.0")
+    bar = {"box": {"corner": [0.3, 0.2, *ends], "size": [0.2, 0.4, *ends]}}
+    scene = {
+        "cqrun": 1,
+        "world": {"size": [1] * dim, "dx": 0.0625 if dim == 2 else 0.08, "gravity": [0, -1, *[0] * (dim - 2)]},
+        "bodies": {
+            "a": {
+                "shape": bar, "place": {turned.partition(".")[0]: angle}, "particles_per_cell": 3**dim,
+                "material": MATERIAL,
+            }
+        },
+        "actuators": {
+            "taut": cable([0.33, 0.25], [0.36, 0.4], [0.33, 0.55]), "slack": cable([0.45, 0.25], [0.45, 0.5]),
+        },
+        "activation": {"signals": {"taut": [0.7] * 4, "slack": [1.0] * 4}},
+        "boundaries": {"floor": {"sticky": {"face": "y_min"}}},
+        "unknowns": {
+            "bodies.a.shape.box.size.1": {"bounds": [0.38, 0.44]},
+            f"bodies.a.place.{turned}": {"bounds": [5, 15]},
+            "bodies.a.material.density": {"bounds": [0.5, 2]},
+        },
+        "data": {
+            "synthetic": {"truth": {"bodies.a.material.density": 1.4}, "body": "a", "tracked": 10, "key_frames": 5}
+        },
+        "time": {"duration": 0.08, "control_step": 0.02},
+    }  # fmt: skip
+    path = tmp_path / "scene.yaml"
+    path.write_text(yaml.safe_dump(scene))
+    run, agrees = run_gradcheck(path, [], tmp_path, True, 2, True)
+    assert agrees, "\n".join(report_lines(run))
 
 
 def test_bodies_that_do_not_match():
