@@ -30,6 +30,9 @@ from cqrun.registry import plugin
 LONGEST = 0.1
 """Of a step to the constraints, in an unknown's scaled range."""
 
+HELPS = 0.75
+"""Part to which such a step must bring the violation, or it counts as one that does not help."""
+
 HEAVY = 1e6
 """Weight of what such a step leaves of the violations, beside its length."""
 
@@ -40,8 +43,8 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
 
     Its gradient is that of f + w.c with w = y + rho (c - p), which one backward run gives for all constraints. Every
     `inner` iterations the multipliers y become w, and the penalty rho grows where the violation has not fallen enough.
-    Then come `restoring` steps of another kind: the shortest ones that meet the constraints linearised at x (Gauss and
-    Newton's), for the last digits of the constraints, which a penalty is slow to give.
+    Then come steps of another kind: the shortest ones that meet the constraints linearised at x (Gauss and Newton's),
+    until `restoring` of them have hardly lowered the violation: a penalty is slow to give its last digits.
     J. Nocedal, S. Wright: Numerical optimization (2006), sections 15.4 (normal steps), 17.3 and 17.4.
     """
 
@@ -53,7 +56,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
     growth: float = Field(2.0, gt=1, description="by which rho grows")
     enough: float = Field(0.5, gt=0, lt=1, description="part to which the violation must fall, or rho grows")
     penalty_limit: float = Field(100.0, gt=0, description="rho grows no further")
-    restoring: int = Field(2, ge=0, description="steps straight to the constraints after an update, a sweep each more")
+    restoring: int = Field(2, ge=0, description="steps straight to the constraints after an update that may help little")
 
     @model_validator(mode="after")
     def _leaves_room(self) -> Self:
@@ -86,6 +89,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
             "multipliers": np.zeros(m),
             "penalty": np.array(self.penalty),
             "restoring": np.array(0),
+            "last": np.array(np.inf),
             "violation": np.array(np.inf),
             "best": np.array([np.inf, np.inf]),
         }
@@ -136,7 +140,8 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         """Return the memory with the multipliers and the penalty moved on where they are due."""
         memory = memory | {
             "best": np.array(min(tuple(memory["best"]), self._rank(answer))),
-            "restoring": np.maximum(memory["restoring"] - 1, 0),
+            "restoring": np.array(self._left(memory, float(answer["violation"]))),
+            "last": answer["violation"],
         }
         if iteration == 0 or iteration % self.inner:
             return memory
@@ -145,8 +150,15 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
             rho = np.minimum(self.growth * rho, self.penalty_limit)
         return memory | {
             "multipliers": answer["w"], "penalty": rho, "violation": answer["violation"],
-            "restoring": np.array(self.restoring),
+            # the step to the next point is still Adam's, and hardly helps
+            "restoring": np.array(self.restoring + (self.restoring > 0)),
         }  # fmt: skip
+
+    def _left(self, memory: dict[str, Array], excess: float) -> int:
+        """Return how many steps to the constraints are to follow: one that helps does not count."""
+        if excess <= self.constraint_tolerance:
+            return 0
+        return max(0, int(memory["restoring"]) - (excess > HELPS * float(memory["last"])))
 
     def better(self, state: DescentState, answer: dict[str, Array]) -> bool:
         """Say whether an evaluation violates less than all before, or nothing and is lower."""

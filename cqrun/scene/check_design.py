@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,26 +18,44 @@ from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start, tied
 
 ROUNDING = 1e-6
+MANY = 16
+"""Unknowns of geometry of which not every pair is tried."""
+
 NEIGHBOURS = 6
 """Of a particle, whose distances tell how far apart a body's particles have come."""
 
 
 def design_problems(scene: Scene, particles: Particles) -> list[Problem]:
-    """Return what is wrong with geometric unknowns and their bounds, each bound alone and all at one side together."""
+    """Return what is wrong with geometric unknowns and their bounds.
+
+    Each bound is tried alone, all at one side together, and one at its upper with another at its lower bound.
+    """
     unknowns = {path: unknown for path, unknown in scene.unknowns.items() if _geometric(scene, path, 0.0)}
     starts = {p: v for path in unknowns for p, v in _geometric(scene, path, start(scene, path)).items()}
-    found: list[Problem] = []
     trials = [(path, {path: end}) for path, unknown in unknowns.items() for end in unknown.bounds]
     if len(unknowns) > 1:
         first = next(iter(unknowns))
         trials += [(first, {path: unknown.bounds[side] for path, unknown in unknowns.items()}) for side in (0, 1)]
+    found = list(_tried(scene, particles, trials, starts))
+    if not found and len(unknowns) <= MANY:  # two that come towards each other
+        pairs = [
+            (path, {path: unknowns[path].bounds[1], other: unknowns[other].bounds[0]})
+            for path, other in itertools.permutations(unknowns, 2)
+        ]
+        found = list(_tried(scene, particles, pairs, starts))
+    return found
+
+
+def _tried(
+    scene: Scene, particles: Particles, trials: Sequence[tuple[str, Mapping[str, float]]], starts: Mapping[str, float]
+) -> Iterator[Problem]:
+    """Yield what is wrong at trials: the unknown to name, and the values of unknowns by path."""
     for path, ends in trials:
         told = f"unknowns.{path}.bounds"
         at, values = _words(ends), {p: v for path, end in ends.items() for p, v in _geometric(scene, path, end).items()}
         for message in _at(scene, particles, {**starts, **values}, starts):
-            found.append(Problem(scene.where(told), told, f"{at} {message}; narrow the bounds"))
+            yield Problem(scene.where(told), told, f"{at} {message}; narrow the bounds")
             break  # the first says enough: one bound often breaks several rules
-    return found
 
 
 def _is_geometric(scene: Scene, path: str) -> bool:
@@ -51,6 +70,8 @@ def _geometric(scene: Scene, path: str, value: float) -> dict[str, float]:
 def _words(ends: Mapping[str, float]) -> str:
     if len(ends) == 1:
         return f"at {next(iter(ends.values())):g}"
+    if len(ends) == 2:
+        return "with " + " and ".join(f"{path} at {end:g}" for path, end in ends.items())
     return "with all geometric unknowns at " + ", ".join(f"{end:g}" for end in ends.values())
 
 

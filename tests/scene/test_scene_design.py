@@ -50,7 +50,11 @@ BAD = {
     ),
     "together": (
         {"bodies.a.shape.box.corner.0": {"bounds": [0.1, 0.3]}, "bodies.a.shape.box.size.0": {"bounds": [0.2, 0.4]}},
-        "with all geometric unknowns at 0.3, 0.4 bodies.b.shape overlaps the body 'a'",
+        "with bodies.a.shape.box.corner.0 at 0.3 and bodies.a.shape.box.size.0 at 0.4 bodies.b.shape overlaps the body",
+    ),
+    "towards each other": (
+        {"bodies.a.shape.box.corner.0": {"bounds": [0.1, 0.3]}, "bodies.b.shape.box.corner.0": {"bounds": [0.45, 0.7]}},
+        "with bodies.a.shape.box.corner.0 at 0.3 and bodies.b.shape.box.corner.0 at 0.45 bodies.b.shape overlaps",
     ),
     "sparse": (
         {"bodies.a.shape.box.size.1": {"bounds": [0.3, 0.6]}},
