@@ -56,7 +56,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
     growth: float = Field(2.0, gt=1, description="by which rho grows")
     enough: float = Field(0.5, gt=0, lt=1, description="part to which the violation must fall, or rho grows")
     penalty_limit: float = Field(100.0, gt=0, description="rho grows no further")
-    restoring: int = Field(2, ge=0, description="steps straight to the constraints after an update that may help little")
+    restoring: int = Field(2, ge=0, description="steps straight to the constraints after an update that hardly help")
 
     @model_validator(mode="after")
     def _leaves_room(self) -> Self:
