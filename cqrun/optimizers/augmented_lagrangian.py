@@ -56,7 +56,9 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
     growth: float = Field(2.0, gt=1, description="by which rho grows")
     enough: float = Field(0.5, gt=0, lt=1, description="part to which the violation must fall, or rho grows")
     penalty_limit: float = Field(100.0, gt=0, description="rho grows no further")
-    restoring: int = Field(2, ge=0, description="steps straight to the constraints after an update that hardly help")
+    restoring: int = Field(
+        2, ge=0, description="steps straight to the constraints, after each update, that may hardly help; 0: none"
+    )
 
     @model_validator(mode="after")
     def _leaves_room(self) -> Self:
