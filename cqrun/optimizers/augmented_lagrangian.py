@@ -110,7 +110,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         normal = {}
         if memory["restoring"] > 0:
             f, g, c, J = problem.gradients_and_constraints(x)  # type: ignore[attr-defined]
-            require_finite(x, jacobian=J)
+            require_finite(x, constraints=c, jacobian=J)
             g = g + weigh(c) @ J
             normal = {"normal": self._normal_step(problem, x, c, J)}  # type: ignore[arg-type]
         else:
