@@ -4,7 +4,7 @@
     load_quads, store_quads                     as many records as a lane is wide, from and to four lane values
     load_records, load_neighbours, store_neighbours
                                                 as many records as fill one lane value: 2 in float64, 4 in float32
-    spread, sums                                computing on such lane values, record by record
+    filled, spread, sums                        such lane values of one number, of an entry, of sums of entries
 """
 
 from __future__ import annotations
@@ -23,6 +23,16 @@ from cqrun.packed import address, align
 
 def _shuffle(builder: Any, a: Any, b: Any, picks: list[int]) -> Any:
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(picks)), picks))
+
+
+def _place(context: Any, builder: Any, array_type: Any, array: Any, n: Any, vector: ir.Type) -> Any:
+    """Return the address of record n, as that of a vector."""
+    return address(context, builder, array_type, array, builder.mul(n, ir.Constant(n.type, 4)), vector)
+
+
+def _whole(real: types.Float) -> Lanes:
+    """Return the type of a full lane value."""
+    return Lanes(real, LANE_BYTES * 8 // real.bitwidth)
 
 
 def make4(a: Any, b: Any, c: Any, d: Any, like: np.ndarray) -> Any:
@@ -59,9 +69,8 @@ def _load4(typingctx: Any, a: Any, n: Any) -> Any:
     quad = Lanes(a.dtype, 4)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
         vector = context.get_value_type(quad)
-        return builder.load(address(context, builder, a, args[0], offset, vector), align=align(a))
+        return builder.load(_place(context, builder, a, args[0], args[1], vector), align=align(a))
 
     return signature(quad, a, types.intp), codegen
 
@@ -82,8 +91,7 @@ def _store4(typingctx: Any, a: Any, n: Any, value: Any) -> Any:
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = as_lanes(context, builder, args[2], value, quad)
-        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
-        pointer = address(context, builder, a, args[0], offset, context.get_value_type(quad))
+        pointer = _place(context, builder, a, args[0], args[1], context.get_value_type(quad))
         builder.store(data, pointer, align=align(a))
         return context.get_dummy_value()
 
@@ -103,16 +111,15 @@ def store_quads(a: np.ndarray, i: int, x: Any, y: Any, z: Any, w: Any) -> None:
 
 @intrinsic
 def _store_quads(typingctx: Any, a: Any, i: Any, x: Any, y: Any, z: Any, w: Any) -> Any:
-    width = LANE_BYTES * 8 // a.dtype.bitwidth
-    lanes = Lanes(a.dtype, width)
+    lanes = _whole(a.dtype)
+    width = lanes.width
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         columns = [as_lanes(context, builder, v, t, lanes) for v, t in zip(args[2:], sig.args[2:], strict=True)]
         pairs = [_shuffle(builder, columns[k], columns[k + 1], list(range(2 * width))) for k in (0, 2)]
         picks = [k * width + p for p in range(width) for k in range(4)]
         records = _shuffle(builder, pairs[0], pairs[1], picks)
-        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
-        builder.store(records, address(context, builder, a, args[0], offset, records.type), align=align(a))
+        builder.store(records, _place(context, builder, a, args[0], args[1], records.type), align=align(a))
         return context.get_dummy_value()
 
     return signature(types.none, a, types.intp, x, y, z, w), codegen
@@ -131,14 +138,13 @@ def load_quads(a: np.ndarray, i: int) -> tuple[Any, Any, Any, Any]:
 
 @intrinsic
 def _load_quads(typingctx: Any, a: Any, i: Any) -> Any:
-    width = LANE_BYTES * 8 // a.dtype.bitwidth
-    lanes = Lanes(a.dtype, width)
+    lanes = _whole(a.dtype)
+    width = lanes.width
     result = types.UniTuple(lanes, 4)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         vector = ir.VectorType(llvm_real(a.dtype), 4 * width)
-        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
-        records = builder.load(address(context, builder, a, args[0], offset, vector), align=align(a))
+        records = builder.load(_place(context, builder, a, args[0], args[1], vector), align=align(a))
         undefined = ir.Constant(vector, ir.Undefined)
         columns = [_shuffle(builder, records, undefined, [4 * p + k for p in range(width)]) for k in range(4)]
         return context.make_tuple(builder, result, columns)
@@ -149,6 +155,7 @@ def _load_quads(typingctx: Any, a: Any, i: Any) -> Any:
 @overload(load_quads)
 def _load_quads_overload(a, i):
     return lambda a, i: _load_quads(a, i)
+
 
 # --- several records in one lane value -----------------------------------------------------------------------
 
@@ -193,12 +200,11 @@ def sums(a: Any, b: Any, c: Any) -> Any:
 
 @intrinsic
 def _load_neighbours(typingctx: Any, a: Any, n: Any) -> Any:
-    lanes = Lanes(a.dtype, LANE_BYTES * 8 // a.dtype.bitwidth)
+    lanes = _whole(a.dtype)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
         vector = context.get_value_type(lanes)
-        return builder.load(address(context, builder, a, args[0], offset, vector), align=align(a))
+        return builder.load(_place(context, builder, a, args[0], args[1], vector), align=align(a))
 
     return signature(lanes, a, types.intp), codegen
 
@@ -206,8 +212,7 @@ def _load_neighbours(typingctx: Any, a: Any, n: Any) -> Any:
 @intrinsic
 def _store_neighbours(typingctx: Any, a: Any, n: Any, value: Any) -> Any:
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        offset = builder.mul(args[1], ir.Constant(args[1].type, 4))
-        pointer = address(context, builder, a, args[0], offset, args[2].type)
+        pointer = _place(context, builder, a, args[0], args[1], args[2].type)
         builder.store(args[2], pointer, align=align(a))
         return context.get_dummy_value()
 
@@ -216,15 +221,14 @@ def _store_neighbours(typingctx: Any, a: Any, n: Any, value: Any) -> Any:
 
 @intrinsic
 def _load_records(typingctx: Any, a: Any, nodes: Any, offset: Any) -> Any:
-    lanes, quad = Lanes(a.dtype, LANE_BYTES * 8 // a.dtype.bitwidth), Lanes(a.dtype, 4)
+    lanes, quad = _whole(a.dtype), Lanes(a.dtype, 4)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         vector = context.get_value_type(quad)
         parts = []
         for k in range(len(nodes)):
             node = builder.add(builder.extract_value(args[1], k), args[2])
-            offset = builder.mul(node, ir.Constant(node.type, 4))
-            parts.append(builder.load(address(context, builder, a, args[0], offset, vector), align=align(a)))
+            parts.append(builder.load(_place(context, builder, a, args[0], node, vector), align=align(a)))
         while len(parts) > 1:
             wide = list(range(2 * parts[0].type.count))
             parts = [_shuffle(builder, parts[k], parts[k + 1], wide) for k in range(0, len(parts), 2)]
@@ -235,7 +239,7 @@ def _load_records(typingctx: Any, a: Any, nodes: Any, offset: Any) -> Any:
 
 @intrinsic
 def _filled(typingctx: Any, number: Any, like: Any) -> Any:
-    lanes = Lanes(like.dtype, LANE_BYTES * 8 // like.dtype.bitwidth)
+    lanes = _whole(like.dtype)
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return as_lanes(context, builder, args[0], number, lanes)
@@ -274,7 +278,7 @@ def _sums(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
 
 @overload(records_in_lane)
 def _records_in_lane(a):
-    count = LANE_BYTES * 2 // a.dtype.bitwidth
+    count = _whole(a.dtype).width // 4
     return lambda a: count
 
 

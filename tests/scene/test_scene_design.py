@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,22 @@ def data(unknowns: dict[str, Any], **more: Any) -> dict[str, Any]:
         "time": {"duration": 0.02, "control_step": 0.01},
         **more,
     }
+
+
+def denser(body: str) -> dict[str, Any]:
+    """Return the rest of a scene whose data are of a denser body, for .08 s."""
+    truth = {f"bodies.{body}.material.density": 1.4}
+    return {
+        "data": {"synthetic": {"truth": truth, "body": body, "tracked": 10, "key_frames": 5}},
+        "time": {"duration": 0.08, "control_step": 0.02},
+    }
+
+
+def assert_gradients_agree(scene: dict[str, Any], folder: Path) -> None:
+    path = folder / "scene.yaml"
+    path.write_text(yaml.safe_dump(scene))
+    run, agrees = run_gradcheck(path, [], folder, True, 2, True)
+    assert agrees, "\n".join(report_lines(run))
 
 
 BAD = {
@@ -123,15 +140,9 @@ def test_a_cable_is_as_long_as_the_body_that_it_is_made_for(dim, tmp_path):
             f"bodies.a.place.{turned}": {"bounds": [5, 15]},
             "bodies.a.material.density": {"bounds": [0.5, 2]},
         },
-        "data": {
-            "synthetic": {"truth": {"bodies.a.material.density": 1.4}, "body": "a", "tracked": 10, "key_frames": 5}
-        },
-        "time": {"duration": 0.08, "control_step": 0.02},
+        **denser("a"),
     }  # fmt: skip
-    path = tmp_path / "scene.yaml"
-    path.write_text(yaml.safe_dump(scene))
-    run, agrees = run_gradcheck(path, [], tmp_path, True, 2, True)
-    assert agrees, "\n".join(report_lines(run))
+    assert_gradients_agree(scene, tmp_path)
 
 
 def test_bodies_that_do_not_match():
@@ -177,15 +188,9 @@ def test_gradients_by_geometry_through_a_rollout(dim, tmp_path):
         "bodies": bodies,
         "boundaries": {"floor": {"friction": {"face": "y_min", "coefficient": 0.4}}},
         "unknowns": unknowns,
-        "data": {
-            "synthetic": {"truth": {"bodies.b.material.density": 1.4}, "body": "b", "tracked": 10, "key_frames": 5}
-        },
-        "time": {"duration": 0.08, "control_step": 0.02},
+        **denser("b"),
     }  # fmt: skip
-    path = tmp_path / "scene.yaml"
-    path.write_text(yaml.safe_dump(scene))
-    run, agrees = run_gradcheck(path, [], tmp_path, True, 2, True)
-    assert agrees, "\n".join(report_lines(run))
+    assert_gradients_agree(scene, tmp_path)
 
 
 def test_a_body_starts_where_its_unknowns_do():
