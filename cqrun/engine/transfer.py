@@ -50,13 +50,27 @@ def slopes(f: Any) -> Any:
     return f - 1.5, 2.0 - 2.0 * f, f - 0.5
 
 
+def first_nodes(base: Any, strides: Any) -> Any:
+    """Return the node number of every record (i, j, k, -), as a tuple."""
+    i, j, k = (base[axis::4].astype(int) for axis in range(3))
+    return tuple(i * strides[0] + j * strides[1] + k)
+
+
+@overload(first_nodes)
+def _first_nodes(base, strides):
+    nodes = [
+        f"int(lane(base, {at})) * strides[0] + int(lane(base, {at + 1})) * strides[1] + int(lane(base, {at + 2}))"
+        for at in range(0, base.width, 4)
+    ]
+    return written(f"lambda base, strides: ({', '.join(nodes)},)", {"lane": lane})
+
+
 @kernel
 def stencil(place: Array, p: int, strides: Any) -> Any:
     """Return the first node of a particle's stencil, and f."""
     x = load4(place, p)
     base = floor(x - 0.5)
-    first = int(lane(base, 0)) * strides[0] + int(lane(base, 1)) * strides[1] + int(lane(base, 2))
-    return first, x - base
+    return first_nodes(base, strides)[0], x - base
 
 
 @kernel
@@ -105,21 +119,6 @@ def stencils(place: Array, p: int, strides: Any) -> Any:
     x = load_neighbours(place, p)
     base = floor(x - 0.5)
     return first_nodes(base, strides), x - base
-
-
-def first_nodes(base: Any, strides: Any) -> Any:
-    """Return the node number of every record (i, j, k, -), as a tuple."""
-    i, j, k = (base[axis::4].astype(int) for axis in range(3))
-    return tuple(i * strides[0] + j * strides[1] + k)
-
-
-@overload(first_nodes)
-def _first_nodes(base, strides):
-    nodes = [
-        f"int(lane(base, {at})) * strides[0] + int(lane(base, {at + 1})) * strides[1] + int(lane(base, {at + 2}))"
-        for at in range(0, base.width, 4)
-    ]
-    return written(f"lambda base, strides: ({', '.join(nodes)})", {"lane": lane})
 
 
 @kernel
