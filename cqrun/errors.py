@@ -7,6 +7,7 @@ The command line prints them without a traceback and ends with `exit_code`
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 
 class CqrunError(Exception):
@@ -37,6 +38,19 @@ class Stopped(CqrunError):
 
 class RunError(CqrunError):
     """The run itself failed."""
+
+
+class InfeasibleError(RunError):
+    """A run that ended before its constraints were met; what came nearest is kept.
+
+    Args:
+        run: its directory.
+        verdict: which constraint is violated, and by how much.
+    """
+
+    def __init__(self, run: Path, verdict: str) -> None:
+        self.run = run
+        super().__init__(f"{run}: {verdict}")
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ def codesign(
     The same command again continues the run, or says that it is finished.
     """
     from cqrun.cli.progress import reporting
-    from cqrun.cli.results import draw_and_print_run, print_seeds, require_seeds_for_jobs
+    from cqrun.cli.results import draw_and_print_run, infeasible_shown, print_seeds, require_seeds_for_jobs
     from cqrun.errors import UsageError
     from cqrun.jobs.ablate import ablation_lines, run_ablation
     from cqrun.jobs.control import run_control
@@ -43,7 +43,7 @@ def codesign(
         raise UsageError("--rate: is what variants are tried with: add --ablate, or use -o optimizer...learning_rate=X")
     if not ablate:
         require_seeds_for_jobs(seeds, jobs)
-    with plugins_allowed(allow_plugins):
+    with plugins_allowed(allow_plugins), infeasible_shown():
         with reporting(quiet) as reporter:
             if ablate:
                 found = run_ablation(

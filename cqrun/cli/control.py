@@ -21,13 +21,13 @@ def control(
     The same command again continues the run, or says that it is finished.
     """
     from cqrun.cli.progress import reporting
-    from cqrun.cli.results import draw_and_print_run, print_seeds, require_seeds_for_jobs
+    from cqrun.cli.results import draw_and_print_run, infeasible_shown, print_seeds, require_seeds_for_jobs
     from cqrun.jobs.control import run_control
     from cqrun.jobs.seeds import run_seeds
     from cqrun.scene.plugin_files import plugins_allowed
 
     require_seeds_for_jobs(seeds, jobs)
-    with plugins_allowed(allow_plugins):
+    with plugins_allowed(allow_plugins), infeasible_shown():
         with reporting(quiet) as reporter:
             if seeds is not None:
                 summary, good = run_seeds(

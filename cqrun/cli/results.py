@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import typer
@@ -29,6 +31,18 @@ def draw_and_print_run(run: Path) -> None:
             draw_run(run)
     finally:
         print_run(run)
+
+
+@contextmanager
+def infeasible_shown() -> Iterator[None]:
+    """Draw and print a run that ended infeasible, too, before its verdict."""
+    from cqrun.errors import InfeasibleError
+
+    try:
+        yield
+    except InfeasibleError as error:
+        draw_and_print_run(error.run)
+        raise
 
 
 def require_seeds_for_jobs(seeds: int | None, jobs: int | None) -> None:

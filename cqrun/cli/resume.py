@@ -14,11 +14,11 @@ def resume(
 ) -> None:
     """Continue a run from its directory; `-o optimizer...=` extends one that is finished."""
     from cqrun.cli.progress import reporting
-    from cqrun.cli.results import draw_and_print_run
+    from cqrun.cli.results import draw_and_print_run, infeasible_shown
     from cqrun.jobs.resume import run_resume
     from cqrun.scene.plugin_files import plugins_allowed
 
-    with plugins_allowed(allow_plugins):
+    with plugins_allowed(allow_plugins), infeasible_shown():
         with reporting(quiet) as reporter:
             continued = run_resume(run, overrides or [], threads, quiet, reporter=reporter)
         draw_and_print_run(continued)

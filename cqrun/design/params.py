@@ -215,6 +215,20 @@ class Params:
             parts.append(f"{path} = {text}")
         return ", ".join(parts)
 
+    def bounds_in_words(self, below: Array, above: Array) -> str:
+        """Return which blocks are at a bound, given which numbers are at their lower and at their upper (n,)."""
+        parts = []
+        for block, own in zip(self.blocks, self.slices.values(), strict=True):
+            sides = []
+            for side, held, bound in (("lower", below[own], block.lower), ("upper", above[own], block.upper)):
+                if held.any():
+                    some = f"{int(held.sum())} of {held.size} " if held.size > 1 else ""
+                    value = f", {float(bound):g}" if np.ndim(bound) == 0 else ""
+                    sides.append(f"{some}at the {side}{value}")
+            if sides:
+                parts.append(f"{block.path} ({'; '.join(sides)})")
+        return f"at their bounds: {', '.join(parts)}" if parts else "no unknown is at a bound"
+
 
 def _joined(parts: Sequence[Array]) -> Array:
     return np.concatenate(parts) if parts else np.zeros(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,6 +43,8 @@ def _figure(result: dict[str, Any]) -> Figure:
                 f"{entry['gain']['mean']:+.0%}", (high, place), (5, 0), textcoords="offset points", va="center"
             )
     ends.set_yticks(range(len(groups)), [group.label for group in groups])
+    for tick, colour in zip(ends.get_yticklabels(), itertools.cycle(COLOURS)):
+        tick.set_color(colour)  # so that they name the curves, too
     ends.invert_yaxis()
     ends.margins(x=0.15)
     whole_ticks(by_iteration.xaxis)

@@ -10,7 +10,8 @@ ablation-<hash>.csv    the variants as a table
 ablation-<hash>.png    the compared term against the iteration, and where it ended
 
 The effect of a group is what freeing it adds to the compared term, in the mean over all variants without it, seed by
-seed (a factorial design: G. Box, J. Hunter, W. Hunter: Statistics for experimenters, 2005, chapter 5).
+seed (a factorial design: G. Box, J. Hunter, W. Hunter: Statistics for experimenters, 2005, chapter 5). A gain is
+positive where a variant is better. Variants that do not meet their constraints from every seed have neither.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import csv
 import io
 import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,11 +34,15 @@ from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.report import table
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import cores
-from cqrun.jobs.seeds import CONFIDENCE, command_of, inputs_of, interval, member, require_seeds, shown
+from cqrun.jobs.seeds import CONFIDENCE, command_of, inputs_of, interval, member, require_seeds, shown, warn_if_alike
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import make_directory, write_json, write_text
+from cqrun.store.run import read_record
+
+INFEASIBLE = "infeasible"
+"""How a run ended whose constraints are not met."""
 
 MOST_GROUPS = 3
 """All combinations of more are too many runs: none, each alone and all are compared instead."""
@@ -88,6 +93,7 @@ def run_ablation(
     scene = load_scene(source, overrides)
     variants = variants_of(scene)
     tried = _rate_overrides(scene, rates)
+    warn_if_alike(prepare(scene, 1, Silent(), "codesign"), seeds, talk)
     at_once = n_threads if jobs is None else jobs
     share = max(1, n_threads // at_once)
 
@@ -108,10 +114,11 @@ def run_ablation(
         talk.phase(f"trying {len(tried)} learning rates with {len(variants)} variants, {at_once} at once")
         _run(list(trials.values()), at_once, "trials", talk, may_fail=True)
         for v in variants:
-            losses = {rate: _loss(trials[v.name, rate]) for rate in tried}
+            found = {rate: _result(trials[v.name, rate].run) for rate in tried if _has_ended(trials[v.name, rate])}
+            losses = {rate: found[rate]["trained"]["loss"] if rate in found else None for rate in tried}
             searched[v.name] = {str(rate).partition("=")[2]: loss for rate, loss in losses.items()}
-            known = {rate: loss for rate, loss in losses.items() if loss is not None}
-            best[v.name] = min(known, key=known.__getitem__, default=tried[0])
+            ranks = {rate: _rank(scene, result) for rate, result in found.items()}
+            best[v.name] = min(ranks, key=ranks.__getitem__, default=tried[0])
     runs = {}
     for v in variants:  # seed 0 has been learned anew by the search, if there was one
         first = members(v, best[v.name], [0], fresh and not searched)
@@ -139,6 +146,8 @@ def variants_of(scene: Scene) -> list[Variant]:
     """Return the variants of a scene, control alone first and all unknowns last; UsageError without unknowns."""
     if not scene.unknowns:
         raise UsageError("--ablate compares unknowns of a design: this scene has no `unknowns`")
+    if not scene.objective:
+        raise UsageError("--ablate compares the first term of the objective: this scene has no `objective`")
     paths = list(scene.unknowns)
     groups = list(dict.fromkeys(group_of(canonical(scene, path)) for path in paths))
     chosen: list[tuple[str, ...]] = [(), *((group,) for group in groups)]
@@ -165,12 +174,19 @@ def _rate_overrides(scene: Scene, rates: Sequence[float]) -> list[str | None]:
 
 def _run(members: Sequence[Member], at_once: int, what: str, talk: Reporter, *, may_fail: bool = False) -> None:
     run_fleet(members, at_once, what, talk)
-    good = [m for m in members if m.failure is None]
+    good = [m for m in members if _has_ended(m)]
     if talk.stop.asked and len(good) < len(members):
         raise talk.stop.stopped(f"{len(good)} of {len(members)} {what} are finished; the same command continues")
     if len(good) < len(members) and not may_fail:
-        bad = next(m for m in members if m.failure is not None)
+        bad = next(m for m in members if not _has_ended(m))
         raise RunError(f"{len(members) - len(good)} of {len(members)} {what} failed; {bad.name}: {bad.failure}")
+
+
+def _has_ended(member: Member) -> bool:
+    """Say whether a run came to a result, be it one that violates its constraints."""
+    return member.failure is None or (
+        (member.run / "result.json").exists() and read_record(member.run)["status"] == INFEASIBLE
+    )
 
 
 def _result(run: Path) -> dict[str, Any]:
@@ -178,8 +194,11 @@ def _result(run: Path) -> dict[str, Any]:
     return found
 
 
-def _loss(run: Member) -> float | None:
-    return None if run.failure is not None else float(_result(run.run)["trained"]["loss"])
+def _rank(scene: Scene, result: dict[str, Any]) -> tuple[float, float]:
+    """Return what orders results: that which violates least is best, and of those that violate nothing the lowest."""
+    held = result["constraints"].items() if result["status"] == INFEASIBLE else ()
+    excess = max((entry["violation"] / scene.constraints[name].scale for name, entry in held), default=0.0)
+    return excess, float(result["trained"]["loss"])
 
 
 # --- what they say ------------------------------------------------------------------------------------------------
@@ -187,36 +206,52 @@ def _loss(run: Member) -> float | None:
 
 def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str, list[Member]]) -> dict[str, Any]:
     """Return every variant's terms, gains over control alone, and effects of the groups on the first term."""
-    terms = list(scene.objective)
+    results = {v.name: [_result(run.run) for run in runs[v.name]] for v in variants}
+    compared = next(iter(scene.objective))
+    sense = scene.objective[compared].value.sense  # type: ignore[attr-defined]
+    met = {name: sum(one["status"] != INFEASIBLE for one in each) for name, each in results.items()}
     values = {
-        v.name: {term: [_result(run.run)["trained"]["terms"][term] for run in runs[v.name]] for term in terms}
-        for v in variants
+        name: [one["trained"]["terms"][compared] for one in each]
+        for name, each in results.items()
+        if met[name] == len(each)
     }
-    compared = terms[0]
     return {
         "scene": stem,
         "confidence": CONFIDENCE,
         "compared": compared,
-        "better": "greater" if scene.objective[compared].value.sense < 0 else "smaller",  # type: ignore[attr-defined]
+        "better": "greater" if sense < 0 else "smaller",
         "variants": {
             v.name: {
                 "free": list(v.groups),
                 "runs": [str(run.run) for run in runs[v.name]],
-                "terms": {term: interval(found) for term, found in values[v.name].items()},
-                "gain": _gain(values[v.name][compared], values[CONTROL][compared]),
+                "feasible": met[v.name] if scene.constraints else None,
+                "terms": _means(results[v.name], scene.objective, lambda one, name: one["trained"]["terms"][name]),
+                "constraints": _means(
+                    results[v.name], scene.constraints, lambda one, name: one["constraints"][name]["value"]
+                ),
+                "gain": _gain(values.get(v.name), values.get(CONTROL), sense),
             }
             for v in variants
         },
-        "effects": _effects(variants, {name: found[compared] for name, found in values.items()}),
+        "effects": _effects([v for v in variants if v.name in values], values),
     }
 
 
-def _gain(values: Sequence[float], control: Sequence[float]) -> dict[str, float | None] | None:
-    """Return by which part of control's mean the values differ from it, seed by seed; None where that is nought."""
-    base = float(np.mean(control))
-    if base == 0:
+def _means(
+    results: Sequence[dict[str, Any]], names: Iterable[str], value: Callable[[dict[str, Any], str], float]
+) -> dict[str, dict[str, float | None]]:
+    return {name: interval([value(one, name) for one in results]) for name in names}
+
+
+def _gain(
+    values: Sequence[float] | None, control: Sequence[float] | None, sense: float
+) -> dict[str, float | None] | None:
+    """Return by which part of control's mean the values are better, seed by seed; None where that is nought."""
+    if values is None or control is None or float(np.mean(control)) == 0.0:
         return None
-    return interval([(value - alone) / abs(base) for value, alone in zip(values, control, strict=True)])
+    base = abs(float(np.mean(control)))
+    better = -1.0 if sense < 0 else 1.0
+    return interval([better * (alone - value) / base for value, alone in zip(values, control, strict=True)])
 
 
 def _effects(variants: Sequence[Variant], values: dict[str, list[float]]) -> dict[str, dict[str, float | None]]:
@@ -226,21 +261,25 @@ def _effects(variants: Sequence[Variant], values: dict[str, list[float]]) -> dic
     for group in dict.fromkeys(group for v in variants for group in v.groups):
         added = [by_free[free | {group}] - without for free, without in by_free.items()
                  if group not in free and free | {group} in by_free]  # fmt: skip
-        found[group] = interval(np.mean(added, axis=0).tolist())
+        if added:
+            found[group] = interval(np.mean(added, axis=0).tolist())
     return found
 
 
 def _table(result: dict[str, Any]) -> str:
-    """Return a row a variant: mean and interval of every term, and the gain."""
-    terms = list(next(iter(result["variants"].values()))["terms"])
+    """Return a row a variant: mean and interval of every term, of every constraint and of the gain."""
     text = io.StringIO(newline="")
     rows = csv.writer(text, lineterminator="\n")
-    columns = [f"{name}:{end}" for name in (*terms, "gain") for end in ("mean", "low", "high")]
-    rows.writerow(["variant", "rate", "seeds", *columns])
-    for name, entry in result["variants"].items():
-        numbers = [entry["terms"][term] for term in terms] + [entry["gain"] or {}]
-        cells = ["" if n.get(end) is None else repr(n[end]) for n in numbers for end in ("mean", "low", "high")]
-        rows.writerow([name, entry["rate"] or "", len(entry["runs"]), *cells])
+    for k, (name, entry) in enumerate(result["variants"].items()):
+        held = {f"constraint:{constraint}": found for constraint, found in entry["constraints"].items()}
+        numbers = {**entry["terms"], **held, "gain": entry["gain"] or {}}
+        if k == 0:
+            columns = [f"{column}:{end}" for column in numbers for end in ("mean", "low", "high")]
+            rows.writerow(["variant", "rate", "seeds", *(["feasible"] if held else []), *columns])
+        ends = [n.get(end) for n in numbers.values() for end in ("mean", "low", "high")]
+        cells = ["" if end is None else repr(end) for end in ends]
+        feasible = [entry["feasible"]] if held else []
+        rows.writerow([name, entry["rate"] or "", len(entry["runs"]), *feasible, *cells])
     return text.getvalue()
 
 
@@ -255,15 +294,17 @@ def ablation_lines(path: Path) -> list[str]:
             entry["rate"] or "",
             shown(entry["terms"][compared]),
             "" if entry["gain"] is None or name == CONTROL else f"{entry['gain']['mean']:+.1%}",
+            *([] if entry["feasible"] is None else [f"{entry['feasible']} of {seeds}"]),
         )
         for name, entry in variants.items()
     ]
+    head = ("free", "rate", compared, "gain", "feasible")[: len(rows[0])]
     effects = sorted(result["effects"].items(), key=lambda item: -abs(item[1]["mean"]))
     return [
         f"{len(variants)} variants from {seeds} seeds; mean and {result['confidence']:.0%} interval; "
         f"{result['better']} is better",
         "",
-        *table(("free", "rate", compared, "gain"), rows),
+        *table(head, rows),
         "",
         *table(("freeing it adds", compared), [(name, shown(effect)) for name, effect in effects]),
         f"ablation: {path}",

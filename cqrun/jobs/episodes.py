@@ -210,6 +210,10 @@ class EpisodeProblem(Agent):
         found, (g,) = self._swept(x, goals, mixed)
         return float(np.mean([a.loss for a in found])), self._held(found), g
 
+    def bounds_in_words(self, below: Array, above: Array) -> str:
+        """Return which unknowns are at a bound, given those at their lower and at their upper (n,), in words."""
+        return self.params.bounds_in_words(below, above)
+
     def _held(self, attempts: Sequence[Attempt]) -> Array:
         return np.array([np.mean([a.held[name] for a in attempts]) for name in self.constraint_names]) / self.scales
 

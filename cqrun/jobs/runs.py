@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from cqrun.contract import Array
-from cqrun.errors import Problem, RunError, SceneError, UsageError
+from cqrun.errors import InfeasibleError, Problem, RunError, SceneError, UsageError
 from cqrun.geometry.file_shape import FileShape
 from cqrun.jobs.reporter import Reporter
 from cqrun.optimizers.constrained import VIOLATION
@@ -137,7 +137,9 @@ def refuse_overrides(run: RunDirectory, overrides: Sequence[str]) -> None:
 
 def raise_if_failed(run: RunDirectory) -> Path:
     """Return the run's path, or raise the error that it ended with."""
-    if run.status in ("failed", "infeasible"):
+    if run.status == "infeasible":
+        raise InfeasibleError(run.path, run.record["reason"])
+    if run.status == "failed":
         raise RunError(f"{run.path}: {run.record['reason']}")
     return run.path
 

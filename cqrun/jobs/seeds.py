@@ -74,11 +74,7 @@ def run_seeds(
     at_once = min(seeds, n_threads if jobs is None else jobs)
     problem = prepare(load_scene(source, overrides), 1, talk, job)
     scene, optimizer = problem.built.scene, optimizer_of(problem.built)
-    if seeds > 1 and not optimizer.draws and starts_alike(problem):
-        talk.warn(
-            f"--seeds {seeds}: nothing in this scene is drawn from its seed, so every run will be the same; give "
-            "the controller a random start, such as open_loop's `noise`"
-        )
+    warn_if_alike(problem, seeds, talk)
     compile_kernels([problem.built], talk, adjoint=optimizer.gradients)
     words = command_of(job, source, out, n_threads // at_once, fresh, allow_plugins)
     all_of_them = [member(words, source, scene, overrides, k, out, job) for k in range(seeds)]
@@ -104,6 +100,15 @@ def require_seeds(overrides: Sequence[str], seeds: int, jobs: int | None) -> Non
     for override in overrides:
         if override.partition("=")[0].strip() == "seed":
             raise UsageError(f"-o {override}: --seeds gives every run a seed of its own: remove one of the two")
+
+
+def warn_if_alike(problem: EpisodeProblem, seeds: int, talk: Reporter) -> None:
+    """Warn of seeds that change nothing."""
+    if seeds > 1 and not optimizer_of(problem.built).draws and starts_alike(problem):
+        talk.warn(
+            f"--seeds {seeds}: nothing in this scene is drawn from its seed, so every run will be the same; give "
+            "the controller a random start, such as open_loop's `noise`"
+        )
 
 
 def starts_alike(problem: EpisodeProblem) -> bool:

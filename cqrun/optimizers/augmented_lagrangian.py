@@ -81,7 +81,8 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         _, c = problem.values_and_constraints(outcome.x)  # type: ignore[attr-defined]
         if most_violated(c, problem.c_low, problem.c_high) <= self.constraint_tolerance:  # type: ignore[attr-defined]
             return outcome
-        message = f"{verdict(problem, outcome.x, c)} ({outcome.message})"  # type: ignore[arg-type]
+        told = verdict(problem, outcome.x, c, self.constraint_tolerance)  # type: ignore[arg-type]
+        message = f"{told} ({outcome.message})"
         return replace(outcome, status="infeasible", message=message)
 
     def begin_memory(self, problem: Problem, x: Array) -> dict[str, Array]:

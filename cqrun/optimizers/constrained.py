@@ -19,6 +19,7 @@ from pydantic import Field
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
+from cqrun.explain import listed
 from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, require_finite, terms_of
 from cqrun.optimizers.replayed import Trials
 
@@ -36,11 +37,13 @@ class ConstrainedProblem(Problem, Protocol):
     Attributes:
         constraint_names: m names.
         c_low, c_high: (m,), may be infinite; equal for an equality.
+        scales: (m,), what 1 of each is in its own unit.
     """
 
     constraint_names: Sequence[str]
     c_low: Array
     c_high: Array
+    scales: Array
 
     def values_and_constraints(self, x: Array) -> tuple[float, Array]:
         """Return f and c (m,)."""
@@ -50,6 +53,9 @@ class ConstrainedProblem(Problem, Protocol):
 
     def lagrangian(self, x: Array, weigh: Callable[[Array], Array]) -> tuple[float, Array, Array]:
         """Return f, c (m,) and the gradient (n,) of f + w.c, where w = weigh(c) counts as constant."""
+
+    def bounds_in_words(self, below: Array, above: Array) -> str:
+        """Return which unknowns are at a bound, given those at their lower and at their upper (n,), in words."""
 
 
 class ConstrainedOptimizer(Optimizer):
@@ -135,17 +141,20 @@ def told(problem: ConstrainedProblem, c: Array, found: Kkt) -> dict[str, float]:
     }
 
 
-def verdict(problem: ConstrainedProblem, x: Array, c: Array) -> str:
-    """Return in words which constraint is violated most, and how many unknowns the box holds there."""
+def verdict(problem: ConstrainedProblem, x: Array, c: Array, tolerance: float) -> str:
+    """Return in words which constraint is violated most, in its own unit, which others are, and what bounds hold x."""
     excess = violation(c, problem.c_low, problem.c_high)
     k = int(np.argmax(excess))
-    low, high = problem.c_low[k], problem.c_high[k]
-    wanted = f"{low:g}" if low == high else f"at most {high:g}" if c[k] > high else f"at least {low:g}"
-    at_low, at_high = (int(np.sum(side)) for side in held_by_box(problem, x))
-    bounds = f"{at_low} of {len(x)} unknowns are at their lower bound and {at_high} at their upper bound"
+    unit = float(problem.scales[k])
+    low, high, value = (unit * float(v) for v in (problem.c_low[k], problem.c_high[k], c[k]))
+    wanted = f"{low:g}" if low == high else f"at most {high:g}" if value > high else f"at least {low:g}"
+    scaled = "" if unit == 1.0 else f" ({excess[k]:.3g} of its scale)"
+    others = [name for i, name in enumerate(problem.constraint_names) if i != k and excess[i] > tolerance]
+    too = f"; {listed(others)} {'is' if len(others) == 1 else 'are'} violated less" if others else ""
     return (
-        f"constraint '{problem.constraint_names[k]}' is {c[k]:.6g}, wanted {wanted}: violated by {excess[k]:.3g}, the "
-        f"least that was found; {bounds}"
+        f"constraint '{problem.constraint_names[k]}' is {value:.6g}, wanted {wanted}: violated by "
+        f"{unit * excess[k]:.3g}{scaled}, the least that was found{too}; "
+        f"{problem.bounds_in_words(*held_by_box(problem, x))}"
     )
 
 
@@ -238,5 +247,5 @@ def ended(trials: ConstrainedTrials, outcome: Outcome) -> Outcome:
     """Return an outcome, with status `infeasible` and a verdict where it ended before the constraints were met."""
     if trials.feasible or outcome.status in ("failed", "stopped"):
         return outcome
-    message = f"{verdict(trials.problem, outcome.x, trials.best_c)} ({outcome.message})"
+    message = f"{verdict(trials.problem, outcome.x, trials.best_c, trials.tolerance)} ({outcome.message})"
     return Outcome(outcome.x, outcome.loss, "infeasible", message, outcome.iterations)

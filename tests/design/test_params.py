@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cqrun.design.params import Block, Follower, Params, Spread
+from cqrun.design.params import Block, Follower, Params, Plain, Spread
 from cqrun.design.spread import field, mirrored_field, pairs, shifted
 from cqrun.errors import UsageError
 
@@ -80,3 +80,16 @@ def test_points_in_another_place_and_order_are_matched(rng):
     np.testing.assert_array_equal(X[shifted(X, X[order] + 3.0, "particles", "of 'a'")], X[order])
     with pytest.raises(UsageError, match="the 35 particles are not the 36 of 'a' in another place"):
         shifted(X, X[1:], "particles", "of 'a'")
+
+
+def test_what_is_at_its_bounds_is_told_by_block():
+    numbers, weights = np.full(3, 10.0), np.zeros(2)
+    params = Params((
+        Block("e", 5.0, 20.0, False, numbers), Block("nu", 0.2, 0.4, False, np.array(0.3)),
+        Plain("w", np.array([-1.0, -2.0]), np.inf, False, weights),
+    ))  # fmt: skip
+    below = np.array([True, False, False, False, False, True])
+    above = np.array([False, True, True, True, False, False])
+    told = "at their bounds: e (1 of 3 at the lower, 5; 2 of 3 at the upper, 20), nu (at the upper, 0.4), "
+    assert params.bounds_in_words(below, above) == told + "w (1 of 2 at the lower)"
+    assert params.bounds_in_words(~above & False, ~above & False) == "no unknown is at a bound"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from small_beam import Listener, changed, result_of
-from small_finger import FINGER
+from small_finger import DESIGN, FINGER, written
 
 from cqrun.errors import UsageError
 from cqrun.figures.ablation import draw_ablation
@@ -53,8 +53,9 @@ def test_effects_and_gains_of_a_known_design(tmp_path):
     assert effects["youngs_modulus"]["mean"] == pytest.approx(3.25)
     assert effects["density"]["mean"] == pytest.approx(-0.75)
     assert effects["density"]["low"] == pytest.approx(effects["density"]["high"])  # the shift is of both sides
-    assert _gain([3.0, 5.0], [2.0, 2.0])["mean"] == pytest.approx(1.0)
-    assert _gain([1.0], [0.0]) is None
+    assert _gain([3.0, 5.0], [2.0, 2.0], -1.0)["mean"] == pytest.approx(1.0)  # greater is better
+    assert _gain([1.0, 1.5], [2.0, 3.0], 1.0)["mean"] == pytest.approx(0.5)  # smaller is better: still a gain
+    assert _gain([1.0], [0.0], -1.0) is None
 
 
 def test_variants_are_learned_and_compared(tmp_path):
@@ -82,9 +83,35 @@ def test_variants_are_learned_and_compared(tmp_path):
     assert "freeing it adds" in text
 
 
+def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
+    """The tip comes to .0146 with the stiffness free, and to .0158 without."""
+    scene, listener = written(tmp_path, DESIGN), Listener()
+    path = run_ablation(
+        scene, ["constraints.tip.at_most=0.0152", "controller.linear_tanh.spread=0",
+                "unknowns.bodies.finger.material.density={bounds: [0.999, 1.001]}"],
+        tmp_path / "out", False, 2, seeds=2, reporter=listener,
+    )  # fmt: skip
+    assert any("every run will be the same" in line for line in listener.said)
+    variants = json.loads(path.read_text())["variants"]
+    assert {name: entry["feasible"] for name, entry in variants.items()} == {
+        "control": 0, "youngs_modulus": 2, "density": 0, "all": 2,
+    }  # fmt: skip
+    assert all(entry["gain"] is None for entry in variants.values())
+    assert variants["youngs_modulus"]["constraints"]["tip"]["mean"] <= 0.0152 + 1e-8
+    assert variants["control"]["constraints"]["tip"]["mean"] > 0.0152
+    rows = list(csv.DictReader(path.with_suffix(".csv").read_text().splitlines()))
+    assert [row["feasible"] for row in rows] == ["0", "2", "0", "2"]
+    assert float(rows[0]["constraint:tip:mean"]) > 0.0152
+    text = "\n".join(ablation_lines(path))
+    assert "0 of 2" in text
+    assert "freeing it adds" in text  # the density, to the stiffness
+    assert draw_ablation(path)[0].stat().st_size > 10_000
+
+
 @pytest.mark.parametrize(
     ("change", "options", "message"),
     [
+        ("objective={}", {}, "this scene has no `objective`"),
         ("unknowns={}", {}, "this scene has no `unknowns`"),
         ("optimizer={lbfgs: {}}", {"rates": [0.1]}, "the scene's optimizer, lbfgs, has no learning_rate"),
         ("time.duration=0.04", {"seeds": 0}, "--seeds 0: must be at least 1"),

@@ -10,7 +10,7 @@ from toy_problems import Confined, Nearest, Rosenbrock, run_folder, solve
 
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.optimizers.augmented_lagrangian import AugmentedLagrangian
-from cqrun.optimizers.constrained import Kkt, kkt, most_violated, violation
+from cqrun.optimizers.constrained import Kkt, kkt, most_violated, verdict, violation
 from cqrun.optimizers.nlopt import Nlopt
 from cqrun.optimizers.slsqp import MOST_UNKNOWNS, Slsqp
 from cqrun.optimizers.sqp import Sqp
@@ -136,7 +136,17 @@ def test_what_cannot_be_met_is_told_with_the_least_violation(tmp_path, method):
     assert outcome.status == "infeasible"
     assert outcome.x.sum() == pytest.approx(6.0, abs=1e-3)
     assert "constraint 'sum' is 6, wanted 10: violated by 4, the least that was found" in outcome.message
-    assert "0 of 3 unknowns are at their lower bound and 3 at their upper bound" in outcome.message
+    assert "at bounds: [] below, [0, 1, 2] above" in outcome.message
+
+
+def test_the_verdict_is_in_the_constraints_own_unit_and_names_the_others():
+    problem = Confined(n=2, radius=1.0, total=3.0)
+    problem.__class__ = type("Scaled", (Confined,), {"scales": np.array([0.01, 2.0])})
+    told = verdict(problem, np.array([2.0, 0.5]), np.array([2.5, 4.25]), 1e-6)
+    assert told == (
+        "constraint 'ball' is 8.5, wanted at most 2: violated by 6.5 (3.25 of its scale), the least that was found; "
+        "sum is violated less; at bounds: [] below, [0] above"
+    )
 
 
 def test_a_limit_before_the_constraints_are_met_is_no_success(tmp_path):

@@ -70,7 +70,18 @@ class Rosenbrock:
         return np.concatenate([valley, slope]), jacobian
 
 
-class Confined(Rosenbrock):
+class Told:
+    """Constraints in their own units, and bounds by number."""
+
+    @property
+    def scales(self):
+        return np.ones(len(self.constraint_names))
+
+    def bounds_in_words(self, below, above):
+        return f"at bounds: {np.flatnonzero(below).tolist()} below, {np.flatnonzero(above).tolist()} above"
+
+
+class Confined(Told, Rosenbrock):
     """Rosenbrock's valley where the sum of x is 1 and x.x is at most `radius` squared; half of x in [-2, 2]."""
 
     constraint_names = ("sum", "ball")
@@ -93,7 +104,7 @@ class Confined(Rosenbrock):
         return f, c, g + weigh(c) @ J
 
 
-class Nearest:
+class Nearest(Told):
     """The point nearest to `aim` where w.x is at most `most`: (aim - w max(0, w.aim - most) / w.w), by projection."""
 
     term_names = ()
