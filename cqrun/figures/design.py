@@ -1,4 +1,8 @@
-"""design.png: what was designed, coloured on the body at rest and where it has moved farthest; a row a quantity."""
+"""What was designed.
+
+design.png   quantities of the material, coloured on the body at rest and where it has moved farthest; a row a quantity
+shape.png    the bodies as they were before and as they were designed, where geometry changed
+"""
 
 from __future__ import annotations
 
@@ -7,13 +11,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.figures.bodies import PANEL, farthest_frame, plot_body, snapshot
+from cqrun.figures.bodies import PANEL, Snapshot, farthest_frame, plot_body, snapshot
 from cqrun.figures.colours import MATERIAL, material_of
+from cqrun.figures.dots import Dots
 from cqrun.figures.quantities import length_unit, shown_unit
 from cqrun.figures.run_data import RunData
-from cqrun.figures.style import GREY, new_figure
+from cqrun.figures.style import COLOURS, GREY, new_figure
 from cqrun.figures.views import of_equal_width, room_around, views, window
 from cqrun.scene.particles import sample
+from cqrun.scene.paths import canonical, is_geometry, with_values
+from cqrun.scene.unknowns import start, tied
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,6 +35,45 @@ def designed_quantities(run: RunData) -> dict[str, Array]:
     asked = [name for name, (key, *_) in MATERIAL.items() if any(path.endswith(f".{key}") for path in paths)]
     found = {name: material_of(run, particles, name) for name in asked}
     return {name: values for name, values in found.items() if np.ptp(values) > 0}
+
+
+def has_new_shape(run: RunData) -> bool:
+    """Say whether the unknowns of a codesign run change where particles begin."""
+    return run.job == "codesign" and bool(_shape_before(run))
+
+
+def _shape_before(run: RunData) -> dict[str, float]:
+    """Return the starts of the unknowns that are geometry, and of what follows them, by path."""
+    unknowns = (run.result or {}).get("unknowns") or {}
+    asked = [path for path in run.scene.unknowns if canonical(run.scene, path) in unknowns]
+    starts = [tied(run.scene, path, start(run.scene, path)) for path in asked if run.scene.unknowns[path].per == "body"]
+    return {path: value for each in starts for path, value in each.items() if is_geometry(path)}
+
+
+def draw_shape(run: RunData) -> Figure:
+    """Return the picture of a design that has another shape (`has_new_shape`): before, and as it was designed."""
+    trajectory = run.trajectory()
+    particles = sample(with_values(run.scene, _shape_before(run)))
+    bodies = {name: particles.of(name) for name in run.scene.bodies}
+    after = snapshot(trajectory, 0)
+    before = Snapshot(0.0, particles.x, np.zeros(len(particles.x)), Dots.of(particles.x, bodies))
+    both = np.concatenate([before.x, after.x])
+    looks = views(run.scene, both)
+    windows = of_equal_width([window(both, look, room_around(both, after.dots.size)) for look in looks])
+    tall = [PANEL * float(np.clip((w[1, 1] - w[0, 1]) / (w[1, 0] - w[0, 0]), 0.25, 2.2)) for w in windows]
+    figure = new_figure(2 * PANEL + 0.4, sum(tall) + 0.35 * len(looks) + 0.75)
+    panels, unit = figure.subplots(len(looks), 2, squeeze=False, height_ratios=tall), length_unit(float(np.max(both)))
+    for axes, title in zip(panels[0], ("before", "designed"), strict=True):
+        axes.set_title(title)
+    for row, look, corners in zip(panels, looks, windows, strict=True):
+        for axes, shot, colour in zip(row, (before, after), (GREY, COLOURS[0]), strict=True):
+            dots = plot_body(axes, run.scene, shot, look, corners, unit, 1.0)
+            dots.set_array(None)
+            dots.set_facecolor(colour)
+        row[1].tick_params(labelleft=False)
+        row[1].set_ylabel("")
+    figure.suptitle(run.name, fontsize=9, color=GREY, x=0.995, ha="right")
+    return figure
 
 
 def draw_design(run: RunData, shown: dict[str, Array]) -> Figure:

@@ -10,7 +10,7 @@ from cqrun.errors import UsageError
 from cqrun.figures.bodies import draw_bodies
 from cqrun.figures.compare import draw_comparison
 from cqrun.figures.convergence import draw_convergence
-from cqrun.figures.design import designed_quantities, draw_design
+from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.overview import draw_overview
 from cqrun.figures.run_data import HISTORY, RESULT, TRACKS, TRAJECTORY, RunData, read_run
 from cqrun.figures.style import save, styled
@@ -94,6 +94,8 @@ def _figures(run: RunData) -> list[tuple[str, Figure]]:
         drawn.append(("bodies", draw_bodies(run)))
         if shown := designed_quantities(run):
             drawn.append(("design", draw_design(run, shown)))
+        if has_new_shape(run):
+            drawn.append(("shape", draw_shape(run)))
     if run.history and run.succeeded:
         drawn.append(("overview", draw_overview(run)))
     return drawn

@@ -14,9 +14,7 @@ import numpy as np
 from cqrun.errors import UsageError
 from cqrun.explain import listed
 from cqrun.scene.build import Built
-
-SHAPES = (".shape.", ".parts.", ".place.")
-"""In key paths of numbers that move particles of a body against each other, or turn it."""
+from cqrun.scene.paths import is_geometry
 
 NEAR = 1e-6
 """Cells within which two places are the same."""
@@ -44,7 +42,7 @@ def require_same(path: Path, then: Mapping[str, Any], built: Built, learned: Ite
         learned: key paths of numbers that were learned with it.
     """
     now = acted_on(built)
-    shaped = any(part in name for name in learned for part in SHAPES)
+    shaped = any(map(is_geometry, learned))
     if shaped or (then["particles"], then["lie"]) != (now["particles"], now["lie"]):
         return
     near = NEAR * built.scene.world.dx

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from pydantic import Field
 
@@ -20,6 +22,8 @@ class ContactFree(AlongAxis):
 
     Zero where all are clear of `height` by the margin. It records every particle of the region at every control step.
     """
+
+    least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that should touch nothing")
     region: ChosenRegion | None = Field(description="Where, at rest; the whole body if absent", default=None)

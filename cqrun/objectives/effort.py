@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from pydantic import Field
 
@@ -15,6 +17,8 @@ from cqrun.registry import plugin
 @plugin("objective", "effort")
 class Effort(ObjectiveTerm):
     """Effort [s]: the integral over time of u^T u, the sum of all activations' squares."""
+
+    least: ClassVar[float] = 0.0
 
     over: Over = Field(description="How the values of all control steps become one", default="sum")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -23,6 +23,8 @@ class Reach(ObjectiveTerm):
 
     With `squared: false` the distance itself [m]; its slope at 0 is taken as 0.
     """
+
+    least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that reaches")
     group: str | None = Field(description="Group of the body; the whole body if absent", default=None)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from pydantic import Field
 
@@ -18,6 +20,8 @@ class Rest(ObjectiveTerm):
 
     The second is what CQ1's arm must bring to rest; it records every particle at every control step.
     """
+
+    least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that should rest")
     group: str | None = Field(description="Group of the body; the whole body if absent", default=None)

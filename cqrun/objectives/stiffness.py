@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from pydantic import Field
 
 from cqrun.objectives.design import STIFFNESS, DesignSum
@@ -13,6 +15,8 @@ from cqrun.registry import plugin
 @plugin("objective", "stiffness")
 class Stiffness(ObjectiveTerm):
     """Young's modulus [Pa], the plain mean over a body's particles."""
+
+    least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that counts")
     group: str | None = Field(description="Group of the body; the whole body if absent", default=None)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from pydantic import Field
 
@@ -20,6 +22,8 @@ class Stretch(ObjectiveTerm):
     s = (sum_i sum_k lambda_ik^p / (N D))^(1/p), lambda the singular values of F: smooth everywhere, below the largest
     stretch and above it times (N D)^(-1/p). It records every particle of the region at every control step.
     """
+
+    least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that is stretched")
     region: ChosenRegion | None = Field(description="Where, at rest; the whole body if absent", default=None)

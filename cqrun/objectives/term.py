@@ -91,9 +91,10 @@ class BoundTerm(ABC):
 
 
 class ObjectiveTerm(Plugin):
-    """Base of the plug-ins of kind `objective`; `sense` is -1 where larger is better."""
+    """Base of the plug-ins of kind `objective`; `sense` is -1 where larger is better, `least` no value is below."""
 
     sense: ClassVar[Literal[1, -1]] = 1
+    least: ClassVar[float] = -np.inf
 
     weight: float = Field(description="Factor in the loss", default=1.0)
     over: Over = Field(description="How the values of all control steps become one", default="final")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -29,6 +29,8 @@ class Tracking(ObjectiveTerm):
     every control step. `keys` count at their own times alone, between control steps by cubic Hermite; there `sum`
     is their sum times the control step. With `squared: false` the distance itself [m].
     """
+
+    least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that follows")
     group: str | None = Field(description="Group of the body; the whole body if absent", default=None)

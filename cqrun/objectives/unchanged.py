@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -20,6 +20,8 @@ ROWS = {"mass": MASS, "volume": VOLUME, "stiffness": STIFFNESS}
 @plugin("objective", "unchanged")
 class Unchanged(ObjectiveTerm):
     """Mean over a body's particles of (q / q_0 - 1)^2, q a quantity of each and q_0 what it was at the start."""
+
+    least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that counts")
     group: str | None = Field(description="Group of the body; the whole body if absent", default=None)

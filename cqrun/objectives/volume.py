@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from pydantic import Field
 
 from cqrun.objectives.design import VOLUME, DesignSum
@@ -13,6 +15,8 @@ from cqrun.registry import plugin
 @plugin("objective", "volume")
 class Volume(ObjectiveTerm):
     """Volume [m^3], in 2D area [m^2], of a body at rest."""
+
+    least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that counts")
     group: str | None = Field(description="Group of the body; the whole body if absent", default=None)

@@ -4,7 +4,8 @@ An iteration solves, with rollouts linearised at x and B the Hessian of the Lagr
 
     minimise g.d + d.B d / 2   over   c_low <= c + J d <= c_high,   the box,   |d| <= radius
 
-and takes the step if the merit f + rho sum |violation| falls by enough of what that promised; else the radius shrinks.
+and takes the step if the merit f + rho sum |violation| falls by enough of what that promised; else the radius shrinks,
+as it does where a trial blows up.
 Quadratic programs cost nothing beside a rollout. J. Nocedal, S. Wright: Numerical optimization (2006), sections 7.2
 (compact L-BFGS, eq 7.24), 18.2 (damping) and 18.5 (S l1 QP).
 """
@@ -17,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array
-from cqrun.optimizers.base import Status
+from cqrun.optimizers.base import Status, TrialFailed
 from cqrun.optimizers.constrained import ConstrainedTrials, most_violated, violation
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
 from cqrun.optimizers.two_searches import Feasible, TwoSearches
@@ -51,7 +52,7 @@ class Sqp(TwoSearches):
     ) -> tuple[Status, str]:
         """Search once; for feasibility alone f counts as 0, and `Feasible` is raised on success."""
         low, high = trials.problem.c_low, trials.problem.c_high
-        radius, rho = self.radius, 1.0
+        radius, rho, last = self.radius, 1.0, ""
         here = _Point.of(x, trials.gradients(x), feasibility)
         curvature = Curvature(self.memory)
         if feasibility:
@@ -67,9 +68,14 @@ class Sqp(TwoSearches):
                 met = most_violated(here.c, low, high) <= self.constraint_tolerance
                 told = f"SQP: a step promises no more than {max(promised, 0.0):.2g}"
                 return ("converged" if met else "stalled"), told
-            there = _Point.of(x + d, trials.gradients(x + d), feasibility)
-            fallen = here.merit(rho, low, high) - there.merit(rho, low, high)
             length = float(np.max(np.abs(d), initial=0.0))
+            try:
+                there = _Point.of(x + d, trials.gradients(x + d), feasibility)
+            except TrialFailed as failure:
+                radius, last = 0.5 * length, f"; the last trial: {failure}"
+                continue
+            last = ""
+            fallen = here.merit(rho, low, high) - there.merit(rho, low, high)
             if fallen < POOR * promised:
                 radius = 0.5 * length
             elif fallen > GOOD * promised:
@@ -81,7 +87,7 @@ class Sqp(TwoSearches):
             trials.accept(x)
             if feasibility and trials.violated(x) <= self.constraint_tolerance:
                 raise Feasible
-        return "stalled", "SQP: no step lowers the merit any more"
+        return "stalled", f"SQP: no step lowers the merit any more{last}"
 
 
 def _step(

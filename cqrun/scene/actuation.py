@@ -111,25 +111,33 @@ class Actuation:
         return np.concatenate([self._weights_of(part, values) for part in self.parts])
 
     def _weights_of(self, part: Part, values: Values) -> Array:
-        held = part.model.particles
-        value = np.asarray(values.get(self._weight(part), getattr(part.spec, "weight", 1.0)), float)
-        return np.full(len(held), float(value)) if value.ndim == 0 else value[held - self._start(part)]
+        held, own = part.model.particles, float(getattr(part.spec, "weight", 1.0))
+        value = np.asarray(values.get(self._weight(part), own), float)
+        if value.ndim == 0:
+            return np.full(len(held), float(value))
+        place = self._entries(part, value.size)
+        return np.where(place >= 0, value[place], own)
 
     def weights_vjp(self, weights_bar: Array, out: dict[str, Array]) -> None:
         """Add to the gradients of the weights that are wanted."""
         begin = 0
         for part in self.parts if len(weights_bar) else ():
-            held = part.model.particles
-            own, begin = weights_bar[begin : begin + len(held)], begin + len(held)
+            count = len(part.model.particles)
+            own, begin = weights_bar[begin : begin + count], begin + count
             if self._weight(part) not in out:
                 continue
-            if np.ndim(out[self._weight(part)]) == 0:
+            bar = out[self._weight(part)]
+            if np.ndim(bar) == 0:
                 out[self._weight(part)] += own.sum()
             else:
-                np.add.at(out[self._weight(part)], held - self._start(part), own)
+                place = self._entries(part, bar.size)
+                np.add.at(bar, place[place >= 0], own[place >= 0])
 
-    def _start(self, part: Part) -> int:
-        return int(self.particles.of(part.spec.body).start)
+    def _entries(self, part: Part, size: int) -> Array:
+        """Return which entry of a weight with one a particle, or one a group, each particle has; -1 for none."""
+        body = part.spec.body
+        place = part.model.particles - int(self.particles.of(body).start)
+        return place if size == len(self.particles.points[body].x) else self.particles.labels(body)[place]
 
     @staticmethod
     def _weight(part: Part) -> str:

@@ -57,14 +57,6 @@ class Assembly:
 
     # --- values -------------------------------------------------------------------------------------------
 
-    def _labels(self, body: str) -> Array:
-        """Return the group of each of a body's particles, -1 for none (the last group that holds it)."""
-        points = self.particles.points[body]
-        labels = np.full(len(points.x), -1)
-        for k, held in enumerate(points.groups.values()):
-            labels[held] = k
-        return labels
-
     def _others(self, body: str, path: str) -> list[tuple[Array, str, float]]:
         """Return where `material_of` has another value than that of a path: particles (N_b,), its path, the value."""
         base = f"bodies.{body}.material"
@@ -91,7 +83,7 @@ class Assembly:
             return np.full(count, float(value))
         if value.size == count:
             return value.reshape(-1).copy()
-        labels = self._labels(body)
+        labels = self.particles.labels(body)
         return np.where(labels >= 0, value.reshape(-1)[labels], own)
 
     def _spread_vjp(self, body: str, path: str, per_particle_bar: Array, values: Values, out: dict[str, Array]) -> None:
@@ -117,7 +109,7 @@ class Assembly:
         elif value.size == len(per_particle_bar):
             bar += per_particle_bar.reshape(value.shape)
         else:
-            labels = self._labels(body)
+            labels = self.particles.labels(body)
             np.add.at(bar.reshape(-1), labels[labels >= 0], per_particle_bar[labels >= 0])
 
     # --- inputs and gradient --------------------------------------------------------------------------------

@@ -35,6 +35,11 @@ class Constraint(Spec):
         if len(given) == 2 and not self.low < self.high:
             message = f"leaves nothing: at_least {self.low:g} is not below at_most {self.high:g}"
             raise complaint("Constraint", [finding(message, ("at_most",), involves=("at_least",))])
+        least = getattr(self.of.value, "least", -np.inf)
+        if self.high < least:
+            end = "at_most" if self.at_most is not None else "equals"
+            told = f"{self.high:g} can never be met: no {self.of.name} is below {least:g}"
+            raise complaint("Constraint", [finding(told, (end,))])
         return self
 
     @property

@@ -53,6 +53,14 @@ class Particles:
         start = self.of(body).start
         return {name: start + np.flatnonzero(held) for name, held in self.points[body].groups.items()}
 
+    def labels(self, body: str) -> Array:
+        """Return the group of each of a body's particles (N_b,), -1 for none (the last group that holds it)."""
+        points = self.points[body]
+        labels = np.full(len(points.x), -1)
+        for k, held in enumerate(points.groups.values()):
+            labels[held] = k
+        return labels
+
 
 def stress_key(scene: Scene, body: str) -> tuple[Any, ...]:
     """Return what bodies with the same stress terms have in common: the terms and what is not a parameter."""

@@ -21,6 +21,14 @@ from cqrun.scene.keypath import first_key, joined, locate, replaced
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import children
 
+GEOMETRY = (".shape.", ".parts.", ".place.")
+"""In key paths of numbers that move particles of a body against each other, or all of them."""
+
+
+def is_geometry(path: str) -> bool:
+    """Say whether the number at a path, in its long spelling, is one of a body's geometry."""
+    return any(key in path for key in GEOMETRY)
+
 
 @dataclass(frozen=True)
 class LeafInfo:

@@ -113,15 +113,18 @@ def _per(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails
         return
     keys = canonical(scene, path).split(".")
     place: Loc = ("unknowns", path, "per")
-    if keys[0] == "actuators" and keys[-1] == "weight" and unknown.per != "group":
-        return
-    if keys[0] != "bodies" or keys[2] != "material":
+    is_weight = keys[0] == "actuators" and keys[-1] == "weight"
+    body = body_of(scene, ".".join(keys))
+    if not is_weight and (keys[0] != "bodies" or keys[2] != "material"):
         how = "be a field" if unknown.per == "field" else f"differ by {unknown.per}"
-        also = "" if unknown.per == "group" else ", and an actuator's `weight`,"
-        yield finding(f"only a body's material{also} can {how}; use `per: body`", place)
-    elif unknown.per == "group" and not scene.bodies[keys[1]].group_names:
-        yield finding(f"the body '{keys[1]}' has no groups; name some or use `per: body`", place)
-    else:
+        advice = "use `per: body`"
+        if keys[0] == "actuators":
+            weight = ".".join([*keys[:-1], "weight"])
+            advice += f", or the unknown '{weight}', the share of its strength that each particle has"
+        yield finding(f"only a body's material, and an actuator's `weight`, can {how}; {advice}", place)
+    elif unknown.per == "group" and not scene.bodies[body].group_names:
+        yield finding(f"the body '{body}' has no groups; name some or use `per: body`", place)
+    elif not is_weight:
         others = scene.bodies[keys[1]].material_of
         own = [name for name, other in others.items() if other.value(".".join(keys[3:])) is not None]
         if own:

@@ -9,7 +9,7 @@ import pytest
 from small_beam import changed, result_of
 from small_finger import FINGER
 
-from cqrun.figures.design import designed_quantities, draw_design
+from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.draw import draw_run
 from cqrun.figures.run_data import read_run
 from cqrun.jobs.control import run_control
@@ -45,6 +45,30 @@ def test_the_body_is_drawn_at_rest_and_moved(run):
         np.testing.assert_array_equal(np.unique(dots.get_array()), np.unique(values))
     assert figure.axes[-1].get_ylabel() == "Young's modulus (Pa)"
     assert run / "figures" / "design.png" in draw_run(run)
+
+
+def test_a_new_shape_is_drawn_beside_the_old_one(run, tmp_path):
+    """Each is as high as the height of the finger's tip says."""
+    path = tmp_path / "finger.yaml"
+    size = "bodies.finger.parts.tip.box.size.1"
+    unknown = f"unknowns:\n  {size}: {{bounds: [0.6, 1.0], initial: 0.8}}\n"
+    path.write_text(FINGER.replace("job: control", "job: codesign") + unknown)
+    changed(path, "duration: 0.1", "duration: 0.04")
+    shaped = run_control(path, [], tmp_path / "out", False, 1, True, job="codesign")
+    data = read_run(shaped)
+    assert designed_quantities(data) == {}
+    assert (has_new_shape(data), has_new_shape(read_run(run))) == (True, False)
+    panels = draw_shape(data).axes
+    assert [axes.get_title() for axes in panels] == ["before", "designed"]
+    tops = [max(float(c.get_offsets()[:, 1].max()) for c in axes.collections if len(c.get_offsets()) > 9)
+            for axes in panels]  # fmt: skip
+    designed = result_of(shaped)["unknowns"][size]["value"]
+    assert abs(designed - 0.8) > 1e-3
+    # the uppermost of four particles along the tip; its lower edge is at .6 m
+    assert tops == pytest.approx(
+        [0.6 + 0.2 * height * 7 / 8 for height in (0.8, designed)], abs=1e-6
+    )
+    assert shaped / "figures" / "shape.png" in draw_run(shaped)
 
 
 def test_a_control_run_has_no_design(run, tmp_path):

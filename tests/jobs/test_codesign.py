@@ -192,6 +192,8 @@ def test_validate_tells_the_constraints(finger):
         ("constraints.tip={of: {reach: {body: finger, goal: target}}}", "constraints.tip: needs `at_least`"),
         ("constraints.tip.of.reach.group=tpi", "constraints.tip.of.reach.group: there is no group of the body"),
         ("constraints.tip.of.reach.weight=5", "constraints.tip.of.reach.weight: a constraint has no weight"),
+        ("constraints.tip.at_most=-0.1", "constraints.tip.at_most: -0.1 can never be met: no reach is below 0"),
+        ("constraints.tip={of: {effort: {}}, equals: -1}", "constraints.tip.equals: -1 can never be met: no effort is"),
         ("constraints.up.scale=0", "constraints.up.scale: must be greater than 0"),
         (f"unknowns.{STIFFNESS}.resolution=3", "resolution: has a meaning only for `per: field`"),
         (f"unknowns.{STIFFNESS}={{bounds: [5, 20], mirror: x}}", "mirror: has a meaning only for `per: particle`"),

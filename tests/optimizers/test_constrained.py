@@ -149,6 +149,22 @@ def test_the_verdict_is_in_the_constraints_own_unit_and_names_the_others():
     )
 
 
+def test_sqp_shortens_its_step_where_a_trial_blows_up(tmp_path):
+    """Every fourth trial does, and it comes to the same minimum without a restart, of which there are but three."""
+
+    class Fragile(Confined):
+        def _evaluate(self, x):
+            self.wall = -9.0 if self.evaluations % 4 == 3 else np.inf
+            return super()._evaluate(x)
+
+    whole, _ = solve(tmp_path / "whole", Sqp(), Confined())
+    problem = Fragile()
+    outcome, _ = solve(tmp_path / "fragile", Sqp(), problem)
+    assert outcome.status == "converged"
+    assert problem.evaluations > 20
+    np.testing.assert_allclose(outcome.x, whole.x, atol=1e-4)
+
+
 def test_a_limit_before_the_constraints_are_met_is_no_success(tmp_path):
     outcome, _ = solve(tmp_path, Slsqp(max_iterations=1), Confined(n=6, radius=0.5, total=1.0))
     assert outcome.status == "infeasible"

@@ -138,5 +138,31 @@ def test_where_a_muscle_lies_can_be_a_field():
     built = build(load_scene(scene))
     (block,) = make_params(built).blocks
     assert block.size < len(built.particles.points["a"].x) == len(block.initial)
-    with pytest.raises(SceneError, match="only a body's material can differ by group"):
-        load_scene(scene, [f"unknowns.{path}={{bounds: [0, 1], per: group}}"])
+
+
+def test_a_muscle_can_be_stronger_in_one_group(built, rng):
+    """One weight a group of the body; a particle of none keeps the actuator's own."""
+    assembly, path = built.assembly, "actuators.muscle.muscle.weight"
+    values = {path: np.array([0.25])}
+    (slot,) = (k for k, part in enumerate(assembly.actuation.parts) if part.name == "muscle")
+    held = assembly.actuation.parts[slot].model.particles
+    tip = np.isin(held, built.particles.groups("a")["tip"])
+    assert 0 < tip.sum() < len(tip)
+    inputs = assembly.inputs(values)
+    own = built.model.weight_slices[slot]
+    np.testing.assert_array_equal(inputs.weights[own], np.where(tip, 0.25, 1.0))
+    bar = random_bar(inputs, rng)
+    assert assembly.gradient(values, bar)[path] == pytest.approx([bar.weights[own][tip].sum()], rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("unknown", "advice"),
+    [
+        ("actuators.muscle.muscle.strength", ", or the unknown 'actuators.muscle.muscle.weight', the share of its "),
+        ("bodies.a.velocity.0", "$"),
+    ],
+)
+def test_what_cannot_differ_by_group_says_what_can(unknown, advice):
+    told = f"only a body's material, and an actuator's `weight`, can differ by group; use `per: body`{advice}"
+    with pytest.raises(SceneError, match=told):
+        load_scene(everything(2), [f"unknowns={{{unknown}: {{bounds: [0, 100], per: group}}}}"])

@@ -165,7 +165,7 @@ UNKNOWN = f"  {SHEAR}: {{bounds: [1, 400], scale: log}}"
         ),
         (
             "  world.gravity.1: {bounds: [-10, 0], per: group}",
-            ["beam.yaml:27:44: unknowns.world.gravity.1.per: only a body's material can differ by group"],
+            ["beam.yaml:27:44: unknowns.world.gravity.1.per: only a body's material, and an actuator's `weight`, can "],
         ),
         (
             f"  {SHEAR}: {{bounds: [1, 400], per: each}}",
