@@ -19,7 +19,7 @@ from cqrun.fingerprint import engine_hash
 from cqrun.jobs.cases import make_cases
 from cqrun.jobs.findings import find_intervals, list_unknowns
 from cqrun.jobs.problem import FitProblem
-from cqrun.jobs.sysid import cores
+from cqrun.jobs.runs import cores
 from cqrun.jobs.unknowns import make_params
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene

@@ -182,8 +182,8 @@ class Learners(Figure):
         for threshold in self.thresholds:
             ours = self.episodes_to(table, GRADIENT, threshold)
             others = {m: self.episodes_to(table, m, threshold) for m in (CMA, PPO) if m in table["method"]}
-            told = ", ".join(f"{method} {_count(n)}" for method, n in others.items())
-            checks[f"below {threshold:g}: gradient {_count(ours)}, {told}"] = all(ours < n for n in others.values())
+            told = ", ".join(f"{method} {_count(n)}" for method, n in {GRADIENT: ours, **others}.items())
+            checks[f"below {threshold:g}: {told}"] = all(ours < n for n in others.values())
             if size is Size.PAPER and (limit := self.allowed(threshold)) is not None:
                 checks[f"below {threshold:g} within {limit:g} episodes (paper), here {_count(ours)}"] = ours <= limit
         if PPO not in table["method"]:

@@ -1,7 +1,8 @@
 """What takes time behind a figure: runs of cqrun and measurements. Each has a folder, and goes on where it stopped.
 
 A folder's `clock.json` says what was begun, by which engine, and how long it has taken, pauses left out; `done.json`
-is written last, and adds the machine. Work whose command or scene has changed is done anew.
+is written last, and adds the machine. Work whose command or scene has changed is done anew; that which wants more seeds
+goes on.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine
@@ -69,6 +72,10 @@ class Work(ABC):
         facts = _read(folder / DONE)
         return facts if facts.get("fingerprint") == self.fingerprint() else None
 
+    def facts(self) -> dict[str, Any]:
+        """Return what `done.json` tells besides how it was done."""
+        return {"command": self.command}
+
     def spent(self, folder: Path) -> float:
         """Return the seconds that were spent on it so far."""
         return float(_read(folder / CLOCK).get("seconds", 0.0))
@@ -87,7 +94,7 @@ class Work(ABC):
         clock["seconds"] += time.monotonic() - begun
         write_json(folder / CLOCK, clock)
         if finished:
-            write_json(folder / DONE, clock | {"command": self.command, "machine": machine()})
+            write_json(folder / DONE, clock | self.facts() | {"machine": machine()})
         return finished
 
 
@@ -132,7 +139,18 @@ class Runs(Work):
 
     def fingerprint(self) -> str:
         """Return what its result depends on besides the engine, as hex digits."""
-        return hashlib.sha256(self.command.encode() + self.path.read_bytes()).hexdigest()[:12]
+        scene = yaml.safe_load(self.path.read_text())  # comments change nothing, and neither do more seeds
+        whole = [self.job, self.scene, self.overrides, self.options, scene]
+        return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:12]
+
+    def done(self, folder: Path) -> dict[str, Any] | None:
+        """Return what `done.json` says, or None where this is not done, or for fewer seeds."""
+        facts = super().done(folder)
+        return facts if facts is not None and facts["seeds"] >= self.seeds else None
+
+    def facts(self) -> dict[str, Any]:
+        """Return the command and its seeds."""
+        return super().facts() | {"seeds": self.seeds}
 
     def go_on(self, folder: Path, seconds: float, jobs: int) -> bool:
         """Run cqrun for so long at most; say whether it is finished."""

@@ -27,6 +27,7 @@ from benchmarks.papers.publish import publish
 from benchmarks.papers.work import DONE, ROOT, Measurement, Runs
 from cqrun.figures.style import new_figure, styled
 from cqrun.scene.load import load_scene
+from cqrun.store.atomic import write_json
 
 PUBLISHED = ROOT / "results" / "figures"
 QUICK_MINUTES = 60.0
@@ -135,6 +136,24 @@ def test_work_that_has_changed_is_done_anew(tmp_path):
     assert other.done(folder) is None
     assert not other.do(folder, 1.0, 1)
     assert [file.name for file in folder.glob("*.txt")] == ["0.txt"]
+
+
+def test_more_seeds_go_on_and_comments_change_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr("benchmarks.papers.work.SCENES", tmp_path)
+    scene = tmp_path / "simulate" / "tear.yaml"
+    scene.parent.mkdir()
+    scene.write_text("# a scene\nseed: 1\n")
+    three = replace(TEAR, seeds=3)
+    write_json(tmp_path / DONE, {"fingerprint": three.fingerprint(), **three.facts()})
+    scene.write_text("# the same scene\nseed: 1  # as it was\n")
+    assert three.done(tmp_path)["command"].endswith("--seeds 3")
+    assert replace(three, seeds=2).done(tmp_path) is not None
+    more = replace(three, seeds=4)
+    assert more.done(tmp_path) is None
+    assert more.fingerprint() == three.fingerprint()
+    assert replace(three, overrides=()).done(tmp_path) is None
+    scene.write_text("seed: 2\n")
+    assert three.done(tmp_path) is None
 
 
 def test_a_run_is_a_command_that_a_reader_can_type(tmp_path):

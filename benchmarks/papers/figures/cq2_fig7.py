@@ -22,7 +22,7 @@ class Rhino(Distances):
     final, interval, seconds = 0.85, (0.64, 1.07), 21.0
     variants = (
         Variant("pressure 2", {Size.QUICK: QUICK, Size.PAPER: SINGLE}, {Size.QUICK: 2, Size.PAPER: 3},
-                {Size.QUICK: 2, Size.PAPER: 100}),
-        Variant("half", {Size.PAPER: (*SINGLE, *_pressure(1))}, {Size.PAPER: 3}, {Size.PAPER: 100}),
-        Variant("double", {Size.PAPER: (*SINGLE, *_pressure(4))}, {Size.PAPER: 3}, {Size.PAPER: 100}),
+                {Size.QUICK: 2, Size.PAPER: 50}),
+        Variant("half", {Size.PAPER: (*SINGLE, *_pressure(1))}, {Size.PAPER: 1}, {Size.PAPER: 17}),
+        Variant("double", {Size.PAPER: (*SINGLE, *_pressure(4))}, {Size.PAPER: 1}, {Size.PAPER: 17}),
     )  # fmt: skip

@@ -22,7 +22,7 @@ class Creature(Distances):
     final, interval, seconds = 0.27, (0.06, 0.50), 38.0
     variants = (
         Variant("pressure 2", {Size.QUICK: QUICK, Size.PAPER: SINGLE}, {Size.QUICK: 2, Size.PAPER: 3},
-                {Size.QUICK: 3, Size.PAPER: 220}),
-        Variant("half", {Size.PAPER: (*SINGLE, *_pressure(1))}, {Size.PAPER: 3}, {Size.PAPER: 220}),
-        Variant("double", {Size.PAPER: (*SINGLE, *_pressure(4))}, {Size.PAPER: 3}, {Size.PAPER: 220}),
+                {Size.QUICK: 3, Size.PAPER: 60}),
+        Variant("half", {Size.PAPER: (*SINGLE, *_pressure(1))}, {Size.PAPER: 1}, {Size.PAPER: 20}),
+        Variant("double", {Size.PAPER: (*SINGLE, *_pressure(4))}, {Size.PAPER: 1}, {Size.PAPER: 20}),
     )  # fmt: skip
