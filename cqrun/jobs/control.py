@@ -140,8 +140,8 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
     """Run or continue the learning in a run directory."""
     built, params = problem.built, problem.params
     optimizer = optimizer_of(built)
-    run.begin(problem.threads)
     compile_kernels([built], talk, adjoint=optimizer.gradients)
+    run.begin(problem.threads)
     talk.phase(f"learning {len(params.start)} parameters, {problem.n_episodes} episodes an iteration")
     talk.begin(optimizer.max_iterations)
     session = RunSession(

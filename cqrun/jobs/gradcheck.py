@@ -142,8 +142,8 @@ def check_gradient(
     talk: Reporter,
 ) -> tuple[Path, bool]:  # fmt: skip
     """Check every direction; write gradcheck.json."""
-    run.begin(threads)
     compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=True)
+    run.begin(threads)
     if has_data(built) and cases is None:
         talk.phase("making data")
         cases = made_cases(run, built)

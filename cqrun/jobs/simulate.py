@@ -143,8 +143,8 @@ def _kept(run: RunDirectory) -> Path | None:
 
 def simulate(run: RunDirectory, built: Built, agent: Agent | None, threads: int, talk: Reporter) -> Path:
     """Run a scene into a run directory, under its controller if it has one."""
-    run.begin(threads)
     compile_kernels([built], talk, adjoint=False)
+    run.begin(threads)
     time, model = built.scene.time, built.model
     talk.phase(f"simulating {model.layout.n_particles} particles, {model.n_steps} substeps")
     reached = 0.0

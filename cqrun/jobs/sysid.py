@@ -134,8 +134,8 @@ def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads:
     scene = built.scene
     optimizer: Any = scene.optimizer.value if scene.optimizer is not None else None
     assert isinstance(optimizer, Optimizer)
-    run.begin(threads)
     compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=uses_gradients(scene))
+    run.begin(threads)
     if cases is None:
         talk.phase("making data")
         cases = made_cases(run, built)

@@ -174,7 +174,8 @@ class RunDirectory:
         return float(self.record["seconds"]) + time.monotonic() - self._began
 
     def begin(self, threads: int | None = None) -> None:
-        """Mark the run as running."""
+        """Mark the run as running: its time begins now, after kernels were compiled."""
+        self._began = time.monotonic()
         self._write({"status": RUNNING, "reason": None} | ({} if threads is None else {"threads": threads}))
 
     def finish(self, status: str, reason: str) -> None:
