@@ -92,9 +92,7 @@ def vector(
     The scene checks the length against its world. Arguments as `quantity`.
     """
     limits = {"min_length": 2, "max_length": 3}
-    return quantity(
-        unit, description, differentiable=differentiable, geometric=geometric, **limits, **constraints
-    )
+    return quantity(unit, description, differentiable=differentiable, geometric=geometric, **limits, **constraints)
 
 
 def is_vector(spec: type[BaseModel], name: str) -> bool:

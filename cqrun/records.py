@@ -1,10 +1,10 @@
 """Records of four numbers (a, b, c, d): a grid node, or a particle's vector, in an (n, 4) array.
 
-    make4, load4, store4                        one record
-    load_quads, store_quads                     as many records as a lane is wide, from and to four lane values
-    load_records, load_neighbours, store_neighbours
-                                                as many records as fill one lane value: 2 in float64, 4 in float32
-    filled, spread, sums                        such lane values of one number, of an entry, of sums of entries
+make4, load4, store4                        one record
+load_quads, store_quads                     as many records as a lane is wide, from and to four lane values
+load_records, load_neighbours, store_neighbours
+                                            as many records as fill one lane value: 2 in float64, 4 in float32
+filled, spread, sums                        such lane values of one number, of an entry, of sums of entries
 """
 
 from __future__ import annotations

@@ -34,7 +34,6 @@ RATE = 100.0
 """Of made-up recordings [Hz]."""
 
 
-
 def elastic(*bodies: str) -> list[str]:
     """Return overrides that make bodies fixed corotated; the laws have tests of their own."""
     law = "{fixed_corotated: {youngs_modulus: 10, poissons_ratio: 0.3}}"

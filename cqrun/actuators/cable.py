@@ -58,15 +58,19 @@ class Cable(Actuator):
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        return super().dim_problems(dim) + [
-            (("route", k), f"must have {dim} entries in this {dim}D world, has {len(point)}")
-            for k, point in enumerate(self.route)
-            if len(point) != dim
-        ] + [
-            (("route", k + 1), "is where the point before it is: remove one of the two")
-            for k, (one, next_one) in enumerate(itertools.pairwise(self.route))
-            if one == next_one
-        ]
+        return (
+            super().dim_problems(dim)
+            + [
+                (("route", k), f"must have {dim} entries in this {dim}D world, has {len(point)}")
+                for k, point in enumerate(self.route)
+                if len(point) != dim
+            ]
+            + [
+                (("route", k + 1), "is where the point before it is: remove one of the two")
+                for k, (one, next_one) in enumerate(itertools.pairwise(self.route))
+                if one == next_one
+            ]
+        )
 
     def particles(self, part: str, x: Array, inside: Inside) -> Array:
         """Return the particles along the route, in order; see `Actuator.particles`."""

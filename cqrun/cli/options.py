@@ -32,6 +32,4 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; results
 Seeds = Annotated[
     int | None, typer.Option("--seeds", metavar="N", help="Learn from N seeds side by side, each a run of its own.")
 ]
-Jobs = Annotated[
-    int | None, typer.Option("--jobs", metavar="N", help="Runs at once; as many as threads if not given.")
-]
+Jobs = Annotated[int | None, typer.Option("--jobs", metavar="N", help="Runs at once; as many as threads if not given.")]

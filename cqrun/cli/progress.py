@@ -82,8 +82,7 @@ class Progress:
             left = f"  {clock(max(self._total - iteration, 0) * seconds)} left"
         beside = f"best {best:.6g}" if violation is None else f"violation {violation:.3g}"
         self._numbers = (
-            f"iteration {iteration}{of}  loss {loss:.6g}  {beside}  "
-            f"step {step:.3g}  {seconds:.3g} s/iteration{left}"
+            f"iteration {iteration}{of}  loss {loss:.6g}  {beside}  step {step:.3g}  {seconds:.3g} s/iteration{left}"
         )
         self._print_now_and_then()
 

@@ -77,9 +77,7 @@ class ControlPolicy:
         """Return the cotangents of record, memory and state; add those of the parameters to `parameters_bar`."""
         moment, time = self._moment(control, record, memory, state), control * self.control_step
         z, _ = self.observation.observe(moment)
-        _, by_wanted, by_previous = self._held(
-            control, self.controller.act(self.parameters, z, control, time), memory
-        )
+        _, by_wanted, by_previous = self._held(control, self.controller.act(self.parameters, z, control, time), memory)
         n = self.observation.n_memory
         given_bar = activation_bar + memory_bar[n:] if self.slow else activation_bar
         z_bar = self.controller.act_vjp(

@@ -29,9 +29,7 @@ def stress(stresses: Stresses, activation: Array, strength: Array, control: int)
 
 
 @kernel
-def stress_vjp(
-    pair: tuple[Stresses, Stresses], activation: Array, strength: Array, control: int, bar: Drive
-) -> None:
+def stress_vjp(pair: tuple[Stresses, Stresses], activation: Array, strength: Array, control: int, bar: Drive) -> None:
     """Turn the cotangent of theta, summed over a control step, into those of activation, strength, weight; clear it."""
     stresses, theta_bar = pair[0], pair[1].theta
     width = theta_bar.shape[2]

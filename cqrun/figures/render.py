@@ -251,9 +251,7 @@ def _frame(picture: Picture, frames: Frames, shown: Sequence[int], place: int) -
     return picture.show([layer], f"t = {stamp(frames, frame)} s", frame)
 
 
-def _stills(
-    picture: Picture, frames: Frames, shown: Sequence[int], output: Path, talk: Reporter
-) -> list[Path]:
+def _stills(picture: Picture, frames: Frames, shown: Sequence[int], output: Path, talk: Reporter) -> list[Path]:
     written = []
     for place, pixels in enumerate(_pictures(picture, frames, shown, talk), 1):
         number = f"_{place:0{len(str(len(shown)))}}" if len(shown) > 1 else ""

@@ -107,13 +107,16 @@ class Agent:
         steps = self.matter.n_controls if said is None else int(said["n_controls"])
         self.learning = replace(self.matter, n_controls=steps)
         self.observation: Observation = self._bind(
-            "observers", lambda: Observation.of({n: c.value for n, c in scene.observers.items()}, self.learning)  # type: ignore[misc]
+            "observers",
+            lambda: Observation.of({n: c.value for n, c in scene.observers.items()}, self.learning),  # type: ignore[misc]
         )
         self.objective: Objective = self._bind(
-            "objective", lambda: Objective({n: c.value for n, c in scene.objective.items()}, self.matter)  # type: ignore[misc]
+            "objective",
+            lambda: Objective({n: c.value for n, c in scene.objective.items()}, self.matter),  # type: ignore[misc]
         )
         self.constraints: Objective = self._bind(
-            "constraints", lambda: Objective({n: c.of.value for n, c in scene.constraints.items()}, self.matter)  # type: ignore[misc]
+            "constraints",
+            lambda: Objective({n: c.of.value for n, c in scene.constraints.items()}, self.matter),  # type: ignore[misc]
         )
         asking = (self.observation, self.objective, self.constraints)
         self.places = slices([part.rows.shape[0] for part in asking])
@@ -247,9 +250,7 @@ class Agent:
 
     def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:
         """Return an episode that has been run, with its loss and what its constraints hold."""
-        track, held_track = (
-            self.track(records, rollout, goals, asking=asking) for asking in (OBJECTIVE, CONSTRAINTS)
-        )
+        track, held_track = (self.track(records, rollout, goals, asking=asking) for asking in (OBJECTIVE, CONSTRAINTS))
         terms, held = self.objective.values(track), self.constraints.values(held_track)
         return Attempt(self.objective.loss(track), terms, rollout, track, held, held_track)
 
@@ -356,9 +357,7 @@ def learned_values(file: Path, scene: Scene, overrides: Sequence[str]) -> list[s
         try:
             leaf(scene, path)
         except SceneError:
-            raise UsageError(
-                f"{file}: {path} was learned with the controller; this scene has no such number"
-            ) from None
+            raise UsageError(f"{file}: {path} was learned with the controller; this scene has no such number") from None
     kept = {path for path, value in learned.items() if is_kept_by_controller(path, np.array(value))}
     for override in overrides:
         key = override.partition("=")[0].strip()

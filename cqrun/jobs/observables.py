@@ -1,11 +1,11 @@
 """observables.csv: one row a control step with what each body does, readable while the run goes on.
 
-    time                          [s]
-    <body>.x, .y, .z              centroid, by mass [m]
-    <body>.kinetic_energy         sum of m |v|^2 / 2 [J; 2D: J/m]
-    <body>.least_volume_ratio     least det F of its particles
-    <body>.fastest                greatest speed of a particle [m/s]
-    <body>.fracture               neighbouring particles that share no grid node (observers/fracture.py)
+time                          [s]
+<body>.x, .y, .z              centroid, by mass [m]
+<body>.kinetic_energy         sum of m |v|^2 / 2 [J; 2D: J/m]
+<body>.least_volume_ratio     least det F of its particles
+<body>.fastest                greatest speed of a particle [m/s]
+<body>.fracture               neighbouring particles that share no grid node (observers/fracture.py)
 """
 
 from __future__ import annotations

@@ -111,7 +111,11 @@ def require_same_data(run: RunDirectory) -> None:
     """
     scene = saved_scene(run)
     saved = RunScene(
-        run.path.parent.name, run.resolved, "", shape_files(scene) | data_files(scene), job=run.record["job"],
+        run.path.parent.name,
+        run.resolved,
+        "",
+        shape_files(scene) | data_files(scene),
+        job=run.record["job"],
         plugins=scene.plugin_paths(),
     )
     if saved.contents() != run.record["files"]:

@@ -157,9 +157,7 @@ def interval(values: Sequence[float]) -> dict[str, float | None]:
 
 def _summary(stem: str, seeds: Sequence[Member]) -> dict[str, Any]:
     """Return what every seed found, and means with intervals over those that went well."""
-    results = {
-        k: json.loads((s.run / "result.json").read_text()) for k, s in enumerate(seeds) if s.failure is None
-    }
+    results = {k: json.loads((s.run / "result.json").read_text()) for k, s in enumerate(seeds) if s.failure is None}
     found = list(results.values())
     stages = [stage for stage in STAGES if found and all(result[stage] is not None for result in found)]
     return {

@@ -22,6 +22,7 @@ from cqrun.scene.unknowns import body_of, start
 RESOLUTION = 4
 """Cells along the longest edge of a body that a field has if its unknown does not say."""
 
+
 def make_params(built: Built) -> Params:
     """Return the unknowns of a scene, at their starts."""
     return Params(blocks_of(built.scene, built.particles))

@@ -39,7 +39,6 @@ _CHANCE = 2.0
 """A correlation of independent series is less than this over the square root of their length, 95 times in 100."""
 
 
-
 @dataclass(frozen=True)
 class Series:
     """One coordinate of one marker among the residuals.

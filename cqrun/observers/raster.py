@@ -69,8 +69,7 @@ class Raster:
             place = np.clip(base + offset, 0, self.cells - 1)
             factors = [W[o, :, d] for d, o in enumerate(offset)]
             slopes = [
-                S[o, :, d] * np.prod([g for e, g in enumerate(factors) if e != d], axis=0)
-                for d, o in enumerate(offset)
+                S[o, :, d] * np.prod([g for e, g in enumerate(factors) if e != d], axis=0) for d, o in enumerate(offset)
             ]
             cell = np.ravel_multi_index(tuple(place.T), (self.cells,) * self.dim)
             out.append((cell, np.prod(factors, axis=0), np.stack(slopes, axis=1)))

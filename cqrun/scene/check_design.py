@@ -75,9 +75,7 @@ def _words(ends: Mapping[str, float]) -> str:
     return "with all geometric unknowns at " + ", ".join(f"{end:g}" for end in ends.values())
 
 
-def _at(
-    scene: Scene, particles: Particles, values: Mapping[str, float], starts: Mapping[str, float]
-) -> Iterator[str]:
+def _at(scene: Scene, particles: Particles, values: Mapping[str, float], starts: Mapping[str, float]) -> Iterator[str]:
     """Yield what is wrong at some values of the geometric unknowns."""
     try:
         changed = with_values(scene, values)

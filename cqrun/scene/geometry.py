@@ -45,9 +45,7 @@ class Geometry:
             volume[part] *= growth
         return x, volume
 
-    def at_rest_vjp(
-        self, values: Mapping[str, Array], x_bar: Array, volume_bar: Array, out: dict[str, Array]
-    ) -> None:
+    def at_rest_vjp(self, values: Mapping[str, Array], x_bar: Array, volume_bar: Array, out: dict[str, Array]) -> None:
         """Add to the gradients by the geometric values that are wanted.
 
         Args:

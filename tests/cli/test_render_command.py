@@ -123,7 +123,7 @@ def test_a_disk_that_is_full_and_one_that_is_read_only(beam_run, tmp_path):
         "        except SystemExit as end: print(kind, end.code)\n"
         "    subprocess.run(['mount', '-o', 'remount,ro', sys.argv[2]], check=True)\n"
     )
-    words = f"{mount} && {sys.executable} -c \"$PROGRAM\" {beam_run} {disk}; ls -A {disk}"
+    words = f'{mount} && {sys.executable} -c "$PROGRAM" {beam_run} {disk}; ls -A {disk}'
     environment = {**os.environ, "PROGRAM": program}
     done = subprocess.run([unshare, *spaces, "sh", "-c", words], capture_output=True, text=True, env=environment)
     assert done.stdout.splitlines() == [f"{kind} {code}" for code in (1, 2) for kind in kinds]

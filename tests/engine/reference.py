@@ -168,9 +168,7 @@ def stencil(model: Model, x: Array) -> Iterator[tuple[Array, Array, Array]]:
         yield node, weight, place * model.dx - x
 
 
-def to_grid(
-    model: Model, inputs: Inputs, s: Moving, step: int, pushed: Array | float = 0.0
-) -> tuple[Array, Array]:
+def to_grid(model: Model, inputs: Inputs, s: Moving, step: int, pushed: Array | float = 0.0) -> tuple[Array, Array]:
     """Return (momentum, mass) of the nodes: CQ1 eqs 3-5, with damping, external forces and those of actuators."""
     dt, fields = model.dt, inputs.fields
     kept = np.exp(-fields.damping * dt) * fields.mass

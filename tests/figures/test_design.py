@@ -65,9 +65,7 @@ def test_a_new_shape_is_drawn_beside_the_old_one(run, tmp_path):
     designed = result_of(shaped)["unknowns"][size]["value"]
     assert abs(designed - 0.8) > 1e-3
     # the uppermost of four particles along the tip; its lower edge is at .6 m
-    assert tops == pytest.approx(
-        [0.6 + 0.2 * height * 7 / 8 for height in (0.8, designed)], abs=1e-6
-    )
+    assert tops == pytest.approx([0.6 + 0.2 * height * 7 / 8 for height in (0.8, designed)], abs=1e-6)
     assert shaped / "figures" / "shape.png" in draw_run(shaped)
 
 

@@ -17,8 +17,12 @@ from cqrun.figures.style import COLOURS, GREY, new_figure, titled
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-QUICK = ("bodies.arm.sampling.lattice.count=5", "optimizer.sqp.max_iterations=8", "episodes.count=10",
-         "episodes.unseen=10")
+QUICK = (
+    "bodies.arm.sampling.lattice.count=5",
+    "optimizer.sqp.max_iterations=8",
+    "episodes.count=10",
+    "episodes.unseen=10",
+)
 SETS = {"start": "before", "trained": "trained goals", "unseen": "unseen goals"}
 RATIO, PART = 1.5, 0.25
 
