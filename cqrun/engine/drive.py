@@ -23,6 +23,8 @@ def stress(stresses: Stresses, activation: Array, strength: Array, control: int)
         a = stresses.actuators[k]
         for row in range(stresses.direction.shape[1]):
             tension = activation[control, a] * strength[a] * stresses.direction[k, row]
+            if tension == 0.0:  # as in all rows but one of a muscle along an axis
+                continue
             for index in range(stresses.start[k], stresses.start[k + 1]):
                 p = stresses.columns[index]
                 stresses.theta[p // width, row, p % width] += tension * stresses.weight[index]
@@ -35,12 +37,15 @@ def stress_vjp(pair: tuple[Stresses, Stresses], activation: Array, strength: Arr
     width = theta_bar.shape[2]
     for k in range(len(stresses.actuators)):
         a, total = stresses.actuators[k], 0.0
-        for index in range(stresses.start[k], stresses.start[k + 1]):
-            p, pull = stresses.columns[index], 0.0
-            for row in range(stresses.direction.shape[1]):
-                pull += theta_bar[p // width, row, p % width] * stresses.direction[k, row]
-            total += pull * stresses.weight[index]
-            pair[1].weight[index] += pull * activation[control, a] * strength[a]
+        for row in range(stresses.direction.shape[1]):
+            along = stresses.direction[k, row]
+            if along == 0.0:
+                continue
+            for index in range(stresses.start[k], stresses.start[k + 1]):
+                p = stresses.columns[index]
+                pull = theta_bar[p // width, row, p % width] * along
+                total += pull * stresses.weight[index]
+                pair[1].weight[index] += pull * activation[control, a] * strength[a]
         bar.activation[control, a] += total * strength[a]
         bar.strength[a] += total * activation[control, a]
     theta_bar[:] = 0.0

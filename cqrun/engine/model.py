@@ -17,9 +17,11 @@ from scipy import sparse
 from cqrun.actuators.push import make_kernel, pushes, starts_of
 from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
 from cqrun.contract import Array
+from cqrun.engine.probe import make_probe
 from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
+from cqrun.lanes import lane_width
 from cqrun.packed import pack
-from cqrun.state import Layout, ParticleFields, State
+from cqrun.state import Layout, ParticleFields, State, rows_of
 
 
 @dataclass(frozen=True)
@@ -113,10 +115,8 @@ class Model:
 
     def kernel_probe(self) -> Probe:
         """Return the probe over kernel columns."""
-        if self.probe is None:
-            return Probe(np.zeros(1, np.int64), np.zeros(0, np.int64), np.zeros(0))
-        columns = self.layout.columns()[self.probe.indices]
-        return Probe(self.probe.indptr.astype(np.int64), columns, self.probe.data.astype(np.float64))
+        matrix = sparse.csr_array((0, self.layout.n_particles)) if self.probe is None else self.probe
+        return make_probe(matrix, self.layout.columns(), rows_of(self.dim)[-1], lane_width(self.real))
 
     def kinds(self) -> tuple[list[type], list[type]]:
         """Return the kinds of active stress, and of force, of the actuators."""

@@ -62,11 +62,16 @@ class Drive(NamedTuple):
 
 
 class Probe(NamedTuple):
-    """Weighted sums of particles to record, a compressed sparse row matrix (K, n)."""
+    """Weighted sums of particles to record, a sparse matrix (K, n); rows of many particles apart, lane by lane."""
 
-    start: Array
+    start: Array  # (K + 1,) compressed rows of few particles: columns, weights; those of many are empty here
     columns: Array
     weights: Array
+    rows: Array  # (R,) which rows have many, and in which lanes (begin (R + 1,), lanes, shares (lanes, width))
+    begin: Array
+    lanes: Array
+    shares: Array
+    sums: Array  # (rows of q, width) of one row, a sum for every place in a lane
 
 
 class Work(NamedTuple):
