@@ -22,7 +22,9 @@ from cqrun.engine.blocks import sort_particles
 from cqrun.engine.grid import clear, update_grid, update_grid_vjp
 from cqrun.engine.model import GroupModel, Inputs, LossBar, Model
 from cqrun.engine.particles import momentum, momentum_vjp, move, move_vjp
+from cqrun.engine.probe import make_probe, record, record_vjp
 from cqrun.engine.rollout import Rollout
+from cqrun.engine.setting import Probe
 from cqrun.engine.step import scatter_blocks
 from cqrun.fingerprint import engine_hash
 from cqrun.lanes import lane_width
@@ -37,6 +39,9 @@ SIZES = ((2, 80), (3, 20), (3, 40), (3, 80))
 
 SUBSTEPS = 8
 REPEAT = 9
+PARTS = 8
+"""Of the block, whose centroids are recorded."""
+
 CORNERS_LIMIT = 20
 """Particles along an edge of each of the two blocks that measure the cost of empty world."""
 
@@ -104,6 +109,7 @@ class Bench:
         self.store()
         r, b, n = self.rollout, self.backward, self.threads
         group, pair, work, setting = r.groups[0], (r.groups[0], b.groups_bar[0]), r.work, r.setting
+        probe, rows = self._probe(), np.ones((r.rows, PARTS))
         q, q_next, fields = self.states[0], self.states[1], r.fields
         yield "momentum", lambda t: momentum(group, q, fields, r.drive.push, setting, work, t, n)
         yield "sort", lambda t: sort_particles(work.blocks, work.place) if t == 0 else None
@@ -118,6 +124,18 @@ class Bench:
             "momentum_vjp",
             lambda t: momentum_vjp(pair, q, b.q_bar, fields, b.fields_bar, b.drive_bar.push, setting, work, t, n),
         )
+        yield "record", lambda t: record(probe, q, rows) if t == 0 else None  # once a control step
+        yield "record_vjp", lambda t: record_vjp(probe, b.q_bar, rows) if t == 0 else None
+
+    def _probe(self) -> Probe:
+        """Return the probe of the centroids of some parts of the block."""
+        from scipy import sparse
+
+        part = np.arange(self.n) * PARTS // self.n
+        share = 1.0 / np.bincount(part)[part]
+        centroids = sparse.csr_array((share, (part, np.arange(self.n))), shape=(PARTS, self.n))
+        layout, q = self.model.layout, self.rollout.start
+        return make_probe(centroids, layout.columns(), q.shape[1], q.shape[2])
 
     def nanoseconds(self, seconds: list[float], substeps: int) -> float:
         """Return the median, a particle and substep [ns]."""
