@@ -43,6 +43,8 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
     convergence   loss and unknowns against the iteration
     tracks_NAME   markers of a recording beside the model
     bodies        first, middle and last frame of the trajectory
+    design        what of the material was designed, on the body
+    shape         the body before and as it was designed
     overview      the most of it in one wide picture
 
     Args:
