@@ -89,10 +89,12 @@ class Work(ABC):
             clock = {"fingerprint": self.fingerprint(), "engine": engine_hash(), "seconds": 0.0}
             write_json(folder / CLOCK, clock)
         begun = time.monotonic()
-        finished = self.go_on(folder, seconds, jobs)
-        clock = _read(folder / CLOCK)
-        clock["seconds"] += time.monotonic() - begun
-        write_json(folder / CLOCK, clock)
+        try:
+            finished = self.go_on(folder, seconds, jobs)
+        finally:  # asked to stop, too
+            clock = _read(folder / CLOCK)
+            clock["seconds"] += time.monotonic() - begun
+            write_json(folder / CLOCK, clock)
         if finished:
             write_json(folder / DONE, clock | self.facts() | {"machine": machine()})
         return finished

@@ -128,6 +128,16 @@ def test_work_goes_on_where_it_stopped(tmp_path):
     assert facts["seconds"] == COUNT.spent(folder) > 0
 
 
+def test_work_that_is_stopped_has_its_time(tmp_path):
+    def stopped(folder, deadline):
+        time.sleep(0.02)
+        raise SystemExit(75)
+
+    with pytest.raises(SystemExit):
+        replace(COUNT, measure=stopped).do(tmp_path / "count", 1.0, 1)
+    assert COUNT.spent(tmp_path / "count") >= 0.02
+
+
 def test_work_that_has_changed_is_done_anew(tmp_path):
     folder = tmp_path / "count"
     while not COUNT.do(folder, 1.0, 1):
