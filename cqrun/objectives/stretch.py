@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array
 from cqrun.geometry.region import ChosenRegion
-from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar, reduced, reduced_vjp
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import single
 from cqrun.registry import plugin
@@ -20,7 +20,8 @@ class Stretch(ObjectiveTerm):
     """Largest principal stretch, as a power mean over particles and principal directions: 1 at rest.
 
     s = (sum_i sum_k lambda_ik^p / (N D))^(1/p), lambda the singular values of F: smooth everywhere, below the largest
-    stretch and above it times (N D)^(-1/p). It records every particle of the region at every control step.
+    stretch and above it times (N D)^(-1/p). The power mean of s over the T control steps, the default of `over`, is
+    smooth as well, and loses T^(-1/p) at most. It records every particle of the region at every control step.
     """
 
     least: ClassVar[float] = 0.0
@@ -28,7 +29,10 @@ class Stretch(ObjectiveTerm):
     body: str = Field(description="Body that is stretched")
     region: ChosenRegion | None = Field(description="Where, at rest; the whole body if absent", default=None)
     power: int = Field(description="p, even: a greater one is nearer to the largest", ge=2, multiple_of=2, default=16)
-    over: Over = Field(description="How the values of all control steps become one", default="maximum")
+    over: Over | Literal["power_mean"] = Field(  # type: ignore[assignment]
+        description="How the values of all control steps become one; power_mean is a smooth maximum",
+        default="power_mean",
+    )
 
     def bind(self, matter: Matter) -> BoundTerm:
         return Bound(self, matter)
@@ -37,9 +41,25 @@ class Stretch(ObjectiveTerm):
 class Bound(BoundTerm):
     """The power mean: sum_k lambda_k^p = tr (F^T F)^(p/2), whose derivative by F is p F (F^T F)^(p/2 - 1)."""
 
+    over: Over | Literal["power_mean"]  # type: ignore[assignment]
+
     def __init__(self, spec: Stretch, matter: Matter) -> None:
         self.rows = single(matter.within(spec.body, spec.region), matter.n_particles)
         self.over, self.power = spec.over, spec.power
+
+    def value(self, track: Track) -> float:
+        """Return the values of the control steps made one."""
+        h = self.steps(track)
+        if self.over != "power_mean":
+            return reduced(h, self.over, track.control_step)
+        return _power_mean(h, self.power)
+
+    def value_vjp(self, track: Track, bar: float) -> TrackBar:
+        """Return the cotangent of the track from that of the value."""
+        h = self.steps(track)
+        if self.over != "power_mean":
+            return self.steps_vjp(track, reduced_vjp(h, self.over, track.control_step, bar))
+        return self.steps_vjp(track, bar / len(h) * (h / _power_mean(h, self.power)) ** (self.power - 1))
 
     def steps(self, track: Track) -> Array:
         F, size = self._scaled(track)
@@ -62,6 +82,11 @@ class Bound(BoundTerm):
         F = track.F[1:]
         size = float(np.abs(F.real).max(initial=0.0)) or 1.0
         return F / size, size
+
+
+def _power_mean(h: Array, power: int) -> float:
+    top = h.real.max()
+    return top * ((h / top) ** power).mean() ** (1.0 / power)
 
 
 def _square(F: Array) -> Array:

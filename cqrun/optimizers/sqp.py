@@ -30,11 +30,17 @@ TAKEN, GOOD, POOR = 1e-4, 0.75, 0.25
 DAMPED = 0.2
 """Least part of s.B s that s.y may be (Powell's damping)."""
 
+FREE = 0.99
+"""Part of the radius below which it is not what ends a step."""
+
 SMALLEST = 1e-9
 """Radius at which no step helps any more."""
 
 HEAVY, HEAVIER, ENOUGH = 10.0, 6, 0.9
 """The weight of violations grows by this factor at a time, so often at most, while they fall to this part."""
+
+LIGHT = 2.0
+"""The weight of violations is at most this many times the largest multiplier of the last step, and at least one."""
 
 
 @plugin("optimizer", "sqp")
@@ -57,18 +63,20 @@ class Sqp(TwoSearches):
         curvature = Curvature(self.memory)
         if feasibility:
             curvature.begin_at(here.J, violation(here.c, low, high))
+        B, y = curvature.of(np.zeros(len(low))), np.full(len(low), np.inf)
         while radius > SMALLEST:
+            rho = min(rho, max(1.0, LIGHT * float(np.max(np.abs(y), initial=0.0))))
             ends, box = (low - here.c, high - here.c), (np.maximum(lower - x, -radius), np.minimum(upper - x, radius))
-            d, y, left = _step(curvature.matrix, here, ends, box, rho)
+            d, y, left = _step(B, here, ends, box, rho)
             if not feasibility:
-                d, y, left, rho = _steered(curvature.matrix, here, ends, box, rho, (d, y, left))
+                d, y, left, rho = _steered(B, here, ends, box, rho, (d, y, left), self.constraint_tolerance)
             less = float(np.sum(violation(here.c, low, high))) - left
-            promised = rho * less - float(here.g @ d + 0.5 * d @ curvature.matrix.times(d))
+            promised = rho * less - float(here.g @ d + 0.5 * d @ B.times(d))
+            length = float(np.max(np.abs(d), initial=0.0))
             if not promised > self.function_tolerance:
                 met = most_violated(here.c, low, high) <= self.constraint_tolerance
-                told = f"SQP: a step promises no more than {max(promised, 0.0):.2g}"
-                return ("converged" if met else "stalled"), told
-            length = float(np.max(np.abs(d), initial=0.0))
+                told = f"SQP: a step of {length:.2g} promises no more than {max(promised, 0.0):.2g}"
+                return ("converged" if met and length < FREE * radius else "stalled"), told
             try:
                 there = _Point.of(x + d, trials.gradients(x + d), feasibility)
             except TrialFailed as failure:
@@ -82,8 +90,8 @@ class Sqp(TwoSearches):
                 radius = max(radius, 2.0 * length)
             if not fallen > TAKEN * promised:
                 continue
-            curvature.learn(d, there.g - here.g + y @ (there.J - here.J))
-            x, here = there.x, there
+            curvature.learn(d, there.g - here.g, there.J - here.J)
+            x, here, B = there.x, there, curvature.of(y)
             trials.accept(x)
             if feasibility and trials.violated(x) <= self.constraint_tolerance:
                 raise Feasible
@@ -100,15 +108,16 @@ def _step(
 
 def _steered(
     B: LowRank, here: _Point, ends: tuple[Array, Array], box: tuple[Array, Array], rho: float,
-    found: tuple[Array, Array, float],
+    found: tuple[Array, Array, float], tolerance: float,
 ) -> tuple[Array, Array, float, float]:  # fmt: skip
     """Return the step, its multipliers, what it leaves, and the weight, larger where that helps.
 
     R. H. Byrd, J. Nocedal, R. A. Waltz: Steering exact penalty methods for nonlinear programming, Optim. Methods Softw.
-    23 (2008), in short: the weight grows while more of it leaves markedly less of the violations.
+    23 (2008), in short: the weight grows while more of it leaves markedly less of the violations. What is left within
+    the tolerance needs none.
     """
     for _ in range(HEAVIER):
-        if found[2] <= SMALLEST:
+        if found[2] <= tolerance:
             break
         heavier = _step(B, here, ends, box, HEAVY * rho)
         if not heavier[2] < ENOUGH * found[2]:
@@ -136,33 +145,49 @@ class _Point(NamedTuple):
 
 
 class Curvature:
-    """The Hessian B of the Lagrangian from the last steps s and changes y of its gradient.
+    """The Hessian B of the Lagrangian f + y.c for any multipliers y, from the last steps s and what changed there.
 
-    B = delta I - W M^-1 W^T, W = [delta S, Y], M = [[delta S^T S, L], [L^T, -D]], where S^T Y = L + D + R.
+    B = delta I - W M^-1 W^T, W = [delta S, Y], M = [[delta S^T S, L], [L^T, -D]], where S^T Y = L + D + R. Multipliers
+    come and go from step to step, so Y is made anew from the changes of the gradient of f and of the Jacobian of c.
     """
 
     def __init__(self, memory: int) -> None:
         self.memory = memory
-        self.pairs: list[tuple[Array, Array]] = []
-        self.matrix = LowRank(1.0)
+        self.delta = 1.0
+        self.changes: list[tuple[Array, Array, Array]] = []
 
     def begin_at(self, J: Array, excess: Array) -> None:
         """Take a multiple of the identity with which the multipliers of the first step to c + J d = 0 are below 1."""
         size = np.einsum("ij,ij->i", J, J)[excess > 0.0]
-        self.matrix = LowRank(0.1 * float(np.min(size / excess[excess > 0.0], initial=1.0)) or 1.0)
+        self.delta = 0.1 * float(np.min(size / excess[excess > 0.0], initial=1.0)) or 1.0
 
-    def learn(self, s: Array, y: Array) -> None:
-        """Take in a step s and the change y of the Lagrangian's gradient, damped so that B stays positive."""
-        Bs = self.matrix.times(s)
-        sBs, sy = float(s @ Bs), float(s @ y)
-        if not sBs > 0.0:
-            return
-        if sy < DAMPED * sBs:
-            part = (1.0 - DAMPED) * sBs / (sBs - sy)
-            y = part * y + (1.0 - part) * Bs
-        self.pairs = [*self.pairs, (s, y)][-self.memory :]
-        S, Y = (np.array(side).T for side in zip(*self.pairs, strict=True))
-        delta, SY = float(s @ y) / float(s @ s), S.T @ Y
-        L = np.tril(SY, -1)
-        M = np.block([[delta * (S.T @ S), L], [L.T, -np.diag(np.diag(SY))]])
-        self.matrix = LowRank(delta, np.hstack([delta * S, Y]), M)
+    def learn(self, s: Array, g_change: Array, J_change: Array) -> None:
+        """Take in a step s (n,), and the changes of the gradient (n,) of f and of the Jacobian (m, n) of c."""
+        if s.any():
+            self.changes = [*self.changes, (s, g_change, J_change)][-self.memory :]
+
+    def of(self, y: Array) -> LowRank:
+        """Return B for multipliers y (m,), each pair damped so that it stays positive."""
+        steps = [(s, g_change + y @ J_change) for s, g_change, J_change in self.changes]
+        slopes = [float(s @ change) / float(s @ s) for s, change in steps]
+        self.delta = next((slope for slope in reversed(slopes) if slope > 0.0), self.delta)
+        B = LowRank(self.delta)
+        pairs: list[tuple[Array, Array]] = []
+        for s, change in steps:
+            pairs.append((s, _damped(B, s, change)))
+            S, Y = (np.array(side).T for side in zip(*pairs, strict=True))
+            SY = S.T @ Y
+            L = np.tril(SY, -1)
+            M = np.block([[self.delta * (S.T @ S), L], [L.T, -np.diag(np.diag(SY))]])
+            B = LowRank(self.delta, np.hstack([self.delta * S, Y]), M)
+        return B
+
+
+def _damped(B: LowRank, s: Array, change: Array) -> Array:
+    """Return the change of a slope along s, or one between it and B s that leaves B positive (Powell)."""
+    Bs = B.times(s)
+    sBs, sy = float(s @ Bs), float(s @ change)
+    if sy >= DAMPED * sBs:
+        return change
+    part = (1.0 - DAMPED) * sBs / (sBs - sy)
+    return part * change + (1.0 - part) * Bs

@@ -17,7 +17,9 @@ from cqrun.choice import Chosen
 from cqrun.contract import Plugin, Spec, field_unit, is_differentiable, is_geometric
 from cqrun.errors import Problem, SceneError
 from cqrun.explain import Loc, listed, suggest
+from cqrun.registry import plugins
 from cqrun.scene.keypath import first_key, joined, locate, replaced
+from cqrun.scene.material import TERMS, Terms
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import children
 
@@ -139,7 +141,7 @@ def _find(scene: Scene, path: str) -> tuple[Loc, type[BaseModel], str, Any]:
         if key is None and isinstance(node, Plugin) and node.shorthand and rest.partition(".")[0].isdigit():
             key, rest = node.shorthand, f"{node.shorthand}.{rest}"
         if key is None:
-            raise SceneError([Problem(scene.where(path), path, _missing(scene, path, loc, rest, inside))])
+            raise SceneError([Problem(scene.where(path), path, _missing(scene, path, loc, rest, node))])
         if isinstance(node, Spec):
             owner, name = type(node), str(key)
         node = inside[key]
@@ -150,9 +152,11 @@ def _find(scene: Scene, path: str) -> tuple[Loc, type[BaseModel], str, Any]:
     return tuple(loc), owner, name, node
 
 
-def _missing(scene: Scene, path: str, loc: list[int | str], rest: str, inside: dict[int | str, Any]) -> str:
+def _missing(scene: Scene, path: str, loc: list[int | str], rest: str, node: Any) -> str:
     place = f"'{joined(loc)}'" if loc else "the scene"
-    key = rest.partition(".")[0]
+    key, inside = rest.partition(".")[0], children(node)
+    if isinstance(node, Terms) and key in plugins(TERMS):
+        return f"{place} has no '{key}': write the term there first, with a value to start from"
     beside = suggest(key, map(str, inside))
     known = (leaf for leaf in leaves(scene) if not leaf.startswith(("unknowns.", "data.synthetic.truth.")))
     near = beside if key == rest else suggest(path, known) or beside

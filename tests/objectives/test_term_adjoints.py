@@ -108,6 +108,14 @@ def test_dot_product(name, k, dim, over, rng):
     assert adjoint_error(bound.value, bound.value_vjp, track, rng) <= 1e-9
 
 
+@DIM
+@pytest.mark.parametrize("k", range(3))
+def test_dot_product_of_the_power_mean_over_time(k, dim, rng):
+    bound = make("stretch", k, dim)
+    assert bound.over == "power_mean"
+    assert adjoint_error(bound.value, bound.value_vjp, a_track(bound.rows.shape[0], dim, rng), rng) <= 1e-9
+
+
 @EVERY
 @DIM
 def test_all_terms_are_real_numbers_of_all_particles(name, k, dim, rng):

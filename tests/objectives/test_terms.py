@@ -194,9 +194,13 @@ def test_stretch_is_near_the_largest_and_below_it(rng):
     assert bound.value(track) == pytest.approx(1.0)
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     F[3, 5] = turn @ np.diag([1.7, 0.9]) @ turn.T
-    assert 1.7 * (2 * F.shape[1]) ** (-1 / 40) - 1e-12 <= bound.value(track) <= 1.7
+    at_most_lost = (2 * F.shape[1]) ** (-1 / 40)
+    assert 1.7 * at_most_lost * N_CONTROLS ** (-1 / 40) - 1e-12 <= bound.value(track) <= 1.7
+    largest = term("stretch", body="arm", power=40, over="maximum").bind(MATTER)
+    assert 1.7 * at_most_lost - 1e-12 <= largest.value(track) <= 1.7
+    assert bound.value(track) == pytest.approx(np.mean(largest.steps(track) ** 40) ** (1 / 40))
     F[4] = 1e200 * np.eye(2)
-    assert bound.value(track) == pytest.approx(1e200)
+    assert bound.value(track) == pytest.approx(1e200 * N_CONTROLS ** (-1 / 40))
 
 
 def test_unchanged_is_the_mean_squared_relative_change():

@@ -10,26 +10,29 @@ from toy_problems import Nearest, solve
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
 from cqrun.optimizers.sqp import Curvature, Sqp
 
+NO_MULTIPLIERS = np.zeros(0)
+
 
 def learned(rng, n=8, pairs=5, memory=20):
-    """Return curvature from steps in a convex quadratic, and the pairs."""
+    """Return curvature from steps in a convex quadratic without constraints, and the pairs."""
     root = rng.normal(size=(n, n))
     H = root @ root.T + np.eye(n)
     steps = [rng.normal(size=n) for _ in range(pairs)]
     found = Curvature(memory)
     for s in steps:
-        found.learn(s, H @ s)
+        found.learn(s, H @ s, np.zeros((0, n)))
     return found, [(s, H @ s) for s in steps]
 
 
-def dense(curvature, n):
-    return np.array([curvature.matrix.times(e) for e in np.eye(n)]).T
+def dense(curvature, n, y=NO_MULTIPLIERS):
+    B = curvature.of(y)
+    return np.array([B.times(e) for e in np.eye(n)]).T
 
 
 def test_curvature_is_that_of_bfgs(rng):
     """From the same multiple of the identity, by the recursion (Nocedal and Wright, eq 6.19)."""
     found, pairs = learned(rng)
-    B = found.matrix.delta * np.eye(8)
+    B = found.of(NO_MULTIPLIERS).delta * np.eye(8)
     for s, y in pairs:
         Bs = B @ s
         B += np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / (s @ Bs)
@@ -40,7 +43,7 @@ def test_curvature_forgets(rng):
     found, pairs = learned(rng, memory=3)
     fresh = Curvature(3)
     for s, y in pairs[-3:]:
-        fresh.learn(s, y)
+        fresh.learn(s, y, np.zeros((0, 8)))
     np.testing.assert_allclose(dense(found, 8), dense(fresh, 8), rtol=1e-12)
 
 
@@ -48,11 +51,24 @@ def test_curvature_stays_positive_where_the_slope_falls(rng):
     found, _ = learned(rng)
     for _ in range(5):
         s = rng.normal(size=8)
-        found.learn(s, -s)
+        found.learn(s, -s, np.zeros((0, 8)))
     assert np.linalg.eigvalsh(dense(found, 8)).min() > 0
     before = dense(found, 8)
-    found.learn(np.zeros(8), np.ones(8))
+    found.learn(np.zeros(8), np.ones(8), np.zeros((0, 8)))
     np.testing.assert_array_equal(dense(found, 8), before)
+
+
+def test_curvature_is_the_lagrangians_for_any_multipliers(rng):
+    """What was learned in steps under other multipliers is B for these, as if it had been so all the time."""
+    root = rng.normal(size=(3, 8, 8))
+    H = root @ np.swapaxes(root, 1, 2) + np.eye(8)
+    y = np.array([3.0, 0.5])
+    found, alone = Curvature(20), Curvature(20)
+    for s in rng.normal(size=(8, 8)):
+        found.learn(s, H[0] @ s, H[1:] @ s)
+        found.of(rng.normal(size=2))
+        alone.learn(s, (H[0] + y[0] * H[1] + y[1] * H[2]) @ s, np.zeros((0, 8)))
+    np.testing.assert_allclose(dense(found, 8, y), dense(alone, 8), rtol=1e-9)
 
 
 @pytest.mark.parametrize("trial", range(6))
@@ -63,7 +79,7 @@ def test_a_quadratic_program_is_solved(trial):
     B, g, J = dense(found, 8), rng.normal(size=8), rng.normal(size=(3, 8))
     ends = np.array([-np.inf, 0.2, -0.1]), np.array([-0.3, 0.2, 4.0])
     box = np.full(8, -0.5), np.full(8, 0.6)
-    d, y = quadratic_program(found.matrix, g, J, ends, box, 1e3)
+    d, y = quadratic_program(found.of(NO_MULTIPLIERS), g, J, ends, box, 1e3)
     theirs = minimize(
         lambda d: (g @ d + 0.5 * d @ B @ d, g + B @ d), np.zeros(8), jac=True, method="SLSQP",
         bounds=np.stack(box, axis=1), 

@@ -28,7 +28,7 @@ class SwingingArm(Violations):
     fixed = {"fixed 100 %": 300.0, "fixed 133 %": 400.0}
     quick = (
         "bodies.arm.sampling.lattice.count=4", "world.dx=0.06666666666666667", "time.substeps=40",
-        "optimizer.augmented_lagrangian.max_iterations=120",
+        "optimizer.sqp.max_iterations=60",
     )  # fmt: skip
     paper_size = SINGLE
     minutes = {Size.QUICK: 0.5, Size.PAPER: 100.0}
