@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -143,7 +143,7 @@ class Runs(Work):
         """Return what its result depends on besides the engine, as hex digits."""
         scene = yaml.safe_load(self.path.read_text())  # comments change nothing, and neither do more seeds
         whole = [self.job, self.scene, self.overrides, self.options, scene]
-        return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:12]
+        return _hash(json.dumps(whole, sort_keys=True).encode())
 
     def done(self, folder: Path) -> dict[str, Any] | None:
         """Return what `done.json` says, or None where this is not done, or for fewer seeds."""
@@ -239,12 +239,22 @@ class Measurement(Work):
 
     def fingerprint(self) -> str:
         """Return what its result depends on besides the engine, as hex digits."""
-        parts: Iterable[bytes] = (self.told.encode(), *(path.read_bytes() for path in self.sources))
-        return hashlib.sha256(b"\0".join(parts)).hexdigest()[:12]
+        return _hash(self.told.encode(), *map(_content, self.sources))
 
     def go_on(self, folder: Path, seconds: float, jobs: int) -> bool:
         """Measure for so long at most; say whether it is finished."""
         return self.measure(folder, time.monotonic() + seconds)
+
+
+def _content(path: Path) -> bytes:
+    """Return what a file says: of a scene not its comments."""
+    if path.suffix == ".yaml":
+        return json.dumps(yaml.safe_load(path.read_text()), sort_keys=True).encode()
+    return path.read_bytes()
+
+
+def _hash(*parts: bytes) -> str:
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()[:12]
 
 
 Found = Mapping[str, Path]

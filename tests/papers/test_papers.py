@@ -166,6 +166,21 @@ def test_more_seeds_go_on_and_comments_change_nothing(tmp_path, monkeypatch):
     assert three.done(tmp_path) is None
 
 
+def test_comments_in_its_scene_do_not_make_it_another_measurement(tmp_path):
+    scene, data = tmp_path / "one.yaml", tmp_path / "one.csv"
+    scene.write_text("# a scene\nseed: 1\n")
+    data.write_text("# x\n1\n")
+    counting = replace(COUNT, sources=(scene, data))
+    first = counting.fingerprint()
+    scene.write_text("seed: 1  # the same\n")
+    assert counting.fingerprint() == first
+    data.write_text("# y\n1\n")
+    assert counting.fingerprint() != first
+    data.write_text("# x\n1\n")
+    scene.write_text("seed: 2\n")
+    assert counting.fingerprint() != first
+
+
 def test_a_run_is_a_command_that_a_reader_can_type(tmp_path):
     assert TEAR.command == "cqrun simulate scenes/simulate/tear.yaml -o time.duration=0.04 -o time.substeps=8"
     braces = replace(TEAR, overrides=("loads={}",))
