@@ -17,6 +17,9 @@ TURN, TILT = 30.0, 20.0
 MARGIN = 0.05
 """Free room around the bodies, in parts of their extent."""
 
+NEARLY = 0.9
+"""Part of the longest extent from which the earlier axis is the one across: robots of equal sides are seen along z."""
+
 VIEWS = ("front", "side", "top", "iso")
 """From where a world of three dimensions can be looked at."""
 
@@ -63,7 +66,8 @@ def view(scene: Scene, x: Array, name: str) -> View:
     gravity = np.abs(scene.world.gravity)
     up = int(np.argmax(gravity)) if gravity.any() else 2
     extent = np.ptp(x.reshape(-1, 3), axis=0)
-    across = max((axis for axis in range(3) if axis != up), key=lambda axis: extent[axis])
+    sides = [axis for axis in range(3) if axis != up]
+    across = next(axis for axis in sides if extent[axis] >= NEARLY * max(extent[sides]))
     deep = 3 - up - across
     side = View(axes[[across, up]], "xyz"[across] + "xyz"[up])
     back = -side.towards

@@ -44,6 +44,11 @@ def test_the_eye_is_where_the_name_says(gravity, name):
     assert bool(look.names) == (name != "iso")
 
 
+@pytest.mark.parametrize(("x", "names"), [(0.95, "xy"), (0.8, "zy")])
+def test_sides_of_equal_length_are_seen_along_z(x, names):
+    assert view(space([0, -9.81, 0]), np.array([[0.0, 0.0, 0.0], [x, 0.3, 1.0]]), "side").names == names
+
+
 def test_a_plane_has_one_view():
     with pytest.raises(UsageError, match="--view front: the world of this run has two dimensions"):
         view(load_scene(plane_scene({})), LONG_X, "front")
