@@ -153,13 +153,13 @@ class Curvature:
 
     def __init__(self, memory: int) -> None:
         self.memory = memory
-        self.delta = 1.0
+        self.first = 1.0
         self.changes: list[tuple[Array, Array, Array]] = []
 
     def begin_at(self, J: Array, excess: Array) -> None:
         """Take a multiple of the identity with which the multipliers of the first step to c + J d = 0 are below 1."""
         size = np.einsum("ij,ij->i", J, J)[excess > 0.0]
-        self.delta = 0.1 * float(np.min(size / excess[excess > 0.0], initial=1.0)) or 1.0
+        self.first = 0.1 * float(np.min(size / excess[excess > 0.0], initial=1.0)) or 1.0
 
     def learn(self, s: Array, g_change: Array, J_change: Array) -> None:
         """Take in a step s (n,), and the changes of the gradient (n,) of f and of the Jacobian (m, n) of c."""
@@ -169,17 +169,18 @@ class Curvature:
     def of(self, y: Array) -> LowRank:
         """Return B for multipliers y (m,), each pair damped so that it stays positive."""
         steps = [(s, g_change + y @ J_change) for s, g_change, J_change in self.changes]
-        slopes = [float(s @ change) / float(s @ s) for s, change in steps]
-        self.delta = next((slope for slope in reversed(slopes) if slope > 0.0), self.delta)
-        B = LowRank(self.delta)
+        delta = self.first
+        for s, change in steps:
+            delta = max(float(s @ change) / float(s @ s), DAMPED * delta)
+        B = LowRank(delta)
         pairs: list[tuple[Array, Array]] = []
         for s, change in steps:
             pairs.append((s, _damped(B, s, change)))
             S, Y = (np.array(side).T for side in zip(*pairs, strict=True))
             SY = S.T @ Y
             L = np.tril(SY, -1)
-            M = np.block([[self.delta * (S.T @ S), L], [L.T, -np.diag(np.diag(SY))]])
-            B = LowRank(self.delta, np.hstack([self.delta * S, Y]), M)
+            M = np.block([[delta * (S.T @ S), L], [L.T, -np.diag(np.diag(SY))]])
+            B = LowRank(delta, np.hstack([delta * S, Y]), M)
         return B
 
 

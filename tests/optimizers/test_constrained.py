@@ -38,6 +38,31 @@ def method(request):
     return METHODS[request.param]
 
 
+class Twice(Confined):
+    """Every constraint is there twice."""
+
+    constraint_names = ("a", "b", "c", "d")
+
+    def __init__(self):
+        super().__init__()
+        self.c_low, self.c_high = np.tile(self.c_low, 2), np.tile(self.c_high, 2)
+
+    def values_and_constraints(self, x):
+        f, c = super().values_and_constraints(x)
+        return f, np.tile(c, 2)
+
+    def gradients_and_constraints(self, x):
+        f, g, c, J = super().gradients_and_constraints(x)
+        return f, g, np.tile(c, 2), np.vstack([J, J])
+
+
+def test_constraints_that_are_there_twice_do_no_harm(tmp_path):
+    once, _ = solve(tmp_path / "once", Sqp(), Confined())
+    twice, _ = solve(tmp_path / "twice", Sqp(), Twice())
+    assert (once.status, twice.status) == ("converged", "converged")
+    np.testing.assert_allclose(twice.x, once.x, atol=1e-4)
+
+
 # --- violation and KKT ------------------------------------------------------------------------------------------
 
 
