@@ -88,10 +88,11 @@ class Sqp(TwoSearches):
                 radius = 0.5 * length
             elif fallen > GOOD * promised:
                 radius = max(radius, 2.0 * length)
+            curvature.learn(d, there.g - here.g, there.J - here.J)  # a trial that is not taken tells as much
+            B = curvature.of(y)
             if not fallen > TAKEN * promised:
                 continue
-            curvature.learn(d, there.g - here.g, there.J - here.J)
-            x, here, B = there.x, there, curvature.of(y)
+            x, here = there.x, there
             trials.accept(x)
             if feasibility and trials.violated(x) <= self.constraint_tolerance:
                 raise Feasible
