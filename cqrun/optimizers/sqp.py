@@ -30,17 +30,17 @@ TAKEN, GOOD, POOR = 1e-4, 0.75, 0.25
 DAMPED = 0.2
 """Least part of s.B s that s.y may be (Powell's damping)."""
 
-FREE = 0.99
-"""Part of the radius below which it is not what ends a step."""
+LITTLE = 0.01
+"""Part of the tolerance of constraints that the search for feasibility must promise to go on."""
 
 SMALLEST = 1e-9
 """Radius at which no step helps any more."""
 
 HEAVY, HEAVIER, ENOUGH = 10.0, 6, 0.9
-"""The weight of violations grows by this factor at a time, so often at most, while they fall to this part."""
+"""The weight of violations grows by this factor at a time, so often at most, where they fall to this part."""
 
 LIGHT = 2.0
-"""The weight of violations is at most this many times the largest multiplier of the last step, and at least one."""
+"""The weight of violations is at most this many times the largest multiplier of the last step, or that of the start."""
 
 
 @plugin("optimizer", "sqp")
@@ -58,25 +58,27 @@ class Sqp(TwoSearches):
     ) -> tuple[Status, str]:
         """Search once; for feasibility alone f counts as 0, and `Feasible` is raised on success."""
         low, high = trials.problem.c_low, trials.problem.c_high
-        radius, rho, last = self.radius, 1.0, ""
         here = _Point.of(x, trials.gradients(x), feasibility)
-        curvature = Curvature(self.memory)
+        curvature, radius, rho, last = Curvature(self.memory), self.radius, 1.0, ""
         if feasibility:
-            curvature.begin_at(here.J, violation(here.c, low, high))
-        B, y = curvature.of(np.zeros(len(low))), np.full(len(low), np.inf)
+            curvature.begin_at_constraints(here.J, violation(here.c, low, high))
+        else:
+            rho = curvature.begin_at_slope(here.g, here.J, radius)
+        B, y, least = curvature.of(np.zeros(len(low))), np.full(len(low), np.inf), rho
         while radius > SMALLEST:
-            rho = min(rho, max(1.0, LIGHT * float(np.max(np.abs(y), initial=0.0))))
-            ends, box = (low - here.c, high - here.c), (np.maximum(lower - x, -radius), np.minimum(upper - x, radius))
-            d, y, left = _step(B, here, ends, box, rho)
+            rho = min(rho, max(least, LIGHT * float(np.max(np.abs(y), initial=0.0))))
+            room, ends = (lower - x, upper - x), (low - here.c, high - here.c)
+            step = _step(B, here, ends, room, radius, rho)
             if not feasibility:
-                d, y, left, rho = _steered(B, here, ends, box, rho, (d, y, left), self.constraint_tolerance)
-            less = float(np.sum(violation(here.c, low, high))) - left
-            promised = rho * less - float(here.g @ d + 0.5 * d @ B.times(d))
+                step, rho = _steered(B, here, ends, room, radius, rho, step, self.constraint_tolerance)
+            d, y, promised = step.d, step.y, step.promised(B, here, ends, rho)
             length = float(np.max(np.abs(d), initial=0.0))
-            if not promised > self.function_tolerance:
-                met = most_violated(here.c, low, high) <= self.constraint_tolerance
+            met = most_violated(here.c, low, high) <= self.constraint_tolerance
+            if promised <= (self.function_tolerance if met else LITTLE * self.constraint_tolerance * feasibility):
+                free = _step(B, here, ends, room, self.radius, rho)  # the radius may be what keeps the promise small
+                found = met and free.promised(B, here, ends, rho) <= self.function_tolerance
                 told = f"SQP: a step of {length:.2g} promises no more than {max(promised, 0.0):.2g}"
-                return ("converged" if met and length < FREE * radius else "stalled"), told
+                return ("converged" if found else "stalled"), told
             try:
                 there = _Point.of(x + d, trials.gradients(x + d), feasibility)
             except TrialFailed as failure:
@@ -99,32 +101,47 @@ class Sqp(TwoSearches):
         return "stalled", f"SQP: no step lowers the merit any more{last}"
 
 
+class _Step(NamedTuple):
+    """A step d, its multipliers y, and the sum of violations that it leaves."""
+
+    d: Array
+    y: Array
+    left: float
+
+    def promised(self, B: LowRank, here: _Point, ends: tuple[Array, Array], rho: float) -> float:
+        """Return by how much the merit falls in the model."""
+        less = float(np.sum(violation(np.zeros(len(here.c)), *ends))) - self.left
+        return rho * less - float(here.g @ self.d + 0.5 * self.d @ B.times(self.d))
+
+
 def _step(
-    B: LowRank, here: _Point, ends: tuple[Array, Array], box: tuple[Array, Array], rho: float
-) -> tuple[Array, Array, float]:
-    """Return the step for a weight of the violations, its multipliers, and what it leaves of the violations."""
+    B: LowRank, here: _Point, ends: tuple[Array, Array], room: tuple[Array, Array], radius: float, rho: float
+) -> _Step:
+    """Return the best step within the radius for a weight of the violations."""
+    box = np.maximum(room[0], -radius), np.minimum(room[1], radius)
     d, y = quadratic_program(B, here.g, here.J, ends, box, rho)
-    return d, y, float(np.sum(violation(here.J @ d, *ends)))
+    return _Step(d, y, float(np.sum(violation(here.J @ d, *ends))))
 
 
 def _steered(
-    B: LowRank, here: _Point, ends: tuple[Array, Array], box: tuple[Array, Array], rho: float,
-    found: tuple[Array, Array, float], tolerance: float,
-) -> tuple[Array, Array, float, float]:  # fmt: skip
-    """Return the step, its multipliers, what it leaves, and the weight, larger where that helps.
+    B: LowRank, here: _Point, ends: tuple[Array, Array], room: tuple[Array, Array], radius: float, rho: float,
+    found: _Step, tolerance: float,
+) -> tuple[_Step, float]:  # fmt: skip
+    """Return the step and the weight, larger where that leaves markedly less of the violations.
 
     R. H. Byrd, J. Nocedal, R. A. Waltz: Steering exact penalty methods for nonlinear programming, Optim. Methods Softw.
-    23 (2008), in short: the weight grows while more of it leaves markedly less of the violations. What is left within
-    the tolerance needs none.
+    23 (2008), in short. What is left within the tolerance needs no more; a weight that does not help may be followed by
+    one that does, so the lightest is taken that comes near to what any leaves.
     """
-    for _ in range(HEAVIER):
-        if found[2] <= tolerance:
-            break
-        heavier = _step(B, here, ends, box, HEAVY * rho)
-        if not heavier[2] < ENOUGH * found[2]:
-            break
-        found, rho = heavier, HEAVY * rho
-    return *found, rho
+    tried = [(found, rho)]
+    while tried[-1][0].left > tolerance and len(tried) <= HEAVIER:
+        weight = HEAVY * tried[-1][1]
+        tried.append((_step(B, here, ends, room, radius, weight), weight))
+    least = min(step.left for step, _ in tried)
+    if not least < ENOUGH * found.left:
+        return found, rho
+    enough = max(tolerance, least + (1.0 - ENOUGH) * (found.left - least))
+    return next((step, weight) for step, weight in tried if step.left <= enough)
 
 
 class _Point(NamedTuple):
@@ -157,7 +174,16 @@ class Curvature:
         self.first = 1.0
         self.changes: list[tuple[Array, Array, Array]] = []
 
-    def begin_at(self, J: Array, excess: Array) -> None:
+    def begin_at_slope(self, g: Array, J: Array, radius: float) -> float:
+        """Take the multiple of the identity whose first step is as long as the radius; return a weight of violations.
+
+        It is that at which a violation costs as much as f: neither has a scale of its own.
+        """
+        slope = float(np.max(np.abs(g), initial=0.0)) or 1.0
+        self.first = slope / radius
+        return slope / (float(np.max(np.abs(J), initial=0.0)) or slope)
+
+    def begin_at_constraints(self, J: Array, excess: Array) -> None:
         """Take a multiple of the identity with which the multipliers of the first step to c + J d = 0 are below 1."""
         size = np.einsum("ij,ij->i", J, J)[excess > 0.0]
         self.first = 0.1 * float(np.min(size / excess[excess > 0.0], initial=1.0)) or 1.0

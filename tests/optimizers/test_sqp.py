@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, minimize
-from toy_problems import Nearest, solve
+from toy_problems import Confined, Nearest, solve
 
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
 from cqrun.optimizers.sqp import Curvature, Sqp
@@ -108,3 +108,32 @@ def test_tens_of_thousands_of_unknowns(tmp_path, rng):
     wanted = aim - w * max(0.0, w @ aim + 300.0) / (w @ w)
     assert outcome.status == "converged"
     np.testing.assert_allclose(outcome.x, wanted, atol=1e-3)
+
+
+class InOtherUnits(Confined):
+    """The same problem, its objective and its constraints in other units."""
+
+    def __init__(self, f_unit, c_unit):
+        super().__init__()
+        self.f_unit, self.c_unit = f_unit, c_unit
+        self.c_low, self.c_high = c_unit * self.c_low, c_unit * self.c_high
+
+    def values_and_constraints(self, x):
+        f, c = super().values_and_constraints(x)
+        return self.f_unit * f, self.c_unit * c
+
+    def gradients_and_constraints(self, x):
+        f, g, c, J = super().gradients_and_constraints(x)
+        return self.f_unit * f, self.f_unit * g, self.c_unit * c, self.c_unit * J
+
+
+@pytest.mark.parametrize("feasibility_first", [True, False])
+@pytest.mark.parametrize(("f_unit", "c_unit"), [(1e3, 1.0), (1e-3, 1.0), (1.0, 1e3), (1.0, 1e-3), (1e6, 1.0)])
+def test_units_change_little(f_unit, c_unit, feasibility_first, tmp_path):
+    """The weight of violations finds its size from the start, and where that is far too light it is raised at once."""
+    tolerances = {"function_tolerance": 1e-8 * f_unit, "constraint_tolerance": 1e-6 * c_unit}
+    optimizer = Sqp(max_iterations=60, feasibility_first=feasibility_first, **tolerances)
+    known, _ = solve(tmp_path / "known", Sqp(), Confined())
+    outcome, _ = solve(tmp_path / "units", optimizer, InOtherUnits(f_unit, c_unit))
+    assert outcome.status == "converged", outcome.message
+    np.testing.assert_allclose(outcome.x, known.x, atol=1e-3)
