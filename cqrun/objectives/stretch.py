@@ -9,7 +9,7 @@ from pydantic import Field
 
 from cqrun.contract import Array
 from cqrun.geometry.region import ChosenRegion
-from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar, reduced, reduced_vjp
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import single
 from cqrun.registry import plugin
@@ -49,16 +49,13 @@ class Bound(BoundTerm):
 
     def value(self, track: Track) -> float:
         """Return the values of the control steps made one."""
-        h = self.steps(track)
-        if self.over != "power_mean":
-            return reduced(h, self.over, track.control_step)
-        return _power_mean(h, self.power)
+        return _power_mean(self.steps(track), self.power) if self.over == "power_mean" else super().value(track)
 
     def value_vjp(self, track: Track, bar: float) -> TrackBar:
         """Return the cotangent of the track from that of the value."""
-        h = self.steps(track)
         if self.over != "power_mean":
-            return self.steps_vjp(track, reduced_vjp(h, self.over, track.control_step, bar))
+            return super().value_vjp(track, bar)
+        h = self.steps(track)
         return self.steps_vjp(track, bar / len(h) * (h / _power_mean(h, self.power)) ** (self.power - 1))
 
     def steps(self, track: Track) -> Array:

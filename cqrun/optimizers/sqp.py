@@ -74,7 +74,8 @@ class Sqp(TwoSearches):
             d, y, promised = step.d, step.y, step.promised(B, here, ends, rho)
             length = float(np.max(np.abs(d), initial=0.0))
             met = most_violated(here.c, low, high) <= self.constraint_tolerance
-            if promised <= (self.function_tolerance if met else LITTLE * self.constraint_tolerance * feasibility):
+            little = LITTLE * self.constraint_tolerance if feasibility else self.function_tolerance if met else 0.0
+            if promised <= little:
                 free = _step(B, here, ends, room, self.radius, rho)  # the radius may be what keeps the promise small
                 found = met and free.promised(B, here, ends, rho) <= self.function_tolerance
                 told = f"SQP: a step of {length:.2g} promises no more than {max(promised, 0.0):.2g}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, minimize
-from toy_problems import Confined, Nearest, solve
+from toy_problems import Confined, Nearest, Rosenbrock, Told, solve
 
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
 from cqrun.optimizers.sqp import Curvature, Sqp
@@ -137,3 +137,22 @@ def test_units_change_little(f_unit, c_unit, feasibility_first, tmp_path):
     outcome, _ = solve(tmp_path / "units", optimizer, InOtherUnits(f_unit, c_unit))
     assert outcome.status == "converged", outcome.message
     np.testing.assert_allclose(outcome.x, known.x, atol=1e-3)
+
+
+@pytest.mark.parametrize("n", [4, 10])
+def test_a_minimum_is_not_called_stalled(n, tmp_path):
+    """Rejected trials leave a small radius, in which nothing is promised; the whole radius promises nothing either."""
+
+    class Free(Told, Rosenbrock):
+        constraint_names = ()
+        c_low = c_high = np.zeros(0)
+
+        def values_and_constraints(self, x):
+            return self.value(x), np.zeros(0)
+
+        def gradients_and_constraints(self, x):
+            return *self.value_and_grad(x), np.zeros(0), np.zeros((0, n))
+
+    outcome, _ = solve(tmp_path, Sqp(max_iterations=300), Free(n))
+    assert outcome.status == "converged", outcome.message
+    np.testing.assert_allclose(outcome.x, 1.0, atol=1e-2)
