@@ -1,7 +1,7 @@
 """How kernels are compiled, and how threads run them side by side.
 
 Every thread runs the same compiled loop over substeps and takes its share of each pass; between passes
-they meet at a barrier of two atomic counters. Against `prange` this compiles several times faster, lets a
+they meet at a barrier, a count of arrivals. Against `prange` this compiles several times faster, lets a
 kernel take nested tuples, costs nothing on one thread, and yields the core while it waits (an OpenMP
 barrier spins: on a shared machine that is ten times slower). What a thread computes does not depend on how
 many there are, so results are the same bits for any number.
@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -135,8 +135,8 @@ def for_each(call: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-SPINS = 2000
-"""Looks at the barrier before a waiting thread offers its core to others."""
+LOOKS = 10_000
+"""How often a thread looks whether the others have come before it offers its core to somebody else."""
 
 
 def _cell(context: Any, builder: Any, array_type: Any, array: Any, k: Any) -> Any:
@@ -146,11 +146,23 @@ def _cell(context: Any, builder: Any, array_type: Any, array: Any, k: Any) -> An
 
 @intrinsic
 def _atomic_add(typingctx: Any, a: Any, k: Any, value: Any) -> Any:
+    """Add to an entry and return what was there."""
+
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = _cell(context, builder, a, args[0], args[1])
         return builder.atomic_rmw("add", pointer, args[2], "seq_cst")
 
     return types.int64(a, types.intp, types.int64), codegen
+
+
+@intrinsic
+def _atomic_load(typingctx: Any, a: Any, k: Any) -> Any:
+    """Return an entry as it is now; unlike an addition this leaves the line of the cache where it is."""
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.load_atomic(_cell(context, builder, a, args[0], args[1]), "acquire", 8)
+
+    return types.int64(a, types.intp), codegen
 
 
 @intrinsic
@@ -168,37 +180,45 @@ def _pause(typingctx: Any) -> Any:
     return types.none(), codegen
 
 
-def barrier(counters: Any, n_threads: int) -> None:
-    """Wait until all threads have come here. `counters`: int64 zeros (2,), shared."""
+def barrier(arrivals: Any, n_threads: int) -> None:
+    """Wait until all threads have come here. `arrivals`: how many have ever come to any, int64 (1,), shared."""
 
 
 @overload(barrier)
-def _barrier(counters, n_threads):
-    def wait(counters, n_threads):
+def _barrier(arrivals, n_threads):
+    def wait(arrivals, n_threads):
         if n_threads > 1:
-            generation = _atomic_add(counters, 1, 0)
-            if _atomic_add(counters, 0, 1) == n_threads - 1:
-                _atomic_add(counters, 0, -n_threads)
-                _atomic_add(counters, 1, 1)
-            else:
-                looks = 0
-                while _atomic_add(counters, 1, 0) == generation:
-                    looks += 1
-                    if looks > SPINS:
-                        _pause()
+            before = _atomic_add(arrivals, 0, 1)
+            complete = (before // n_threads + 1) * n_threads
+            looks = 0
+            while _atomic_load(arrivals, 0) < complete:
+                looks += 1
+                if looks > LOOKS:
+                    _pause()
 
     return wait
 
 
-def run_side_by_side(n_threads: int, body: Callable[[int], Any]) -> Any:
-    """Run body(thread) on every thread and return the result of thread 0."""
-    others = [threading.Thread(target=body, args=(t,)) for t in range(1, n_threads)]
-    for other in others:
-        other.start()
-    result = body(0)
-    for other in others:
-        other.join()
-    return result
+class Team:
+    """Threads that run a function side by side, each with its number; they wait for the next, as starting one is slow.
+
+    Args:
+        size: how many, with the one that calls.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self._others = ThreadPoolExecutor(size - 1) if size > 1 else None
+
+    def run(self, body: Callable[[int], Any]) -> Any:
+        """Run body(thread) on every thread and return the result of thread 0."""
+        if self._others is None:
+            return body(0)
+        others = [self._others.submit(body, thread) for thread in range(1, self.size)]
+        result = body(0)
+        for other in others:
+            other.result()
+        return result
 
 
 @kernel

@@ -13,6 +13,13 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 np.seterr(all="raise", under="ignore")
 
 
+@pytest.fixture(autouse=True)
+def _threads_for_few_particles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let as many threads take part as a test asks for, however small its robot."""
+    for worth in ("THREAD_WORTH", "CALL_WORTH"):
+        monkeypatch.setattr(f"cqrun.engine.rollout.{worth}", 1)
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """Return a generator that is the same for every test and every run."""

@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 the run failed, 2 bad scene or usage, 75 stopped but resum
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Annotated, NoReturn
 
@@ -73,6 +74,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     Args:
         arguments: without the program's name; those of the process if not given.
     """
+    # before NumPy is loaded: threads of BLAS spin for a while after each call, on the cores that rollouts need
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         app(arguments, prog_name="cqrun")
     except CqrunError as error:

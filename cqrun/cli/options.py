@@ -18,7 +18,7 @@ Overrides = Annotated[
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where run directories are made.")]
 Fresh = Annotated[bool, typer.Option("--fresh", help="Start over, even if this run exists.")]
 Threads = Annotated[
-    int | None, typer.Option("--threads", min=1, metavar="N", help="Threads to use; all cores if not given.")
+    int | None, typer.Option("--threads", min=1, metavar="N", help="Threads to use at most; all cores if not given.")
 ]
 AllowPlugins = Annotated[
     bool,

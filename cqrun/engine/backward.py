@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cqrun.compile import run_side_by_side
 from cqrun.contract import Array
 from cqrun.engine.model import Inputs, LossBar
 from cqrun.engine.probe import record_vjp
@@ -113,7 +112,7 @@ class Backward:
 
         if r.threads > 1:
             body(0, end, 1)
-        run_side_by_side(r.threads, body)
+        r.team.run(body)
 
     def inputs_bar(self) -> Inputs:
         """Return the cotangent of the inputs."""

@@ -17,7 +17,7 @@ from checkpoint_schedules import (
 )
 from numba import config
 
-from cqrun.compile import run_side_by_side
+from cqrun.compile import Team
 from cqrun.contract import Array
 from cqrun.engine.backward import Backward
 from cqrun.engine.checkpoint import Plan, borrowed, make_plan
@@ -30,6 +30,12 @@ from cqrun.errors import RolloutError
 from cqrun.packed import pack, unpack
 from cqrun.state import DECAY, FORCE, MASS, VOLUME, ParticleFields, State
 
+THREAD_WORTH = 1000
+"""Particles for which a thread gains more than it costs to hand the grid over, pass by pass."""
+
+CALL_WORTH = 2500
+"""Particles times substeps for which it gains more than waking it costs, where a policy decides between calls."""
+
 SLICE = 0.2
 """Seconds of compiled code between looks at `should_stop` and observers."""
 
@@ -40,7 +46,8 @@ class Rollout:
     Args:
         model: what is simulated.
         inputs: the numbers it starts from.
-        threads: how many threads take part; the results do not depend on it.
+        threads: how many threads may take part; fewer do where each would have too little to do. The results do not
+            depend on it.
         adjoint: whether `gradient` will be called.
         policy: decides the activations, control step by control step; without one they are those of the inputs.
 
@@ -56,9 +63,9 @@ class Rollout:
     def __init__(
         self, model: Model, inputs: Inputs, *, threads: int = 1, adjoint: bool = False, policy: Policy | None = None
     ) -> None:
-        # without the JIT there is no barrier for threads to meet at
-        self.model, self.inputs, self.threads = model, inputs, 1 if config.DISABLE_JIT else threads
+        self.model, self.inputs = model, inputs
         self.adjoint, self.policy = adjoint, policy
+        self.team = Team(self._useful(threads))
         self._pack()
         self.rows = 2 * model.dim * (1 + model.dim)
         self.records: Array = np.zeros((model.n_controls + 1, self.rows, len(self.probe.start) - 1))
@@ -79,7 +86,20 @@ class Rollout:
         """Bytes of one kept state."""
         return int(self.start.nbytes)
 
+    @property
+    def threads(self) -> int:
+        """How many threads take part."""
+        return self.team.size
+
     # --- setting up ---------------------------------------------------------------------------------
+
+    def _useful(self, threads: int) -> int:
+        """Return how many of the threads have enough to do."""
+        if config.DISABLE_JIT:  # there is no barrier for them to meet at
+            return 1
+        n, substeps = self.model.layout.n_particles, self.model.substeps
+        most = min(n // THREAD_WORTH, n if self.policy is None else n * substeps // CALL_WORTH)
+        return max(1, min(threads, most))
 
     def _pack(self) -> None:
         model, inputs = self.model, self.inputs
@@ -226,7 +246,7 @@ class Rollout:
 
         if self.threads > 1:
             body(0, begin, 1)  # compiled by one thread, before the others could wait for it
-        reached = run_side_by_side(self.threads, body)
+        reached = self.team.run(body)
         if work.stray.max() >= 0:
             q = states[reached - begin if keep else 0]
             # a kernel names the first column of a lane that holds a stray

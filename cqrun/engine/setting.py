@@ -93,7 +93,7 @@ class Work(NamedTuple):
     tile_moment: Array
     tile_slope: Array  # (threads, TILE, 4)
     blocks: Blocks
-    barrier: Array  # (2,) thread barrier
+    arrivals: Array  # (8,) the first: of threads at barriers, on a line of the cache of its own
 
 
 def grid_shape(size: Array, dx: float) -> tuple[int, ...]:
@@ -125,7 +125,7 @@ def make_work(
         records(n_nodes), records(n_nodes), records(nodes_2), held,
         np.zeros(int(np.prod(blocks)) * n_conditions), np.zeros(threads), np.full(threads, -1),
         records(threads, TILE), records(threads, 3 * TILE), records(threads, TILE),
-        make_blocks(blocks, n), np.zeros(2, np.int64),
+        make_blocks(blocks, n), aligned((8,), np.int64),
     )  # fmt: skip
 
 

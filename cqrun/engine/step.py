@@ -37,7 +37,7 @@ def scatter_blocks(
                 block = blocks.work[index]
                 first, last = blocks.start[block], blocks.start[block + 1]
                 scatter(grid, value, affine, work.place, blocks.order, first, last, setting.strides, setting.dims)
-            barrier(work.barrier, n_threads)
+            barrier(work.arrivals, n_threads)
 
 
 momentum_of_each = for_each(momentum)
@@ -49,7 +49,7 @@ momentum_of_each_vjp = for_each(momentum_vjp)
 @kernel
 def sort_if_due(step: int, setting: Setting, work: Work, thread: int, n_threads: int) -> None:
     """Sort particles where the last sort no longer serves; one thread, between two barriers."""
-    barrier(work.barrier, n_threads)
+    barrier(work.arrivals, n_threads)
     if thread == 0:
         blocks = work.blocks
         fastest = 0.0
@@ -59,7 +59,7 @@ def sort_if_due(step: int, setting: Setting, work: Work, thread: int, n_threads:
         blocks.travel[0] += np.sqrt(fastest) * setting.dt / setting.dx
         if step % SORT_EVERY == 0 or not blocks.travel[0] < MAX_TRAVEL:
             sort_particles(blocks, work.place)
-    barrier(work.barrier, n_threads)
+    barrier(work.arrivals, n_threads)
 
 
 @kernel
@@ -71,14 +71,14 @@ def particles_to_grid(
     if drive.push.shape[0] > 0:
         if thread == 0:
             push_particles(drive, control, q, fields)
-        barrier(work.barrier, n_threads)
+        barrier(work.arrivals, n_threads)
     momentum_of_each(groups, q, fields, drive.push, setting, work, thread, n_threads)
     sort_if_due(step, setting, work, thread, n_threads)
     clear(work.grid, setting, work, thread, n_threads)
-    barrier(work.barrier, n_threads)
+    barrier(work.arrivals, n_threads)
     scatter_blocks(work.grid, work.value, work.affine, setting, work, thread, n_threads)
     update_grid(setting, conditions, work, thread, n_threads)
-    barrier(work.barrier, n_threads)
+    barrier(work.arrivals, n_threads)
 
 
 @kernel
@@ -107,15 +107,15 @@ def substep_vjp(
     move_each_vjp(groups, q, q_next, q_bar, setting, work, thread, n_threads)
     particles_to_grid(due, control, groups, conditions, q, fields, drive, setting, work, thread, n_threads)
     clear(work.grid_bar, setting, work, thread, n_threads)
-    barrier(work.barrier, n_threads)
+    barrier(work.arrivals, n_threads)
     scatter_blocks(work.grid_bar, work.value_2, work.affine_2, setting, work, thread, n_threads)
     update_grid_vjp(setting, conditions, work, thread, n_threads)
-    barrier(work.barrier, n_threads)
+    barrier(work.arrivals, n_threads)
     if thread == 0:
         add_friction_bar(coefficient_bar, work)
     momentum_of_each_vjp(pairs, q, q_bar, fields, fields_bar, drive_bar.push, setting, work, thread, n_threads)
     if drive.push.shape[0] > 0:
-        barrier(work.barrier, n_threads)
+        barrier(work.arrivals, n_threads)
         if thread == 0:
             push_particles_vjp(drive, drive_bar, control, q, q_bar, fields, fields_bar)
 
@@ -136,9 +136,9 @@ def advance(
         if step % setting.substeps == 0 or step == begin:
             if thread == 0:
                 activate(drive, step // setting.substeps)
-            barrier(work.barrier, n_threads)
+            barrier(work.arrivals, n_threads)
         substep(step, groups, conditions, q, q_next, fields, drive, setting, work, thread, n_threads)
-        barrier(work.barrier, n_threads)
+        barrier(work.arrivals, n_threads)
         for other in range(n_threads):
             if work.stray[other] >= 0:
                 return step + 1
@@ -166,14 +166,14 @@ def reverse(
                 activate(drive, control)
                 if (step + 1) % setting.substeps == 0:
                     record_vjp(probe, q_bar, records_bar[control + 1])
-            barrier(work.barrier, n_threads)
+            barrier(work.arrivals, n_threads)
         # sorted where a forward run counted down would be: at the chunk's start and every SORT_EVERY
         due = 0 if step == end - 1 or (step + 1) % SORT_EVERY == 0 else 1
         substep_vjp(
             due, control, groups, pairs, conditions, coefficient_bar, q, q_next, q_bar, fields, fields_bar,
             drive, drive_bar, setting, work, thread, n_threads,
         )  # fmt: skip
-        barrier(work.barrier, n_threads)
+        barrier(work.arrivals, n_threads)
         if step % setting.substeps == 0 and thread == 0:
             activate_vjp(drive, drive_bar, stresses, control)
-        barrier(work.barrier, n_threads)
+        barrier(work.arrivals, n_threads)

@@ -32,6 +32,7 @@ from cqrun.jobs.episodes import EpisodeProblem, has_episodes
 from cqrun.jobs.problem import FitProblem
 from cqrun.jobs.runs import cores
 from cqrun.jobs.unknowns import make_params
+from cqrun.optimizers.base import one_blas_thread
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, leaf, leaves, with_values
@@ -68,7 +69,7 @@ class Experiment:
 
     Args:
         scene: validated.
-        threads: how many to use; all cores if not given. Results do not depend on it.
+        threads: how many to use at most; all cores if not given. Results do not depend on it.
 
     Attributes:
         built: the scene's particles and model.
@@ -115,6 +116,10 @@ class Experiment:
             UsageError: a path or a shape that cannot be, or a scene with neither data nor a controller's objective.
             RolloutError: the scene blows up.
         """
+        with one_blas_thread():
+            return self._value_and_grad(params)
+
+    def _value_and_grad(self, params: Values | None) -> tuple[float, dict[str, Any], dict[str, Any]]:
         if isinstance(self._agent, EpisodeProblem):
             loss, gradient, aux = self._episodes(self._agent, self._values(params))
             return loss, self._with_followers(gradient, params), aux
@@ -160,7 +165,8 @@ class Experiment:
             x[control], v[control] = state.x, state.v
 
         rollout = self._rollout(self._values(params), goals or {})
-        rollout.run(keep)
+        with one_blas_thread():
+            rollout.run(keep)
         particles = self.built.particles
         bodies = {name: particles.of(name) for name in particles.names}
         return Motion(np.arange(n_controls + 1) * step, x, v, bodies, rollout.activation.copy())
@@ -271,7 +277,7 @@ def load(
     Args:
         scene: a file's path, YAML text (with a line break), or plain data.
         overrides: `key.path=value` each, as `-o` of the command line.
-        threads: how many to use; all cores if not given.
+        threads: how many to use at most; all cores if not given.
         allow_plugins: whether the Python files that the scene names as its plug-ins may be run.
 
     Raises:

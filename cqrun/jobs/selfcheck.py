@@ -31,11 +31,11 @@ class KernelCheck:
 
 
 @kernel
-def _mirror(x, y, out, counters, thread, n_threads):  # type: ignore[no-untyped-def]
+def _mirror(x, y, out, arrivals, thread, n_threads):  # type: ignore[no-untyped-def]
     low, high = share(x.size, thread, n_threads)
     for i in range(low, high):
         y[i] = 0.25 * x[i]
-    barrier(counters, n_threads)
+    barrier(arrivals, n_threads)
     # what another thread wrote: right only if all of them have met
     for i in range(low, high):
         out[i] = y[x.size - 1 - i]
@@ -43,9 +43,9 @@ def _mirror(x, y, out, counters, thread, n_threads):  # type: ignore[no-untyped-
 
 def _run(n_threads: int) -> Array:
     x, y, out = np.arange(SIZE, dtype=np.float64), np.zeros(SIZE), np.zeros(SIZE)
-    counters = np.zeros(2, dtype=np.int64)
+    arrivals = np.zeros(1, dtype=np.int64)
     with ThreadPoolExecutor(n_threads) as pool:
-        calls = [pool.submit(_mirror, x, y, out, counters, k, n_threads) for k in range(n_threads)]
+        calls = [pool.submit(_mirror, x, y, out, arrivals, k, n_threads) for k in range(n_threads)]
         for call in calls:
             call.result()
     return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from little_worlds import Wall, below, needs_jit, world
 from rich_scene import KINDS, arrays, parts, product, random_records, rich
 
 from cqrun.boundaries.friction import Friction
+from cqrun.engine import rollout
 from cqrun.engine.model import LossBar, Records
+from cqrun.engine.policy import Policy
 from cqrun.engine.rollout import Rollout
 from cqrun.state import Layout, State
 
@@ -118,3 +121,14 @@ def test_float32_is_close_to_float64(dim, rng):
 
 def _difference(a: Records, b: Records) -> Records:
     return Records(*(p - q for p, q in zip(parts(a), parts(b), strict=True)))
+
+
+@needs_jit
+@pytest.mark.parametrize(("worth", "alone", "controlled"), [(1000, 1, 1), (300, 2, 2), (100, 4, 2)])
+def test_threads_with_too_little_to_do_stay_away(worth, alone, controlled, rng, monkeypatch):
+    model, inputs = crowd(2, rng)  # 600 particles, 10 substeps in a control step
+    monkeypatch.setattr(rollout, "THREAD_WORTH", worth)
+    monkeypatch.setattr(rollout, "CALL_WORTH", 3000)
+    assert Rollout(model, inputs, threads=4).threads == alone
+    assert Rollout(model, inputs, threads=4, policy=cast(Policy, object())).threads == controlled
+    assert Rollout(model, inputs).threads == 1
