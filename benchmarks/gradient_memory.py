@@ -58,7 +58,7 @@ def main() -> None:
         "engine": engine_hash(),
         "particles": n,
         "substeps": options.substeps,
-        "threads": options.threads,
+        "threads": rollout.threads,
         "budget_bytes": model.memory_budget,
         "states_kept": plan.states,
         "states_kept_bytes": plan.states * rollout.state_bytes,

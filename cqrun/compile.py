@@ -1,4 +1,4 @@
-"""How kernels are compiled, and how threads run them side by side.
+"""How kernels are compiled, and where the threads that run them meet.
 
 Every thread runs the same compiled loop over substeps and takes its share of each pass; between passes
 they meet at a barrier, a count of arrivals. Against `prange` this compiles several times faster, lets a
@@ -15,7 +15,6 @@ from __future__ import annotations
 import fcntl
 import hashlib
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -181,7 +180,11 @@ def _pause(typingctx: Any) -> Any:
 
 
 def barrier(arrivals: Any, n_threads: int) -> None:
-    """Wait until all threads have come here. `arrivals`: how many have ever come to any, int64 (1,), shared."""
+    """Wait until all threads have come here, or one is said to be missing.
+
+    Args:
+        arrivals: how many have ever come to any, and whether one will never come; int64 (2,), shared.
+    """
 
 
 @overload(barrier)
@@ -194,31 +197,11 @@ def _barrier(arrivals, n_threads):
             while _atomic_load(arrivals, 0) < complete:
                 looks += 1
                 if looks > LOOKS:
+                    if _atomic_load(arrivals, 1) != 0:
+                        break
                     _pause()
 
     return wait
-
-
-class Team:
-    """Threads that run a function side by side, each with its number; they wait for the next, as starting one is slow.
-
-    Args:
-        size: how many, with the one that calls.
-    """
-
-    def __init__(self, size: int) -> None:
-        self.size = size
-        self._others = ThreadPoolExecutor(size - 1) if size > 1 else None
-
-    def run(self, body: Callable[[int], Any]) -> Any:
-        """Run body(thread) on every thread and return the result of thread 0."""
-        if self._others is None:
-            return body(0)
-        others = [self._others.submit(body, thread) for thread in range(1, self.size)]
-        result = body(0)
-        for other in others:
-            other.result()
-        return result
 
 
 @kernel

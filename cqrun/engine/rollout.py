@@ -17,7 +17,6 @@ from checkpoint_schedules import (
 )
 from numba import config
 
-from cqrun.compile import Team
 from cqrun.contract import Array
 from cqrun.engine.backward import Backward
 from cqrun.engine.checkpoint import Plan, borrowed, make_plan
@@ -26,6 +25,7 @@ from cqrun.engine.policy import Policy
 from cqrun.engine.probe import record
 from cqrun.engine.setting import MARGIN, Drive, Group, Setting, make_work, node_strides
 from cqrun.engine.step import advance
+from cqrun.engine.team import Team
 from cqrun.errors import RolloutError
 from cqrun.packed import pack, unpack
 from cqrun.state import DECAY, FORCE, MASS, VOLUME, ParticleFields, State
@@ -34,7 +34,7 @@ THREAD_WORTH = 1000
 """Particles for which a thread gains more than it costs to hand the grid over, pass by pass."""
 
 CALL_WORTH = 2500
-"""Particles times substeps for which it gains more than waking it costs, where a policy decides between calls."""
+"""Particles times substeps of a control step for which it gains more than waking it costs: often at each."""
 
 SLICE = 0.2
 """Seconds of compiled code between looks at `should_stop` and observers."""
@@ -98,8 +98,7 @@ class Rollout:
         if config.DISABLE_JIT:  # there is no barrier for them to meet at
             return 1
         n, substeps = self.model.layout.n_particles, self.model.substeps
-        most = min(n // THREAD_WORTH, n if self.policy is None else n * substeps // CALL_WORTH)
-        return max(1, min(threads, most))
+        return max(1, min(threads, n // THREAD_WORTH, n * substeps // CALL_WORTH))
 
     def _pack(self) -> None:
         model, inputs = self.model, self.inputs
@@ -121,7 +120,7 @@ class Rollout:
             len(model.conditions),
             real,
             adjoint=self.adjoint,
-            threads=self.threads,
+            team=self.team,
         )
         self._check_start()
 

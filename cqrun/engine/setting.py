@@ -8,6 +8,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.engine.blocks import BLOCK, Blocks, make_blocks
+from cqrun.engine.team import Team
 from cqrun.packed import aligned
 
 MARGIN = 3
@@ -93,7 +94,7 @@ class Work(NamedTuple):
     tile_moment: Array
     tile_slope: Array  # (threads, TILE, 4)
     blocks: Blocks
-    arrivals: Array  # (8,) the first: of threads at barriers, on a line of the cache of its own
+    arrivals: Array  # where threads meet (`team.py`)
 
 
 def grid_shape(size: Array, dx: float) -> tuple[int, ...]:
@@ -109,13 +110,14 @@ def node_positions(shape: tuple[int, ...], dx: float) -> Array:
 
 
 def make_work(
-    shape: tuple[int, ...], n: int, held: Array, n_conditions: int, real: Any, *, adjoint: bool, threads: int
+    shape: tuple[int, ...], n: int, held: Array, n_conditions: int, real: Any, *, adjoint: bool, team: Team
 ) -> Work:
     """Return work arrays for a grid of `shape` nodes and n particle columns."""
     loop_shape = (1, *shape) if len(shape) == 2 else shape
     n_nodes = int(np.prod(shape))
     blocks = (-(-loop_shape[0] // BLOCK), loop_shape[1] // BLOCK, loop_shape[2] // BLOCK)
     n_2, nodes_2 = (n, n_nodes) if adjoint else (0, 0)
+    threads = team.size
 
     def records(*rows: int) -> Array:
         return aligned((*rows, 4), real)
@@ -125,7 +127,7 @@ def make_work(
         records(n_nodes), records(n_nodes), records(nodes_2), held,
         np.zeros(int(np.prod(blocks)) * n_conditions), np.zeros(threads), np.full(threads, -1),
         records(threads, TILE), records(threads, 3 * TILE), records(threads, TILE),
-        make_blocks(blocks, n), aligned((8,), np.int64),
+        make_blocks(blocks, n), team.arrivals,
     )  # fmt: skip
 
 

@@ -48,7 +48,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
 
     Args:
         scene: with actuators, observers and an objective; its controller, if it has one, does not act.
-        threads: how many to use. Results do not depend on it.
+        threads: how many to use at most. Results do not depend on it.
 
     Raises:
         SceneError: it lacks one of them.
@@ -136,7 +136,7 @@ def environment(
     Args:
         scene: a file, or the scene's data.
         overrides: `key=value`, as on the command line.
-        threads: how many to use; all cores if not given.
+        threads: how many to use at most; all cores if not given.
         allow_plugins: run the Python files that the scene names.
 
     Raises:

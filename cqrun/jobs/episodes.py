@@ -2,7 +2,7 @@
 
 An episode is one rollout under the policy, with its own goals. Goals are drawn once, or anew at every iteration
 (`episodes.fresh`); the same seed draws the same. Rollouts of one evaluation run side by side on the cores, each on
-one thread; a single one takes all threads. Neither changes a bit of the result.
+one thread; a single one may take all threads. Neither changes a bit of the result.
 """
 
 from __future__ import annotations

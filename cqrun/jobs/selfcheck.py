@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,7 @@ from numba import config
 
 from cqrun.compile import barrier, kernel, share
 from cqrun.contract import Array
+from cqrun.engine.team import Team
 
 SIZE = 1 << 16
 
@@ -43,11 +43,8 @@ def _mirror(x, y, out, arrivals, thread, n_threads):  # type: ignore[no-untyped-
 
 def _run(n_threads: int) -> Array:
     x, y, out = np.arange(SIZE, dtype=np.float64), np.zeros(SIZE), np.zeros(SIZE)
-    arrivals = np.zeros(1, dtype=np.int64)
-    with ThreadPoolExecutor(n_threads) as pool:
-        calls = [pool.submit(_mirror, x, y, out, arrivals, k, n_threads) for k in range(n_threads)]
-        for call in calls:
-            call.result()
+    team = Team(n_threads)
+    team.run(lambda thread: _mirror(x, y, out, team.arrivals, thread, n_threads))
     return out
 
 

@@ -10,6 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -153,16 +154,38 @@ class Optimizer(Plugin):
         """Minimise; what can go wrong with a trial ends in the outcome's status."""
 
 
+class _OneBlasThread:
+    """One context for all who want it: limits are the process's, and the last one to leave takes them off."""
+
+    def __init__(self) -> None:
+        self._lock, self._users = Lock(), 0
+        self._limits: Any = None
+
+    def __enter__(self) -> None:
+        from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+        with self._lock:
+            if self._users == 0:
+                self._limits = threadpool_limits(1, user_api="blas")
+            self._users += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._users -= 1
+            if self._users == 0:
+                self._limits.restore_original_limits()
+
+
+_ONE = _OneBlasThread()
+
+
 def one_blas_thread() -> AbstractContextManager[Any]:
     """Return a context in which BLAS runs on one thread.
 
     Its sums then have one order, so that a replay meets the same bits; and its threads do not spin on cores that
     rollouts need: two runs side by side took 3.3 times as long.
     """
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
-    limits: AbstractContextManager[Any] = threadpool_limits(1, user_api="blas")
-    return limits
+    return _ONE
 
 
 def terms_of(problem: Problem, values: Array) -> dict[str, float]:

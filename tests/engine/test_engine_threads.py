@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from rich_scene import KINDS, arrays, parts, product, random_records, rich
 from cqrun.boundaries.friction import Friction
 from cqrun.engine import rollout
 from cqrun.engine.model import LossBar, Records
-from cqrun.engine.policy import Policy
 from cqrun.engine.rollout import Rollout
 from cqrun.state import Layout, State
 
@@ -124,11 +122,12 @@ def _difference(a: Records, b: Records) -> Records:
 
 
 @needs_jit
-@pytest.mark.parametrize(("worth", "alone", "controlled"), [(1000, 1, 1), (300, 2, 2), (100, 4, 2)])
-def test_threads_with_too_little_to_do_stay_away(worth, alone, controlled, rng, monkeypatch):
+@pytest.mark.parametrize(
+    ("worth", "call_worth", "threads"), [(1000, 1, 1), (300, 1, 2), (1, 1, 4), (1, 2000, 3), (1, 7000, 1)]
+)
+def test_threads_with_too_little_to_do_stay_away(worth, call_worth, threads, rng, monkeypatch):
     model, inputs = crowd(2, rng)  # 600 particles, 10 substeps in a control step
     monkeypatch.setattr(rollout, "THREAD_WORTH", worth)
-    monkeypatch.setattr(rollout, "CALL_WORTH", 3000)
-    assert Rollout(model, inputs, threads=4).threads == alone
-    assert Rollout(model, inputs, threads=4, policy=cast(Policy, object())).threads == controlled
+    monkeypatch.setattr(rollout, "CALL_WORTH", call_worth)
+    assert Rollout(model, inputs, threads=4).threads == threads
     assert Rollout(model, inputs).threads == 1

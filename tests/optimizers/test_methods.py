@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from threadpoolctl import threadpool_info, threadpool_limits
 from toy_problems import Rosenbrock, history_rows, run_folder, solve
 
 from cqrun.contract import Plugin
 from cqrun.errors import UsageError
 from cqrun.optimizers.adam import Adam
-from cqrun.optimizers.base import Optimizer
+from cqrun.optimizers.base import Optimizer, one_blas_thread
 from cqrun.optimizers.descent import HALVINGS
 from cqrun.optimizers.lbfgs import Lbfgs
 from cqrun.optimizers.least_squares import LeastSquares
@@ -341,3 +342,17 @@ def test_descent_asks_for_another_draw_each_iteration(tmp_path, method):
     assert outcome.loss == problem.value(outcome.x)  # the last point, not the best of losses that do not compare
     with pytest.raises(UsageError, match="batch_size takes parts of a fixed set"):
         solve(tmp_path / "parts", method.model_copy(update={"batch_size": 2}), problem)
+
+
+def test_blas_gets_its_threads_back_from_the_last_of_two_that_overlap():
+    def threads():
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    with threadpool_limits(2, user_api="blas"):
+        first, second = one_blas_thread(), one_blas_thread()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert set(threads()) == {1}
+        second.__exit__(None, None, None)
+        assert set(threads()) == {2}

@@ -137,7 +137,7 @@ def _measure(folder: Path, deadline: float, size: Size) -> bool:
                 frame = FRAME * bench.n * 1e-6  # ns a particle and substep -> ms a frame
                 write_json(file, {
                     "case": f"{dim}D", "particles": bench.n, "implementation": "cqrun", "precision": precision,
-                    "threads": threads, "forward": frame * found["forward"], "backward": frame * found["backward"],
-                    "load": os.getloadavg()[0],
+                    "threads": bench.rollout.threads, "forward": frame * found["forward"],
+                    "backward": frame * found["backward"], "load": os.getloadavg()[0],
                 })  # fmt: skip
     return True

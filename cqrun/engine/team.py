@@ -1,0 +1,100 @@
+"""Threads that run the same compiled loop, each with its number."""
+
+from __future__ import annotations
+
+import os
+import threading
+import weakref
+from collections.abc import Callable
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from cqrun.lanes import LANE_BYTES
+from cqrun.packed import aligned
+
+Tasks = SimpleQueue[Any]
+"""Of one thread: (body, its number, where to answer), or None to end."""
+
+Answers = SimpleQueue[BaseException | None]
+"""What each thread but the first raised, if it did."""
+
+
+class Team:
+    """Threads that run a function side by side, and wait for the next: starting one is slow.
+
+    Args:
+        size: how many, with the one that calls.
+
+    Attributes:
+        arrivals: where they meet (`compile.barrier`), on a line of the cache of its own.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.size, self.arrivals = size, aligned((LANE_BYTES // 8,), np.int64)
+        self._process, self._others = 0, list[Tasks]()
+
+    def __reduce__(self) -> tuple[type[Team], tuple[int]]:
+        """Copy the size: threads are nobody else's."""
+        return Team, (self.size,)
+
+    def run(self, body: Callable[[int], Any]) -> Any:
+        """Run body(thread) on every thread and return the result of thread 0.
+
+        Raises:
+            RuntimeError: an earlier run was interrupted. And what a body raises.
+        """
+        if self.size == 1:
+            return body(0)
+        if self.arrivals[1]:
+            raise RuntimeError("threads were interrupted in the middle of a rollout: make a new one")
+        if self._process != os.getpid():  # the first run, or a forked child's, which has none of its parent's threads
+            self._start()
+        answers, asked = Answers(), 0
+        try:
+            for thread, tasks in enumerate(self._others, start=1):
+                tasks.put((body, thread, answers))
+                asked += 1
+            result = body(0)
+        except BaseException:
+            self.arrivals[1] = 1  # or they would wait for this thread at a barrier for ever
+            _wait(answers, asked)
+            raise
+        for error in [answers.get() for _ in self._others]:
+            if error is not None:
+                raise error
+        return result
+
+    def _start(self) -> None:
+        self._process, self._others = os.getpid(), [Tasks() for _ in range(self.size - 1)]
+        for tasks in self._others:
+            threading.Thread(target=_work, args=(tasks,), daemon=True).start()
+        weakref.finalize(self, _dismiss, self._others)
+
+
+def _work(tasks: Tasks) -> None:
+    """Do one task after another."""
+    while (task := tasks.get()) is not None:
+        body, thread, answers = task
+        try:
+            body(thread)
+            answers.put(None)
+        except BaseException as error:
+            answers.put(error)
+        del task, body, answers  # an idle thread keeps no rollout alive
+
+
+def _wait(answers: Answers, asked: int) -> None:
+    """Wait for threads that still write to their rollout's memory, whoever interrupts."""
+    while asked:
+        try:
+            answers.get()
+            asked -= 1
+        except KeyboardInterrupt:
+            continue
+
+
+def _dismiss(others: list[Tasks]) -> None:
+    for tasks in others:
+        tasks.put(None)
