@@ -141,7 +141,9 @@ class Runs(Work):
 
     def fingerprint(self) -> str:
         """Return what its result depends on besides the engine, as hex digits."""
-        scene = yaml.safe_load(self.path.read_text())  # comments change nothing, and neither do more seeds
+        # comments change nothing, and neither do more seeds, or what an override replaces
+        replaced = {override.partition("=")[0] for override in self.overrides}
+        scene = {key: value for key, value in yaml.safe_load(self.path.read_text()).items() if key not in replaced}
         whole = [self.job, self.scene, self.overrides, self.options, scene]
         return _hash(json.dumps(whole, sort_keys=True).encode())
 
@@ -247,9 +249,10 @@ class Measurement(Work):
 
 
 def _content(path: Path) -> bytes:
-    """Return what a file says: of a scene not its comments."""
+    """Return what a file says: of a scene not its comments, nor its optimizer, which no measurement uses."""
     if path.suffix == ".yaml":
-        return json.dumps(yaml.safe_load(path.read_text()), sort_keys=True).encode()
+        scene = {key: value for key, value in yaml.safe_load(path.read_text()).items() if key != "optimizer"}
+        return json.dumps(scene, sort_keys=True).encode()
     return path.read_bytes()
 
 

@@ -166,13 +166,26 @@ def test_more_seeds_go_on_and_comments_change_nothing(tmp_path, monkeypatch):
     assert three.done(tmp_path) is None
 
 
+def test_what_an_override_replaces_may_change_in_the_scene(tmp_path, monkeypatch):
+    monkeypatch.setattr("benchmarks.papers.work.SCENES", tmp_path)
+    scene = tmp_path / "simulate" / "tear.yaml"
+    scene.parent.mkdir()
+    replaces, extends = (replace(TEAR, overrides=(f"optimizer{o}",)) for o in ("={adam: {}}", ".sgd.decay=1"))
+    found = []
+    for rate in (1, 2):
+        scene.write_text(f"optimizer: {{sgd: {{learning_rate: {rate}}}}}\n")
+        found.append((replaces.fingerprint(), extends.fingerprint()))
+    assert found[0][0] == found[1][0]
+    assert found[0][1] != found[1][1]
+
+
 def test_comments_in_its_scene_do_not_make_it_another_measurement(tmp_path):
     scene, data = tmp_path / "one.yaml", tmp_path / "one.csv"
     scene.write_text("# a scene\nseed: 1\n")
     data.write_text("# x\n1\n")
     counting = replace(COUNT, sources=(scene, data))
     first = counting.fingerprint()
-    scene.write_text("seed: 1  # the same\n")
+    scene.write_text("seed: 1  # the same\noptimizer: {adam: {}}\n")  # which nothing that is measured uses
     assert counting.fingerprint() == first
     data.write_text("# y\n1\n")
     assert counting.fingerprint() != first

@@ -18,7 +18,9 @@ class Biped(Frames):
         Size.QUICK: "the head of the best seed comes farther than .2 m",
         Size.PAPER: "the head of the best seed comes farther than .6 m, the length of the body",
     }
-    left_open = "which of many minima the descent finds: about half of the seeds walk, the others lean"
+    left_open = (
+        "the steps: with .03 times the gradient half of the seeds lean; here longer, and shortened where it walks"
+    )
     name, term, body, group = "biped_walk", "far", "biped", "head"
 
     def work(self, size: Size) -> list[Runs]:
