@@ -38,7 +38,7 @@ class ArmReach(Figure):
     def work(self, size: Size) -> Sequence[Work]:
         """Return the seeds."""
         if size is Size.QUICK:
-            return [Runs("arm_reach_3d", 1.2, "control", "control/arm_reach_3d", QUICK, 1)]
+            return [Runs("arm_reach_3d", 2.5, "control", "control/arm_reach_3d", QUICK, 1)]
         return [Runs("arm_reach_3d", 150.0, "control", "control/arm_reach_3d", SINGLE, 3)]
 
     def table(self, found: Found, size: Size) -> Table:
