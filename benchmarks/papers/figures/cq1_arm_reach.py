@@ -17,7 +17,7 @@ from cqrun.figures.style import COLOURS, GREY, new_figure, titled
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-QUICK = ("bodies.arm.sampling.lattice.count=5", "optimizer.sqp.max_iterations=12", "episodes.unseen=10")
+QUICK = ("bodies.arm.sampling.lattice.count=5", "optimizer.sqp.max_iterations=10", "episodes.unseen=10")
 SETS = {"start": "before", "trained": "trained goals", "unseen": "unseen goals"}
 RATIO, PART = 1.5, 0.25
 
@@ -38,7 +38,7 @@ class ArmReach(Figure):
     def work(self, size: Size) -> Sequence[Work]:
         """Return the seeds."""
         if size is Size.QUICK:
-            return [Runs("arm_reach_3d", 2.5, "control", "control/arm_reach_3d", QUICK, 1)]
+            return [Runs("arm_reach_3d", 1.8, "control", "control/arm_reach_3d", QUICK, 1)]
         return [Runs("arm_reach_3d", 150.0, "control", "control/arm_reach_3d", SINGLE, 3)]
 
     def table(self, found: Found, size: Size) -> Table:
