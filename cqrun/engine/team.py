@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 import weakref
 from collections.abc import Callable
 from queue import SimpleQueue
@@ -87,10 +88,11 @@ def _work(tasks: Tasks) -> None:
 
 def _wait(answers: Answers, asked: int) -> None:
     """Wait for threads that still write to their rollout's memory, whoever interrupts."""
-    while asked:
+    while True:
         try:
-            answers.get()
-            asked -= 1
+            while answers.qsize() < asked:  # counted, not taken: an interrupt in between would lose one
+                time.sleep(1e-3)
+            return
         except KeyboardInterrupt:
             continue
 

@@ -16,7 +16,7 @@ from cqrun.engine.team import Team
 
 @kernel
 def meet(rounds, arrivals, thread, n_threads):
-    """Count the others' rounds: each is at the same, or the barrier holds nobody."""
+    """Come to so many barriers."""
     for _ in range(rounds):
         barrier(arrivals, n_threads)
     return thread

@@ -39,7 +39,7 @@ class ArmReach(Figure):
         """Return the seeds."""
         if size is Size.QUICK:
             return [Runs("arm_reach_3d", 1.8, "control", "control/arm_reach_3d", QUICK, 1)]
-        return [Runs("arm_reach_3d", 150.0, "control", "control/arm_reach_3d", SINGLE, 3)]
+        return [Runs("arm_reach_3d", 210.0, "control", "control/arm_reach_3d", SINGLE, 3)]
 
     def table(self, found: Found, size: Size) -> Table:
         """Return set, seed, x and z of the goal [m], error [m]."""

@@ -19,7 +19,7 @@ class Biped(Frames):
         Size.PAPER: "the head of the best seed comes farther than .6 m, the length of the body",
     }
     left_open = (
-        "the steps: with .03 times the gradient half of the seeds lean; here longer, and shortened where it walks"
+        "the steps: with .03 times the gradient six of ten seeds lean; here longer, and shortened where it walks"
     )
     name, term, body, group = "biped_walk", "far", "biped", "head"
 
