@@ -1,6 +1,7 @@
 """Records of four numbers (a, b, c, d): a grid node, or a particle's vector, in an (n, 4) array.
 
 make4, load4, store4                        one record
+load_each, load_wide, store_wide            one record of each of several arrays, as one value; such values in one array
 load_quads, store_quads                     as many records as a lane is wide, from and to four lane values
 load_records, load_neighbours, store_neighbours
                                             as many records as fill one lane value: 2 in float64, 4 in float32
@@ -101,6 +102,78 @@ def _store4(typingctx: Any, a: Any, n: Any, value: Any) -> Any:
 @overload(store4)
 def _store4_overload(a, n, value):
     return lambda a, n, value: _store4(a, n, value)
+
+
+# --- one record of each of several arrays, as one value --------------------------------------------------------
+
+
+def load_each(arrays: Any, n: int) -> Any:
+    """Return record n of every array of a tuple of one or two, one after the other, as one value."""
+    return np.concatenate([a[n] for a in arrays])
+
+
+def load_wide(a: np.ndarray, n: int, like: Any) -> Any:
+    """Return entry n of an (m, 4) array that holds values as long as `like` one after the other."""
+    return a.reshape(-1, len(like))[n].copy()
+
+
+def store_wide(a: np.ndarray, n: int, value: Any) -> None:
+    """Write entry n of an (m, 4) array that holds values as long as this one after the other."""
+    a.reshape(-1, len(value))[n] = value
+
+
+@intrinsic
+def _load_each(typingctx: Any, arrays: Any, n: Any) -> Any:
+    quad, wide = Lanes(arrays[0].dtype, 4), Lanes(arrays[0].dtype, 4 * len(arrays))
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vector = context.get_value_type(quad)
+        parts = []
+        for k, kind in enumerate(arrays):
+            pointer = _place(context, builder, kind, builder.extract_value(args[0], k), args[1], vector)
+            parts.append(builder.load(pointer, align=align(kind)))
+        return parts[0] if len(parts) == 1 else _shuffle(builder, *parts, list(range(8)))
+
+    return signature(wide, arrays, types.intp), codegen
+
+
+@intrinsic
+def _load_wide(typingctx: Any, a: Any, n: Any, like: Any) -> Any:
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        pointer = _place(context, builder, a, args[0], args[1], args[2].type)
+        return builder.load(pointer, align=align(a))
+
+    return signature(like, a, types.intp, like), codegen
+
+
+@intrinsic
+def _store_wide(typingctx: Any, a: Any, n: Any, value: Any) -> Any:
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        pointer = _place(context, builder, a, args[0], args[1], args[2].type)
+        builder.store(args[2], pointer, align=align(a))
+        return context.get_dummy_value()
+
+    return signature(types.none, a, types.intp, value), codegen
+
+
+@overload(load_each)
+def _load_each_overload(arrays, n):
+    return lambda arrays, n: _load_each(arrays, n)
+
+
+@overload(load_wide)
+def _load_wide_overload(a, n, like):
+    per_entry = like.width // 4
+    return lambda a, n, like: _load_wide(a, n * per_entry, like)
+
+
+@overload(store_wide)
+def _store_wide_overload(a, n, value):
+    per_entry = value.width // 4
+    return lambda a, n, value: _store_wide(a, n * per_entry, value)
+
+
+# --- as many records as a lane is wide -------------------------------------------------------------------------
 
 
 def store_quads(a: np.ndarray, i: int, x: Any, y: Any, z: Any, w: Any) -> None:

@@ -12,15 +12,18 @@ from cqrun.packed import accumulate, aligned, load, pack, store, unpack
 from cqrun.records import (
     filled,
     load4,
+    load_each,
     load_neighbours,
     load_quads,
     load_records,
+    load_wide,
     make4,
     records_in_lane,
     spread,
     store4,
     store_neighbours,
     store_quads,
+    store_wide,
     sums,
 )
 
@@ -164,6 +167,27 @@ def test_records_side_by_side(real, body, rng):
     np.testing.assert_array_equal(got[2][:, 3], 0.0)
     np.testing.assert_array_equal(got[3], 2.5)
     np.testing.assert_array_equal(got[4], 0.0)
+
+
+@kernel
+def together(a, b, one, two):
+    """Add to entries of one record and of two."""
+    x, y = load_each((a,), 3), load_each((a, b), 3)
+    store_wide(one, 2, load_wide(one, 2, x) + x)
+    store_wide(two, 2, load_wide(two, 2, y) + y * 2.0)
+
+
+@REALS
+@pytest.mark.parametrize("body", [together, getattr(together, "py_func", together)], ids=["compiled", "plain"])
+def test_records_of_two_arrays_as_one_value(real, body, rng):
+    a, b, one, two = (rng.normal(size=(n, 4)).astype(real) for n in (5, 5, 4, 8))
+    one_after, two_after = one.copy(), two.copy()
+    one_after[2] += a[3]
+    two_after[4] += a[3] * 2
+    two_after[5] += b[3] * 2
+    body(a, b, one, two)
+    np.testing.assert_allclose(one, one_after, rtol=4 * np.finfo(real).eps)
+    np.testing.assert_allclose(two, two_after, rtol=4 * np.finfo(real).eps, atol=4 * np.finfo(real).eps)
 
 
 @REALS

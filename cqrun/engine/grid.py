@@ -2,6 +2,7 @@
 
     v_n = mv_n / m_n,   v_n <- every boundary condition that holds the node, in order
 
+The velocity takes the place of momentum and mass. The adjoint has a record of its own beside it (`Work.both`).
 Gravity and other forces have come with the particles' momentum. Each thread takes whole blocks of nodes.
 """
 
@@ -45,21 +46,22 @@ def _record(u, extra, like):
 
 
 @kernel
-def clear(grid: Array, setting: Setting, work: Work, thread: int, n_threads: int) -> None:
-    """Set the listed nodes of a grid to zero."""
+def clear(grid: Array, records: int, setting: Setting, work: Work, thread: int, n_threads: int) -> None:
+    """Set the listed nodes of a grid of so many records a node to zero."""
     lo, hi = share(work.blocks.n_nodes[0], thread, n_threads)
     strides = setting.strides
     for index in range(lo, hi):
         first = first_node(work.blocks, work.blocks.nodes[index], strides)
         for i in range(BLOCK if len(setting.dims) == 3 else 1):
             for j in range(BLOCK):
-                for k in range(BLOCK):
-                    store4(grid, first + i * strides[0] + j * strides[1] + k, 0.0)
+                node = first + i * strides[0] + j * strides[1]
+                for k in range(node * records, (node + BLOCK) * records):
+                    store4(grid, k, 0.0)
 
 
 @kernel
 def update_grid(setting: Setting, conditions: Any, work: Work, thread: int, n_threads: int) -> None:
-    """Write grid_v from the momentum and mass of grid."""
+    """Turn momentum and mass into velocity."""
     lo, hi = share(work.blocks.n_nodes[0], thread, n_threads)
     strides = setting.strides
     for index in range(lo, hi):
@@ -76,14 +78,14 @@ def update_grid(setting: Setting, conditions: Any, work: Work, thread: int, n_th
                         if held != 0:
                             after = project_all(conditions, node, held, components(v, setting.dims))
                             v = record(after, 0.0, work.grid)
-                        store4(work.grid_v, node, v)
+                        store4(work.grid, node, v)
                     else:
-                        store4(work.grid_v, node, 0.0)
+                        store4(work.grid, node, 0.0)
 
 
 @kernel
 def update_grid_vjp(setting: Setting, conditions: Any, work: Work, thread: int, n_threads: int) -> None:
-    """Turn grid_bar from the cotangent of grid_v into that of (momentum, mass)."""
+    """Turn momentum and mass into velocity, and the cotangent of velocity into theirs."""
     lo, hi = share(work.blocks.n_nodes[0], thread, n_threads)
     strides = setting.strides
     for index in range(lo, hi):
@@ -95,21 +97,26 @@ def update_grid_vjp(setting: Setting, conditions: Any, work: Work, thread: int, 
             for j in range(BLOCK):
                 for k in range(BLOCK):
                     node = first + i * strides[0] + j * strides[1] + k
-                    mv = load4(work.grid, node)
+                    mv = load4(work.both, 2 * node)
                     m = lane(mv, 3)
                     if m > 0.0:
-                        v_bar = load4(work.grid_bar, node)
+                        v, v_bar = mv / m, load4(work.both, 2 * node + 1)
                         held = work.held[node]
                         if held != 0:
-                            v, after = components(mv / m, setting.dims), components(v_bar, setting.dims)
-                            before = project_all_vjp(conditions, node, held, v, after, work.friction_bar, sums)
-                            v_bar = record(before, 0.0, work.grid)
+                            before, after_bar = components(v, setting.dims), components(v_bar, setting.dims)
+                            after = project_all(conditions, node, held, before)
+                            before_bar = project_all_vjp(
+                                conditions, node, held, before, after_bar, work.friction_bar, sums
+                            )
+                            v, v_bar = record(after, 0.0, work.both), record(before_bar, 0.0, work.both)
                         mv_bar = v_bar / m
                         flow = mv_bar * mv / m
                         m_bar = -(lane(flow, 0) + lane(flow, 1) + lane(flow, 2))
-                        store4(work.grid_bar, node, with_lane(mv_bar, 3, m_bar))
+                        store4(work.both, 2 * node, v)
+                        store4(work.both, 2 * node + 1, with_lane(mv_bar, 3, m_bar))
                     else:
-                        store4(work.grid_bar, node, 0.0)
+                        store4(work.both, 2 * node, 0.0)
+                        store4(work.both, 2 * node + 1, 0.0)
 
 
 @kernel

@@ -90,7 +90,7 @@ def move(group: Group, q: Array, q_next: Array, setting: Setting, work: Work, th
     fastest = load(q, 0, group.lo) * 0.0
     for tile in range(lo, hi, TILE):
         end = min(tile + TILE, hi)
-        gather(work.grid_v, work.place, value, moment, tile, end, setting.strides, dims)
+        gather(work.grid, work.place, value, moment, tile, end, setting.strides, dims)
         for i in range(tile, end, width):
             v = get_vector(value, i - tile, dims)
             C = scale(get_columns(moment, TILE, i - tile, dims), 4.0 / dx)
@@ -164,8 +164,7 @@ def momentum_vjp(
     for tile in range(lo, hi, TILE):
         end = min(tile + TILE, hi)
         gather_vjp(
-            work.grid_bar, fields_1, work.grid_v, fields_2, work.place,
-            value, moment, slope, tile, end, setting.strides, dims,
+            work.both, fields_1, fields_2, work.place, value, moment, slope, tile, end, setting.strides, dims
         )  # fmt: skip
         for i in range(tile, end, width):
             v, C = load_vector(q, D, i, dims), load_matrix(q, 2 * D, i, dims)

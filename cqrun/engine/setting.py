@@ -83,9 +83,8 @@ class Work(NamedTuple):
     place: Array
     value_2: Array  # what the adjoint of G2P scatters; empty (0, 4) in a forward rollout
     affine_2: Array
-    grid: Array  # (nodes, 4) momentum and mass
-    grid_v: Array  # (nodes, 4) velocity after the boundaries
-    grid_bar: Array  # (nodes, 4) cotangents
+    grid: Array  # (nodes, 4) momentum and mass, then velocity after the boundaries
+    both: Array  # (2 nodes, 4) in the adjoint: every node's record as in `grid`, and after it that of its cotangent
     held: Array  # (nodes,) bit k: boundary condition k holds the node
     friction_bar: Array  # (blocks * conditions,) partial sums
     speed: Array  # (threads,) fastest particle of the substep [m/s]
@@ -124,7 +123,7 @@ def make_work(
 
     return Work(
         records(n), records(3 * n), records(n), records(n_2), records(3 * n_2),
-        records(n_nodes), records(n_nodes), records(nodes_2), held,
+        records(n_nodes), records(2 * nodes_2), held,
         np.zeros(int(np.prod(blocks)) * n_conditions), np.zeros(threads), np.full(threads, -1),
         records(threads, TILE), records(threads, 3 * TILE), records(threads, TILE),
         make_blocks(blocks, n), team.arrivals,

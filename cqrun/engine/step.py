@@ -25,9 +25,9 @@ MAX_TRAVEL = 0.99
 
 @kernel
 def scatter_blocks(
-    grid: Array, value: Array, affine: Array, setting: Setting, work: Work, thread: int, n_threads: int
+    grid: Array, values: Any, affines: Any, setting: Setting, work: Work, thread: int, n_threads: int
 ) -> None:
-    """Scatter all particles, colour by colour."""
+    """Scatter all particles, colour by colour; one field to a node or two (`transfer.scatter`)."""
     blocks = work.blocks
     for colour in range(8):
         begin, n_work = blocks.colour[colour], blocks.colour[colour + 1] - blocks.colour[colour]
@@ -36,7 +36,7 @@ def scatter_blocks(
             for index in range(begin + lo, begin + hi):
                 block = blocks.work[index]
                 first, last = blocks.start[block], blocks.start[block + 1]
-                scatter(grid, value, affine, work.place, blocks.order, first, last, setting.strides, setting.dims)
+                scatter(grid, values, affines, work.place, blocks.order, first, last, setting.strides, setting.dims)
             barrier(work.arrivals, n_threads)
 
 
@@ -63,22 +63,17 @@ def sort_if_due(step: int, setting: Setting, work: Work, thread: int, n_threads:
 
 
 @kernel
-def particles_to_grid(
-    step: int, control: int, groups: Any, conditions: Any, q: Array, fields: Array, drive: Drive, setting: Setting,
-    work: Work, thread: int, n_threads: int,
+def fields_of_particles(
+    step: int, control: int, groups: Any, q: Array, fields: Array, drive: Drive, setting: Setting, work: Work,
+    thread: int, n_threads: int,
 ) -> None:  # fmt: skip
-    """The first half of a substep: grid velocities from the state q."""
+    """The first part of a substep: what P2G scatters from the state q, and in which order."""
     if drive.push.shape[0] > 0:
         if thread == 0:
             push_particles(drive, control, q, fields)
         barrier(work.arrivals, n_threads)
     momentum_of_each(groups, q, fields, drive.push, setting, work, thread, n_threads)
     sort_if_due(step, setting, work, thread, n_threads)
-    clear(work.grid, setting, work, thread, n_threads)
-    barrier(work.arrivals, n_threads)
-    scatter_blocks(work.grid, work.value, work.affine, setting, work, thread, n_threads)
-    update_grid(setting, conditions, work, thread, n_threads)
-    barrier(work.arrivals, n_threads)
 
 
 @kernel
@@ -88,7 +83,12 @@ def substep(
 ) -> None:  # fmt: skip
     """q_next = one substep from q."""
     control = step // setting.substeps
-    particles_to_grid(step, control, groups, conditions, q, fields, drive, setting, work, thread, n_threads)
+    fields_of_particles(step, control, groups, q, fields, drive, setting, work, thread, n_threads)
+    clear(work.grid, 1, setting, work, thread, n_threads)
+    barrier(work.arrivals, n_threads)
+    scatter_blocks(work.grid, (work.value,), (work.affine,), setting, work, thread, n_threads)
+    update_grid(setting, conditions, work, thread, n_threads)
+    barrier(work.arrivals, n_threads)
     move_each(groups, q, q_next, setting, work, thread, n_threads)
 
 
@@ -105,10 +105,11 @@ def substep_vjp(
         pairs: every group with its cotangent.
     """
     move_each_vjp(groups, q, q_next, q_bar, setting, work, thread, n_threads)
-    particles_to_grid(due, control, groups, conditions, q, fields, drive, setting, work, thread, n_threads)
-    clear(work.grid_bar, setting, work, thread, n_threads)
+    fields_of_particles(due, control, groups, q, fields, drive, setting, work, thread, n_threads)
+    clear(work.both, 2, setting, work, thread, n_threads)
     barrier(work.arrivals, n_threads)
-    scatter_blocks(work.grid_bar, work.value_2, work.affine_2, setting, work, thread, n_threads)
+    values, affines = (work.value, work.value_2), (work.affine, work.affine_2)
+    scatter_blocks(work.both, values, affines, setting, work, thread, n_threads)
     update_grid_vjp(setting, conditions, work, thread, n_threads)
     barrier(work.arrivals, n_threads)
     if thread == 0:

@@ -11,6 +11,9 @@ A node is a record of 4: three components and the mass. In 2D the record is (v_x
 is (-, x, y, -) so that the last axis is lane 2 in both dimensions; the first loop of the stencil then has
 one round. Weights: quadratic B-splines, 1/2 (3/2 - f)^2, 3/4 - (f - 1)^2, 1/2 (f - 1/2)^2 (CQ1 eq 3).
 
+The adjoint of a substep scatters what P2G does and what the adjoint of G2P does in one go, since weights and nodes
+are the same: there a node is two records, one after the other (`Work.both`).
+
 Arrays of records: `value` (n, 4) holds a_p - B_p f_p, `affine` (3 n, 4) the columns of B_p, one axis after
 the other, `place` (n, 4) the position in cells.
 """
@@ -27,12 +30,14 @@ from cqrun.lanes import floor, lane
 from cqrun.records import (
     filled,
     load4,
+    load_each,
     load_neighbours,
     load_records,
+    load_wide,
     records_in_lane,
     spread,
-    store4,
     store_neighbours,
+    store_wide,
     sums,
 )
 
@@ -53,13 +58,13 @@ def slopes(f: Any) -> Any:
 def first_nodes(base: Any, strides: Any) -> Any:
     """Return the node number of every record (i, j, k, -), as a tuple."""
     i, j, k = (base[axis::4].astype(int) for axis in range(3))
-    return tuple(i * strides[0] + j * strides[1] + k)
+    return tuple(i * strides[0] + j * strides[1] + k * strides[2])
 
 
 @overload(first_nodes)
 def _first_nodes(base, strides):
     nodes = [
-        f"int(lane(base, {at})) * strides[0] + int(lane(base, {at + 1})) * strides[1] + int(lane(base, {at + 2}))"
+        " + ".join(f"int(lane(base, {at + axis})) * strides[{axis}]" for axis in range(3))
         for at in range(0, base.width, 4)
     ]
     return written(f"lambda base, strides: ({', '.join(nodes)},)", {"lane": lane})
@@ -75,31 +80,25 @@ def stencil(place: Array, p: int, strides: Any) -> Any:
 
 @kernel
 def scatter(
-    grid: Array,
-    value: Array,
-    affine: Array,
-    place: Array,
-    order: Array,
-    lo: int,
-    hi: int,
-    strides: Any,
-    dims: Any,
+    grid: Array, values: Any, affines: Any, place: Array, order: Array, lo: int, hi: int, strides: Any, dims: Any
 ) -> None:
-    """Add the affine fields of particles order[lo:hi] to the grid (nodes, 4).
+    """Add the affine fields of particles order[lo:hi] to the grid.
 
     Args:
+        grid: (nodes, 4), or (2 nodes, 4) for two fields at once: a node's records one after the other.
+        values, affines: a tuple of as many arrays as there are fields, each.
         strides: of the nodes along the three loop axes, the first 0 in 2D.
         dims: a tuple whose length is the dimension.
     """
-    n = value.shape[0]
+    n = place.shape[0]
     in_3d = len(dims) == 3
     for index in range(lo, hi):
         p = order[index]
         first, f = stencil(place, p, strides)
         W = weights(f)
         w0, w1, w2 = lane(W[0], 2), lane(W[1], 2), lane(W[2], 2)
-        a = load4(value, p)
-        b0, b1, b2 = load4(affine, p), load4(affine, n + p), load4(affine, 2 * n + p)
+        a = load_each(values, p)
+        b0, b1, b2 = load_each(affines, p), load_each(affines, n + p), load_each(affines, 2 * n + p)
         c1, c2 = b2 * w1, (b2 + b2) * w2
         for i in range(3 if in_3d else 1):
             w_i = lane(W[i], 0) if in_3d else 1.0
@@ -108,9 +107,9 @@ def scatter(
                 w = w_i * lane(W[j], 1)
                 a_j = a_i + b1 * j
                 node = first + i * strides[0] + j * strides[1]
-                store4(grid, node, load4(grid, node) + a_j * w0 * w)
-                store4(grid, node + 1, load4(grid, node + 1) + (a_j * w1 + c1) * w)
-                store4(grid, node + 2, load4(grid, node + 2) + (a_j * w2 + c2) * w)
+                store_wide(grid, node, load_wide(grid, node, a) + a_j * w0 * w)
+                store_wide(grid, node + 1, load_wide(grid, node + 1, a) + (a_j * w1 + c1) * w)
+                store_wide(grid, node + 2, load_wide(grid, node + 2, a) + (a_j * w2 + c2) * w)
 
 
 @kernel
@@ -162,23 +161,25 @@ def gather(grid: Array, place: Array, value: Array, moment: Array, lo: int, hi: 
 
 @kernel
 def gather_vjp(
-    grid_bar: Array, fields: Any, grid_v: Array, fields_2: Any, place: Array, value: Array, moment: Array,
-    slope: Array, lo: int, hi: int, strides: Any, dims: Any,
+    grid: Array, fields: Any, fields_2: Any, place: Array, value: Array, moment: Array, slope: Array, lo: int, hi: int,
+    strides: Any, dims: Any,
 ) -> None:  # fmt: skip
     """Gather the adjoints of P2G and of G2P for particles lo:hi into tile arrays, side by side as in `gather`.
 
-    `value` and `moment` as in `gather`, of grid_bar; `slope` (tile, 4) is the derivative by the position in
-    cells, through the weights alone, of sum_n w (grid_bar . P2G's field) + sum_n w (grid_v . the field that the
-    adjoint of G2P scatters).
+    A node of the grid (2 nodes, 4) is its velocity v_n and the cotangent g_n of its momentum and mass. `value` and
+    `moment` as in `gather`, of g_n; `slope` (tile, 4) is the derivative by the position in cells, through the weights
+    alone, of sum_n w (g_n . P2G's field) + sum_n w (v_n . the field that the adjoint of G2P scatters).
 
     Args:
         fields: (value, affine) that P2G scattered; fields_2: those of the adjoint of G2P.
+        strides: of the nodes.
     """
     n, m = value.shape[0], place.shape[0]
     in_3d = len(dims) == 3
-    zero, one = filled(0.0, grid_bar), filled(1.0, grid_bar)
-    for p in range(lo, hi, records_in_lane(grid_bar)):
-        nodes, f = stencils(place, p, strides)
+    zero, one = filled(0.0, grid), filled(1.0, grid)
+    steps = (2 * strides[0], 2 * strides[1], 2)  # of the records
+    for p in range(lo, hi, records_in_lane(grid)):
+        nodes, f = stencils(place, p, steps)
         W, S = weights(f), slopes(f)
         w0, w1, w2 = spread(W[0], 2), spread(W[1], 2), spread(W[2], 2)
         d0, d1, d2 = spread(S[0], 2), spread(S[1], 2), spread(S[2], 2)
@@ -193,16 +194,16 @@ def gather_vjp(
             a_i, e_i = a + b0 * i, e + c0 * i
             for j in range(3):
                 w_j, d_j = spread(W[j], 1), spread(S[j], 1)
-                node = i * strides[0] + j * strides[1]
+                at = i * steps[0] + j * steps[1]
                 a_j, e_j = a_i + b1 * j, e_i + c1 * j
-                g0, g1 = load_records(grid_bar, nodes, node), load_records(grid_bar, nodes, node + 1)
-                g2 = load_records(grid_bar, nodes, node + 2)
+                g0, g1 = load_records(grid, nodes, at + 1), load_records(grid, nodes, at + 3)
+                g2 = load_records(grid, nodes, at + 5)
                 # entries of the scalar product <g, field>; the four are summed at the end
-                t0 = g0 * a_j + load_records(grid_v, nodes, node) * e_j
+                t0 = g0 * a_j + load_records(grid, nodes, at) * e_j
                 a_j, e_j = a_j + b2, e_j + c2
-                t1 = g1 * a_j + load_records(grid_v, nodes, node + 1) * e_j
+                t1 = g1 * a_j + load_records(grid, nodes, at + 2) * e_j
                 a_j, e_j = a_j + b2, e_j + c2
-                t2 = g2 * a_j + load_records(grid_v, nodes, node + 2) * e_j
+                t2 = g2 * a_j + load_records(grid, nodes, at + 4) * e_j
                 t = t0 * w0 + t1 * w1 + t2 * w2
                 h = h + t * w_j
                 h1 = h1 + t * d_j

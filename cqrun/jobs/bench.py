@@ -112,12 +112,14 @@ class Bench:
         q, q_next, fields = self.states[0], self.states[1], r.fields
         yield "momentum", lambda t: momentum(group, q, fields, r.drive.push, setting, work, t, n)
         yield "sort", lambda t: sort_particles(work.blocks, work.place) if t == 0 else None
-        yield "clear", lambda t: clear(work.grid, setting, work, t, n)
-        yield "scatter", lambda t: scatter_blocks(work.grid, work.value, work.affine, setting, work, t, n)
+        yield "clear", lambda t: clear(work.grid, 1, setting, work, t, n)
+        yield "scatter", lambda t: scatter_blocks(work.grid, (work.value,), (work.affine,), setting, work, t, n)
         yield "update_grid", lambda t: update_grid(setting, r.conditions, work, t, n)
         yield "move", lambda t: move(group, q, q_next, setting, work, t, n)
         yield "move_vjp", lambda t: move_vjp(group, q, q_next, b.q_bar, setting, work, t, n)
-        yield "scatter_bar", lambda t: scatter_blocks(work.grid_bar, work.value_2, work.affine_2, setting, work, t, n)
+        values, affines = (work.value, work.value_2), (work.affine, work.affine_2)
+        yield "clear_both", lambda t: clear(work.both, 2, setting, work, t, n)
+        yield "scatter_both", lambda t: scatter_blocks(work.both, values, affines, setting, work, t, n)
         yield "update_grid_vjp", lambda t: update_grid_vjp(setting, r.conditions, work, t, n)
         yield (
             "momentum_vjp",
