@@ -3,7 +3,7 @@
 make4, load4, store4                        one record
 load_each, load_wide, store_wide            one record of each of several arrays, as one value; such values in one array
 load_quads, store_quads                     as many records as a lane is wide, from and to four lane values
-load_records, load_neighbours, store_neighbours
+load_records, load_neighbours, store_neighbours, load_pairs
                                             as many records as fill one lane value: 2 in float64, 4 in float32
 filled, spread, sums                        such lane values of one number, of an entry, of sums of entries
 """
@@ -253,6 +253,12 @@ def load_records(a: np.ndarray, nodes: Any, offset: int) -> Any:
     return a[np.array(nodes) + offset].reshape(-1)
 
 
+def load_pairs(a: np.ndarray, nodes: Any, offset: int) -> Any:
+    """Return the first records of entries nodes[0] + offset, ... of an (m, 4) array of pairs, and their second ones."""
+    pairs = a.reshape(-1, 2, 4)[np.array(nodes) + offset]
+    return pairs[:, 0].reshape(-1), pairs[:, 1].reshape(-1)
+
+
 def filled(number: float, like: np.ndarray) -> Any:
     """Return a lane value of one number in the precision of the array `like`."""
     return np.full(lane_width(like.dtype), number, like.dtype)
@@ -308,6 +314,27 @@ def _load_records(typingctx: Any, a: Any, nodes: Any, offset: Any) -> Any:
         return parts[0]
 
     return signature(lanes, a, nodes, types.intp), codegen
+
+
+@intrinsic
+def _load_pairs(typingctx: Any, a: Any, nodes: Any, offset: Any) -> Any:
+    lanes, pair = _whole(a.dtype), Lanes(a.dtype, 8)
+    result = types.UniTuple(lanes, 2)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vector = context.get_value_type(pair)
+        parts = []
+        for k in range(len(nodes)):
+            node = builder.add(builder.extract_value(args[1], k), args[2])
+            record = builder.mul(node, ir.Constant(node.type, 2))
+            parts.append(builder.load(_place(context, builder, a, args[0], record, vector), align=align(a)))
+        while len(parts) > 2:
+            wide = list(range(2 * parts[0].type.count))
+            parts = [_shuffle(builder, parts[k], parts[k + 1], wide) for k in range(0, len(parts), 2)]
+        halves = [[8 * k + half + e for k in range(len(nodes)) for e in range(4)] for half in (0, 4)]
+        return context.make_tuple(builder, result, [_shuffle(builder, *parts, picks) for picks in halves])
+
+    return signature(result, a, nodes, types.intp), codegen
 
 
 @intrinsic
@@ -368,6 +395,11 @@ def _store_neighbours_overload(a, n, value):
 @overload(load_records)
 def _load_records_overload(a, nodes, offset):
     return lambda a, nodes, offset: _load_records(a, nodes, offset)
+
+
+@overload(load_pairs)
+def _load_pairs_overload(a, nodes, offset):
+    return lambda a, nodes, offset: _load_pairs(a, nodes, offset)
 
 
 @overload(filled)

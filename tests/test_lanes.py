@@ -14,6 +14,7 @@ from cqrun.records import (
     load4,
     load_each,
     load_neighbours,
+    load_pairs,
     load_quads,
     load_records,
     load_wide,
@@ -149,16 +150,19 @@ def side_by_side(a, nodes, out):
     store_neighbours(out, count, spread(load_neighbours(a, 3), 1))
     store_neighbours(out, 2 * count, sums(load_neighbours(a, 0), load_neighbours(a, 1), load_neighbours(a, 2)))
     store_neighbours(out, 3 * count, filled(2.5, a))
+    first, second = load_pairs(a, nodes, -1)
+    store_neighbours(out, 4 * count, first)
+    store_neighbours(out, 5 * count, second)
 
 
 @REALS
 @pytest.mark.parametrize("body", [side_by_side, getattr(side_by_side, "py_func", side_by_side)], ids=["jit", "plain"])
 def test_records_side_by_side(real, body, rng):
     count = lane_width(real) // 4
-    a, out = rng.normal(size=(10, 4)).astype(real), np.zeros((5 * count, 4), real)
+    a, out = rng.normal(size=(20, 4)).astype(real), np.zeros((7 * count, 4), real)
     nodes = (7, 2, 2, 8)[:count]
     body(a, nodes, out)
-    got = out.reshape(5, count, 4)
+    got = out.reshape(7, count, 4)
     np.testing.assert_array_equal(got[0], a[np.array(nodes) + 1])
     np.testing.assert_array_equal(got[1], np.repeat(a[3 : 3 + count, 1:2], 4, axis=1))
     total = (a[:, 0] + a[:, 1]) + (a[:, 2] + a[:, 3])
@@ -166,7 +170,8 @@ def test_records_side_by_side(real, body, rng):
         np.testing.assert_array_equal(got[2][:, k], total[k : k + count])
     np.testing.assert_array_equal(got[2][:, 3], 0.0)
     np.testing.assert_array_equal(got[3], 2.5)
-    np.testing.assert_array_equal(got[4], 0.0)
+    np.testing.assert_array_equal(got[4:6], a[2 * (np.array(nodes) - 1) + [[0], [1]]])
+    np.testing.assert_array_equal(got[6], 0.0)
 
 
 @kernel

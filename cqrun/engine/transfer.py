@@ -32,6 +32,7 @@ from cqrun.records import (
     load4,
     load_each,
     load_neighbours,
+    load_pairs,
     load_records,
     load_wide,
     records_in_lane,
@@ -58,13 +59,13 @@ def slopes(f: Any) -> Any:
 def first_nodes(base: Any, strides: Any) -> Any:
     """Return the node number of every record (i, j, k, -), as a tuple."""
     i, j, k = (base[axis::4].astype(int) for axis in range(3))
-    return tuple(i * strides[0] + j * strides[1] + k * strides[2])
+    return tuple(i * strides[0] + j * strides[1] + k)
 
 
 @overload(first_nodes)
 def _first_nodes(base, strides):
     nodes = [
-        " + ".join(f"int(lane(base, {at + axis})) * strides[{axis}]" for axis in range(3))
+        f"int(lane(base, {at})) * strides[0] + int(lane(base, {at + 1})) * strides[1] + int(lane(base, {at + 2}))"
         for at in range(0, base.width, 4)
     ]
     return written(f"lambda base, strides: ({', '.join(nodes)},)", {"lane": lane})
@@ -172,14 +173,12 @@ def gather_vjp(
 
     Args:
         fields: (value, affine) that P2G scattered; fields_2: those of the adjoint of G2P.
-        strides: of the nodes.
     """
     n, m = value.shape[0], place.shape[0]
     in_3d = len(dims) == 3
     zero, one = filled(0.0, grid), filled(1.0, grid)
-    steps = (2 * strides[0], 2 * strides[1], 2)  # of the records
     for p in range(lo, hi, records_in_lane(grid)):
-        nodes, f = stencils(place, p, steps)
+        nodes, f = stencils(place, p, strides)
         W, S = weights(f), slopes(f)
         w0, w1, w2 = spread(W[0], 2), spread(W[1], 2), spread(W[2], 2)
         d0, d1, d2 = spread(S[0], 2), spread(S[1], 2), spread(S[2], 2)
@@ -194,16 +193,17 @@ def gather_vjp(
             a_i, e_i = a + b0 * i, e + c0 * i
             for j in range(3):
                 w_j, d_j = spread(W[j], 1), spread(S[j], 1)
-                at = i * steps[0] + j * steps[1]
+                node = i * strides[0] + j * strides[1]
                 a_j, e_j = a_i + b1 * j, e_i + c1 * j
-                g0, g1 = load_records(grid, nodes, at + 1), load_records(grid, nodes, at + 3)
-                g2 = load_records(grid, nodes, at + 5)
+                u0, g0 = load_pairs(grid, nodes, node)
+                u1, g1 = load_pairs(grid, nodes, node + 1)
+                u2, g2 = load_pairs(grid, nodes, node + 2)
                 # entries of the scalar product <g, field>; the four are summed at the end
-                t0 = g0 * a_j + load_records(grid, nodes, at) * e_j
+                t0 = g0 * a_j + u0 * e_j
                 a_j, e_j = a_j + b2, e_j + c2
-                t1 = g1 * a_j + load_records(grid, nodes, at + 2) * e_j
+                t1 = g1 * a_j + u1 * e_j
                 a_j, e_j = a_j + b2, e_j + c2
-                t2 = g2 * a_j + load_records(grid, nodes, at + 4) * e_j
+                t2 = g2 * a_j + u2 * e_j
                 t = t0 * w0 + t1 * w1 + t2 * w2
                 h = h + t * w_j
                 h1 = h1 + t * d_j
