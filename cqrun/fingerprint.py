@@ -20,6 +20,7 @@ KERNELS = (
     "lanes.py",
     "packed.py",
     "records.py",
+    "wide_records.py",
     "state.py",
     "compile.py",
     "materials",

@@ -16,7 +16,7 @@ PACKAGE = ROOT / "cqrun"
 
 FLOORS = (
     {"contract", "registry", "units", "errors", "explain", "choice", "fingerprint"},
-    {"tensor", "lanes", "polar", "compile", "packed", "records", "state"},
+    {"tensor", "lanes", "polar", "compile", "packed", "records", "wide_records", "state"},
     {"materials", "actuators", "boundaries", "loads"},
     {"engine"},
     {"geometry", "observers", "controllers", "objectives", "constraints", "design", "optimizers"},

@@ -9,21 +9,17 @@ from cqrun import packed
 from cqrun.compile import kernel
 from cqrun.lanes import LANE_BYTES, all_lanes, exp, floor, lane, lane_width, log, select, sqrt, with_lane
 from cqrun.packed import accumulate, aligned, load, pack, store, unpack
-from cqrun.records import (
+from cqrun.records import load4, load_quads, make4, store4, store_quads
+from cqrun.wide_records import (
     filled,
-    load4,
     load_each,
     load_neighbours,
     load_pairs,
-    load_quads,
     load_records,
     load_wide,
-    make4,
     records_in_lane,
     spread,
-    store4,
     store_neighbours,
-    store_quads,
     store_wide,
     sums,
 )

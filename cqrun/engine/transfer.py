@@ -27,9 +27,9 @@ from numba.extending import overload
 from cqrun.compile import kernel, written
 from cqrun.contract import Array
 from cqrun.lanes import floor, lane
-from cqrun.records import (
+from cqrun.records import load4
+from cqrun.wide_records import (
     filled,
-    load4,
     load_each,
     load_neighbours,
     load_pairs,
