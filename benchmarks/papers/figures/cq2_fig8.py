@@ -20,7 +20,9 @@ class TerrainBiped(Distances):
     source = "CQ2 Fig 8"
     paper = "from 0 to 1.61 m (90 %: 1.50 to 1.72) in 300 iterations, 20 s each; mean of 10 runs"
     left_open = (
-        "the hills; where several seeds are shown a quarter of the particles, 20 substeps and softer hills (E = 60)"
+        "the hills; where several seeds are shown a quarter of the particles, 20 substeps and softer hills (E = 60). "
+        "Bodies of particles on one grid cling: a block of the biped's material holds on to such ground against 20 "
+        "times its weight, twice the stress of the chambers, and feet do not lift"
     )
     scene = "control/biped_terrain"
     final, interval, seconds = 1.61, (1.50, 1.72), 20.0
