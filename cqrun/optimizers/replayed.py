@@ -1,7 +1,8 @@
 """What scipy's optimizers share: evaluations pass through the run's log, failed trials shrink the box.
 
 scipy cannot save its state. So a resumed run starts it again from the beginning and answers its
-evaluations from the log; as the optimizer is deterministic it comes to where it was, bit for bit.
+evaluations from the log; as the optimizer is deterministic it comes to where it was, bit for bit; on
+a machine that adds up in another order, but for round-off.
 """
 
 from __future__ import annotations

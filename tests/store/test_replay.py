@@ -106,7 +106,7 @@ def test_a_flipped_bit_is_found_and_told(tmp_path, points):
     assert "torn" in notes[0]
 
 
-@pytest.mark.parametrize("change", ["x", "last bit of x", "kind"])
+@pytest.mark.parametrize("change", ["x", "a millionth of x", "kind", "length"])
 def test_another_question_truncates_and_says_so(tmp_path, points, change):
     path, notes = tmp_path / "evals.log", []
     ask_all(path, points)
@@ -116,7 +116,7 @@ def test_another_question_truncates_and_says_so(tmp_path, points, change):
     if change == "kind":
         kind = "jacobian"
     else:
-        x = np.nextafter(x, 9.0) if "bit" in change else x + 1.0
+        x = {"x": x + 1.0, "a millionth of x": x * (1 + 1e-6), "length": np.append(x, 0.0)}[change]
     log.evaluate(kind, x, Oracle()(x))
     log.close()
     assert (log.replayed, log.computed) == (1, 1)
@@ -126,14 +126,29 @@ def test_another_question_truncates_and_says_so(tmp_path, points, change):
     assert path.stat().st_size < size
 
 
-def test_minus_zero_is_another_point(tmp_path):
+@pytest.mark.parametrize("rounded", [lambda x: np.nextafter(x, 9.0), lambda x: x * (1 + 1e-12)])
+def test_a_log_of_a_machine_that_rounds_differently_answers_and_says_so_once(tmp_path, points, rounded):
+    path, notes = tmp_path / "evals.log", []
+    first, _, _ = ask_all(path, points)
+    whole = path.read_bytes()
+    second, log, oracle = ask_all(path, [points[0], *map(rounded, points[1:])], notes)
+    assert (log.replayed, log.computed, oracle.calls) == (6, 0, 0)
+    assert all(same(a, b) for a, b in zip(first, second, strict=True))
+    assert path.read_bytes() == whole
+    assert len(notes) == 1
+    assert "evaluation 2 is" in notes[0]
+    assert "rounded differently" in notes[0]
+
+
+def test_minus_zero_is_round_off(tmp_path):
+    notes = []
     log = ReplayLog(tmp_path / "e")
     log.evaluate("f", np.array([0.0]), lambda: {"f": np.float64(1)})
     log.close()
-    again = ReplayLog(tmp_path / "e")
+    again = ReplayLog(tmp_path / "e", notes.append)
     again.evaluate("f", np.array([-0.0]), lambda: {"f": np.float64(2)})
     again.close()
-    assert (again.replayed, again.computed) == (0, 1)
+    assert (again.replayed, again.computed, len(notes)) == (1, 0, 1)
 
 
 def test_an_interrupted_computation_leaves_no_record(tmp_path):
