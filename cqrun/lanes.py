@@ -7,10 +7,13 @@ unchanged. With the JIT off, a lane value is a NumPy array, and each function be
     + - * / < > &                  on lanes, or on lanes and a number
     lane, with_lane, all_lanes     single entries; a whole comparison
     select, floor, sqrt, log ...   what operators cannot say
+    as_real                        another precision
 
-A float64 lane value has 8 entries and a float32 one 16: 64 bytes, one AVX-512 register. LLVM lowers it
-to what the processor has (AVX-512, AVX2, NEON). `contract` (fused multiply-add) is the only
-floating-point freedom given to the compiler: `nnan` and `ninf` would delete the non-finite guards.
+A lane value is as long as suits the processor: 64 bytes, 8 float64 or 16 float32, where it has the 32 registers
+of AVX-512, else 32 bytes: 16 registers of AVX2 hold half as much. Lanes never mix, and sums over particles have a
+number of parts of their own (engine/probe.py). `contract` (fused multiply-add) is the only floating-point freedom
+given to the compiler: `nnan` and `ninf` would delete the non-finite guards. Which of two products is fused is the
+compiler's choice, so that results on another kind of processor differ in their last bits.
 """
 
 from __future__ import annotations
@@ -22,13 +25,22 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
+from numba.core.registry import cpu_target
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
 from cqrun.compile import named
 
-LANE_BYTES = 64
 FLAGS = ("contract",)
+
+
+def _lane_bytes() -> int:
+    """Return the bytes of a lane value, by the features that numba compiles for; they are part of its cache's keys."""
+    _, _, features = cpu_target.target_context.codegen().magic_tuple()
+    return 64 if "+avx512f" in features.split(",") else 32
+
+
+LANE_BYTES = _lane_bytes()
 
 
 def lane_width(dtype: Any) -> int:
@@ -280,3 +292,26 @@ def _with_lane_overload(a, k, value):
     if isinstance(a, Lanes):
         return lambda a, k, value: _with_lane(a, k, value)
     return lambda a, k, value: value
+
+
+def as_real(a: Any, like: np.ndarray) -> Any:
+    """Return a lane value in the precision of the array `like`."""
+    return a.astype(like.dtype)
+
+
+@intrinsic
+def _as_real(typingctx: Any, a: Any, like: Any) -> Any:
+    lanes = Lanes(like.dtype, a.width)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vector = context.get_value_type(lanes)
+        if lanes.real.bitwidth == a.real.bitwidth:
+            return args[0]
+        return (builder.fpext if lanes.real.bitwidth > a.real.bitwidth else builder.fptrunc)(args[0], vector)
+
+    return signature(lanes, a, like), codegen
+
+
+@overload(as_real)
+def _as_real_overload(a, like):
+    return lambda a, like: _as_real(a, like)

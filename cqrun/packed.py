@@ -5,7 +5,7 @@ together, so a pass reads one stream of memory, not one a row (rows at equal dis
 sets: up to twice slower).
 
     pack, unpack                   between a (rows, n) table and its packed array
-    aligned                        an empty one
+    aligned                        one of zeros
     load, store, accumulate        the lane value of one row
 """
 
@@ -22,6 +22,9 @@ from numba.extending import intrinsic, overload
 
 from cqrun.lanes import LANE_BYTES, Lanes, as_lanes, lane_width
 
+LINE = 64
+"""Bytes of a line of the cache; a lane value is no longer."""
+
 
 def address(context: Any, builder: Any, array_type: Any, array: Any, offset: Any, vector: ir.Type) -> Any:
     data = context.make_array(array_type)(context, builder, array).data
@@ -33,10 +36,10 @@ def align(array_type: Any) -> int:
 
 
 def aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
-    """Return zeros that begin at a multiple of LANE_BYTES, so that no lane value lies in two lines of the cache."""
+    """Return zeros that begin with a line of the cache, so that no lane value lies in two."""
     need = prod(shape) * np.dtype(dtype).itemsize
-    memory = np.zeros(need + LANE_BYTES, np.uint8)
-    begin = -memory.ctypes.data % LANE_BYTES
+    memory = np.zeros(need + LINE, np.uint8)
+    begin = -memory.ctypes.data % LINE
     return memory[begin : begin + need].view(dtype).reshape(shape)
 
 

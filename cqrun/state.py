@@ -26,11 +26,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.lanes import LANE_BYTES
 from cqrun.packed import pack, unpack
 
-PADDING = LANE_BYTES // 4
-"""Bodies are padded to whole lanes of the shortest real, float32."""
+PADDING = 16
+"""Bodies are padded to whole lanes of any precision, on any processor."""
 
 
 MASS, VOLUME, DECAY, FORCE = 0, 1, 2, 3

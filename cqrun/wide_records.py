@@ -1,7 +1,7 @@
 """Several records of four as one value: a lane value full of them, or a node of two.
 
 load_records, load_neighbours, store_neighbours, load_pairs
-                                    as many records as fill one lane value: 2 in float64, 4 in float32
+                                    as many records as fill one lane value
 filled, spread, sums                such lane values of one number, of an entry, of sums of entries
 load_each, load_wide, store_wide    one record of each of several arrays, as one value; such values in one array
 """
@@ -22,7 +22,7 @@ from cqrun.records import address_of, shuffle, whole_lane
 
 
 def records_in_lane(a: np.ndarray) -> int:
-    """Return how many records of four one lane value of an array's precision holds: 2 in float64, 4 in float32."""
+    """Return how many records of four one lane value of an array's precision holds: 1, 2 or 4."""
     return LANE_BYTES // (4 * a.itemsize)
 
 
@@ -77,7 +77,9 @@ def _load_neighbours(typingctx: Any, a: Any, n: Any) -> Any:
 
 
 @intrinsic
-def _store_neighbours(typingctx: Any, a: Any, n: Any, value: Any) -> Any:
+def _store(typingctx: Any, a: Any, n: Any, value: Any) -> Any:
+    """Write a value of any length from record n on."""
+
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = address_of(context, builder, a, args[0], args[1], args[2].type)
         builder.store(args[2], pointer, align=align(a))
@@ -120,7 +122,8 @@ def _load_pairs(typingctx: Any, a: Any, nodes: Any, offset: Any) -> Any:
             wide = list(range(2 * parts[0].type.count))
             parts = [shuffle(builder, parts[k], parts[k + 1], wide) for k in range(0, len(parts), 2)]
         halves = [[8 * k + half + e for k in range(len(nodes)) for e in range(4)] for half in (0, 4)]
-        return context.make_tuple(builder, result, [shuffle(builder, *parts, picks) for picks in halves])
+        first, last = parts[0], parts[-1]  # the same where a lane value holds one record
+        return context.make_tuple(builder, result, [shuffle(builder, first, last, picks) for picks in halves])
 
     return signature(result, a, nodes, types.intp), codegen
 
@@ -177,7 +180,7 @@ def _load_neighbours_overload(a, n):
 
 @overload(store_neighbours)
 def _store_neighbours_overload(a, n, value):
-    return lambda a, n, value: _store_neighbours(a, n, value)
+    return lambda a, n, value: _store(a, n, value)
 
 
 @overload(load_records)
@@ -247,16 +250,6 @@ def _load_wide(typingctx: Any, a: Any, n: Any, like: Any) -> Any:
     return signature(like, a, types.intp, like), codegen
 
 
-@intrinsic
-def _store_wide(typingctx: Any, a: Any, n: Any, value: Any) -> Any:
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        pointer = address_of(context, builder, a, args[0], args[1], args[2].type)
-        builder.store(args[2], pointer, align=align(a))
-        return context.get_dummy_value()
-
-    return signature(types.none, a, types.intp, value), codegen
-
-
 @overload(load_each)
 def _load_each_overload(arrays, n):
     return lambda arrays, n: _load_each(arrays, n)
@@ -271,4 +264,4 @@ def _load_wide_overload(a, n, like):
 @overload(store_wide)
 def _store_wide_overload(a, n, value):
     per_entry = value.width // 4
-    return lambda a, n, value: _store_wide(a, n * per_entry, value)
+    return lambda a, n, value: _store(a, n * per_entry, value)

@@ -7,8 +7,20 @@ import pytest
 
 from cqrun import packed
 from cqrun.compile import kernel
-from cqrun.lanes import LANE_BYTES, all_lanes, exp, floor, lane, lane_width, log, select, sqrt, with_lane
-from cqrun.packed import accumulate, aligned, load, pack, store, unpack
+from cqrun.lanes import (
+    LANE_BYTES,
+    all_lanes,
+    as_real,
+    exp,
+    floor,
+    lane,
+    lane_width,
+    log,
+    select,
+    sqrt,
+    with_lane,
+)
+from cqrun.packed import LINE, accumulate, aligned, load, pack, store, unpack
 from cqrun.records import load4, load_quads, make4, store4, store_quads
 from cqrun.wide_records import (
     filled,
@@ -191,15 +203,33 @@ def test_records_of_two_arrays_as_one_value(real, body, rng):
     np.testing.assert_allclose(two, two_after, rtol=4 * np.finfo(real).eps, atol=4 * np.finfo(real).eps)
 
 
+@kernel
+def converted(a, out):
+    """Write a lane value in another precision."""
+    store_wide(out, 1, as_real(load_neighbours(a, 1), out))
+
+
+@REALS
+@pytest.mark.parametrize("other", [np.float64, np.float32])
+@pytest.mark.parametrize("body", [converted, getattr(converted, "py_func", converted)], ids=["compiled", "plain"])
+def test_precisions_are_converted(real, other, body, rng):
+    width = lane_width(real)
+    a, out = rng.normal(size=(8, 4)).astype(real), np.zeros((8, 4), other)
+    body(a, out)
+    np.testing.assert_array_equal(out.ravel()[width : 2 * width], a.ravel()[4 : 4 + width].astype(other))
+    assert np.count_nonzero(out) == width
+
+
 @REALS
 def test_tables_begin_where_a_line_of_the_cache_does(real, rng):
     for shape in ((1,), (3, 5, lane_width(real))):
         empty = aligned(shape, real)
         assert (empty.shape, empty.dtype, empty.any()) == (shape, real, False)
-        assert empty.ctypes.data % LANE_BYTES == 0
-    assert pack(rng.normal(size=(2, 4 * lane_width(real))), real).ctypes.data % LANE_BYTES == 0
+        assert empty.ctypes.data % LINE == 0
+    assert pack(rng.normal(size=(2, 4 * lane_width(real))), real).ctypes.data % LINE == 0
 
 
 def test_a_lane_is_one_register():
-    assert (lane_width(np.float64), lane_width(np.float32)) == (8, 16)
+    assert LANE_BYTES == 8 * lane_width(np.float64) == 4 * lane_width(np.float32)
+    assert LANE_BYTES in (32, LINE)
     assert packed.lane_width is lane_width

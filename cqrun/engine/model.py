@@ -19,7 +19,6 @@ from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
 from cqrun.contract import Array
 from cqrun.engine.probe import make_probe
 from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
-from cqrun.lanes import lane_width
 from cqrun.packed import pack
 from cqrun.state import Layout, ParticleFields, State, rows_of
 
@@ -116,7 +115,7 @@ class Model:
     def kernel_probe(self) -> Probe:
         """Return the probe over kernel columns."""
         matrix = sparse.csr_array((0, self.layout.n_particles)) if self.probe is None else self.probe
-        return make_probe(matrix, self.layout.columns(), rows_of(self.dim)[-1], lane_width(self.real))
+        return make_probe(matrix, self.layout.columns(), rows_of(self.dim)[-1])
 
     def kinds(self) -> tuple[list[type], list[type]]:
         """Return the kinds of active stress, and of force, of the actuators."""

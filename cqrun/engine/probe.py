@@ -1,7 +1,8 @@
 """Recording weighted sums of particles at control steps, and the adjoint. One thread runs these.
 
-A row of few particles (a marker) is summed one by one. One of many (a body's centroid) takes whole lanes, each place
-of a lane into a sum of its own, so that a compiler can take all places at once: 25 times as fast.
+A row of few particles (a marker) is summed one by one. One of many (a body's centroid) takes whole lanes, 25 times as
+fast: particles whose columns leave the same remainder by PADDING go into one part of the sum, whatever the precision
+and the processor's lanes, and the parts are added up at the end.
 """
 
 from __future__ import annotations
@@ -13,6 +14,10 @@ import numpy as np
 from cqrun.compile import kernel
 from cqrun.contract import Array
 from cqrun.engine.setting import Probe
+from cqrun.lanes import LANE_BYTES, as_real
+from cqrun.packed import aligned, load, store
+from cqrun.state import PADDING
+from cqrun.wide_records import load_wide, store_wide
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -21,43 +26,51 @@ MANY = 64
 """Particles from which a row is summed by lanes."""
 
 
-def make_probe(matrix: sparse.csr_array, columns: Array, rows: int, width: int) -> Probe:
+def make_probe(matrix: sparse.csr_array, columns: Array, rows: int) -> Probe:
     """Return the probe of a matrix (K, N).
 
     Args:
         columns: the kernel column of each particle (N,).
         rows: of the packed state q.
-        width: of its lanes.
     """
     counts = np.diff(matrix.indptr)
     many = np.flatnonzero(counts >= MANY)
     few = np.repeat(counts < MANY, counts)
     start = np.concatenate([[0], np.cumsum(np.where(counts < MANY, counts, 0))])
-    lanes, shares = [], []
+    runs, shares = [], []
     for k in many:
         own = slice(matrix.indptr[k], matrix.indptr[k + 1])
         place = columns[matrix.indices[own]]
-        held, which = np.unique(place // width, return_inverse=True)
-        share = np.zeros((len(held), width))
-        np.add.at(share, (which, place % width), matrix.data[own])
-        lanes.append(held)
+        held, which = np.unique(place // PADDING, return_inverse=True)
+        share = np.zeros((len(held), PADDING))
+        np.add.at(share, (which, place % PADDING), matrix.data[own])
+        runs.append(held)
         shares.append(share)
     return Probe(
         start.astype(np.int64),
         columns[matrix.indices[few]].astype(np.int64),
         matrix.data[few].astype(np.float64),
         many.astype(np.int64),
-        np.cumsum([0, *map(len, lanes)]).astype(np.int64),
-        np.concatenate([*lanes, np.zeros(0)]).astype(np.int64),
-        np.concatenate([*shares, np.zeros((0, width))]),
-        np.zeros((rows, width)),
+        np.cumsum([0, *map(len, runs)]).astype(np.int64),
+        np.concatenate([*runs, np.zeros(0)]).astype(np.int64),
+        _records([*shares, np.zeros((0, PADDING))]),
+        aligned((rows * PADDING // 4, 4), np.float64),
     )
+
+
+def _records(tables: list[Array]) -> Array:
+    """Return tables below each other as records of four."""
+    whole = np.concatenate(tables).reshape(-1, 4)
+    out = aligned(whole.shape, whole.dtype)
+    out[...] = whole
+    return out
 
 
 @kernel
 def record(probe: Probe, q: Array, out: Array) -> None:
     """out[row, k] = sum_p W[k, p] q[row, p], q packed."""
-    width = q.shape[2]
+    width = LANE_BYTES // q.itemsize
+    parts = PADDING // width
     for row in range(q.shape[1]):
         for k in range(len(probe.start) - 1):
             total = 0.0
@@ -69,21 +82,25 @@ def record(probe: Probe, q: Array, out: Array) -> None:
     for j in range(len(probe.rows)):
         sums[:] = 0.0
         for index in range(probe.begin[j], probe.begin[j + 1]):
-            lane = probe.lanes[index]
-            for row in range(q.shape[1]):
-                for place in range(width):
-                    sums[row, place] += probe.shares[index, place] * q[lane, row, place]
+            for part in range(parts):
+                i = probe.runs[index] * PADDING + part * width
+                share = load_wide(probe.shares, index * parts + part, as_real(load(q, 0, i), sums))
+                for row in range(q.shape[1]):
+                    a, at = as_real(load(q, row, i), sums), row * parts + part
+                    store_wide(sums, at, load_wide(sums, at, a) + share * a)
         for row in range(q.shape[1]):
             total = 0.0
-            for place in range(width):
-                total += sums[row, place]
+            for part in range(row * PADDING // 4, (row + 1) * PADDING // 4):
+                for place in range(4):
+                    total += sums[part, place]
             out[row, probe.rows[j]] = total
 
 
 @kernel
 def record_vjp(probe: Probe, q_bar: Array, out_bar: Array) -> None:
     """Add the cotangent of a record to that of the state."""
-    width = q_bar.shape[2]
+    width = LANE_BYTES // q_bar.itemsize
+    parts = PADDING // width
     for row in range(q_bar.shape[1]):
         for k in range(len(probe.start) - 1):
             bar = out_bar[row, k]
@@ -92,9 +109,11 @@ def record_vjp(probe: Probe, q_bar: Array, out_bar: Array) -> None:
                 q_bar[p // width, row, p % width] += probe.weights[index] * bar
     for j in range(len(probe.rows)):
         for index in range(probe.begin[j], probe.begin[j + 1]):
-            lane = probe.lanes[index]
-            for row in range(q_bar.shape[1]):
-                bar = out_bar[row, probe.rows[j]]
-                if bar != 0.0:  # most terms ask for some of x, v, C and F
-                    for place in range(width):
-                        q_bar[lane, row, place] += probe.shares[index, place] * bar
+            for part in range(parts):
+                i = probe.runs[index] * PADDING + part * width
+                share = load_wide(probe.shares, index * parts + part, as_real(load(q_bar, 0, i), probe.shares))
+                for row in range(q_bar.shape[1]):
+                    bar = out_bar[row, probe.rows[j]]
+                    if bar != 0.0:  # most terms ask for some of x, v, C and F
+                        added = as_real(load(q_bar, row, i), probe.shares) + share * bar
+                        store(q_bar, row, i, as_real(added, q_bar))

@@ -63,16 +63,16 @@ class Drive(NamedTuple):
 
 
 class Probe(NamedTuple):
-    """Weighted sums of particles to record, a sparse matrix (K, n); rows of many particles apart, lane by lane."""
+    """Weighted sums of particles to record, a sparse matrix (K, n); rows of many particles apart, in PADDING parts."""
 
     start: Array  # (K + 1,) compressed rows of few particles: columns, weights; those of many are empty here
     columns: Array
     weights: Array
-    rows: Array  # (R,) which rows have many, and in which lanes (begin (R + 1,), lanes, shares (lanes, width))
+    rows: Array  # (R,) which rows have many, and in which runs of PADDING columns (begin (R + 1,), runs)
     begin: Array
-    lanes: Array
-    shares: Array
-    sums: Array  # (rows of q, width) of one row, a sum for every place in a lane
+    runs: Array
+    shares: Array  # (runs * PADDING / 4, 4) weights of the columns of a run
+    sums: Array  # (rows of q * PADDING / 4, 4) of one row, PADDING parts of its sum
 
 
 class Work(NamedTuple):

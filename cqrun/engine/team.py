@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.lanes import LANE_BYTES
-from cqrun.packed import aligned
+from cqrun.packed import LINE, aligned
 
 Tasks = SimpleQueue[Any]
 """Of one thread: (body, its number, where to answer), or None to end."""
@@ -33,7 +32,7 @@ class Team:
     """
 
     def __init__(self, size: int) -> None:
-        self.size, self.arrivals = size, aligned((LANE_BYTES // 8,), np.int64)
+        self.size, self.arrivals = size, aligned((LINE // 8,), np.int64)
         self._process, self._others = 0, list[Tasks]()
 
     def __reduce__(self) -> tuple[type[Team], tuple[int]]:

@@ -136,7 +136,7 @@ class Bench:
         share = 1.0 / np.bincount(part)[part]
         centroids = sparse.csr_array((share, (part, np.arange(self.n))), shape=(PARTS, self.n))
         layout, q = self.model.layout, self.rollout.start
-        return make_probe(centroids, layout.columns(), q.shape[1], q.shape[2])
+        return make_probe(centroids, layout.columns(), q.shape[1])
 
     def nanoseconds(self, seconds: list[float], substeps: int) -> float:
         """Return the median, a particle and substep [ns]."""

@@ -7,8 +7,8 @@ import pytest
 from scipy import sparse
 
 from cqrun.engine.probe import MANY, make_probe, record, record_vjp
-from cqrun.lanes import lane_width
 from cqrun.packed import pack, unpack
+from cqrun.state import PADDING
 
 ROWS = 12
 
@@ -21,10 +21,9 @@ def case(request, rng):
     dense = np.zeros((len(counts), n))
     for row, count in zip(dense, counts, strict=True):
         row[rng.permutation(n)[:count]] = rng.normal(size=count)
-    padding = 2 * lane_width(real)
-    columns = np.concatenate([np.arange(n // 2), np.arange(n // 2, n) + padding])  # two bodies, one of them padded
-    q = pack(rng.normal(size=(ROWS, n + padding)), real)
-    return make_probe(sparse.csr_array(dense), columns, ROWS, lane_width(real)), dense, columns, q
+    columns = np.concatenate([np.arange(n // 2), np.arange(n // 2, n) + PADDING])  # two bodies, one of them padded
+    q = pack(rng.normal(size=(ROWS, n + PADDING)), real)
+    return make_probe(sparse.csr_array(dense), columns, ROWS), dense, columns, q
 
 
 def test_it_records_every_row(case):
@@ -33,6 +32,17 @@ def test_it_records_every_row(case):
     record(probe, q, out)
     np.testing.assert_allclose(out, unpack(q)[:, columns] @ dense.T, rtol=1e-12, atol=1e-12)
     assert len(probe.rows) == 3
+
+
+def test_sums_do_not_depend_on_how_long_lanes_are(case):
+    """The lanes of float32 are twice as many as those of float64."""
+    probe, dense, _, q = case
+    table = unpack(q).astype(np.float32).astype(np.float64)
+    sums = []
+    for real in (np.float32, np.float64):
+        sums.append(np.zeros((ROWS, len(dense))))
+        record(probe, pack(table, real), sums[-1])
+    np.testing.assert_array_equal(*sums)
 
 
 def test_the_adjoint_is_the_transpose(case, rng):
@@ -55,7 +65,7 @@ def test_the_adjoint_is_the_transpose(case, rng):
 
 def test_without_rows_nothing_is_recorded(case):
     *_, q = case
-    probe = make_probe(sparse.csr_array((0, 3)), np.arange(3), ROWS, q.shape[2])
+    probe = make_probe(sparse.csr_array((0, 3)), np.arange(3), ROWS)
     out, q_bar = np.zeros((ROWS, 0)), np.ones_like(q)
     record(probe, q, out)
     record_vjp(probe, q_bar, out)
