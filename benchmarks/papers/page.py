@@ -66,9 +66,9 @@ def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
         if record["done"][0] == record["done"][1]
         else "{} of {} parts of the work are done".format(*record["done"]),
         "tolerance": figure.tolerance[size],
-        "time": _time(record["minutes"]),
+        "time": _time(record["minutes"]) if machine else "no part is finished",
         "minutes": record["minutes"],
-        "machine": f"{machine.get('cores', '?')} cores of {machine.get('processor', 'unknown')}",
+        "machine": f"{machine['cores']} cores of {machine['processor']}" if machine else "",
         "engine": ", ".join(record["engine"]),
         "commands": record["commands"],
     }
