@@ -62,7 +62,8 @@ def test_coordinates_give_the_shape_back_wherever_it_is(dim, rng):
         np.testing.assert_allclose(shape - shape.mean(axis=0), trajectory[frame] - trajectory[frame].mean(axis=0),
                                    atol=1e-12)  # fmt: skip
         np.testing.assert_allclose(seen(bound, x + 0.3), z, atol=1e-12)
-        assert ((bound.low <= z) & (z <= bound.high)).all()
+        slack = 1e-12 * bound.high  # one of these frames may be the one that reaches farthest
+        assert ((bound.low - slack <= z) & (z <= bound.high + slack)).all()
 
 
 def test_fewer_components_are_the_first_ones(rng):
