@@ -31,7 +31,7 @@ class ArmReach(Figure):
     paper = "a scene of CQ1's repository without a figure; no number is printed"
     left_open = (
         "how many goals to learn from: of the scene's twenty one seed at the paper's size came within .018 m in 60 "
-        "iterations, and within .062 of unseen ones, too much; a smaller arm that learns from forty halves that"
+        "iterations, and within .062 of unseen ones, too much; forty take a smaller arm from .042 to .028"
     )
     tolerance = {
         Size.QUICK: "the mean error over unseen goals is less than at the start",
