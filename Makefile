@@ -50,10 +50,8 @@ test-rl: $(READY) ## scenes as environments, PPO, autoencoders; installs the ext
 bench: $(READY) ## ns per particle and substep, pass by pass -> benchmarks/measured/bench.json
 	$(BIN)/cqrun bench --output benchmarks/measured/bench.json
 
-profile: $(READY) ## where a run's time goes: make profile SCENE=path/to/scene.yaml
-	@mkdir -p results
-	$(BIN)/python -m cProfile -o results/profile.pstats -m cqrun simulate $(SCENE) --fresh --out results/profile
-	$(BIN)/python -c 'import pstats; pstats.Stats("results/profile.pstats").sort_stats("cumulative").print_stats(40)'
+profile: $(READY) ## where a run's time goes, pass by pass: make profile SCENE=path/to/scene.yaml
+	$(BIN)/cqrun bench $(SCENE)
 
 demo: $(READY) ## recover the material of a soft beam from its motion, in under five minutes
 	$(BIN)/cqrun sysid $(DEMO) --fresh

@@ -7,18 +7,41 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import Threads
+from cqrun.cli.options import AllowPlugins, Overrides, Quiet, Threads
 
 
 def bench(
+    scene: Annotated[
+        Path | None, typer.Argument(metavar="[SCENE]", help="Scene whose own substeps are measured.")
+    ] = None,
+    overrides: Overrides = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", metavar="FILE", help="Also write JSON with the machine's facts."),
     ] = None,
     threads: Threads = None,
     quick: Annotated[bool, typer.Option("--quick", help="Small sizes only: does it run, not how fast.")] = False,
+    allow_plugins: AllowPlugins = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Measure ns per particle and substep of each pass, forward and backward."""
-    from cqrun.jobs.bench import run_bench
+    """Measure ns per particle and substep of each pass, forward and backward.
 
-    run_bench(output, threads=threads, quick=quick)
+    Of falling blocks of several sizes; or of SCENE, from the middle of its rollout on, with what a gradient costs.
+    """
+    from cqrun.cli.progress import reporting
+    from cqrun.errors import UsageError
+    from cqrun.jobs.bench import run_bench
+    from cqrun.jobs.bench_scene import run_bench_scene
+    from cqrun.scene.plugin_files import plugins_allowed
+
+    if scene is None:
+        if overrides or allow_plugins:
+            raise UsageError("-o and --allow-plugins are for a scene: `cqrun bench SCENE -o KEY=VALUE`")
+        run_bench(output, threads=threads, quick=quick)
+        return
+    if quick:
+        raise UsageError("--quick is for blocks; make a scene small with -o")
+    with plugins_allowed(allow_plugins), reporting(quiet) as reporter:
+        lines = run_bench_scene(scene, overrides or (), output, threads=threads, talk=reporter)
+    for line in lines:
+        typer.echo(line)

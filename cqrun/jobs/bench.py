@@ -9,23 +9,17 @@ from __future__ import annotations
 
 import os
 import platform
-import time
-from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
-from cqrun.engine.backward import Backward
-from cqrun.engine.blocks import sort_particles
-from cqrun.engine.grid import clear, update_grid, update_grid_vjp
-from cqrun.engine.model import GroupModel, Inputs, LossBar, Model
-from cqrun.engine.particles import momentum, momentum_vjp, move, move_vjp
-from cqrun.engine.probe import make_probe, record, record_vjp
+from cqrun.engine.model import GroupModel, Inputs, Model
 from cqrun.engine.rollout import Rollout
-from cqrun.engine.setting import Probe
-from cqrun.engine.step import scatter_blocks
 from cqrun.fingerprint import engine_hash
+from cqrun.jobs.excerpt import Excerpt, timed
 from cqrun.lanes import lane_width
 from cqrun.materials.fixed_corotated import FixedCorotated
 from cqrun.scene.particles import block_order
@@ -75,97 +69,15 @@ def falling_block(dim: int, edge: int, real: Any, *, world: float = 2.0, corners
     return model, Inputs(state, fields, [[theta]], np.zeros((1, 0)), np.zeros(0))
 
 
-class Bench:
-    """One size at one precision and number of threads."""
-
-    def __init__(self, dim: int, edge: int, real: Any, threads: int) -> None:
-        self.model, self.inputs = falling_block(dim, edge, real)
-        self.n = len(self.inputs.state.x)
-        self.rollout = Rollout(self.model, self.inputs, threads=threads, adjoint=True)
-        self.states = np.empty((SUBSTEPS + 1, *self.rollout.start.shape), real)
-        self.here = np.empty((1, *self.rollout.start.shape), real)
-        self.backward = Backward(self.rollout, LossBar(final=State.at_rest(self.inputs.state.x)))
-
-    def forward(self) -> None:
-        """Run all substeps, as a rollout without gradient does."""
-        self.rollout.advance(0, SUBSTEPS, self.here, keep=False)
-
-    def store(self) -> None:
-        """Run all substeps and keep their states."""
-        self.rollout.advance(0, SUBSTEPS, self.states, keep=True)
-
-    def rewind(self) -> None:
-        """Put the start where both runs begin; no part of a substep, so not timed."""
-        self.here[0] = self.states[0] = self.rollout.start
-
-    def reverse(self) -> None:
-        """Run the adjoint of all substeps from the kept states."""
-        self.backward.run(0, SUBSTEPS, self.states)
-
-    def passes(self) -> Iterator[tuple[str, Callable[[int], Any]]]:
-        """Yield every pass by name, in an order in which each finds what it needs."""
-        self.rewind()
-        self.store()
-        r, b, n = self.rollout, self.backward, self.rollout.threads
-        group, pair, work, setting = r.groups[0], (r.groups[0], b.groups_bar[0]), r.work, r.setting
-        probe, rows = self._probe(), np.ones((r.rows, PARTS))
-        q, q_next, fields = self.states[0], self.states[1], r.fields
-        yield "momentum", lambda t: momentum(group, q, fields, r.drive.push, setting, work, t, n)
-        yield "sort", lambda t: sort_particles(work.blocks, work.place) if t == 0 else None
-        yield "clear", lambda t: clear(work.grid, 1, setting, work, t, n)
-        yield "scatter", lambda t: scatter_blocks(work.grid, (work.value,), (work.affine,), setting, work, t, n)
-        yield "update_grid", lambda t: update_grid(setting, r.conditions, work, t, n)
-        yield "move", lambda t: move(group, q, q_next, setting, work, t, n)
-        yield "move_vjp", lambda t: move_vjp(group, q, q_next, b.q_bar, setting, work, t, n)
-        values, affines = (work.value, work.value_2), (work.affine, work.affine_2)
-        yield "clear_both", lambda t: clear(work.both, 2, setting, work, t, n)
-        yield "scatter_both", lambda t: scatter_blocks(work.both, values, affines, setting, work, t, n)
-        yield "update_grid_vjp", lambda t: update_grid_vjp(setting, r.conditions, work, t, n)
-        yield (
-            "momentum_vjp",
-            lambda t: momentum_vjp(pair, q, b.q_bar, fields, b.fields_bar, b.drive_bar.push, setting, work, t, n),
-        )
-        yield "record", lambda t: record(probe, q, rows) if t == 0 else None  # once a control step
-        yield "record_vjp", lambda t: record_vjp(probe, b.q_bar, rows) if t == 0 else None
-
-    def _probe(self) -> Probe:
-        """Return the probe of the centroids of some parts of the block."""
-        from scipy import sparse
-
-        part = np.arange(self.n) * PARTS // self.n
-        share = 1.0 / np.bincount(part)[part]
-        centroids = sparse.csr_array((share, (part, np.arange(self.n))), shape=(PARTS, self.n))
-        layout, q = self.model.layout, self.rollout.start
-        return make_probe(centroids, layout.columns(), q.shape[1])
-
-    def nanoseconds(self, seconds: list[float], substeps: int) -> float:
-        """Return the median, a particle and substep [ns]."""
-        return float(np.median(seconds)) / (self.n * substeps) * 1e9
-
-    def measure(self, repeat: int) -> dict[str, Any]:
-        """Return ns a particle and substep of the whole and of each pass."""
-        whole: dict[str, list[float]] = {"forward": [], "store": [], "backward": []}
-        for _ in range(repeat + 1):
-            self.rewind()
-            for name, run in (("forward", self.forward), ("store", self.store), ("backward", self.reverse)):
-                whole[name].append(timed(run))
-        result: dict[str, Any] = {k: self.nanoseconds(v[1:], SUBSTEPS) for k, v in whole.items()}
-        result["backward_over_forward"] = float(
-            np.median(np.array(whole["backward"][1:]) / np.array(whole["forward"][1:]))
-        )
-        result["passes"] = {}
-        for name, body in self.passes():
-            seconds = [timed(lambda: self.rollout.team.run(body)) for _ in range(repeat + 1)]  # noqa: B023
-            self.backward.q_bar[...] = 0.0
-            result["passes"][name] = self.nanoseconds(seconds[1:], 1)
-        return result
-
-
-def timed(run: Callable[[], Any]) -> float:
-    """Return how long a call takes [s]."""
-    begin = time.perf_counter()
-    run()
-    return time.perf_counter() - begin
+def excerpt_of_block(dim: int, edge: int, real: Any, threads: int) -> Excerpt:
+    """Return the first substeps of a falling block, the centroids of whose parts are recorded."""
+    model, inputs = falling_block(dim, edge, real)
+    n = model.layout.n_particles
+    part = np.arange(n) * PARTS // n
+    share = 1.0 / np.bincount(part)[part]
+    centroids = sparse.csr_array((share, (part, np.arange(n))), shape=(PARTS, n))
+    rollout = Rollout(replace(model, probe=centroids), inputs, threads=threads, adjoint=True)
+    return Excerpt(rollout, 0, SUBSTEPS)
 
 
 def empty_world(edge: int, repeat: int) -> float:
@@ -207,17 +119,14 @@ def machine() -> dict[str, Any]:
 
 def run_bench(output: Path | None, *, threads: int | None = None, quick: bool = False) -> dict[str, Any]:
     """Measure, print a table, and write JSON if asked for; return what is written."""
-    if output is not None:
-        make_directory(output.parent)
-        with disk_errors(output), output.open("a"):  # told now, not after all is measured
-            pass
+    require_writable(output)
     sizes, repeat = (((2, 48), (3, 13)), 2) if quick else (SIZES, REPEAT)
     result: dict[str, Any] = {"machine": machine(), "engine": engine_hash(), "versions": versions(), "rows": []}
     print("ns a particle and substep           forward   store  backward  ratio   passes")
     for dim, edge in sizes:
         for real in (np.float64, np.float32):
             for n_threads in (threads,) if threads else (1, 2):
-                bench = Bench(dim, edge, real, n_threads)
+                bench = excerpt_of_block(dim, edge, real, n_threads)
                 row = {
                     "dimension": dim, "particles": bench.n, "precision": np.dtype(real).name,
                     "threads": bench.rollout.threads, "lane_width": lane_width(real), **bench.measure(repeat),
@@ -230,6 +139,14 @@ def run_bench(output: Path | None, *, threads: int | None = None, quick: bool = 
         write_json(output, result)
         print(f"written: {output}")
     return result
+
+
+def require_writable(output: Path | None) -> None:
+    """Say now that a file cannot be written, not after all is measured."""
+    if output is not None:
+        make_directory(output.parent)
+        with disk_errors(output), output.open("a"):
+            pass
 
 
 def _line(row: dict[str, Any]) -> str:

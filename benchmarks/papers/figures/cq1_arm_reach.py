@@ -32,7 +32,7 @@ class ArmReach(Figure):
     source = "CQ1, repository"
     paper = "a scene of CQ1's repository without a figure; no number is printed"
     left_open = (
-        "how many goals to learn from: of twenty, one seed at the paper's size learned by heart (.018 m in 60 iterations, "
+        "how many goals to learn from: twenty one seed at the paper's size learned by heart (.018 m in 60 iterations, "
         "and .062 from unseen ones); of the scene's sixty a smaller arm learned .027 and .037"
     )
     tolerance = {

@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.work import Found, Measurement, Work
 from cqrun.figures.style import COLOURS, GREY, TRUTH, new_figure, titled
-from cqrun.jobs.bench import REPEAT, SIZES, Bench
+from cqrun.jobs.bench import REPEAT, SIZES, excerpt_of_block
 from cqrun.store.atomic import write_json
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def _measure(folder: Path, deadline: float, size: Size) -> bool:
                     continue
                 if time.monotonic() > deadline:
                     return False
-                bench = Bench(dim, edge, real, threads)
+                bench = excerpt_of_block(dim, edge, real, threads)
                 found = bench.measure(REPEAT)
                 frame = FRAME * bench.n * 1e-6  # ns a particle and substep -> ms a frame
                 write_json(file, {

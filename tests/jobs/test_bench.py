@@ -1,0 +1,108 @@
+"""How long passes take: every pass has its line, shares add up, and what is measured is the scene's own rollout."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from small_beam import BEAM, Listener
+from small_finger import FINGER, written
+
+from cqrun.engine.rollout import Rollout
+from cqrun.errors import RunError, SceneError, Stopped, UsageError
+from cqrun.jobs import bench as blocks
+from cqrun.jobs import bench_scene
+from cqrun.jobs.bench import excerpt_of_block, run_bench
+from cqrun.jobs.bench_scene import excerpt_of, run_bench_scene, shares
+from cqrun.jobs.reporter import Silent
+from cqrun.jobs.simulate import make_agent
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
+
+PASSES = {
+    "momentum", "sort", "clear", "scatter", "update_grid", "move", "move_vjp", "clear_both", "scatter_both",
+    "update_grid_vjp", "momentum_vjp",
+}  # fmt: skip
+ACTING = PASSES | {"policy", "policy_vjp", "activate", "activate_vjp", "record", "record_vjp"}
+PUSHING = ACTING - {"activate", "activate_vjp"} | {"push", "push_vjp"}
+PUSHED = FINGER.replace(
+    "muscle: {muscle: {body: finger, each: [left, right], axis: [0, 1], strength: 4}}",
+    "push: {body_force: {body: finger, direction: [1, 0], acceleration: 0.1}}",
+)
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    """Measure each pass twice."""
+    for module in (blocks, bench_scene):
+        monkeypatch.setattr(module, "REPEAT", 1)
+
+
+@pytest.mark.parametrize(("text", "passes"), [(BEAM, PASSES), (FINGER, ACTING), (PUSHED, PUSHING)])
+def test_every_pass_has_a_line_and_a_share(tmp_path, text, passes):
+    file = tmp_path / "scene.yaml"
+    file.write_text(text)
+    output = tmp_path / "new" / "bench.json"
+    lines = run_bench_scene(file, (), output, threads=1, talk=Silent())
+    told = json.loads(output.read_text())
+    assert set(told["passes"]) == passes
+    assert all(np.isfinite(ns) and ns > 0.0 for ns in told["passes"].values())
+    for whole in ("forward", "backward"):
+        own = list(shares(told, whole))
+        assert sum(s.share for s in own) == pytest.approx(1.0)
+        assert sum(s.nanoseconds for s in own) == pytest.approx(told[whole])
+    forward, backward = ({s.name for s in shares(told, whole)} for whole in ("forward", "backward"))
+    assert forward | backward == passes | {"the rest"}
+    # what a substep's adjoint does again of the substep
+    assert forward & backward - {"the rest"} == {"momentum", "sort", "push"} & passes
+    for name in passes:
+        assert any(line.startswith(f"  {name} ") for line in lines)
+    assert told["seconds"]["gradient"] > told["seconds"]["forward"] > 0.0
+    assert lines[-1] == f"written: {output}"
+
+
+@pytest.mark.parametrize("text", [BEAM, FINGER.replace("duration: 0.1", "duration: 0.2")])
+def test_what_is_measured_is_the_scenes_own_rollout(text):
+    built = build(load_scene(text))
+    excerpt = excerpt_of(built, 1, Silent())
+    excerpt.measure(1)
+    agent, model = make_agent(built, None), built.model
+    if agent is None:
+        rollout = Rollout(model, built.assembly.inputs({}))
+    else:
+        rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, 1)
+    states = rollout.start[None].copy()
+    rollout.advance(0, excerpt.begin, states, keep=False)
+    assert excerpt.begin > 0
+    assert np.array_equal(excerpt.states[0], states[0])
+    rollout.advance(excerpt.begin, excerpt.end, states, keep=False)
+    excerpt.rewind()
+    excerpt.store()
+    assert np.array_equal(excerpt.states[-1], states[0])
+
+
+def test_blocks(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(blocks, "SIZES", ((2, 6),))
+    monkeypatch.setattr(blocks, "CORNERS_LIMIT", 4)
+    output = tmp_path / "bench.json"
+    told = run_bench(output, threads=1)
+    assert json.loads(output.read_text()) == told
+    assert [(row["particles"], row["precision"], row["threads"]) for row in told["rows"]] == [
+        (36, "float64", 1), (36, "float32", 1),
+    ]  # fmt: skip
+    assert all(set(row["passes"]) == PASSES | {"record", "record_vjp"} for row in told["rows"])
+    assert excerpt_of_block(2, 6, np.float64, 1).n == 36
+    assert str(output) in capsys.readouterr().out
+
+
+def test_what_goes_wrong_is_told(tmp_path):
+    file = written(tmp_path)
+    with pytest.raises(UsageError, match=r"is a folder|directory"):
+        run_bench_scene(file, (), tmp_path, threads=1, talk=Silent())
+    with pytest.raises(SceneError, match="memory"):
+        run_bench_scene(file, ["memory=1KiB"], None, threads=1, talk=Silent())
+    with pytest.raises(RunError, match=r"finger\.yaml: body"):
+        run_bench_scene(file, ["world.gravity=[0, 1e6]"], None, threads=1, talk=Silent())
+    with pytest.raises(Stopped, match="before anything was measured"):
+        run_bench_scene(file, ["time.duration=1"], None, threads=1, talk=Listener(stop_after=1))
