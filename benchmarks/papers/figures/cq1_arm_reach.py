@@ -33,7 +33,7 @@ class ArmReach(Figure):
     paper = "a scene of CQ1's repository without a figure; no number is printed"
     left_open = (
         "how many goals to learn from: twenty one seed at the paper's size learned by heart (.018 m in 60 iterations, "
-        "and .062 from unseen ones); of the scene's sixty a smaller arm learned .027 and .037"
+        "and .062 from unseen ones); of the scene's sixty a smaller arm learned .035 and .049"
     )
     tolerance = {
         Size.QUICK: "the mean error over unseen goals is less than at the start",
@@ -45,7 +45,7 @@ class ArmReach(Figure):
         """Return the seeds."""
         if size is Size.QUICK:
             return [Runs("arm_reach_3d", 1.8, "control", "control/arm_reach_3d", QUICK, 1)]
-        return [Runs("arm_reach_3d", 135.0, "control", "control/arm_reach_3d", SINGLE, 3)]
+        return [Runs("arm_reach_3d", 110.0, "control", "control/arm_reach_3d", SINGLE, 3)]
 
     def table(self, found: Found, size: Size) -> Table:
         """Return set, seed, x and z of the goal [m], error [m]."""

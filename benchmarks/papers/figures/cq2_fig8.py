@@ -33,6 +33,7 @@ class TerrainBiped(Distances):
         "times its weight, twice the stress of the chambers, and feet do not lift"
     )
     scene = "control/biped_terrain"
+    iterations = 300
     final, interval, seconds = 1.61, (1.50, 1.72), 20.0
     variants = (
         Variant("paper size", {Size.PAPER: SINGLE}, {Size.PAPER: 1}, {Size.PAPER: 600}),
