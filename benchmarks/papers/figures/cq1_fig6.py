@@ -64,8 +64,8 @@ class Crawler(ToGoal):
     paper = "a scene of CQ1's repository without a figure; no number is printed"
     left_open = (
         "the goal is .22 m above the head, which has to jump: three seeds end at .156, .324 and .251 m, the first "
-        "still on its way. Tried with it: steps of 30 (.223 m after 60 iterations), Adam at .1 (.263 after 72), sqp (.231 "
-        "after 87)"
+        "still nearing. Tried with it: steps of 30 (.223 m after 60 iterations), Adam at .1 (.263 after 72), sqp "
+        "(.231 after 87)"
     )
     name, body = "crawler", "crawler"
     small = ("bodies.crawler.sampling.lattice.count=5", "time.substeps=2", "optimizer.sgd.max_iterations=20")
