@@ -64,6 +64,9 @@ class Listener(Silent):
     def phase(self, text: str) -> None:
         self.said.append(text)
 
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
     def warn(self, text: str) -> None:
         self.said.append(f"warning: {text}")
 

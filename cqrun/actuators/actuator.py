@@ -87,6 +87,10 @@ class Actuator(Plugin):
         """Return what is wrong with a part whose particles at rest are x (n, D) [m], in cells of dx [m], or None."""
         return None
 
+    def greatest_acceleration(self, strength: float) -> float:
+        """Return what a part accelerates its particles by, whatever their mass [m/s^2]."""
+        return 0.0
+
     def wave_modulus(self) -> float:
         """Return what one unit of activation and strength adds to the stiffness of a pressure wave."""
         return 0.0
@@ -108,11 +112,17 @@ class RegionActuator(Actuator):
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions, or itself."""
-        return super().dim_problems(dim) + [
+        found = super().dim_problems(dim) + [
             (("each", k), f"'{group}' is named twice: a group has one activation")
             for k, group in enumerate(self.each or [])
             if group in (self.each or [])[:k]
         ]
+        if self.region is not None and self.each is not None:
+            told = (
+                "stands beside `each`, which says where: give one of the two, or name a region of the scene in `each`"
+            )
+            found.append((("region",), told))
+        return found
 
     def parts(self) -> tuple[str, ...]:
         """Return the names of its parts; one without a name if there is but one."""

@@ -45,6 +45,10 @@ class BodyForce(RegionActuator):
         """Return the class of the kernels' view."""
         return Kernel
 
+    def greatest_acceleration(self, strength: float) -> float:
+        """Return what it accelerates its particles by [m/s^2]."""
+        return abs(strength)
+
     def constants(self, x: Array) -> Array:
         """Return the unit direction (D,)."""
         return np.array(self.direction) / np.linalg.norm(self.direction)

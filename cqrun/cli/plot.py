@@ -31,6 +31,9 @@ def plot(
     from cqrun.figures.draw import draw_run, draw_several
     from cqrun.scene.plugin_files import plugins_allowed
 
+    for file in [run for run in runs if run.is_file()]:  # of results/SCENE/*: what sums up several runs
+        typer.echo(f"left out: {file} is a file, no run", err=True)
+    runs = [run for run in runs if not run.is_file()] or runs
     with plugins_allowed(allow_plugins):
         one = len(runs) == 1 and show is None
         paths = draw_run(runs[0], KINDS) if one else draw_several(runs, out, KINDS, show)

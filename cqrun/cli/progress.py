@@ -72,6 +72,12 @@ class Progress:
         if self._live is None and not self._quiet:
             self._print(text)
 
+    def say(self, text: str) -> None:
+        """Print a fact, unless quiet."""
+        if not self._quiet:
+            self._print_the_last()
+            self._print(text)
+
     def update(
         self, iteration: int, loss: float, best: float, step: float, seconds: float, violation: float | None = None
     ) -> None:

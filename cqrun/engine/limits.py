@@ -5,7 +5,8 @@ z = (4/3 eta + zeta) / (rho c dx), explicit integration is stable up to
 
     dt_max = (dx / c) (sqrt(1 + z^2) - z) = (dx / c) / (sqrt(1 + z^2) + z),
 
-the Courant limit dx / c without viscosity and the diffusive one for z >> 1. Particles: |v| dt < dx / 2.
+the Courant limit dx / c without viscosity and the diffusive one for z >> 1. Particles: |v| dt < dx / 2, and
+from rest, under an acceleration a of their own, a dt^2 / 2 < dx / 2.
 """
 
 from __future__ import annotations
@@ -53,6 +54,11 @@ def motion_limit(part: str, dx: float, v: Array) -> Limit | None:
     with np.errstate(over="ignore"):
         fastest = float(np.linalg.norm(v, axis=1).max(initial=0.0))
     return Limit(part, 0.5 * dx / fastest) if fastest > 0 else None
+
+
+def push_limit(part: str, dx: float, acceleration: float) -> Limit | None:
+    """Return the bound of a push: in one substep from rest, particles move less than half a cell."""
+    return Limit(part, float(np.sqrt(dx / acceleration))) if acceleration > 0 else None
 
 
 def auto_substeps(control_step: float, limits: list[Limit]) -> int:

@@ -100,6 +100,12 @@ class Mesh(Place, FileShape):
             raise UsageError(f"{self.path}: encloses nothing: it is a sheet, or its holes are too large; close it")
         enclosed = max(1, enclosed)  # a closed surface may pass between the points
         undecided = (np.abs(w - 0.5) < _DECIDED).sum() / enclosed
+        if undecided > _OPEN and surface.closed:
+            raise UsageError(
+                f"{self.path}: crosses itself, or its faces are turned both ways: for {undecided:.0%} of what it "
+                "encloses, inside and outside cannot be told apart; mend it where it crosses, or make the normals of "
+                "all faces point outward"
+            )
         if undecided > _OPEN:
             raise UsageError(
                 f"{self.path}: is open: for {undecided:.0%} of what it encloses, inside and outside cannot be told "

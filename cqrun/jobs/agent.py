@@ -341,6 +341,7 @@ def matter_of(built: Built) -> Matter:
         n_actuators=len(built.assembly.actuation.parts),
         resolve=scene.resolve_path,
         design=built.assembly.design(inputs),
+        regions=tuple(scene.regions),
     )
 
 

@@ -124,4 +124,4 @@ def table(told: dict[str, Any]) -> Iterator[str]:
 
 
 def _time(seconds: float) -> str:
-    return f"{seconds:.2g} s" if seconds < 100 else f"{seconds / 60:.3g} min"
+    return f"{seconds:.2g} s" if seconds < 99.5 else f"{seconds / 60:.3g} min"

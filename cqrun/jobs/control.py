@@ -19,6 +19,7 @@ from cqrun.contract import Array
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.agent import CONTROLLER, FILE, Attempt, Goals
+from cqrun.jobs.bodies import tell_bodies
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.memory import gradient_plan
@@ -54,6 +55,15 @@ NEEDED = {
 }
 DESIGN = {"unknowns": "say what of the design may change, such as a material's `youngs_modulus: {bounds: [...]}`"}
 """What a scene must have to be learned, and for a design, and the advice where it is missing."""
+
+NOUGHT = 1e-15
+"""A gradient's norm, over a loss of 1 or more, below which nothing can be learned from it."""
+
+FLAT = (
+    "the gradient was nought at every iteration: nothing was learned. A `minimum` or `maximum` over time that the "
+    "start itself holds has no slope, nor has an actuator whose motion the objective does not see: take a mean over "
+    "time, or start elsewhere"
+)
 
 
 def run_control(
@@ -98,6 +108,8 @@ def prepare(scene: Scene, threads: int, talk: Reporter, job: str = "control") ->
     if scene.optimizer is None:
         usual = plugins("optimizer")["slsqp" if scene.constraints else "adam"]
         scene = scene.with_plugin("optimizer", usual())
+    if scene.data is not None:
+        talk.warn(f"{scene.where('data')}: data: {job} reads no recordings; `cqrun sysid` does")
     built = build_and_warn(scene, talk)
     optimizer = optimizer_of(built)
     if optimizer.gradients:
@@ -142,6 +154,7 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
     optimizer = optimizer_of(built)
     compile_kernels([built], talk, adjoint=optimizer.gradients)
     run.begin(problem.threads)
+    tell_bodies(built, run, talk)
     talk.phase(f"learning {len(params.start)} parameters, {problem.n_episodes} episodes an iteration")
     talk.begin(optimizer.max_iterations)
     session = RunSession(
@@ -153,6 +166,9 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
     if outcome.status == "stopped":
         run.finish("stopped", outcome.message)
         raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
+    if optimizer.gradients and _flat(run):
+        talk.warn(FLAT)
+        run.log(FLAT)
     if outcome.status != "failed":
         talk.phase("what was learned, trajectory")
 
@@ -164,6 +180,14 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
     write_learned(run, problem, outcome)
     run.finish(outcome.status, outcome.message)
     return raise_if_failed(run)
+
+
+def _flat(run: RunDirectory) -> bool:
+    """Say whether the gradient was nought at every iteration."""
+    history = read_history(run.path / "history.csv")
+    norms = [column for name, column in history.items() if name.startswith("grad:")]
+    greatest = max((np.nanmax(np.abs(column), initial=0.0) for column in norms), default=np.inf)
+    return bool(greatest <= NOUGHT * max(1.0, np.nanmax(np.abs(history["loss"]), initial=0.0)))
 
 
 class Keeping(Progress):

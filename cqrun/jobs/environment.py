@@ -4,9 +4,10 @@
     observation, info = env.reset(seed=0)
     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
 
-A step is a control step. Observations are those of the scene's observers, actions those of a bounded controller:
-numbers in [-1, 1], mapped to the actuators' limits. The reward is by how much the loss falls, were the run to end here
-and stay as it is; so an episode's rewards sum to what its end improves on its beginning, whatever the objective.
+A step is a control step. Observations are those of the scene's observers, or time where it has none; actions those of a
+bounded controller: numbers in [-1, 1], mapped to the actuators' limits. The reward is by how much the loss falls, were
+the run to end here and stay as it is; so an episode's rewards sum to what its end improves on its beginning, whatever
+the objective.
 """
 
 from __future__ import annotations
@@ -17,14 +18,16 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.choice import Chosen
 from cqrun.contract import Array
 from cqrun.controllers.linear_tanh import LinearTanh
 from cqrun.controllers.policy import ControlPolicy
 from cqrun.engine.model import Records
-from cqrun.errors import MissingExtra, Problem, RolloutError, SceneError
+from cqrun.errors import MissingExtra, Problem, RolloutError, SceneError, UsageError
 from cqrun.jobs.agent import Agent, Goals
 from cqrun.jobs.runs import cores
 from cqrun.objectives.term import Track
+from cqrun.observers.clock import Clock
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 from cqrun.scene.plugin_files import plugins_allowed
@@ -33,11 +36,13 @@ from cqrun.scene.schema import Scene
 try:
     import gymnasium
 except ImportError as error:
-    raise MissingExtra(f"an environment needs {error.name}, which is not installed: pip install 'cqrun[rl]'") from None
+    raise MissingExtra(
+        f"an environment needs {error.name}, which is not installed: pip install 'cqrun[rl]' (its torch is "
+        "several GB with CUDA: install a CPU build of torch first, see pytorch.org)"
+    ) from None
 
 NEEDED = {
     "actuators": "say what drives the body",
-    "observers": "say what is seen",
     "objective": "say what the motion is for",
 }
 """What a scene must have to be an environment, and the advice where it is missing."""
@@ -47,7 +52,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
     """One scene, one body of particles, one episode at a time.
 
     Args:
-        scene: with actuators, observers and an objective; its controller, if it has one, does not act.
+        scene: with actuators and an objective; its controller, if it has one, does not act.
         threads: how many to use at most. Results do not depend on it.
 
     Raises:
@@ -61,6 +66,8 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
         if missing:
             told = [Problem(scene.where(key), key, f"an environment needs it: {NEEDED[key]}") for key in missing]
             raise SceneError(told)
+        if not scene.observers:
+            scene = scene.model_copy(update={"observers": {"clock": Chosen("clock", Clock())}})
         # one that answers in [-1, 1], as whoever calls `step` does in its place
         self.agent, self.threads = Agent(build(scene.with_plugin("controller", LinearTanh()))), threads
         n, a = self.agent.observation.size, len(self.agent.limits.low)
@@ -78,13 +85,21 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
         policy: Any = self.rollout.policy
         self.policy: ControlPolicy = policy
         self.states, self.control = self.rollout.start[None].copy(), 0
-        self.loss = self._loss_if_it_ended()
+        self.loss, self.over = self._loss_if_it_ended(), False
         return self._see(), {"goals": dict(self.goals)}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Run one control step; return (what is seen, reward, whether it blew up, whether time is over, facts)."""
+        """Run one control step; return (what is seen, reward, whether it blew up, whether time is over, facts).
+
+        Raises:
+            UsageError: there is no episode to go on with, or the action has another shape than the space.
+        """
+        if not hasattr(self, "rollout") or self.over:
+            raise UsageError("step: the episode is over, or none was begun; call reset() first")
         rollout, model, control = self.rollout, self.agent.model, self.control
         u = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        if u.shape != self.action_space.shape:
+            raise UsageError(f"step: an action has shape {self.action_space.shape}, not {u.shape}")
         rollout.activation[control], rollout.memory[control + 1] = self.policy.driven(
             control, u, self.remembered, rollout.memory[control]
         )
@@ -92,11 +107,12 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
         try:
             rollout.advance(control * model.substeps, (control + 1) * model.substeps, self.states, keep=False)
         except RolloutError as error:
+            self.over = True
             return self.seen, 0.0, True, False, {"failed": str(error), "loss": self.loss}
         self.control += 1
         before, self.loss = self.loss, self._loss_if_it_ended()
-        over = self.control == model.n_controls
-        return self._see(), before - self.loss, False, over, {"loss": self.loss}
+        self.over = self.control == model.n_controls
+        return self._see(), before - self.loss, False, self.over, {"loss": self.loss}
 
     # --- what it is made of ------------------------------------------------------------------------------------------
 

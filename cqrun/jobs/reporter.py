@@ -88,6 +88,9 @@ class Reporter(Protocol):
     def phase(self, text: str) -> None:
         """Name what happens now, such as `compiling kernels (once, about 40 s)`."""
 
+    def say(self, text: str) -> None:
+        """Tell a fact that stays to be read."""
+
     def update(
         self, iteration: int, loss: float, best: float, step: float, seconds: float, violation: float | None = None
     ) -> None:
@@ -126,6 +129,9 @@ class Silent:
 
     def phase(self, text: str) -> None:
         """Ignore the phase."""
+
+    def say(self, text: str) -> None:
+        """Ignore the fact."""
 
     def update(
         self, iteration: int, loss: float, best: float, step: float, seconds: float, violation: float | None = None

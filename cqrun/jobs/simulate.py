@@ -17,6 +17,7 @@ from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError, RunError, UsageError
 from cqrun.jobs.agent import FILE, Agent, learned_values
+from cqrun.jobs.bodies import tell_bodies
 from cqrun.jobs.control import JOBS
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.observables import Observables
@@ -145,6 +146,7 @@ def simulate(run: RunDirectory, built: Built, agent: Agent | None, threads: int,
     """Run a scene into a run directory, under its controller if it has one."""
     compile_kernels([built], talk, adjoint=False)
     run.begin(threads)
+    tell_bodies(built, run, talk)
     time, model = built.scene.time, built.model
     talk.phase(f"simulating {model.layout.n_particles} particles, {model.n_steps} substeps")
     reached = 0.0

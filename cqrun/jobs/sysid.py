@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cqrun.errors import Problem, SceneError
+from cqrun.jobs.bodies import tell_bodies
 from cqrun.jobs.cases import Case, given_cases, made_cases, own_warnings
 from cqrun.jobs.findings import write_findings
 from cqrun.jobs.kernels import compile_kernels
@@ -136,6 +137,7 @@ def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads:
     assert isinstance(optimizer, Optimizer)
     compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=uses_gradients(scene))
     run.begin(threads)
+    tell_bodies(built, run, talk)
     if cases is None:
         talk.phase("making data")
         cases = made_cases(run, built)

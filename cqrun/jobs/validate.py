@@ -11,6 +11,7 @@ import numpy as np
 from cqrun.errors import SceneError
 from cqrun.explain import listed
 from cqrun.jobs.agent import Agent
+from cqrun.jobs.bodies import lies, made_of, point
 from cqrun.jobs.cases import Case, given_cases, own_warnings
 from cqrun.jobs.control import JOBS, optimizer_of
 from cqrun.jobs.control import prepare as prepare_control
@@ -19,7 +20,7 @@ from cqrun.jobs.memory import gradient_plan, state_bytes
 from cqrun.jobs.report import number
 from cqrun.jobs.reporter import Silent
 from cqrun.jobs.sysid import prepare, with_optimizer
-from cqrun.jobs.validate_control import control_lines, line, point
+from cqrun.jobs.validate_control import control_lines, line
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
@@ -84,19 +85,9 @@ def _world(built: Built) -> Iterator[str]:
 
 
 def _body(built: Built, name: str) -> Iterator[str]:
-    particles, dx, dim = built.particles, built.scene.world.dx, built.scene.dim
-    part, spacing = particles.of(name), particles.spacing[name]
-    x, mass = particles.x[part], built.assembly.inputs({}).fields.mass[part]
-    in_cell = (dx / spacing) ** dim
-    unit = "kg" if dim == 3 else "kg/m"
-    yield line(
-        f"body {name}",
-        f"{len(x):,} particles, {number(in_cell)} a cell, {number(spacing)} m apart; mass {number(mass.sum())} {unit}",
-    )
-    low, high = x.min(axis=0), x.max(axis=0)
-    room = min(low.min(), (np.array(built.scene.world.size) - high).min())
-    yield line("", f"from {point(low)} to {point(high)} m, {number(room)} m from the nearest face of the world")
-    groups = [f"{group} {len(held):,}" for group, held in particles.groups(name).items()]
+    yield line(f"body {name}", made_of(built, name))
+    yield line("", lies(built, name))
+    groups = [f"{group} {len(held):,}" for group, held in built.particles.groups(name).items()]
     if groups:
         yield line("", f"groups: {listed(groups)}")
 
@@ -222,4 +213,4 @@ def _cost(built: Built, agent: Agent | None) -> Iterator[str]:
 
 
 def _seconds(seconds: float) -> str:
-    return f"{seconds:.2g} s" if seconds < 100 else f"{seconds / 60:.2g} min"
+    return f"{seconds:.2g} s" if seconds < 99.5 else f"{seconds / 60:.2g} min"

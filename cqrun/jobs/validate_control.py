@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
-from cqrun.contract import Array
 from cqrun.explain import listed
 from cqrun.jobs.agent import CONTROLLER, Agent
+from cqrun.jobs.bodies import point
 from cqrun.jobs.control import optimizer_of
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.report import number
@@ -17,11 +17,6 @@ from cqrun.units import format_bytes
 def line(what: str, text: str) -> str:
     """Return a line of the table, with what it is about at its head."""
     return f"  {what:10} {text}"
-
-
-def point(x: Array | Sequence[float]) -> str:
-    """Return a position as text."""
-    return "(" + ", ".join(number(float(c)) for c in x) + ")"
 
 
 def control_lines(agent: Agent) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -26,6 +26,7 @@ class Matter:
         n_controls: control steps T in a run.
         bodies: each body's slice of the particles.
         groups: body -> group -> indices of its particles.
+        regions: names of the scene's regions, which serve as groups of every body.
         select: (body or None, region or None) -> indices of the particles there.
         goals: goal -> number of its entries.
         n_actuators: A.
@@ -45,6 +46,7 @@ class Matter:
     n_actuators: int
     resolve: Callable[[str], Path] = Path
     design: Array = field(default_factory=lambda: np.zeros((3, 0)))
+    regions: Sequence[str] = ()
 
     @property
     def n_particles(self) -> int:
@@ -89,8 +91,10 @@ class Matter:
 
     def _group(self, body: str, group: str) -> Array:
         known = self.groups.get(body, {})
+        if group not in known and group in self.regions:
+            return self.select(body, group)
         if group not in known:
-            raise UsageError(_unknown(f"group of the body '{body}'", group, known))
+            raise UsageError(_unknown(f"group of the body '{body}'", group, [*known, *self.regions]))
         return known[group]
 
 

@@ -37,7 +37,7 @@ class MotionObserver(Observer):
     )
     # a null is kept as raw ranges: a resolved scene does not write what is null
     range: Annotated[MotionRanges | None, AfterValidator(lambda value: value or _ALL_RAW)] = Field(
-        description="What becomes [-1, 1], by quantity; null: values as they are", default_factory=MotionRanges
+        description="What becomes [-1, 1], by quantity; null (raw): values as they are", default_factory=MotionRanges
     )
 
     def motion(self, sets: Sequence[Array], matter: Matter) -> Motion:

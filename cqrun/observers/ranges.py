@@ -30,7 +30,7 @@ def _validated(value: Any) -> Any:
     pairs = value if several else [value]
     if not all(_is_pair(pair) for pair in pairs):
         raise ValueError(
-            "must be [low, high] with low < high, a list of such pairs, auto, or null for values as they are; "
+            "must be [low, high] with low < high, a list of such pairs, auto, or null (raw) for values as they are; "
             f"is {shown(value)}"
         )
     pairs = [[float(low), float(high)] for low, high in pairs]

@@ -10,7 +10,7 @@ import numpy as np
 
 from cqrun.actuators.push import pushes
 from cqrun.contract import Array
-from cqrun.engine.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, wave_limit
+from cqrun.engine.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, push_limit, wave_limit
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
 from cqrun.errors import Problem, SceneError
 from cqrun.scene.actuation import Actuation
@@ -145,8 +145,20 @@ def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict
         lightest = float(density.min()) * scene.world.dx**scene.dim
         if scene.bodies[name].unit_mass:  # its particles fill less than the volume of 1 that they count for
             lightest /= particles.spacing[name] ** scene.dim
+        limits += _push_limits(scene, actuation, values, name)
         limits += _spring_limits(scene, particles, actuation, values, name, lightest)
     return limits
+
+
+def _push_limits(scene: Scene, actuation: Actuation, values: dict[str, Array], body: str) -> list[Limit]:
+    """Return the bounds of what accelerates particles of a body as it is."""
+    each = zip(actuation.parts, actuation.greatest(values), actuation.strengths(values), strict=True)
+    found = [
+        push_limit(part.path, scene.world.dx, part.spec.greatest_acceleration(activation * strength))
+        for part, activation, strength in each
+        if part.spec.body == body
+    ]
+    return [limit for limit in found if limit is not None]
 
 
 def _spring_limits(

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic_core import InitErrorDetails
 
-from cqrun.explain import KEY, Loc, finding
+from cqrun.explain import KEY, Loc, finding, listed
 from cqrun.scene.region_names import findings_of_regions, unknown
 from cqrun.scene.walk import parts
 
 if TYPE_CHECKING:
     from cqrun.scene.schema import Activation, Scene
+
+
+PICKING = ("observers", "objective", "constraints")
+"""Parts whose groups are particles that are picked once, so that a region of the scene does as well."""
 
 
 def findings_between(scene: Scene) -> list[InitErrorDetails]:
@@ -23,7 +27,8 @@ def findings_between(scene: Scene) -> list[InitErrorDetails]:
         for place, message in part.dim_problems(scene.dim)
     ]
     named = [*_faces(scene), *_bodies(scene), *_groups(scene), *findings_of_regions(scene), *_goals_named(scene)]
-    return [*found, *named, *_signals(scene), *_controller(scene), *_goals_outside(scene), *_target(scene)]
+    placed = [*_goals_unused(scene), *_goals_outside(scene), *_positions_outside(scene)]
+    return [*found, *named, *_signals(scene), *_controller(scene), *placed, *_target(scene)]
 
 
 def _faces(scene: Scene) -> Iterator[InitErrorDetails]:
@@ -43,13 +48,14 @@ def _bodies(scene: Scene) -> Iterator[InitErrorDetails]:
 
 
 def _groups(scene: Scene) -> Iterator[InitErrorDetails]:
-    """Yield every group that the body beside it has not; `each` of an actuator may name regions as well."""
+    """Yield every group that the body beside it has not; where particles are picked regions may be named as well."""
     for loc, part in parts(scene):
         for owner, key in (("body", "group"), ("body", "groups"), ("body", "each"), ("target", "target_group")):
             body, names = getattr(part, owner, None), getattr(part, key, None)
             if not isinstance(body, str) or body not in scene.bodies or names in (None, "all"):
                 continue
-            legal = [*scene.bodies[body].group_names, *(scene.regions if key == "each" else ())]
+            regions = scene.regions if key == "each" or {*loc[:1]} & {*PICKING} else ()
+            legal = [*scene.bodies[body].group_names, *regions]
             listed = isinstance(names, list)
             for k, name in enumerate(names if listed else [names]):
                 if name not in legal:
@@ -65,6 +71,37 @@ def _goals_named(scene: Scene) -> Iterator[InitErrorDetails]:
             yield finding(unknown("goal", name, list(scene.goals)), (*loc, "goal"))
 
 
+def _goals_unused(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield goals that nothing asks for, as a misspelt one is."""
+    named = {name for _, part in parts(scene) if isinstance(name := getattr(part, "goal", None), str)}
+    if named:  # else there is nothing that could ask: a scene that is not finished, or a plug-in's own way
+        for name in scene.goals:
+            if name not in named:
+                yield finding(
+                    f"no part of the scene asks for it; goals that are asked for: {listed(sorted(named))}",
+                    ("goals", name),
+                )
+
+
+def _positions_outside(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield places outside the world that an objective or a constraint wants a body to come to."""
+    for loc, part in parts(scene):
+        if not {*loc[:1]} & {"objective", "constraints"}:
+            continue
+        wanted: list[tuple[Loc, Any]] = [(("position",), getattr(part, "position", None))]
+        for name in ("path", "keys"):
+            wanted += [((name, k), point[1:]) for k, point in enumerate(getattr(part, name, None) or [])]
+        for place, at in wanted:
+            if isinstance(at, list) and len(at) == scene.dim:
+                for k, size in enumerate(scene.world.size):
+                    if not 0 <= at[k] <= size:
+                        yield finding(_outside(k, f"{at[k]:g}", size), (*loc, *place))
+
+
+def _outside(axis: int, reach: str, size: float) -> str:
+    return f"lies outside the world: {'xyz'[axis]} = {reach} m; it holds 0 to {size:g} m, move it inside"
+
+
 def _goals_outside(scene: Scene) -> Iterator[InitErrorDetails]:
     """Yield goals that are, or may be drawn, outside the world; one with fewer or more entries is no position."""
     for name, goal in scene.goals.items():
@@ -74,8 +111,7 @@ def _goals_outside(scene: Scene) -> Iterator[InitErrorDetails]:
         for k, (at, half, size) in enumerate(zip(goal.position, spread, scene.world.size, strict=True)):
             if at - half < 0 or at + half > size:
                 reach = f"{at:g}" if half == 0 else f"{at - half:g} to {at + half:g}"
-                message = f"lies outside the world: {'xyz'[k]} = {reach} m; it holds 0 to {size:g} m, move it inside"
-                yield finding(message, ("goals", name, "position"), involves=("spread",))
+                yield finding(_outside(k, reach, size), ("goals", name, "position"), involves=("spread",))
 
 
 def _controller(scene: Scene) -> Iterator[InitErrorDetails]:

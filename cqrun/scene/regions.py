@@ -64,8 +64,11 @@ class BodyPoints:
 
     def coloured(self, colour: str) -> Array:
         """Return which particles lie in pixels of a colour of the image that their piece is made of."""
+        pieces = self.scene.bodies[self.body].pieces.values()
+        if all(type(shape).coloured is Shape.coloured for shape in pieces):
+            raise UsageError(f"the body '{self.body}' is made of no image, so its particles have no colour")
         found = np.zeros(len(self.local), bool)
-        for k, shape in enumerate(self.scene.bodies[self.body].pieces.values()):
+        for k, shape in enumerate(pieces):
             found |= (self.piece == k) & shape.coloured(self.local, colour)
         return found
 

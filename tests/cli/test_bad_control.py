@@ -38,6 +38,21 @@ CASES = {
             "(did you mean 'right'?); there are: left, right, tip"
         ],
     ),
+    "an actuator of groups and of a region": (
+        "each: [left, right]",
+        "each: [left, right], region: {half_space: {point: [0.5, 0.3], normal: [0, 1]}}",
+        ["actuators.muscle.muscle.region: stands beside `each`, which says where: give one of the two, or name a reg"],
+    ),
+    "a colour of a body without an image": (
+        "each: [left, right]",
+        "region: {colour: red}",
+        ["actuators.muscle.muscle.region: the body 'finger' is made of no image, so its particles have no colour"],
+    ),
+    "a push that throws particles out of their cells": (
+        f"{MUSCLE}|substeps: 2",
+        "push: {body_force: {body: finger, direction: [0, 1], acceleration: 1.0e6}}|substeps: 2",
+        ["time.substeps: a substep of 0.005 s is", "0.000316 s (actuators.push.body_force)"],
+    ),
     "an actuator of no body": (
         "{muscle: {body: finger",
         "{muscle: {body: fingre",
@@ -174,6 +189,21 @@ CASES = {
         TARGET,
         TARGET.replace("spread: [0.05, 0.05]", "spread: [0.5, 0]"),
         ["finger.yaml:25:18: goals.target.position: lies outside the world: x = 0.1 to 1.1 m; it holds 0 to 1 m"],
+    ),
+    "a goal that nothing asks for": (
+        TARGET,
+        TARGET.replace("target: {", "taget: {position: [0.5, 0.6]}, target: {"),
+        ["goals.taget: no part of the scene asks for it; goals that are asked for: target"],
+    ),
+    "a place outside the world": (
+        TIP,
+        TIP.replace("goal: target", "position: [0.5, 5]"),
+        ["objective.tip.reach.position: lies outside the world: y = 5 m; it holds 0 to 1 m, move it inside"],
+    ),
+    "a path that leaves the world": (
+        TIP,
+        "tip: {track: {body: finger, group: tip, path: [[0, 0.5, 0.7], [0.1, -0.2, 0.7]]}}",
+        ["objective.tip.track.path.1: lies outside the world: x = -0.2 m; it holds 0 to 1 m, move it inside"],
     ),
     # --- what is missing
     "no controller": ("controller: {linear_tanh: {}}\n", "", ["controller: control needs it: say what drives the act"]),

@@ -77,6 +77,17 @@ def test_plot_compares_several_runs(capsys, twin, tmp_path, rng):
     assert not (other / "figures").exists()
 
 
+def test_files_among_the_runs_are_left_out(capsys, copy, tmp_path):
+    """As a shell gives for results/SCENE/*, where a file sums up several runs."""
+    summary = tmp_path / "summary-3.csv"
+    summary.write_text("")
+    code, out, err = command(capsys, "plot", copy, summary)
+    assert (code, err) == (0, f"left out: {summary} is a file, no run\n")
+    assert str(copy) in out
+    code, _, err = command(capsys, "plot", summary)
+    assert code == 2
+
+
 def test_a_run_that_goes_on_shows_what_it_has(started):
     assert [p.name for p in draw_run(started)] == ["convergence.png"]
 

@@ -96,7 +96,7 @@ def test_an_open_surface_is_refused(sphere: Any, tmp_path: Path) -> None:
         bowl.examine()
     flipped = sphere.faces.copy()
     flipped[::3] = flipped[::3, ::-1]
-    with pytest.raises(UsageError, match=r"mixed\.ply: is open: .* make the normals of all faces point outward"):
+    with pytest.raises(UsageError, match=r"mixed\.ply: crosses itself, or its faces .* make the normals of all faces"):
         saved(as_given(sphere.vertices, flipped), tmp_path / "mixed.ply").examine()
 
 

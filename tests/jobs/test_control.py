@@ -127,3 +127,50 @@ def test_a_start_that_blows_up_is_told(finger, tmp_path):
     (run,) = (tmp_path / "finger").iterdir()
     assert result_of(run)["trained"] is None
     assert report_lines(run)[0].startswith("failed after 0 iterations")
+
+
+def test_regions_of_the_scene_serve_as_groups(finger, tmp_path):
+    """A centroid, a distance and a constraint of a region are those of the group that holds the same particles."""
+    same = ["regions={there: {union: [left, right]}}", "optimizer.adam.max_iterations=1"]
+    found = []
+    for name in ("left", "there"):
+        parts = {"left": "[left]", "there": "[there]"}[name]
+        region = "regions={there: {union: [left]}}"
+        run = learn(
+            finger, tmp_path, region, *same[1:], f"observers.parts.centroids.groups={parts}",
+            f"objective.far={{distance: {{body: finger, group: {name}, axis: x}}}}",
+        )  # fmt: skip
+        found.append(read_history(run / "history.csv"))
+    for column in ("loss", "far", "grad:controller.weights"):
+        assert found[0][column] == found[1][column]
+    assert found[0]["far"][1] != 0.0
+
+
+def test_a_gradient_of_nought_is_told(finger, tmp_path):
+    """At rest the greatest distance is that of the first step, which no activation has moved."""
+    listener = Listener()
+    run = learn(
+        finger, tmp_path, "objective={far: {distance: {body: finger, over: maximum}}}",
+        "controller={open_loop: {every: 5}}", "goals={}", "episodes={}", "observers={}", reporter=listener,
+    )  # fmt: skip
+    told = [line for line in listener.said if "the gradient was nought at every iteration" in line]
+    assert len(told) == 1
+    assert "nought at every iteration" in (run / "log.txt").read_text()
+    listener = Listener()
+    learn(finger, tmp_path, reporter=listener)
+    assert not any("nought" in line for line in listener.said)
+
+
+def test_a_run_begins_with_a_line_on_each_body(finger, tmp_path):
+    listener = Listener()
+    run = learn(finger, tmp_path, "optimizer.adam.max_iterations=1", reporter=listener)
+    told = "finger: 48 particles, 4 a cell, 0.05 m apart; mass 48 kg/m; from (0.4125, 0.25) to "
+    assert any(line.startswith(told) and line.endswith("face of the world of 1 x 1 m") for line in listener.said)
+    assert told in (run / "log.txt").read_text()
+
+
+def test_recordings_that_control_does_not_read_are_told(finger, tmp_path):
+    listener = Listener()
+    data = "data={target: {body: finger, position: [0.5, 0.5], time: 0.1}}"
+    learn(finger, tmp_path, data, "optimizer.adam.max_iterations=1", reporter=listener)
+    assert any(line.endswith("data: control reads no recordings; `cqrun sysid` does") for line in listener.said)

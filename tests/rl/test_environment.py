@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import cqrun
+from cqrun.errors import UsageError
 
 pytestmark = pytest.mark.rl
 FINGER = "scenes/control/finger.yaml"
@@ -55,6 +56,33 @@ def test_a_blow_up_ends_the_episode(env):
     *_, reward, failed, over, facts = env.step(np.zeros(2))
     assert (reward, failed, over) == (0.0, True, False)
     assert "not finite" in facts["failed"]
+
+
+def test_a_step_out_of_turn_is_told(env):
+    with pytest.raises(UsageError, match=r"none was begun; call reset\(\) first"):
+        env.step(np.zeros(2))
+    env.reset(seed=1)
+    with pytest.raises(UsageError, match=r"an action has shape \(2,\), not \(3,\)"):
+        env.step(np.zeros(3))
+    while not env.step(np.zeros(2))[3]:
+        pass
+    with pytest.raises(UsageError, match="the episode is over"):
+        env.step(np.zeros(2))
+
+
+def test_who_sees_nothing_sees_time():
+    """A rhythm needs no observers; its scene is an environment all the same."""
+    blind = [
+        "observers={}",
+        "goals={}",
+        "controller={sinusoid: {frequency: 2}}",
+        "objective={up: {height: {body: finger, axis: y}}}",
+    ]
+    env = cqrun.environment(FINGER, [*SMALL, *blind], threads=1)
+    first, _ = env.reset(seed=0)
+    second = env.step(np.zeros(2))[0]
+    assert len(first) == 1
+    assert second[0] > first[0]
 
 
 def test_ppo_learns_on_it(env):
