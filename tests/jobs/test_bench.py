@@ -58,7 +58,12 @@ def test_every_pass_has_a_line_and_a_share(tmp_path, text, passes):
     assert forward & backward - {"the rest"} == {"momentum", "sort", "push"} & passes
     for name in passes:
         assert any(line.startswith(f"  {name} ") for line in lines)
-    assert told["seconds"]["gradient"] > told["seconds"]["forward"] > 0.0
+    particle_steps = 1e-9 * told["particles"] * told["substeps"]
+    assert told["recompute"] == 1.0
+    assert told["seconds"] == pytest.approx({
+        "forward": particle_steps * told["forward"],
+        "gradient": particle_steps * (told["store"] + told["backward"]),
+    })  # fmt: skip
     assert lines[-1] == f"written: {output}"
 
 
