@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,12 +39,14 @@ class Snapshot:
         x: (N, D) [m].
         moved: length of the displacement since the first frame (N,) [m].
         dots: that fill the bodies.
+        courses: places to be passed (K, D) [m], by name.
     """
 
     time: float
     x: Array
     moved: Array
     dots: Dots
+    courses: dict[str, Any] = field(default_factory=dict)
 
 
 # --- data ---------------------------------------------------------------------------------------------------
@@ -66,7 +68,8 @@ def snapshot(trajectory: Trajectory, frame: int) -> Snapshot:
     """Return one frame."""
     x = trajectory.fields["x"]
     moved = np.sqrt(np.sum((x[frame] - x[0]) ** 2, axis=1))
-    return Snapshot(float(trajectory.time[frame]), x[frame], moved, Dots.of(x[0], trajectory.bodies))
+    courses = trajectory.provenance.get("courses") or {}
+    return Snapshot(float(trajectory.time[frame]), x[frame], moved, Dots.of(x[0], trajectory.bodies), courses)
 
 
 def farthest_frame(trajectory: Trajectory) -> int:
@@ -135,6 +138,6 @@ def plot_body(
     values, low, high = shown or (unit.factor * shot.moved, 0.0, unit.factor * largest or 1.0)
     dots.set_array(values[shot.dots.source[order]])
     dots.set_clim(low, high)
-    plot_goals(axes, goals(scene), look, unit.factor)
+    plot_goals(axes, goals(scene, {"courses": shot.courses}), look, unit.factor)
     frame_axes(axes, look, corners, unit)
     return dots

@@ -147,7 +147,7 @@ def set_stage(run: RunData, frames: Frames, shown: Sequence[int], wanted: Wanted
     suffix = "" if frames.complete else ": as far as it is written"
     quantity, scheme = colours(wanted.color, run, frames, shown)
     ropes = cables(run, frames)
-    marked = goals(run.scene, frames.provenance.get("goals"))
+    marked = goals(run.scene, frames.provenance)
     corners = seen(frames, shown, look, trails, marked, dots.size)
     name = f"{run.name}{suffix}"
     return Stage(run.scene, look, corners, box, dots, scheme, trails, ropes, marked, name, quantity)
@@ -169,6 +169,8 @@ def seen(
     for goal in marked:
         middle, half = look.axes @ goal.position, np.abs(look.axes) @ goal.spread
         ends.append(np.array([middle - half, middle + half]))
+        if len(goal.course):
+            ends.append(goal.course @ look.axes.T)
     for frame in shown:
         plane = frames.read("x", frame) @ look.axes.T
         ends.append(np.array([plane.min(axis=0), plane.max(axis=0)]))

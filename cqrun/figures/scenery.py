@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,29 +30,35 @@ class Goal:
         name: as in the scene.
         position: (D,) [m].
         spread: half the range it is drawn from (D,) [m]; zero where it is fixed.
+        course: places to be passed before it (K, D) [m].
     """
 
     name: str
     position: Array
     spread: Array
+    course: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
-def goals(scene: Scene, drawn: Mapping[str, Sequence[float]] | None = None) -> list[Goal]:
-    """Return the target and the goals of a scene.
+def goals(scene: Scene, told: Mapping[str, Any] | None = None) -> list[Goal]:
+    """Return the target and the goals of a scene, and the courses of its objective.
 
     Args:
-        drawn: where the goals of this run are (D,) [m], by name, of those that are drawn from a range.
+        told: what the trajectory says of itself: `goals`, where those of this run are (D,) [m] that are drawn from a
+            range, and `courses`, places to be passed (K, D) [m]; both by name.
     """
     found = []
+    drawn: Mapping[str, Any] = (told or {}).get("goals") or {}
     still = np.zeros(scene.dim)
     target = scene.data.target if scene.data is not None else None
     if target is not None:
         found.append(Goal("target", np.array(target.position), still))
     for name, goal in scene.goals.items():
-        if drawn is not None and name in drawn:
+        if name in drawn:
             found.append(Goal(name, np.array(drawn[name]), still))
         else:
             found.append(Goal(name, np.array(goal.position), still if goal.spread is None else np.array(goal.spread)))
+    for name, course in ((told or {}).get("courses") or {}).items():
+        found.append(Goal(name, np.array(course[-1]), still, np.array(course)))
     return found
 
 
@@ -97,7 +103,7 @@ def plot_held(axes: Axes, place: tuple[Array, Array, Array], factor: float) -> N
 
 
 def plot_goals(axes: Axes, found: Sequence[Goal], look: View, factor: float) -> None:
-    """Mark goals, and the ranges that they are drawn from."""
+    """Mark goals, the ranges that they are drawn from, and courses."""
     from matplotlib.patches import Rectangle
 
     for goal in found:
@@ -109,6 +115,9 @@ def plot_goals(axes: Axes, found: Sequence[Goal], look: View, factor: float) -> 
             goal.name, place, xytext=(6, 6), textcoords="offset points", fontsize=7.5, color=INK, zorder=5,
             bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "alpha": 0.75, "linewidth": 0},
         )  # fmt: skip
+        if len(goal.course):
+            passed = factor * look.axes @ goal.course.T
+            axes.plot(*passed, marker=".", markersize=3, color=TRUTH, linestyle="none", zorder=4)
         if goal.spread.any():
             half = factor * np.abs(look.axes) @ goal.spread
             box = Rectangle(place - half, *(2 * half), fill=False, edgecolor=TRUTH, linestyle="--", linewidth=0.9)

@@ -33,6 +33,7 @@ from cqrun.scene.paths import leaf, shapes_a_body
 from cqrun.scene.schema import Scene
 from cqrun.state import State
 from cqrun.store.atomic import disk_errors
+from cqrun.store.recordings import marker_path
 
 CONTROLLER = "controller."
 """Before the name of a block of the controller, as before a key path of the scene."""
@@ -43,6 +44,9 @@ FILE = "controller.npz"
 Goals = Mapping[str, Array]
 Values = Mapping[str, Array]
 
+
+MOST_PLACES = 200
+"""Of a course in a trajectory's file, for pictures: attributes of HDF5 hold 64 KiB."""
 
 OBJECTIVE, CONSTRAINTS = 1, 2
 """Who asked for which of the probe's rows; the observation's are the first."""
@@ -226,6 +230,16 @@ class Agent:
         """Every goal at its position, the middle of its range."""
         return {name: np.array(goal.position) for name, goal in self.built.scene.goals.items()}
 
+    def wanted(self, goals: Goals) -> dict[str, Any]:
+        """Return what a trajectory says of where its bodies should go [m]: goals; courses in MOST_PLACES or fewer."""
+        said: dict[str, Any] = {"goals": {name: goal.tolist() for name, goal in goals.items()}}
+        courses = {name: term.course for name, term in self.objective.terms.items() if term.course is not None}
+        if courses:
+            said["courses"] = {
+                name: course[:: -(-len(course) // MOST_PLACES)].tolist() for name, course in courses.items()
+            }
+        return said
+
     def rollout(self, values: Values, goals: Goals, threads: int, *, adjoint: bool = False) -> Rollout:
         """Return a rollout under the policy with these values; nothing is run yet."""
         parameters = {p.removeprefix(CONTROLLER): v for p, v in values.items() if p.startswith(CONTROLLER)}
@@ -340,6 +354,7 @@ def matter_of(built: Built) -> Matter:
         goals={name: len(goal.position) for name, goal in scene.goals.items()},
         n_actuators=len(built.assembly.actuation.parts),
         resolve=scene.resolve_path,
+        recorded=lambda file, units, marker: marker_path(scene.resolve_path(file), units, marker),
         design=built.assembly.design(inputs),
         regions=tuple(scene.regions),
     )

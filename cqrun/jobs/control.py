@@ -1,10 +1,7 @@
 """`cqrun control` and `cqrun codesign`: learn how a body should move, and what it should be.
 
-controller.npz    the controller's parameters that did best, from the first iteration on
-trajectory.h5     the first episode under it
-activation.csv    what drove the actuators in it
-result.json       the objective's terms at the start and at the end, on goals that were trained on and on unseen ones;
-                  the constraints, and the unknowns of the design
+controller.npz keeps the controller's parameters that did best, from the first iteration on; what is written at the end
+is in jobs/learned.py.
 """
 
 from __future__ import annotations
@@ -18,12 +15,12 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
-from cqrun.jobs.agent import CONTROLLER, FILE, Attempt, Goals
+from cqrun.jobs.agent import FILE
 from cqrun.jobs.bodies import tell_bodies
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.kernels import compile_kernels
+from cqrun.jobs.learned import blown_up, write_learned
 from cqrun.jobs.memory import gradient_plan
-from cqrun.jobs.problem import side_by_side
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import (
     Progress,
@@ -34,12 +31,10 @@ from cqrun.jobs.runs import (
     require_extension,
     saved_scene,
 )
-from cqrun.jobs.trajectories import write_activation, write_trajectory
-from cqrun.optimizers.base import Optimizer, Outcome
+from cqrun.optimizers.base import Optimizer
 from cqrun.optimizers.constrained import VIOLATION, ConstrainedOptimizer, ranked, report_names
 from cqrun.registry import plugins
 from cqrun.scene.build import Built
-from cqrun.scene.constraint import ENDS
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
 from cqrun.store.history import read_history
@@ -155,7 +150,8 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
     compile_kernels([built], talk, adjoint=optimizer.gradients)
     run.begin(problem.threads)
     tell_bodies(built, run, talk)
-    talk.phase(f"learning {len(params.start)} parameters, {problem.n_episodes} episodes an iteration")
+    episodes = "an episode" if problem.n_episodes == 1 else f"{problem.n_episodes} episodes"
+    talk.phase(f"learning {len(params.start)} parameters, {episodes} an iteration")
     talk.begin(optimizer.max_iterations)
     session = RunSession(
         run, seed=built.scene.seed, blocks=params.slices, physical=params.physical,
@@ -177,7 +173,8 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
             raise talk.stop.stopped(f"stopped before the findings were written; `cqrun resume {run.path}` continues")
 
     problem.interrupt = interrupt
-    write_learned(run, problem, outcome)
+    for lost in blown_up(write_learned(run, problem, outcome)):
+        run.log(lost)
     run.finish(outcome.status, outcome.message)
     return raise_if_failed(run)
 
@@ -215,78 +212,3 @@ class Keeping(Progress):
         if rank < self._rank or self._latest:
             self._rank = rank
             self._problem.save(self._run.path / FILE, self._problem.values(x))
-
-
-# --- what was learned -----------------------------------------------------------------------------------------
-
-
-def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) -> dict[str, Any]:
-    """Write the controller, its first episode and result.json; return the result."""
-    values, failed = problem.values(outcome.x), outcome.status == "failed"
-    result: dict[str, Any] = {
-        "job": run.record["job"],
-        "status": outcome.status,
-        "message": outcome.message,
-        "loss": float(outcome.loss) if np.isfinite(outcome.loss) else None,
-        "iterations": outcome.iterations,
-        "unknowns": {
-            b.path: {"initial": np.asarray(b.initial).tolist(), "value": np.asarray(values[b.path]).tolist()}
-            for b in problem.params.blocks
-            if not b.path.startswith(CONTROLLER)
-        },
-        "start": None,
-        "trained": None,
-        "unseen": None,
-        "constraints": {},
-    }
-    if not failed:
-        problem.save(run.path / FILE, values)
-        goals, unseen = problem.goals(None), problem.unseen()
-        before = _run_all(problem, problem.values(problem.start), goals)
-        after = _run_all(problem, values, [*goals, *unseen])
-        result["start"] = _summary(problem, before)
-        result["trained"] = _summary(problem, after[: len(goals)])
-        result["unseen"] = _summary(problem, after[len(goals) :]) if unseen else None
-        result["constraints"] = _constraints(problem, before, after[: len(goals)])
-        write_activation(run.path / "activation.csv", problem.built, after[0].rollout.activation)
-        rollout = problem.rollout(values, goals[0], problem.threads)
-        drawn = {"goals": {name: goal.tolist() for name, goal in goals[0].items()}}
-        write_trajectory(run.path / "trajectory.h5", problem.built, rollout, provenance=drawn)
-    run.write_result(result)
-    return result
-
-
-def _run_all(problem: EpisodeProblem, values: dict[str, Array], goals: Sequence[Goals]) -> list[Attempt]:
-    def task(goal: Goals) -> Any:
-        def run(threads: int) -> Attempt:
-            problem.interrupt()
-            return problem.attempt(values, goal, threads)
-
-        return run
-
-    return side_by_side([task(goal) for goal in goals], problem.threads)
-
-
-def _constraints(
-    problem: EpisodeProblem, before: Sequence[Attempt], after: Sequence[Attempt]
-) -> dict[str, dict[str, Any]]:
-    """Return every constraint's ends, its mean over episodes at the start and at the end, and its violation there."""
-    found = {}
-    for name, held in problem.built.scene.constraints.items():
-        start, value = (float(np.mean([a.held[name] for a in attempts])) for attempts in (before, after))
-        ends = {end: getattr(held, end) for end in ENDS if getattr(held, end) is not None}
-        excess = max(0.0, held.low - value, value - held.high)
-        found[name] = ends | {"start": start, "value": value, "violation": excess}
-    return found
-
-
-def _summary(problem: EpisodeProblem, attempts: Sequence[Attempt]) -> dict[str, Any]:
-    """Return the mean loss and terms over episodes, and those of each with its goals."""
-    return {
-        "loss": float(np.mean([a.loss for a in attempts])),
-        "terms": {name: float(np.mean([a.terms[name] for a in attempts])) for name in problem.built.scene.objective},
-        "episodes": [
-            {"goals": {n: g.tolist() for n, g in a.track.goals.items()}, "loss": a.loss, "terms": a.terms}
-            for a in attempts
-        ],
-    }

@@ -10,6 +10,7 @@ from typing import Any
 from cqrun.errors import UsageError
 from cqrun.jobs.gradcheck import FILE as GRADCHECK
 from cqrun.jobs.gradcheck import lines_of
+from cqrun.jobs.learned import STAGES, blown_up
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
@@ -109,14 +110,14 @@ def _errors(result: dict[str, Any]) -> Iterator[str]:
 
 def _control(result: dict[str, Any]) -> Iterator[str]:
     yield f"{result['status']} after {result['iterations']} iterations: {result['message']}"
-    columns = [name for name in ("start", "trained", "unseen") if result[name] is not None]
+    columns = [name for name in STAGES if result[name] is not None]
     if not columns:
         return
     yield ""
-    titles = {"start": "before", "trained": "learned", "unseen": "on unseen goals"}
-    rows = [(term, *(number(result[c]["terms"][term]) for c in columns)) for term in result["trained"]["terms"]]
+    rows = [(term, *(number(result[c]["terms"][term]) for c in columns)) for term in result[columns[0]]["terms"]]
     rows.append(("loss", *(number(result[c]["loss"]) for c in columns)))
-    yield from table(("term", *(titles[c] for c in columns)), rows)
+    yield from table(("term", *(STAGES[c] for c in columns)), rows)
+    yield from blown_up(result)
     if result.get("constraints"):
         yield ""
         held = [(name, *_held(entry)) for name, entry in result["constraints"].items()]

@@ -13,7 +13,6 @@ import yaml
 
 from cqrun.contract import Array
 from cqrun.errors import InfeasibleError, Problem, RunError, SceneError, UsageError
-from cqrun.geometry.file_shape import FileShape
 from cqrun.jobs.reporter import Reporter
 from cqrun.optimizers.constrained import VIOLATION
 from cqrun.scene.build import Built, build
@@ -61,14 +60,15 @@ def run_scene(
     stem: str, scene: Scene, *, job: str, with_data: bool, files: Mapping[str, Path] | None = None
 ) -> RunScene:
     """Return what names the run of a resolved scene; arguments and errors as `open_run`."""
-    read = {**shape_files(scene), **(data_files(scene) if with_data else {}), **(files or {})}
+    read = {**part_files(scene), **(data_files(scene) if with_data else {}), **(files or {})}
     base = str(scene.resolve_path("").resolve())
     return RunScene(stem, dump(resolve(scene)), scene.text, read, base, job, scene.plugin_paths())
 
 
-def shape_files(scene: Scene) -> dict[str, Path]:
-    """Return the images and meshes that a scene's shapes are read from, by the names it uses."""
-    return {part.file: part.path for _, part in parts(scene) if isinstance(part, FileShape)}
+def part_files(scene: Scene) -> dict[str, Path]:
+    """Return the files that parts of a scene are read from, by the names it uses: all it names but `data`."""
+    found = [getattr(part, "file", None) for loc, part in parts(scene) if loc[:1] != ("data",)]
+    return {name: scene.resolve_path(name) for name in found if isinstance(name, str)}
 
 
 def data_files(scene: Scene) -> dict[str, Path]:
@@ -96,7 +96,7 @@ def data_files(scene: Scene) -> dict[str, Path]:
 def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
     """Return the scene that a run directory keeps, which names its files from where the run began."""
     scene = load_scene(run.path / "scene.yaml", overrides, Path(run.record["base"]))
-    for name, path in shape_files(scene).items():
+    for name, path in part_files(scene).items():
         began_with = run.record["files"].get(name)
         if path.is_file() and began_with not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
             raise UsageError(f"{run.path}: {path} has changed since the run began; run the scene again")
@@ -114,7 +114,7 @@ def require_same_data(run: RunDirectory) -> None:
         run.path.parent.name,
         run.resolved,
         "",
-        shape_files(scene) | data_files(scene),
+        part_files(scene) | data_files(scene),
         job=run.record["job"],
         plugins=scene.plugin_paths(),
     )

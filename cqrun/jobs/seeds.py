@@ -27,6 +27,7 @@ from cqrun.jobs.control import optimizer_of, prepare
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.fleet import Member, run_fleet
 from cqrun.jobs.kernels import compile_kernels
+from cqrun.jobs.learned import STAGES, blown_up
 from cqrun.jobs.report import number, table
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import cores, run_scene
@@ -39,9 +40,6 @@ from cqrun.store.run import RunScene
 
 CONFIDENCE = 0.9
 """Of the intervals of means."""
-
-STAGES = {"start": "before", "trained": "learned", "unseen": "on unseen goals"}
-"""Parts of a control run's result, and what they are called."""
 
 
 def run_seeds(
@@ -167,6 +165,7 @@ def _summary(stem: str, seeds: Sequence[Member]) -> dict[str, Any]:
             k: {"run": str(s.run), "status": "failed", "reason": s.failure}
             if s.failure is not None
             else {"run": str(s.run)} | {key: results[k][key] for key in ("status", "iterations")}
+            | {"blew_up": list(blown_up(results[k]))}
             | {stage: _numbers(results[k][stage]) for stage in stages}
             for k, s in enumerate(seeds)
         },
@@ -212,6 +211,7 @@ def summary_lines(path: Path) -> list[str]:
         names = list(summary["all"][stages[0]])
         lines += table(head, [(name, *(shown(summary["all"][stage][name]) for stage in stages)) for name in names])
     lines += [f"seed {k} failed: {e['reason']}" for k, e in summary["seeds"].items() if e["status"] == "failed"]
+    lines += [f"seed {k}, {lost}" for k, e in summary["seeds"].items() for lost in e.get("blew_up", [])]
     spread = summary["all"].get("trained", {}).get("loss", {})
     if len(good) > 1 and spread["low"] == spread["high"]:
         lines.append("note: every seed found the same: nothing in this scene is drawn from its seed")

@@ -163,7 +163,7 @@ def simulate(run: RunDirectory, built: Built, agent: Agent | None, threads: int,
             rollout, seen = Rollout(model, built.assembly.inputs({}), threads=threads), None
         else:
             rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, threads)
-            seen = {"goals": {name: goal.tolist() for name, goal in agent.goals_in_the_middle.items()}}
+            seen = agent.wanted(agent.goals_in_the_middle)
         try:
             records, complete = write_trajectory(
                 path, built, rollout, should_stop=lambda: talk.stop.asked, progress=observe, provenance=seen

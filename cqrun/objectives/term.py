@@ -68,10 +68,12 @@ class BoundTerm(ABC):
     Attributes:
         rows: (K, N) weights of the sums over particles that it needs.
         over: how the values of the steps become one.
+        course: (K, D) places that something should pass one after the other [m], for pictures; None without any.
     """
 
     rows: csr_array
     over: Over
+    course: Array | None = None
 
     @abstractmethod
     def steps(self, track: Track) -> Array:

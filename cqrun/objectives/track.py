@@ -9,9 +9,10 @@ from pydantic import Field, model_validator
 
 from cqrun.contract import Array, quantity
 from cqrun.errors import UsageError
-from cqrun.explain import Loc, complaint, finding
+from cqrun.explain import Loc, complaint, finding, listed
 from cqrun.objectives.gaps import lengths, lengths_vjp
 from cqrun.objectives.hermite import Interpolant, interpolant
+from cqrun.objectives.recorded import RecordedPath
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import means
@@ -19,6 +20,7 @@ from cqrun.registry import plugin
 
 Point = Annotated[list[float], Field(min_length=3, max_length=4)]
 _UNIT = "s, m"
+COURSES = ("path", "keys", "marker")
 
 
 @plugin("objective", "track")
@@ -26,8 +28,9 @@ class Tracking(ObjectiveTerm):
     """Squared distance [m^2] of a centroid (plain mean) from a path, or from key frames at their times.
 
     A `path` runs straight from point to point, and stands still before the first and after the last; it counts at
-    every control step. `keys` count at their own times alone, between control steps by cubic Hermite; there `sum`
-    is their sum times the control step. With `squared: false` the distance itself [m].
+    every control step, and so does the path of a recorded `marker`. `keys` count at their own times alone, between
+    control steps by cubic Hermite; there `sum` is their sum times the control step. With `squared: false` the distance
+    itself [m].
     """
 
     least: ClassVar[float] = 0.0
@@ -36,25 +39,22 @@ class Tracking(ObjectiveTerm):
     group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
     path: list[Point] | None = quantity(_UNIT, "Points [t, x, y(, z)] of a path", min_length=1, default=None)
     keys: list[Point] | None = quantity(_UNIT, "Key frames [t, x, y(, z)]", min_length=1, default=None)
+    marker: RecordedPath | None = Field(description="A marker of a recording", default=None)
     squared: bool = Field(description="Whether the distance is squared", default=True)
     over: Over = Field(description="How the values of all control steps, or keys, become one", default="mean")
 
     @model_validator(mode="after")
     def _one_course(self) -> Self:
-        if (self.path is None) == (self.keys is None):
-            has = "none" if self.path is None else "both"
-            raise complaint("Tracking", [finding(f"needs exactly one of path, keys; has {has}", involves=("keys",))])
-        name, times = self._course
-        if np.any(np.diff(times) <= 0) or times[0] < 0:
-            message = "must have times that begin at 0 or later and increase from point to point"
-            raise complaint("Tracking", [finding(message, (name,))])
+        given = [name for name in COURSES if getattr(self, name) is not None]
+        if len(given) != 1:
+            message = f"needs exactly one of {listed(COURSES)}; has {listed(given)}"
+            raise complaint("Tracking", [finding(message, involves=tuple(given[1:]))])
+        for name, points in (("path", self.path), ("keys", self.keys)):
+            times = np.array([point[0] for point in points or []])
+            if np.any(np.diff(times) <= 0) or np.any(times < 0):
+                message = "must have times that begin at 0 or later and increase from point to point"
+                raise complaint("Tracking", [finding(message, (name,))])
         return self
-
-    @property
-    def _course(self) -> tuple[str, Array]:
-        """Return the name of the field in use, and its times [s]."""
-        points = self.path if self.path is not None else self.keys
-        return "path" if self.path is not None else "keys", np.array([point[0] for point in points or []])
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
@@ -67,18 +67,24 @@ class Tracking(ObjectiveTerm):
         return found
 
     def bind(self, matter: Matter) -> BoundTerm:
-        rows = means([matter.members(self.body, self.group)], matter.n_particles)
-        _, times = self._course
-        points = np.array(self.path if self.path is not None else self.keys)[:, 1:]
-        if self.path is None:
-            if times[-1] > matter.duration * (1 + 1e-9):
-                raise UsageError(f"a key frame at {times[-1]:g} s is after the end of the run at {matter.duration:g} s")
-            bound = Bound(points, interpolant(times, matter.control_step, matter.n_controls))
-        else:
-            ends = matter.control_step * np.arange(1, matter.n_controls + 1)
-            bound = Bound(np.stack([np.interp(ends, times, column) for column in points.T], axis=1), None)
-        bound.rows, bound.over, bound.squared = rows, self.over, self.squared
+        members = matter.members(self.body, self.group)
+        wanted, keys = self._wanted(matter, members)
+        bound = Bound(wanted, keys)
+        bound.rows, bound.over, bound.squared = means([members], matter.n_particles), self.over, self.squared
         return bound
+
+    def _wanted(self, matter: Matter, members: Array) -> tuple[Array, Interpolant | None]:
+        """Return where to be (T or number of keys, D) [m], and how the times of keys are come by."""
+        if self.marker is not None:
+            return self.marker.course(matter, matter.x[members].mean(axis=0)), None
+        course = np.array(self.path if self.path is not None else self.keys)
+        times, points = course[:, 0], course[:, 1:]
+        if self.path is not None:
+            ends = matter.control_step * np.arange(1, matter.n_controls + 1)
+            return np.stack([np.interp(ends, times, column) for column in points.T], axis=1), None
+        if times[-1] > matter.duration * (1 + 1e-9):
+            raise UsageError(f"a key frame at {times[-1]:g} s is after the end of the run at {matter.duration:g} s")
+        return points, interpolant(times, matter.control_step, matter.n_controls)
 
 
 class Bound(BoundTerm):
@@ -87,7 +93,8 @@ class Bound(BoundTerm):
     squared: bool
 
     def __init__(self, wanted: Array, keys: Interpolant | None) -> None:
-        self.wanted, self.keys = wanted, keys
+        self.wanted = self.course = wanted
+        self.keys = keys
 
     def steps(self, track: Track) -> Array:
         return lengths(self._gap(track), self.squared)

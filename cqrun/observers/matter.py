@@ -14,6 +14,11 @@ from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
 
 
+def _none_recorded(file: str, units: str | None, marker: str) -> tuple[Array, Array]:
+    """Stand for the recordings of a scene that has none."""
+    raise UsageError(f"{file}: no recordings can be read here")
+
+
 @dataclass(frozen=True)
 class Matter:
     """A scene's particles, before it runs.
@@ -31,6 +36,8 @@ class Matter:
         goals: goal -> number of its entries.
         n_actuators: A.
         resolve: a file as named in the scene -> where it is.
+        recorded: (file as named in the scene, its units or None, marker) -> times (T,) at which the marker was seen
+            [s], and where (T, D) [m]; UsageError where there is no such file or marker.
         design: (3, N) mass [kg], volume at rest [m^D] and Young's modulus [Pa] where the unknowns start; none if empty.
     """
 
@@ -45,6 +52,7 @@ class Matter:
     goals: dict[str, int]
     n_actuators: int
     resolve: Callable[[str], Path] = Path
+    recorded: Callable[[str, str | None, str], tuple[Array, Array]] = _none_recorded
     design: Array = field(default_factory=lambda: np.zeros((3, 0)))
     regions: Sequence[str] = ()
 

@@ -46,7 +46,9 @@ class Pca(Observer):
 
     body: str = Field(description="Body that is observed")
     components: int = Field(description="How many components", ge=1)
-    file: str | None = Field(description="File (.npz) of the components, made by `cqrun compress`", default=None)
+    file: str | None = Field(
+        description="File (.npz) of the components, made by `cqrun compress`; a run needs it", default=None
+    )
     range: Range = Field(
         description="[low, high] in m that becomes [-1, 1]; auto: what was reached in the fit, or null", default="auto"
     )

@@ -104,6 +104,13 @@ def read_recording(path: Path, *, units: str | None = None, where: str = "") -> 
     return check_recording(recording)
 
 
+def marker_path(path: Path, units: str | None, marker: str) -> tuple[Array, Array]:
+    """Return the times (T,) [s] at which a marker was seen, and where it was (T, D) [m]; errors as `read_recording`."""
+    recording = read_recording(path, units=units).select([marker])
+    seen = recording.seen()[:, 0]
+    return recording.time[seen], recording.positions[seen, 0]
+
+
 def check_recording(recording: Recording) -> Recording:
     """Return `recording` if its times increase and its positions are finite or missing.
 

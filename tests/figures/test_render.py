@@ -126,13 +126,24 @@ def test_a_goal_is_where_this_run_drew_it_else_a_range():
     scene = load_scene(plane_scene({}, goals={"there": {"position": [0.1, 0.08], "spread": [0.03, 0.0]}}))
     (ranged,) = goals(scene)
     assert (ranged.name, ranged.position.tolist(), ranged.spread.tolist()) == ("there", [0.1, 0.08], [0.03, 0.0])
-    (drawn,) = goals(scene, {"there": [0.12, 0.08]})
+    (drawn,) = goals(scene, {"goals": {"there": [0.12, 0.08]}})
     assert (drawn.position.tolist(), drawn.spread.tolist()) == ([0.12, 0.08], [0.0, 0.0])
     with styled():
         axes = new_figure(3, 3).add_subplot()
         plot_goals(axes, [ranged, drawn], PLANE, 10.0)
     (box,) = axes.patches  # of the one that has a range
     np.testing.assert_allclose([box.get_x(), box.get_y(), box.get_width(), box.get_height()], [0.7, 0.8, 0.6, 0.0])
+
+
+def test_a_course_is_marked_place_by_place():
+    scene = load_scene(plane_scene({}))
+    (wave,) = goals(scene, {"goals": {}, "courses": {"wave": [[0.1, 0.08], [0.12, 0.07], [0.14, 0.06]]}})
+    with styled():
+        axes = new_figure(3, 3).add_subplot()
+        plot_goals(axes, [wave], PLANE, 10.0)
+    end, course = axes.lines
+    np.testing.assert_allclose(course.get_xydata(), [[1.0, 0.8], [1.2, 0.7], [1.4, 0.6]])
+    np.testing.assert_allclose(end.get_xydata(), [[1.4, 0.6]])
 
 
 def test_who_leaves_a_trail(plane):

@@ -10,8 +10,9 @@ from small_beam import Listener, assert_same, changed, result_of
 from small_finger import written
 
 from cqrun.controllers.saved import read_controller
-from cqrun.errors import RunError, Stopped, UsageError
+from cqrun.errors import RolloutError, RunError, Stopped, UsageError
 from cqrun.jobs.control import run_control
+from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
 from cqrun.store.history import read_history
@@ -60,6 +61,34 @@ def test_it_learns_and_writes_what_it_learned(finger, tmp_path):
     assert text.startswith("iteration_limit after 4 iterations")
     assert "term    before" in text
     assert "on unseen goals" in text
+
+
+def test_an_unseen_goal_at_which_the_body_blows_up_costs_no_result(finger, tmp_path, monkeypatch):
+    attempt = EpisodeProblem.attempt
+
+    def blow_up(problem, values, goals, *rest):
+        if np.array_equal(goals["target"], problem.unseen()[1]["target"]):
+            raise RolloutError("left the grid", body="finger", particle=3, time=0.2, advice="enlarge the world")
+        return attempt(problem, values, goals, *rest)
+
+    monkeypatch.setattr(EpisodeProblem, "attempt", blow_up)
+    run = learn(finger, tmp_path, "episodes.unseen=3")
+    result = result_of(run)
+    (lost,) = result["blew_up"]["unseen"]
+    assert len(result["unseen"]["episodes"]) == 2
+    assert lost["goals"]["target"] not in [e["goals"]["target"] for e in result["unseen"]["episodes"]]
+    told = "on unseen goals: 1 of 3 episodes blew up and is in no mean: body 'finger', particle 3, t = 0.2 s"
+    assert any(line.startswith(told) for line in report_lines(run))
+    assert told in (run / "log.txt").read_text()
+
+
+def test_a_controller_under_which_every_episode_blows_up_is_an_error(finger, tmp_path, monkeypatch):
+    def blow_up(problem, values, goals, *rest):
+        raise RolloutError("left the grid", body="finger", particle=3, time=0.2, advice="enlarge the world")
+
+    monkeypatch.setattr(EpisodeProblem, "attempt", blow_up)
+    with pytest.raises(RolloutError, match="left the grid"):
+        learn(finger, tmp_path)
 
 
 @pytest.mark.parametrize("method", ["slsqp", "sqp", "trust_constr", "augmented_lagrangian"])

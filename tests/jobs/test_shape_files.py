@@ -11,6 +11,7 @@ from small_beam import Listener, assert_same, changed
 
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.jobs.resume import run_resume
+from cqrun.jobs.runs import run_scene
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.validate import validate
 from cqrun.scene.load import load_scene
@@ -79,3 +80,18 @@ def test_a_file_that_cannot_be_used_is_told_with_its_place(drawn):
     Image.new("RGB", (10, 1), "white").save(drawn.parent / "beam.png")
     with pytest.raises(SceneError, match=r"bodies\.beam\.shape\.image\.file: .*: an image of one colour"):
         list(validate(drawn))
+
+
+def test_files_of_observers_and_objectives_name_the_run_too():
+    """What `pca` was fitted to, what a body follows: with another file there it is another run."""
+    finger = Path(__file__).parents[2] / "scenes/control/finger.yaml"
+    parts = [
+        "objective.tip={track: {body: finger, marker: {file: wave.csv, marker: tip}}}",
+        "observers.bent={pca: {body: finger, components: 2, file: bent.npz}}",
+        "observers.blind={pca: {body: finger, components: 2}}",
+        "data={recordings: {seen: {file: seen.csv}}}",
+    ]
+    scene = load_scene(finger, [*parts, "goals={}", "observers.goal={clock: {}}"])
+    assert run_scene("finger", scene, job="control", with_data=False).files == {
+        name: finger.parent / name for name in ("wave.csv", "bent.npz")
+    }

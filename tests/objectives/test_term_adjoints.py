@@ -48,7 +48,7 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
                      "power": 40}],
         "stiffness": [{"body": "arm"}, {"body": "arm", "group": "left"}],
         "track": [{"body": "arm", "path": path}, {"body": "arm", "keys": path}, {"body": "arm", "keys": path[:1],
-                   "squared": False}],
+                   "squared": False}, {"body": "arm", "group": "tip", "marker": {"file": "wave.csv", "marker": "tip"}}],
         "height": [{"body": "arm", "group": "tip"}, {"body": "ball", "axis": "x"}],
         "contact_free": [
             {"body": "arm", "height": 0.1, "margin": 0.2},  # about half of the particles are too deep

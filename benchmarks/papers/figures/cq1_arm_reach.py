@@ -65,7 +65,7 @@ class ArmReach(Figure):
             place = list(SETS).index(name)
             spread = np.linspace(-0.25, 0.25, len(error)) if len(error) > 1 else [0.0]
             side.plot(place + np.asarray(spread), error, ".", color=colour, ms=5)
-            side.plot([place - 0.3, place + 0.3], [error.mean()] * 2, color=colour, lw=2)
+            side.plot([place - 0.3, place + 0.3], [np.nanmean(error)] * 2, color=colour, lw=2)
         above.set_xlabel("x of the goal [m]")
         above.set_ylabel("z of the goal [m]")
         above.set_aspect("equal", adjustable="datalim")
@@ -79,10 +79,12 @@ class ArmReach(Figure):
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge the means over all seeds."""
-        before, trained, unseen = (float(table["error"][table["set"] == name].mean()) for name in SETS)
+        before, trained, unseen = (float(np.nanmean(table["error"][table["set"] == name])) for name in SETS)
+        lost = np.isnan(table["error"])
         if size is Size.QUICK:
             return judged({f"unseen goals {unseen:.3f} m, at the start {before:.3f}": unseen < before})
         return judged({
+            f"{lost.sum()} of {len(lost)} motions blew up": not lost.any(),
             f"unseen {unseen:.3f} m, trained {trained:.3f}: {unseen / trained:.2f} times": unseen <= RATIO * trained,
             f"{unseen / before:.0%} of the {before:.3f} m at the start": unseen <= PART * before,
         })  # fmt: skip
@@ -95,3 +97,6 @@ def _rows(run: Run) -> Iterator[dict[str, object]]:
         for episode in (found.get(name) or {"episodes": []})["episodes"]:
             x, _, z = episode["goals"]["target"]
             yield {"set": name, "seed": run.seed, "x": x, "z": z, "error": float(np.sqrt(episode["terms"]["tip"]))}
+        for lost in found.get("blew_up", {}).get(name, []):
+            x, _, z = lost["goals"]["target"]
+            yield {"set": name, "seed": run.seed, "x": x, "z": z, "error": np.nan}

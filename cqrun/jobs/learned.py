@@ -1,0 +1,145 @@
+"""What a run of control or co-design leaves behind when it is done.
+
+controller.npz    the controller's parameters that did best
+trajectory.h5     the first episode under it
+activation.csv    what drove the actuators in it
+result.json       the objective's terms at the start and at the end, on goals that were trained on and on unseen ones;
+                  which episodes blew up; the constraints, and the unknowns of the design
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cqrun.contract import Array
+from cqrun.errors import RolloutError
+from cqrun.jobs.agent import CONTROLLER, FILE, Attempt, Goals
+from cqrun.jobs.episodes import EpisodeProblem
+from cqrun.jobs.problem import side_by_side
+from cqrun.jobs.trajectories import write_activation, write_trajectory
+from cqrun.optimizers.base import Outcome
+from cqrun.scene.constraint import ENDS
+from cqrun.store.run import RunDirectory
+
+STAGES = {"start": "before", "trained": "learned", "unseen": "on unseen goals"}
+"""Parts of a result that hold the terms, and what they are called."""
+
+
+@dataclass(frozen=True)
+class Lost:
+    """An episode that blew up: its goals, and how."""
+
+    goals: Goals
+    error: RolloutError
+
+
+Tried = Sequence[Attempt | Lost]
+
+
+def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) -> dict[str, Any]:
+    """Write the controller, its first episode and result.json; return the result.
+
+    Raises:
+        RolloutError: under what was learned every episode blows up.
+    """
+    values, failed = problem.values(outcome.x), outcome.status == "failed"
+    result: dict[str, Any] = {
+        "job": run.record["job"],
+        "status": outcome.status,
+        "message": outcome.message,
+        "loss": float(outcome.loss) if np.isfinite(outcome.loss) else None,
+        "iterations": outcome.iterations,
+        "unknowns": {
+            b.path: {"initial": np.asarray(b.initial).tolist(), "value": np.asarray(values[b.path]).tolist()}
+            for b in problem.params.blocks
+            if not b.path.startswith(CONTROLLER)
+        },
+        **dict.fromkeys(STAGES),
+        "constraints": {},
+        "blew_up": {},
+    }
+    if not failed:
+        problem.save(run.path / FILE, values)
+        goals, unseen = problem.goals(None), problem.unseen()
+        tried: dict[str, Tried] = {"start": _run_all(problem, problem.values(problem.start), goals)}
+        learned = _run_all(problem, values, [*goals, *unseen])
+        tried |= {"trained": learned[: len(goals)], "unseen": learned[len(goals) :]}
+        result |= {stage: _summary(problem, _done(attempts)) for stage, attempts in tried.items()}
+        result["blew_up"] = {stage: lost for stage, attempts in tried.items() if (lost := _lost(attempts))}
+        result["constraints"] = _constraints(problem, _done(tried["start"]), _done(tried["trained"]))
+        shown = next((a for a in learned if isinstance(a, Attempt)), None)
+        if shown is None:
+            raise next(a.error for a in learned if isinstance(a, Lost))
+        write_activation(run.path / "activation.csv", problem.built, shown.rollout.activation)
+        rollout = problem.rollout(values, shown.track.goals, problem.threads)
+        told = problem.wanted(shown.track.goals)
+        write_trajectory(run.path / "trajectory.h5", problem.built, rollout, provenance=told)
+    run.write_result(result)
+    return result
+
+
+def blown_up(result: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sentence on each part of a result in which episodes blew up."""
+    for stage, lost in result.get("blew_up", {}).items():
+        done = result[stage]["episodes"] if result[stage] else []
+        one = "is" if len(lost) == 1 else "are"
+        yield (
+            f"{STAGES[stage]}: {len(lost)} of {len(lost) + len(done)} episodes blew up and {one} in no mean: "
+            f"{lost[0]['message']}"
+        )
+
+
+def _run_all(problem: EpisodeProblem, values: dict[str, Array], goals: Sequence[Goals]) -> list[Attempt | Lost]:
+    def task(goal: Goals) -> Any:
+        def run(threads: int) -> Attempt | Lost:
+            problem.interrupt()
+            try:
+                return problem.attempt(values, goal, threads)
+            except RolloutError as error:
+                return Lost(goal, error)
+
+        return run
+
+    return side_by_side([task(goal) for goal in goals], problem.threads)
+
+
+def _done(tried: Tried) -> list[Attempt]:
+    return [attempt for attempt in tried if isinstance(attempt, Attempt)]
+
+
+def _lost(tried: Tried) -> list[dict[str, Any]]:
+    return [{"goals": _plain(a.goals), "message": str(a.error)} for a in tried if isinstance(a, Lost)]
+
+
+def _plain(goals: Goals) -> dict[str, Any]:
+    return {name: goal.tolist() for name, goal in goals.items()}
+
+
+def _constraints(
+    problem: EpisodeProblem, before: Sequence[Attempt], after: Sequence[Attempt]
+) -> dict[str, dict[str, Any]]:
+    """Return every constraint's ends, its mean over episodes at the start and at the end, and its violation there."""
+    found: dict[str, dict[str, Any]] = {}
+    if not (before and after):
+        return found
+    for name, held in problem.built.scene.constraints.items():
+        start, value = (float(np.mean([a.held[name] for a in attempts])) for attempts in (before, after))
+        ends = {end: getattr(held, end) for end in ENDS if getattr(held, end) is not None}
+        excess = max(0.0, held.low - value, value - held.high)
+        found[name] = ends | {"start": start, "value": value, "violation": excess}
+    return found
+
+
+def _summary(problem: EpisodeProblem, attempts: Sequence[Attempt]) -> dict[str, Any] | None:
+    """Return the mean loss and terms over episodes, and those of each with its goals; None without any."""
+    if not attempts:
+        return None
+    return {
+        "loss": float(np.mean([a.loss for a in attempts])),
+        "terms": {name: float(np.mean([a.terms[name] for a in attempts])) for name in problem.built.scene.objective},
+        "episodes": [{"goals": _plain(a.track.goals), "loss": a.loss, "terms": a.terms} for a in attempts],
+    }

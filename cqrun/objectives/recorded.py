@@ -1,0 +1,57 @@
+"""The path of a marker that was recorded, as something to follow."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.contract import Array, Spec, quantity
+from cqrun.errors import UsageError
+from cqrun.observers.matter import Matter
+
+
+class RecordedPath(Spec):
+    """Where a marker of a recording went.
+
+    With `relative`, its movement is followed from where the body's own centroid begins: for recordings whose origin is
+    not the scene's. Axes are the recording's own.
+    """
+
+    file: str = Field(description="C3D, CSV or trajectory file, from the scene's folder", min_length=1)
+    marker: str = Field(description="Name of the marker in the file", min_length=1)
+    start: float = quantity("s", "Time in the file when the run begins", default=0.0)
+    units: Literal["m", "cm", "mm"] | None = Field(description="Of the file, if it does not say", default=None)
+    relative: bool = Field(description="Whether its movement is followed, and not its place", default=False)
+
+    def course(self, matter: Matter, begins: Array) -> Array:
+        """Return where a centroid that begins at `begins` (D,) should be at the end of every control step (T, D) [m].
+
+        Between frames, and where the marker was not seen, the path runs straight.
+
+        Raises:
+            UsageError: the file cannot be read or has no such marker, it has other axes than the world, the marker
+                was not seen from start to end of the run, or it leaves the world.
+        """
+        time, seen = matter.recorded(self.file, self.units, self.marker)
+        source, dim = f"{self.file}: marker '{self.marker}'", matter.dim
+        if seen.shape[1] != dim:
+            raise UsageError(f"{source} was recorded in {seen.shape[1]}D, the world has {dim} dimensions")
+        at = self.start + matter.control_step * np.arange(matter.n_controls + 1)
+        slack = 1e-9 * at[-1]
+        if len(time) == 0 or time[0] > at[0] + slack or time[-1] < at[-1] - slack:
+            when = f"from {time[0]:g} to {time[-1]:g} s" if len(time) else "never"
+            raise UsageError(f"{source} was seen {when}; the run needs it from {at[0]:g} to {at[-1]:g} s")
+        path = np.stack([np.interp(at, time, column) for column in seen.T], axis=1)
+        if self.relative:
+            path = path - path[0] + begins
+        outside = np.argwhere((path < 0) | (path > matter.size))
+        if len(outside):
+            step, axis = outside[0]
+            raise UsageError(
+                f"{source} leaves the world after {step * matter.control_step:g} s: {'xyz'[axis]} = "
+                f"{path[step, axis]:g} m, it holds 0 to {matter.size[axis]:g} m; `relative: true` follows the "
+                "movement, not the place"
+            )
+        return path[1:]
