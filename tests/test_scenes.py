@@ -96,7 +96,7 @@ PAPERS = {
     "crawler": (64_125, 400),
     "leg_drop": (290_000, 9_600),
     "leg_actuate": (290_000, 4_800),
-    "arm_reach_3d": (50_625, 400),  # CQ1 takes 200: each is two here
+    "arm_reach_3d": (50_625, 600),  # CQ1 takes 200: each is three here
     "biped_cable": (5_024, 8_000),
     "rhino": (20_000, 8_000),
     "creature": (22_084, 8_000),
