@@ -104,8 +104,6 @@ def kkt(problem: ConstrainedProblem, x: Array, g: Array, c: Array, J: Array, tol
         g, c, J: gradient (n,), constraints (m,) and their Jacobian (m, n) at x.
         tolerance: a constraint this near to an end counts as held there.
     """
-    from scipy.optimize import lsq_linear
-
     at_low, at_high = c <= problem.c_low + tolerance, c >= problem.c_high - tolerance
     held = np.flatnonzero(at_low | at_high)
     below, above = held_by_box(problem, x)
@@ -113,8 +111,18 @@ def kkt(problem: ConstrainedProblem, x: Array, g: Array, c: Array, J: Array, tol
     y = np.zeros(len(c))
     if len(held) and free.any():
         ends = np.where(at_low[held], -np.inf, 0.0), np.where(at_high[held], np.inf, 0.0)
-        y[held] = lsq_linear(J[held][:, free].T, -g[free], bounds=ends).x
+        y[held] = _of_one_sign(J[held][:, free].T, -g[free], ends)
     return Kkt(y, projected(problem, x, g + y @ J))
+
+
+def _of_one_sign(A: Array, b: Array, ends: tuple[Array, Array]) -> Array:
+    """Return the y (k,) nearest to A y = b, each entry between ends that are 0 or infinite, whatever its unit."""
+    from scipy.optimize import lsq_linear
+
+    size = np.linalg.norm(A, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    with np.errstate(invalid="ignore"):  # scipy multiplies infinite ends by 0 where A has fewer rows than columns
+        return np.asarray(lsq_linear(A / size, b, bounds=ends).x) / size
 
 
 def projected(problem: Problem, x: Array, slope: Array) -> float:

@@ -10,7 +10,7 @@ from toy_problems import Confined, Nearest, Rosenbrock, run_folder, solve
 
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.optimizers.augmented_lagrangian import AugmentedLagrangian
-from cqrun.optimizers.constrained import Kkt, kkt, most_violated, verdict, violation
+from cqrun.optimizers.constrained import Kkt, _of_one_sign, kkt, most_violated, verdict, violation
 from cqrun.optimizers.nlopt import Nlopt
 from cqrun.optimizers.slsqp import MOST_UNKNOWNS, Slsqp
 from cqrun.optimizers.sqp import Sqp
@@ -99,6 +99,18 @@ def test_a_multiplier_never_pulls_out_of_what_is_allowed():
     found = at(problem, x)
     assert found.multipliers == pytest.approx([0.0])
     assert found.residual == pytest.approx(np.max(np.abs(x - AIM)))
+
+
+def test_multipliers_of_more_constraints_than_unknowns():
+    """Found by chance: scipy multiplies infinity by nought there, and columns of 1e-4 and 1e-6 did not converge."""
+    A = np.array([[-2.69711810e-04, 1.61547019e-06, 6.15693912e-05], [4.66684255e-04, -1.79905882e-06, 0.0]])
+    b = np.array([-21.18180707, 5.52386469])
+    y = _of_one_sign(A, b, (np.array([0.0, -np.inf, 0.0]), np.full(3, np.inf)))
+    slope = A.T @ (A @ y - b) / np.linalg.norm(A, axis=0)
+    assert slope[1] == pytest.approx(0.0, abs=1e-4)
+    assert (y[[0, 2]] >= 0.0).all()
+    assert (slope[[0, 2]] >= -1e-4).all()
+    assert (y * slope)[[0, 2]] == pytest.approx([0.0, 0.0], abs=1e-4)
 
 
 def test_what_the_box_holds_counts_for_nothing():
