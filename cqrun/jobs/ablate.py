@@ -36,8 +36,9 @@ from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import cores
 from cqrun.jobs.seeds import CONFIDENCE, command_of, inputs_of, interval, member, require_seeds, shown, warn_if_alike
 from cqrun.scene.load import load_scene
-from cqrun.scene.paths import canonical
+from cqrun.scene.paths import canonical, leaf
 from cqrun.scene.schema import Scene
+from cqrun.scene.unknowns import start, tied
 from cqrun.store.atomic import make_directory, write_json, write_text
 from cqrun.store.run import read_record
 
@@ -159,7 +160,9 @@ def variants_of(scene: Scene) -> list[Variant]:
     for free in chosen:
         fixed = [path for path in paths if group_of(canonical(scene, path)) not in free]
         name = CONTROL if not free else ALL if len(free) == len(groups) > 1 else " + ".join(free)
-        found.append(Variant(name, free, tuple(f"unknowns.{path}=null" for path in fixed)))
+        starts = [f"{p}={value!r}" for path in fixed for p, value in tied(scene, path, start(scene, path)).items()
+                  if value != leaf(scene, p).value]  # fmt: skip
+        found.append(Variant(name, free, (*(f"unknowns.{path}=null" for path in fixed), *starts)))
     return found
 
 

@@ -101,7 +101,7 @@ def prepare(scene: Scene, threads: int, talk: Reporter, job: str = "control") ->
     if missing:
         raise SceneError([Problem(scene.where(key), key, f"{job} needs it: {needed[key]}") for key in missing])
     if scene.optimizer is None:
-        usual = plugins("optimizer")["slsqp" if scene.constraints else "adam"]
+        usual = plugins("optimizer")["sqp" if scene.constraints else "adam"]
         scene = scene.with_plugin("optimizer", usual())
     if scene.data is not None:
         talk.warn(f"{scene.where('data')}: data: {job} reads no recordings; `cqrun sysid` does")
@@ -113,10 +113,10 @@ def prepare(scene: Scene, threads: int, talk: Reporter, job: str = "control") ->
     try:
         optimizer.require(problem)
         if optimizer.squares:
-            raise UsageError("fits data by least squares; for an objective take adam, sgd, lbfgs or cma_es")
+            others = listed(_able()) if scene.constraints else "adam, sgd, lbfgs or cma_es"
+            raise UsageError(f"fits data by least squares; for an objective take {others}")
         if scene.constraints and not isinstance(optimizer, ConstrainedOptimizer):
-            able = [name for name, cls in plugins("optimizer").items() if issubclass(cls, ConstrainedOptimizer)]
-            raise UsageError(f"honours no constraints; take {listed(able)}, or remove `constraints`")
+            raise UsageError(f"honours no constraints; take {listed(_able())}, or remove `constraints`")
     except UsageError as error:
         path = f"optimizer.{optimizer.name}"
         raise SceneError([Problem(scene.where(path), path, str(error))]) from error
@@ -177,6 +177,11 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
         run.log(lost)
     run.finish(outcome.status, outcome.message)
     return raise_if_failed(run)
+
+
+def _able() -> list[str]:
+    """Return the optimizers that honour constraints."""
+    return [name for name, cls in plugins("optimizer").items() if issubclass(cls, ConstrainedOptimizer)]
 
 
 def _flat(run: RunDirectory) -> bool:

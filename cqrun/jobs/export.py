@@ -47,7 +47,7 @@ def export_design(run: Path, out: Path) -> list[Path]:
     write_points(written[1], inputs.state.x, columns)
     for name in built.particles.names:
         part = built.particles.of(name)
-        x, volume = inputs.state.x[part], _true_volumes(built, name, inputs.fields.volume[part])
+        x, volume = inputs.state.x[part], (inputs.fields.volume * built.particles.room)[part]
         flat = built.scene.dim == 2
         file = out / (f"outline_{name}.csv" if flat else f"surface_{name}.stl")
         (_outline if flat else _surface)(x, volume, file)
@@ -71,10 +71,11 @@ def designed(run: Path) -> tuple[Built, dict[str, Array]]:
 def table(built: Built, values: Mapping[str, Array]) -> dict[str, Array]:
     """Return columns (N,) of the particles' volume, mass, density and material, named with their units.
 
-    A 2D body is a slice: its volumes are areas, its masses those of a metre of depth.
+    A 2D body is a slice: its volumes are areas, its masses those of a metre of depth. Where a body has `unit_mass`,
+    volumes are what its particles fill, and a mass is the density times 1.
     """
     inputs, flat = built.assembly.inputs(values), built.scene.dim == 2
-    volume, mass = inputs.fields.volume, inputs.fields.mass
+    volume, mass = inputs.fields.volume * built.particles.room, inputs.fields.mass
     names = ("area [m^2]", "mass [kg/m]") if flat else ("volume [m^3]", "mass [kg]")
     columns = {names[0]: volume, names[1]: mass}
     for body in built.particles.names:
@@ -103,17 +104,10 @@ def _csv(built: Built, x: Array, columns: Mapping[str, Array]) -> str:
 # --- surfaces ---------------------------------------------------------------------------------------------------
 
 
-def _true_volumes(built: Built, body: str, volume: Array) -> Array:
-    """Return what the particles of a body fill (N_b,) [m^D], also where each counts as 1 (`unit_mass`)."""
-    if not built.scene.bodies[body].unit_mass:
-        return volume
-    return volume * built.particles.spacing[body] ** built.scene.dim
-
-
 def _filled(x: Array, volume: Array) -> tuple[Array, Array, float]:
     """Return how full nodes of a grid around a body are, its lowest node [m] and the grid's edge [m]."""
     dim = x.shape[1]
-    edge = CELL * float(np.median(volume)) ** (1.0 / dim)
+    edge = CELL * float(volume.max()) ** (1.0 / dim)  # parts may differ: no cell is emptier than the coarsest
     size = x.max(axis=0) - x.min(axis=0)
     resolution = max(1, int(np.ceil(float(size.max()) / edge)))
     edge = float(size.max()) / resolution

@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.design.params import Block
 from cqrun.errors import RolloutError
 from cqrun.jobs.agent import CONTROLLER, FILE, Attempt, Goals
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.problem import side_by_side
 from cqrun.jobs.trajectories import write_activation, write_trajectory
 from cqrun.optimizers.base import Outcome
+from cqrun.optimizers.constrained import AT_BOUND
 from cqrun.scene.constraint import ENDS
 from cqrun.store.run import RunDirectory
 
@@ -54,9 +56,7 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         "loss": float(outcome.loss) if np.isfinite(outcome.loss) else None,
         "iterations": outcome.iterations,
         "unknowns": {
-            b.path: {"initial": np.asarray(b.initial).tolist(), "value": np.asarray(values[b.path]).tolist()}
-            for b in problem.params.blocks
-            if not b.path.startswith(CONTROLLER)
+            b.path: _found(b, values[b.path]) for b in problem.params.blocks if not b.path.startswith(CONTROLLER)
         },
         **dict.fromkeys(STAGES),
         "constraints": {},
@@ -109,6 +109,13 @@ def _run_all(problem: EpisodeProblem, values: dict[str, Array], goals: Sequence[
 
 def _done(tried: Tried) -> list[Attempt]:
     return [attempt for attempt in tried if isinstance(attempt, Attempt)]
+
+
+def _found(block: Block, value: Array) -> dict[str, Any]:
+    """Return an unknown's values, first and last, and how many of these are at its lower and upper bound."""
+    scaled = block.to_scaled(np.asarray(value, float))
+    ends = {"lower": int(np.sum(scaled <= AT_BOUND)), "upper": int(np.sum(scaled >= 1 - AT_BOUND))}
+    return {"initial": np.asarray(block.initial).tolist(), "value": np.asarray(value).tolist(), "at_bounds": ends}
 
 
 def _lost(tried: Tried) -> list[dict[str, Any]]:

@@ -124,14 +124,22 @@ def _control(result: dict[str, Any]) -> Iterator[str]:
         yield from table(("constraint", "wanted", "before", "learned", "violated by"), held)
     if result["unknowns"]:
         yield ""
-        design = [(path, _range(e["initial"]), _range(e["value"])) for path, e in result["unknowns"].items()]
-        yield from table(("unknown", "before", "learned"), design)
+        design = [(path, _range(e["initial"]), _range(e["value"]), _ends(e)) for path, e in result["unknowns"].items()]
+        yield from table(("unknown", "before", "learned", "at its bounds"), design)
 
 
 def _held(entry: dict[str, Any]) -> tuple[str, ...]:
     words = {"at_least": "at least", "at_most": "at most", "equals": ""}
     wanted = ", ".join(f"{word} {number(entry[end])}".strip() for end, word in words.items() if end in entry)
     return wanted, number(entry["start"]), number(entry["value"]), number(entry["violation"])
+
+
+def _ends(entry: dict[str, Any]) -> str:
+    """Return how many of an unknown's numbers are at its bounds."""
+    ends = entry.get("at_bounds", {})
+    count = len(entry["value"]) if isinstance(entry["value"], list) else 1
+    found = ", ".join(f"{n:,} {end}" if count > 1 else end for end, n in ends.items() if n)
+    return f"{found} of {count:,}" if found and count > 1 else found
 
 
 def _range(value: Any) -> str:

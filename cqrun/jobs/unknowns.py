@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -51,16 +51,15 @@ def _block(scene: Scene, particles: Particles, path: str, unknown: Unknown) -> B
     body, followers = body_of(scene, name), tuple(_followers(scene, particles, path, unknown))
     if unknown.per == "body":
         return Block(name, low, high, log, np.array(initial), followers=followers)
+    x, what = particles.x[particles.of(body)], "particles"
     if unknown.per == "group":
-        groups = np.full(len(scene.bodies[body].group_names), initial)
-        return Block(name, low, high, log, groups, followers=followers)
-    x = particles.x[particles.of(body)]
+        x, what = _middles(particles, body, scene.bodies[body].group_names), "groups"
     values, axis = np.full(len(x), initial), -1 if unknown.mirror is None else "xyz".index(unknown.mirror)
-    if unknown.per == "particle" and unknown.mirror is None:
+    if unknown.per != "field" and unknown.mirror is None:
         return Block(name, low, high, log, values, followers=followers)
-    if unknown.per == "particle":
+    if unknown.per != "field":
         try:
-            over = spread.pairs(x, axis, f"particles of '{body}'")
+            over = spread.pairs(x, axis, f"{what} of '{body}'")
             return Spread(name, low, high, log, values, over, followers=followers)
         except UsageError as error:
             place = f"unknowns.{path}.mirror"
@@ -68,6 +67,13 @@ def _block(scene: Scene, particles: Particles, path: str, unknown: Unknown) -> B
     cells = unknown.resolution or RESOLUTION
     over = spread.field(x, cells) if unknown.mirror is None else spread.mirrored_field(x, cells, axis)
     return Spread(name, low, high, log, values, over, followers=followers)
+
+
+def _middles(particles: Particles, body: str, names: Sequence[str]) -> Array:
+    """Return the middle of each of a body's groups (G, D) [m]: of the box around it."""
+    held = particles.groups(body)
+    ends = [(particles.x[held[name]].min(axis=0), particles.x[held[name]].max(axis=0)) for name in names]
+    return np.array([0.5 * (low + high) for low, high in ends])
 
 
 def _followers(scene: Scene, particles: Particles, path: str, unknown: Unknown) -> Iterator[Follower]:

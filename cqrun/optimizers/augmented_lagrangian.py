@@ -71,7 +71,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         require_constraints(problem, self.name)
         refuse_stochastic(problem, self)
         if self.batch_size is not None:
-            raise UsageError(f"optimizer.{self.name}.batch_size: constraints are of the whole set: remove it")
+            raise UsageError("constraints are of the whole set: remove `batch_size`")
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:
         """Minimise with exact resume through the session's state file; UsageError as `require`."""

@@ -227,9 +227,11 @@ def values_at(
 def refuse_stochastic(problem: Problem, optimizer: Optimizer) -> None:
     """Raise UsageError where an objective changes from iteration to iteration and the method cannot have that."""
     if problem.stochastic:
+        constrained = len(getattr(problem, "constraint_names", ())) > 0
+        others = "" if constrained else "use adam or sgd, or "  # these honour no constraints
         raise UsageError(
             f"the objective draws fresh goals at every iteration, and optimizer {optimizer.name} needs the same loss "
-            "twice at the same point: use adam or sgd, or fix the set of goals"
+            f"twice at the same point: {others}fix the set of goals (`episodes.fresh: false`)"
         )
 
 

@@ -15,7 +15,10 @@ from cqrun.registry import plugin
 from cqrun.units import format_bytes
 
 MOST_UNKNOWNS = 5000
-"""More need an n x n matrix and n^3 operations a step that are out of proportion."""
+"""More need n x n matrices and n^3 operations a step that are out of proportion."""
+
+WORKSPACE = 8.5
+"""Matrices that Kraft's quadratic program works in: n (n + 1) / 2 + 8 n^2 numbers and terms in n (scipy, NLopt)."""
 
 
 @plugin("optimizer", "slsqp")
@@ -73,11 +76,12 @@ def halves(trials: ConstrainedTrials) -> list[dict[str, Any]]:
     ]
 
 
-def require_size(problem: Problem, name: str) -> None:
+def require_size(problem: Problem, name: str, matrices: float = WORKSPACE) -> None:
     """Refuse, with a UsageError, a problem that is too large for a dense quadratic program."""
     n = len(problem.start)
     if n > MOST_UNKNOWNS:
+        needed = format_bytes(8 * int(matrices * n * n))
         raise UsageError(
-            f"{name} needs {format_bytes(8 * n * n)} for its matrix of {n:,} x {n:,} unknowns, and time as their cube; "
+            f"{name} needs {needed} for matrices of {n:,} x {n:,} unknowns, and time as their cube; "
             f"beyond {MOST_UNKNOWNS:,} use sqp or augmented_lagrangian, or fewer unknowns (`per: group`, `per: field`)"
         )

@@ -35,7 +35,7 @@ class TrustConstr(ConstrainedOptimizer):
         """Refuse what has no constraints to ask for, changes from iteration to iteration, or is too large."""
         require_constraints(problem, self.name)
         refuse_stochastic(problem, self)
-        require_size(problem, self.name)
+        require_size(problem, self.name, matrices=1.0)  # of its curvature; factors come on top
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:
         """Minimise with exact resume through the session's log; UsageError as `require`."""

@@ -268,7 +268,7 @@ class Assembly:
     def design(self, inputs: Inputs) -> Array:
         """Return mass [kg], volume at rest [m^D] and Young's modulus [Pa] of every particle (3, N)."""
         out = np.full((3, len(self.particles.x)), np.nan)  # a law of one's own may have no Young's modulus
-        out[0], out[1] = inputs.fields.mass, inputs.fields.volume
+        out[0], out[1] = inputs.fields.mass, inputs.fields.volume * self.particles.room
         for part, g, row, own in self._moduli():
             out[2, part] = inputs.terms[g][0][row, own]
         return out
@@ -276,7 +276,7 @@ class Assembly:
     def add_design_bar(self, bar: Inputs, design_bar: Array) -> None:
         """Add to a cotangent of the inputs what comes from that of the design (3, N)."""
         bar.fields.mass += design_bar[0]
-        bar.fields.volume += design_bar[1]
+        bar.fields.volume += design_bar[1] * self.particles.room
         for part, g, row, own in self._moduli():
             bar.terms[g][0][row, own] += design_bar[2, part]
 

@@ -15,7 +15,7 @@ from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
 from cqrun.errors import Problem, SceneError
 from cqrun.scene.actuation import Actuation
 from cqrun.scene.assembly import Assembly
-from cqrun.scene.check_design import design_problems
+from cqrun.scene.check_design import design_problems, design_warnings
 from cqrun.scene.memory import memory_problems
 from cqrun.scene.particles import Particles, sample, stress_key
 from cqrun.scene.paths import canonical, with_values
@@ -58,7 +58,7 @@ def build(scene: Scene) -> Built:
         raise SceneError(found)
     assembly = Assembly(scene, particles)
     limits = _possible(scene, _stiffest(scene, particles, assembly))
-    warnings = [*particles.warnings, *_unused_episodes(scene)]
+    warnings = [*particles.warnings, *_unused_episodes(scene), *design_warnings(scene, particles)]
     if scene.time.substeps == "auto":
         bounds = [*limits, *_possible(scene, _limits_of_data(scene, particles, assembly))]
         scene = with_values(scene, {"time.substeps": auto_substeps(scene.time.control_step, bounds)})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,48 +13,98 @@ from cqrun.errors import Problem, SceneError
 from cqrun.scene.check import outside_world, overlapping_bodies, overlapping_parts
 from cqrun.scene.geometry import Geometry
 from cqrun.scene.particles import Particles
-from cqrun.scene.paths import canonical, shapes_a_body, with_values
+from cqrun.scene.paths import canonical, leaf, shapes_a_body, with_values
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import start, tied
+from cqrun.scene.unknowns import body_of, start, tied
 
 ROUNDING = 1e-6
-MANY = 16
-"""Unknowns of geometry of which not every pair is tried."""
+FEW, MANY = 3, 16
+"""Unknowns of geometry of which all combinations of bounds and start are tried; of which all pairs are, of bounds."""
+
+AT_RANDOM = 32
+"""Combinations of bounds that are tried beside where there are more than a few unknowns."""
+
+TURN = 30.0
+"""Degrees between two angles that are tried: a body that turns reaches furthest between its bounds."""
+
+CRUSHED = 1e-4
+"""Part of its volume at the start below which nothing is left of a particle."""
 
 NEIGHBOURS = 6
 """Of a particle, whose distances tell how far apart a body's particles have come."""
+
+Ends = Mapping[str, float]
 
 
 def design_problems(scene: Scene, particles: Particles) -> list[Problem]:
     """Return what is wrong with geometric unknowns and their bounds.
 
-    Each bound is tried alone, all at one side together, and one at its upper with another at its lower bound.
+    Each bound is tried alone, angles between them too, and then bounds together.
     """
     unknowns = {path: unknown for path, unknown in scene.unknowns.items() if _geometric(scene, path, 0.0)}
+    if not unknowns:
+        return []
     starts = {p: v for path in unknowns for p, v in _geometric(scene, path, start(scene, path)).items()}
-    trials = [(path, {path: end}) for path, unknown in unknowns.items() for end in unknown.bounds]
-    if len(unknowns) > 1:
-        first = next(iter(unknowns))
-        trials += [(first, {path: unknown.bounds[side] for path, unknown in unknowns.items()}) for side in (0, 1)]
-    found = list(_tried(scene, particles, trials, starts))
-    if not found and len(unknowns) <= MANY:  # two that come towards each other
-        pairs = [
-            (path, {path: unknowns[path].bounds[1], other: unknowns[other].bounds[0]})
-            for path, other in itertools.permutations(unknowns, 2)
-        ]
-        found = list(_tried(scene, particles, pairs, starts))
+    rest = _Rest(scene, particles, starts)
+    found = list(_tried(rest, [{path: value} for path in unknowns for value in _alone(scene, path)]))
+    return found or list(_tried(rest, _together(scene, list(unknowns)), most=1))
+
+
+def design_warnings(scene: Scene, particles: Particles) -> list[Problem]:
+    """Return what a user may not expect of unknowns: particles that they do not reach, values that they replace."""
+    found = []
+    for path, unknown in scene.unknowns.items():
+        told = f"unknowns.{path}"
+        if unknown.per == "group":
+            found += [Problem(scene.where(told), told, message) for message in _ungrouped(scene, particles, path)]
+        for other, value in list(tied(scene, path, start(scene, path)).items())[1:]:
+            own = leaf(scene, other).value
+            if abs(value - own) > ROUNDING * max(abs(value), abs(own)):
+                message = f"{other} starts at {value:g}, by `also`, and not at the {own:g} that the scene has there"
+                found.append(Problem(scene.where(told), told, message))
     return found
 
 
-def _tried(
-    scene: Scene, particles: Particles, trials: Sequence[tuple[str, Mapping[str, float]]], starts: Mapping[str, float]
-) -> Iterator[Problem]:
-    """Yield what is wrong at trials: the unknown to name, and the values of unknowns by path."""
-    for path, ends in trials:
-        told = f"unknowns.{path}.bounds"
-        at, values = _words(ends), {p: v for path, end in ends.items() for p, v in _geometric(scene, path, end).items()}
-        for message in _at(scene, particles, {**starts, **values}, starts):
-            yield Problem(scene.where(told), told, f"{at} {message}; narrow the bounds")
+def _ungrouped(scene: Scene, particles: Particles, path: str) -> Iterator[str]:
+    body = body_of(scene, canonical(scene, path))
+    held = np.sum([points for points in particles.points[body].groups.values()], axis=0)
+    if (held == 0).any():
+        yield f"{(held == 0).sum():,} of {held.size:,} particles of '{body}' are in no group: theirs stays as it is"
+    if (held > 1).any():
+        yield f"{(held > 1).sum():,} particles of '{body}' are in several groups, and have the value of the last"
+
+
+def _alone(scene: Scene, path: str) -> Array:
+    """Return the values of an unknown that are tried while the others are at their starts."""
+    lower, upper = scene.unknowns[path].bounds
+    between = int(np.ceil((upper - lower) / TURN)) if leaf(scene, path).unit == "deg" else 1
+    return np.linspace(lower, upper, 1 + max(1, between))
+
+
+def _together(scene: Scene, paths: Sequence[str]) -> Iterator[Ends]:
+    """Yield bounds of several unknowns at once."""
+    bounds = {path: scene.unknowns[path].bounds for path in paths}
+    if 1 < len(paths) <= FEW:
+        for ends in itertools.product(*[(low, start(scene, path), high) for path, (low, high) in bounds.items()]):
+            yield dict(zip(paths, ends, strict=True))
+    elif len(paths) > FEW:
+        yield from ({path: ends[side] for path, ends in bounds.items()} for side in (0, 1))
+        for one, other in itertools.combinations(paths, 2) if len(paths) <= MANY else ():
+            yield from ({one: a, other: b} for a in bounds[one] for b in bounds[other])
+        for sides in np.random.default_rng(0).integers(0, 2, (AT_RANDOM, len(paths))):
+            yield {path: bounds[path][side] for path, side in zip(paths, sides, strict=True)}
+
+
+def _tried(rest: _Rest, trials: Iterable[Ends], most: int | None = None) -> Iterator[Problem]:
+    """Yield what is wrong at trials, values of unknowns by path, under the first of them; at `most` so many."""
+    scene = rest.scene
+    for ends in trials:
+        told = f"unknowns.{next(iter(ends))}.bounds"
+        values = {p: v for path, end in ends.items() for p, v in _geometric(scene, path, end).items()}
+        for message in rest.wrong_at(values):
+            yield Problem(scene.where(told), told, f"{_words(ends)} {message}; narrow the bounds")
+            if most is not None and (most := most - 1) == 0:
+                return
             break  # the first says enough: one bound often breaks several rules
 
 
@@ -70,51 +120,71 @@ def _geometric(scene: Scene, path: str, value: float) -> dict[str, float]:
 def _words(ends: Mapping[str, float]) -> str:
     if len(ends) == 1:
         return f"at {next(iter(ends.values())):g}"
-    if len(ends) == 2:
+    if len(ends) <= FEW:
         return "with " + " and ".join(f"{path} at {end:g}" for path, end in ends.items())
     return "with all geometric unknowns at " + ", ".join(f"{end:g}" for end in ends.values())
 
 
-def _at(scene: Scene, particles: Particles, values: Mapping[str, float], starts: Mapping[str, float]) -> Iterator[str]:
-    """Yield what is wrong at some values of the geometric unknowns."""
-    try:
-        changed = with_values(scene, values)
-    except SceneError as error:
-        yield f"the scene is none: {error.problems[0].path} {error.problems[0].message}"
-        return
-    geometry = Geometry(scene, particles)
-    arrays = {canonical(scene, path): np.array(value) for path, value in values.items()}
-    x, volume = geometry.at_rest(arrays)
-    if (volume <= 0).any():
-        yield "a part of a body is turned inside out"
-        return
-    points = {name: replace(body, world=x[particles.of(name)]) for name, body in particles.points.items()}
-    problems = [*outside_world(changed, points), *overlapping_bodies(changed, points), *overlapping_parts(changed)]
-    yield from (f"{problem.path} {problem.message}" for problem in problems)
-    before = geometry.at_rest({canonical(scene, path): np.array(value) for path, value in starts.items()})[0]
-    for name in particles.names:
-        yield from _sparse(scene, particles, name, before, x)
+class _Rest:
+    """A scene at rest, as its geometric unknowns change.
+
+    Args:
+        starts: where these and what follows them start, by path.
+    """
+
+    def __init__(self, scene: Scene, particles: Particles, starts: Ends) -> None:
+        self.scene, self.particles, self.starts = scene, particles, starts
+        self._geometry = Geometry(scene, particles)
+        self._near = {name: _neighbours(particles.x[particles.of(name)]) for name in particles.names}
+        before, self._volume = self._at(starts)
+        self._apart = {name: self._spread(name, before) for name in particles.names}
+
+    def wrong_at(self, values: Ends) -> Iterator[str]:
+        """Yield what is wrong at some values, the others at their starts."""
+        scene, particles, values = self.scene, self.particles, {**self.starts, **values}
+        try:
+            changed = with_values(scene, values)
+        except SceneError as error:
+            yield f"the scene is none: {error.problems[0].path} {error.problems[0].message}"
+            return
+        x, volume = self._at(values)
+        if (volume <= 0).any():
+            yield "a part of a body is turned inside out"
+            return
+        if (volume < CRUSHED * self._volume).any():
+            yield f"a part of a body has less than {CRUSHED:g} of the volume that it has at the start"
+            return
+        points = {name: replace(body, world=x[particles.of(name)]) for name, body in particles.points.items()}
+        problems = [*outside_world(changed, points), *overlapping_bodies(changed, points), *overlapping_parts(changed)]
+        yield from (f"{problem.path} {problem.message}" for problem in problems)
+        yield from (message for name in particles.names for message in self._sparse(name, x))
+
+    def _at(self, values: Ends) -> tuple[Array, Array]:
+        return self._geometry.at_rest({canonical(self.scene, path): np.array(v) for path, v in values.items()})
+
+    def _sparse(self, body: str, x: Array) -> Iterator[str]:
+        """Yield that a body's particles come further apart than half a cell, and further than they are at the start."""
+        dx, apart = self.scene.world.dx, self._spread(body, x)
+        if apart > max(0.5 * dx * (1 + ROUNDING), self._apart[body] * (1 + ROUNDING)):
+            yield (
+                f"bodies.{body} has particles {apart:.4g} m apart, fewer than two in a cell's {dx:g} m, so it may "
+                "break: give it more particles"
+            )
+
+    def _spread(self, body: str, x: Array) -> float:
+        """Return how far a body's particles are apart, where neighbours have come apart most [m]."""
+        near, distance = self._near[body]
+        own = x[self.particles.of(body)]
+        apart = np.linalg.norm(own[near] - own[:, None], axis=2)
+        return self.particles.spacing[body] * max(1.0, float((apart / distance).max(initial=0.0)))
 
 
-def _sparse(scene: Scene, particles: Particles, body: str, before: Array, x: Array) -> Iterator[str]:
-    """Yield that a body's particles come further apart than half a cell, where they were not so at the start."""
-    part, half = particles.of(body), 0.5 * scene.world.dx * (1 + ROUNDING)
-    rest, spacing = particles.x[part], particles.spacing[body]
-    apart = spacing * _stretch(rest, x[part])
-    if spacing * _stretch(rest, before[part]) <= half < apart:
-        yield (
-            f"bodies.{body} has particles {apart:.4g} m apart, fewer than two in a cell's {scene.world.dx:g} m, so it "
-            "may break: give it more particles"
-        )
-
-
-def _stretch(rest: Array, x: Array) -> float:
-    """Return by how much neighbours have come apart at most, at least 1."""
+def _neighbours(x: Array) -> tuple[Array, Array]:
+    """Return the nearest neighbours (n, k) of points x (n, D), and how far they are (n, k) [m]."""
     from scipy.spatial import cKDTree
 
-    count = min(NEIGHBOURS, len(rest) - 1)
+    count = min(NEIGHBOURS, len(x) - 1)
     if count < 1:
-        return 1.0
-    distance, near = cKDTree(rest).query(rest, k=count + 1)
-    apart = np.linalg.norm(x[near[:, 1:]] - x[:, None], axis=2)
-    return max(1.0, float((apart / distance[:, 1:]).max()))
+        return np.zeros((len(x), 0), int), np.ones((len(x), 0))
+    distance, near = cKDTree(x).query(x, k=count + 1)
+    return near[:, 1:], distance[:, 1:]

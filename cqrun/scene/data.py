@@ -138,7 +138,8 @@ class Unknown(Spec):
         default=None,
     )  # fmt: skip
     mirror: Literal["x", "y", "z"] | None = Field(
-        description="Axis across whose middle the body is its own mirror image, and so are the values", default=None
+        description="Axis across whose middle the body is its own mirror image, and so are the values: left = right",
+        default=None,
     )
     also: Annotated[dict[str, Tie], BeforeValidator(_ties)] = Field(
         description="Key paths that change with it: a list of those that are equal, or path -> {factor, offset}",
@@ -157,8 +158,8 @@ class Unknown(Spec):
             raise complaint("Unknown", [finding(message, ("bounds", 0), involves=("scale",))])
         if self.resolution is not None and self.per != "field":
             raise complaint("Unknown", [finding("has a meaning only for `per: field`", ("resolution",))])
-        if self.mirror is not None and self.per not in ("field", "particle"):
-            message = "has a meaning only for `per: particle` and `per: field`"
+        if self.mirror is not None and self.per == "body":
+            message = "has a meaning only for `per: group`, `per: particle` and `per: field`"
             raise complaint("Unknown", [finding(message, ("mirror",))])
         return self
 

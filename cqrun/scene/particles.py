@@ -26,6 +26,7 @@ class Particles:
         points: each body's particles, as regions see them.
         x: (N, D) at rest [m].
         volume: (N,) at rest [m^D]; 1 where the body has `unit_mass`.
+        room: (N,) what each fills at rest over its `volume`: 1, and [m^D] where the body has `unit_mass`.
         spacing: distance between particles of each body [m].
         warnings: what a user should know.
     """
@@ -35,6 +36,7 @@ class Particles:
     points: dict[str, BodyPoints]
     x: Array
     volume: Array
+    room: Array
     spacing: dict[str, float]
     warnings: tuple[Problem, ...]
 
@@ -91,10 +93,11 @@ def sample(scene: Scene) -> Particles:
     if problems:
         raise SceneError(problems)
     warnings += sparse_bodies(scene, volumes)
+    room = {name: np.ones(len(volumes[name])) for name in names}
     for name in names:
         spacing[name] = float(volumes[name].mean() ** (1 / scene.dim))
         if scene.bodies[name].unit_mass:
-            volumes[name] = np.ones(len(volumes[name]))
+            room[name], volumes[name] = volumes[name], room[name]
     layout = Layout(scene.dim, tuple(len(points[name].x) for name in names))
     return Particles(
         names,
@@ -102,6 +105,7 @@ def sample(scene: Scene) -> Particles:
         points,
         np.concatenate([points[name].x for name in names]),
         np.concatenate([volumes[name] for name in names]),
+        np.concatenate([room[name] for name in names]),
         spacing,
         tuple(warnings),
     )

@@ -15,6 +15,7 @@ from cqrun.figures.ablation import draw_ablation
 from cqrun.jobs.ablate import _effects, _gain, ablation_lines, group_of, run_ablation, variants_of
 from cqrun.jobs.seeds import run_seeds
 from cqrun.scene.load import load_scene
+from cqrun.scene.paths import get
 from cqrun.store.run import read_record
 
 E, NU, RHO = (f"bodies.finger.material.{name}" for name in (
@@ -42,6 +43,22 @@ def test_variants_are_all_combinations_of_three_groups(tmp_path):
     assert found[1].overrides == tuple(f"unknowns.{path}=null" for path in (NU, RHO))
     assert (found[0].job, found[7].job, found[7].overrides) == ("control", "codesign", ())
     assert group_of("bodies.arm.shape.box.size.1") == "size"
+
+
+def test_what_is_fixed_stays_where_its_unknown_starts(tmp_path):
+    path = design(tmp_path, E, NU)
+    scene = load_scene(
+        path,
+        [
+            f"unknowns.{E}.initial=20",
+            f"unknowns.{NU}={{bounds: [0.1, 0.4], also: {{{RHO}: {{factor: 2, offset: 1}}}}}}",
+        ],
+    )
+    control, *_, free = variants_of(scene)
+    assert control.overrides == (f"unknowns.{E}=null", f"unknowns.{NU}=null", f"{E}=20.0", f"{RHO}=1.6")
+    fixed = load_scene(path, control.overrides)
+    assert (get(fixed, E), get(fixed, RHO), fixed.unknowns) == (20.0, 1.6, {})
+    assert free.overrides == ()
 
 
 def test_effects_and_gains_of_a_known_design(tmp_path):

@@ -156,6 +156,47 @@ def test_a_mirrored_field_is_smooth_and_the_same_on_either_side(finger, tmp_path
     np.testing.assert_allclose(values, values[twin], rtol=1e-9)
 
 
+def test_groups_are_the_same_on_either_side(finger, tmp_path):
+    both = f"unknowns.{STIFFNESS}={{bounds: [5, 20], per: group, mirror: x}}"
+    result = result_of(learn(finger, tmp_path, both, "optimizer={adam: {max_iterations: 2}}", "constraints={}"))
+    left, right, tip = result["unknowns"][STIFFNESS]["value"]
+    assert left == right != tip
+    with pytest.raises(SceneError, match=r"2 of 3 groups of 'finger' have no mirror image across y"):
+        learn(finger, tmp_path, both.replace("mirror: x", "mirror: y"))
+
+
+def test_a_result_tells_what_is_at_its_bounds(finger, tmp_path):
+    narrow = f"unknowns.{STIFFNESS}={{bounds: [9.99, 10.01], per: particle, initial: 9.99}}"
+    near = "objective.tip={reach: {body: finger, group: tip, goal: target}}"
+    adam = "optimizer={adam: {learning_rate: 0.1, max_iterations: 8}}"
+    run = learn(finger, tmp_path, narrow, near, adam, "constraints={}")
+    (entry,) = result_of(run)["unknowns"].values()
+    ends = entry["at_bounds"]
+    assert ends == {"lower": entry["value"].count(9.99), "upper": entry["value"].count(10.01)}
+    assert ends["lower"] + ends["upper"] >= 2  # no gradient reaches the lowest, which are held
+    assert any(re.search(r"(lower|upper) of 48$", line) for line in report_lines(run))
+
+
+def test_what_unknowns_do_not_reach_or_replace_is_told(finger):
+    parts = [
+        "bodies.finger.groups.half={box: {corner: [1, 0], size: [0.5, 3]}}",
+        f"unknowns.{STIFFNESS}={{bounds: [5, 20], per: group}}",
+        "unknowns.bodies.finger.material.density={bounds: [0.5, 2], "
+        "also: {actuators.muscle.muscle.strength: {factor: 3}}}",
+    ]
+    told = [str(warning) for warning in build(load_scene(finger, parts)).warnings]
+    assert any(
+        "24 particles of 'finger' are in several groups, and have the value of the last" in line for line in told
+    )
+    assert any("actuators.muscle.muscle.strength starts at 3, by `also`, and not at the 4" in line for line in told)
+    loose = ["bodies.finger.parts=null", "bodies.finger.shape={box: {corner: [1, 0], size: [1, 3]}}",
+             "bodies.finger.sampling={lattice: {count: 12}}",
+             "bodies.finger.groups={tip: {box: {corner: [1, 2], size: [1, 1]}}}", "actuators.muscle.muscle.each=null",
+             *parts[1:2]]  # fmt: skip
+    told = [str(warning) for warning in build(load_scene(finger, loose)).warnings]
+    assert any("96 of 144 particles of 'finger' are in no group: theirs stays as it is" in line for line in told), told
+
+
 def test_constraints_alone_are_enough(finger, tmp_path):
     run = learn(finger, tmp_path, "objective={}")
     assert result_of(run)["constraints"]["tip"]["violation"] <= 1e-8
@@ -196,7 +237,7 @@ def test_validate_tells_the_constraints(finger):
         ("constraints.tip={of: {effort: {}}, equals: -1}", "constraints.tip.equals: -1 can never be met: no effort is"),
         ("constraints.up.scale=0", "constraints.up.scale: must be greater than 0"),
         (f"unknowns.{STIFFNESS}.resolution=3", "resolution: has a meaning only for `per: field`"),
-        (f"unknowns.{STIFFNESS}={{bounds: [5, 20], mirror: x}}", "mirror: has a meaning only for `per: particle`"),
+        (f"unknowns.{STIFFNESS}={{bounds: [5, 20], mirror: x}}", "mirror: has a meaning only for `per: group`"),
         (f"unknowns.{STIFFNESS}.mirror=z", "mirror: a 2D world has no axis z"),
         (f"unknowns.{STIFFNESS}.mirror=y", "of 48 particles of 'finger' have no mirror image across y, the first at"),
     ],

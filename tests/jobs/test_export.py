@@ -50,7 +50,8 @@ def test_the_table_has_the_designed_body(run, tmp_path):
     y = np.array([float(row["y [m]"]) for row in tip])
     assert np.ptp(y) == pytest.approx(0.2 * tall * 3 / 4)  # four rows in its height, on a scale of .2
     assert all(float(row["density [kg/m^3]"]) == pytest.approx(0.5 * tall + 0.5) for row in rows)
-    assert all(float(row["area [m^2]"]) == pytest.approx(tall) for row in tip)  # unit mass: each counts as 1
+    assert all(float(row["area [m^2]"]) == pytest.approx(0.2**2 * tall / 16) for row in tip)
+    assert all(float(row["mass [kg/m]"]) == pytest.approx(tall * (0.5 * tall + 0.5)) for row in tip)  # unit mass
 
 
 def test_paraviews_file_has_the_same(run, tmp_path):
@@ -83,6 +84,21 @@ def test_the_surface_of_a_body(tmp_path):
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(1e-3 * len(x), rel=0.05)
     assert np.allclose(mesh.center_mass, 1.15, atol=0.01)
+
+
+def test_the_surface_of_parts_whose_particles_are_not_of_one_size(tmp_path):
+    """As in robots whose parts have equal numbers of particles: muscles of a quarter of a block's."""
+    fine, coarse = (
+        np.stack(np.meshgrid(*[step * (np.arange(n) + 0.5) for n in counts], indexing="ij"), axis=-1).reshape(-1, 3)
+        for step, counts in ((0.1 * 4 ** (-1 / 3), (19, 38, 19)), (0.1, (12, 12, 12)))
+    )
+    coarse[:, 1] += fine[:, 1].max() + 0.08
+    volume = np.concatenate([np.full(len(fine), 1e-3 / 4), np.full(len(coarse), 1e-3)])
+    _surface(np.concatenate([fine, coarse]), volume, tmp_path / "robot.stl")
+    mesh = trimesh.load_mesh(tmp_path / "robot.stl")
+    assert mesh.is_watertight
+    assert len(mesh.split()) == 1
+    assert mesh.volume == pytest.approx(volume.sum(), rel=0.08)
 
 
 def test_a_surface_without_the_extra(tmp_path, monkeypatch):

@@ -22,10 +22,10 @@ E = "material.elastic.neo_hookean.youngs_modulus"
 MATERIAL = {"density": 1.0, "elastic": {"neo_hookean": {"youngs_modulus": 10.0, "poissons_ratio": 0.3}}}
 
 
-def box(x: float, y: float = 0.25) -> dict[str, Any]:
-    """Return a body, .25 by .5 large, of 8 by 16 particles."""
+def box(x: float, y: float = 0.25, per_cell: int = 4) -> dict[str, Any]:
+    """Return a body, .25 by .5 large, of 8 by 16 particles or more."""
     shape = {"box": {"corner": [x, y], "size": [0.25, 0.5]}}
-    return {"shape": shape, "particles_per_cell": 4, "material": MATERIAL}
+    return {"shape": shape, "particles_per_cell": per_cell, "material": MATERIAL}
 
 
 def data(unknowns: dict[str, Any], **more: Any) -> dict[str, Any]:
@@ -65,10 +65,6 @@ BAD = {
         {"bodies.a.shape.box.size.0": {"bounds": [0.2, 0.7]}},
         "unknowns.bodies.a.shape.box.size.0.bounds: at 0.7 bodies.b.shape overlaps the body 'a'",
     ),
-    "together": (
-        {"bodies.a.shape.box.corner.0": {"bounds": [0.1, 0.3]}, "bodies.a.shape.box.size.0": {"bounds": [0.2, 0.4]}},
-        "with bodies.a.shape.box.corner.0 at 0.3 and bodies.a.shape.box.size.0 at 0.4 bodies.b.shape overlaps the body",
-    ),
     "towards each other": (
         {"bodies.a.shape.box.corner.0": {"bounds": [0.1, 0.3]}, "bodies.b.shape.box.corner.0": {"bounds": [0.45, 0.7]}},
         "with bodies.a.shape.box.corner.0 at 0.3 and bodies.b.shape.box.corner.0 at 0.45 bodies.b.shape overlaps",
@@ -102,6 +98,46 @@ BAD = {
         "must not be 0: nothing would follow",
     ),
 }
+
+
+CORNER, SIZE, OTHER = "bodies.a.shape.box.corner.0", "bodies.a.shape.box.size.0", "bodies.b.shape.box.corner.0"
+
+BAD_TOGETHER = {
+    "two": (
+        {CORNER: [0.1, 0.3], SIZE: [0.2, 0.4]},
+        f"with {CORNER} at 0.3 and {SIZE} at 0.4 bodies.b.shape overlaps the body",
+    ),
+    "three": (
+        {CORNER: [0.1, 0.3], SIZE: [0.2, 0.4], OTHER: [0.6, 0.7]},
+        f"with {CORNER} at 0.3 and {SIZE} at 0.4 and {OTHER} at 0.6 bodies.b.shape overlaps the body",
+    ),
+    "two of four": (
+        {CORNER: [0.1, 0.3], SIZE: [0.2, 0.4], OTHER: [0.6, 0.7], "bodies.b.shape.box.size.1": [0.4, 0.5]},
+        f"with {CORNER} at 0.3 and {SIZE} at 0.4 bodies.b.shape overlaps the body",
+    ),
+    "an angle between its bounds": (
+        {"bodies.a.place.angle": [0, 180]},
+        "at 30 bodies.a.place reaches x = -0.",
+    ),
+    "next to nothing": (
+        {SIZE: [1e-9, 0.3]},
+        "at 1e-09 a part of a body has less than 0.0001 of the volume that it has at the start",
+    ),
+    "sparse from the start": (
+        {SIZE: [0.2, 0.3]},
+        "at 0.3 bodies.a has particles 0.0433 m apart, fewer than two in a cell's 0.0625 m",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD_TOGETHER)
+def test_bounds_that_only_together_or_between_them_cannot_be(name):
+    bounds, message = BAD_TOGETHER[name]
+    bodies = {"a": box(0.125, per_cell=3 if "sparse" in name else 16), "b": box(0.625)}
+    if "angle" in name:
+        bodies["a"] |= {"place": {"angle": 0.0}}
+    with pytest.raises(SceneError, match=re.escape(message)):
+        build(load_scene(data({path: {"bounds": ends} for path, ends in bounds.items()}, bodies=bodies)))
 
 
 @pytest.mark.parametrize("name", BAD)
