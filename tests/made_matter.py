@@ -32,7 +32,7 @@ def made_matter(dim: int) -> Matter:
     seen = np.linspace(0.0, 0.4, 9)[:, None] * [1.0, 0.5, 0.25][:dim] + 0.1
     return Matter(
         x, np.ones(len(x)), size, CONTROL_STEP, N_CONTROLS, bodies, {"arm": groups, "ball": {}}, select,
-        {"target": dim, "pace": 1}, N_ACTUATORS, design=1.5 + np.linspace(0.0, 1.0, 3 * len(x)).reshape(3, -1),
+        {"target": dim, "pace": 1}, N_ACTUATORS, design=1.5 + np.linspace(0.0, 1.0, 4 * len(x)).reshape(4, -1),
         recorded=lambda file, units, marker: (np.linspace(0.0, 0.4, 9), seen),
     )  # fmt: skip
 

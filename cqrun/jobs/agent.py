@@ -316,7 +316,7 @@ class Agent:
         return found[0], gradients
 
     def _bars(self, records: Records, attempt: Attempt, mix: Mix) -> tuple[LossBar | None, Array | None]:
-        """Return the cotangents of what the rollout gives, and of the design (3, N), for one function of an episode.
+        """Return the cotangents of what the rollout gives, and of the design (Q, N), for one function of an episode.
 
         None where it depends on nothing of that kind.
         """

@@ -1,6 +1,7 @@
 """`cqrun export RUN --design`: the body that a run has designed, for those who will build or simulate it elsewhere.
 
-design.csv       a row a particle: body, groups, position, volume, mass, density and every number of its material
+design.csv       a row a particle: body, groups, position, volume, mass, density and every number of its material, how
+                 strong each actuator is there, and the velocity that it starts with if any does
 design.vtkhdf    the same for ParaView
 surface_BODY.stl the surface of a 3D body (marching cubes, extra `mesh`); in 2D outline_BODY.csv: its outlines
 """
@@ -69,7 +70,7 @@ def designed(run: Path) -> tuple[Built, dict[str, Array]]:
 
 
 def table(built: Built, values: Mapping[str, Array]) -> dict[str, Array]:
-    """Return columns (N,) of the particles' volume, mass, density and material, named with their units.
+    """Return columns (N,) of the particles' volume, mass, density, material and actuators, named with their units.
 
     A 2D body is a slice: its volumes are areas, its masses those of a metre of depth. Where a body has `unit_mass`,
     volumes are what its particles fill, and a mass is the density times 1.
@@ -84,6 +85,12 @@ def table(built: Built, values: Mapping[str, Array]) -> dict[str, Array]:
             name = path.split(".material.")[1].replace("elastic.", "")
             head = f"{name} [{leaf(built.scene, path).unit}]"
             columns.setdefault(head, np.full(len(volume), np.nan))[part] = numbers
+    for actuator, strength in built.assembly.actuation.on_particles(values):
+        unit = leaf(built.scene, f"{actuator.path}.{actuator.spec.scale}").unit
+        head = f"{actuator.model.name} {actuator.spec.scale} [{unit}]"
+        columns.setdefault(head, np.full(len(volume), np.nan))[actuator.model.particles] = strength
+    if inputs.state.v.any():
+        columns |= {f"velocity {axis} [m/s]": v for axis, v in zip("xyz", inputs.state.v.T, strict=False)}
     return columns
 
 

@@ -9,8 +9,10 @@ from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import means
 
-MASS, VOLUME, STIFFNESS = 0, 1, 2
-"""Rows of `Track.design`: of every particle the mass [kg], the volume at rest [m^D] and Young's modulus [Pa]."""
+DESIGN = ("mass", "volume", "youngs_modulus", "poissons_ratio")
+"""Rows of `Track.design` (Q, N), of every particle: mass [kg], volume at rest [m^D], elastic parameters [Pa], [1]."""
+
+MASS, VOLUME, STIFFNESS, RATIO = range(len(DESIGN))
 
 
 class DesignSum(BoundTerm):

@@ -37,7 +37,7 @@ class Track:
         activation: (T, A) of the actuators.
         goals: goal -> its entries in this episode.
         control_step: [s].
-        design: (3, N) of every particle mass [kg], volume at rest [m^D] and Young's modulus [Pa].
+        design: (Q, N) of every particle what `objectives/design.py` lists.
     """
 
     x: Array
@@ -47,7 +47,7 @@ class Track:
     activation: Array
     goals: Mapping[str, Array]
     control_step: float
-    design: Array = field(default_factory=lambda: np.zeros((3, 0)))
+    design: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass

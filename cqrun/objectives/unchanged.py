@@ -8,13 +8,18 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array
-from cqrun.objectives.design import MASS, STIFFNESS, VOLUME
+from cqrun.errors import UsageError
+from cqrun.objectives.design import MASS, RATIO, STIFFNESS, VOLUME
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import means
 from cqrun.registry import plugin
 
-ROWS = {"mass": MASS, "volume": VOLUME, "stiffness": STIFFNESS}
+POWERS = {
+    "mass": {MASS: 1}, "volume": {VOLUME: 1}, "density": {MASS: 1, VOLUME: -1}, "stiffness": {STIFFNESS: 1},
+    "poissons_ratio": {RATIO: 1},
+}  # fmt: skip
+"""Each quantity as a product of powers of rows of the design."""
 
 
 @plugin("objective", "unchanged")
@@ -25,8 +30,8 @@ class Unchanged(ObjectiveTerm):
 
     body: str = Field(description="Body that counts")
     group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
-    of: Literal["stiffness", "mass", "volume"] = Field(
-        description="Young's modulus, mass or volume at rest", default="stiffness"
+    of: Literal["stiffness", "poissons_ratio", "density", "mass", "volume"] = Field(
+        description="Young's modulus, Poisson's ratio, density, or mass or volume at rest", default="stiffness"
     )
 
     def bind(self, matter: Matter) -> BoundTerm:
@@ -38,17 +43,24 @@ class Bound(BoundTerm):
 
     def __init__(self, spec: Unchanged, matter: Matter) -> None:
         self.rows, self.over = means([], matter.n_particles), spec.over
-        self.row, self.members = ROWS[spec.of], matter.members(spec.body, spec.group)
-        self.start = matter.design[self.row, self.members]
+        self.powers, self.members = POWERS[spec.of], matter.members(spec.body, spec.group)
+        self.start = self._quantity(matter.design)
+        if not np.all(np.abs(self.start) > 0):  # nan too: a law without it
+            raise UsageError(
+                f"a change of {spec.of} relative to the start has no meaning: it is 0 there, or not at all"
+            )
 
     def steps(self, track: Track) -> Array:
-        return np.full(len(track.activation), np.mean(self._change(track) ** 2))
+        return np.full(len(track.activation), np.mean((self._quantity(track.design) / self.start - 1.0) ** 2))
 
     def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
         design_bar = np.zeros(track.design.shape)
-        share = 2.0 * h_bar.sum() / (len(self.members) * self.start)
-        design_bar[self.row, self.members] = share * self._change(track)
+        q = self._quantity(track.design)
+        q_bar = 2.0 * h_bar.sum() / (len(self.members) * self.start) * (q / self.start - 1.0)
+        for row, power in self.powers.items():
+            design_bar[row, self.members] = q_bar * power * q / track.design[row, self.members]
         return TrackBar(design=design_bar)
 
-    def _change(self, track: Track) -> Array:
-        return np.asarray(track.design[self.row, self.members] / self.start - 1.0)
+    def _quantity(self, design: Array) -> Array:
+        """Return q of the particles that count (n,)."""
+        return np.prod([design[row, self.members] ** power for row, power in self.powers.items()], axis=0)

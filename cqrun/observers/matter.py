@@ -38,7 +38,7 @@ class Matter:
         resolve: a file as named in the scene -> where it is.
         recorded: (file as named in the scene, its units or None, marker) -> times (T,) at which the marker was seen
             [s], and where (T, D) [m]; UsageError where there is no such file or marker.
-        design: (3, N) mass [kg], volume at rest [m^D] and Young's modulus [Pa] where the unknowns start; none if empty.
+        design: (Q, N) what `objectives/design.py` lists of every particle, where the unknowns start; none if empty.
     """
 
     x: Array
@@ -53,7 +53,7 @@ class Matter:
     n_actuators: int
     resolve: Callable[[str], Path] = Path
     recorded: Callable[[str, str | None, str], tuple[Array, Array]] = _none_recorded
-    design: Array = field(default_factory=lambda: np.zeros((3, 0)))
+    design: Array = field(default_factory=lambda: np.zeros((0, 0)))
     regions: Sequence[str] = ()
 
     @property

@@ -118,6 +118,11 @@ class Actuation:
         place = self._entries(part, value.size)
         return np.where(place >= 0, value[place], own)
 
+    def on_particles(self, values: Values) -> Iterator[tuple[Part, Array]]:
+        """Yield every part with its strength on each of its particles (n,), in its actuator's own unit."""
+        for part, strength in zip(self.parts, self.strengths(values), strict=True):
+            yield part, strength * self._weights_of(part, values)
+
     def weights_vjp(self, weights_bar: Array, out: dict[str, Array]) -> None:
         """Add to the gradients of the weights that are wanted."""
         begin = 0

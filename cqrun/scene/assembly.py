@@ -16,6 +16,7 @@ from cqrun.contract import Array, Plugin, is_differentiable
 from cqrun.engine.model import Inputs
 from cqrun.loads.gravity import Gravity
 from cqrun.loads.load import Load
+from cqrun.objectives.design import DESIGN, MASS, RATIO, STIFFNESS, VOLUME
 from cqrun.scene.actuation import Actuation
 from cqrun.scene.geometry import Geometry
 from cqrun.scene.particles import Particles, stress_key
@@ -266,29 +267,30 @@ class Assembly:
     # --- the design --------------------------------------------------------------------------------------------------
 
     def design(self, inputs: Inputs) -> Array:
-        """Return mass [kg], volume at rest [m^D] and Young's modulus [Pa] of every particle (3, N)."""
-        out = np.full((3, len(self.particles.x)), np.nan)  # a law of one's own may have no Young's modulus
-        out[0], out[1] = inputs.fields.mass, inputs.fields.volume * self.particles.room
-        for part, g, row, own in self._moduli():
-            out[2, part] = inputs.terms[g][0][row, own]
+        """Return the quantities of `DESIGN`, of every particle (Q, N)."""
+        out = np.full((len(DESIGN), len(self.particles.x)), np.nan)  # a law of one's own may have no Young's modulus
+        out[MASS], out[VOLUME] = inputs.fields.mass, inputs.fields.volume * self.particles.room
+        for which, part, g, row, own in self._elastic_rows():
+            out[which, part] = inputs.terms[g][0][row, own]
         return out
 
     def add_design_bar(self, bar: Inputs, design_bar: Array) -> None:
-        """Add to a cotangent of the inputs what comes from that of the design (3, N)."""
-        bar.fields.mass += design_bar[0]
-        bar.fields.volume += design_bar[1] * self.particles.room
-        for part, g, row, own in self._moduli():
-            bar.terms[g][0][row, own] += design_bar[2, part]
+        """Add to a cotangent of the inputs what comes from that of the design (Q, N)."""
+        bar.fields.mass += design_bar[MASS]
+        bar.fields.volume += design_bar[VOLUME] * self.particles.room
+        for which, part, g, row, own in self._elastic_rows():
+            bar.terms[g][0][row, own] += design_bar[which, part]
 
-    def _moduli(self) -> Iterator[tuple[slice, int, int, slice]]:
-        """Yield each body's particles, its group, the row of the elastic term, and the particles' place there."""
+    def _elastic_rows(self) -> Iterator[tuple[int, slice, int, int, slice]]:
+        """Yield a row of the design, a body's particles, its group, the row of its elastic term, their place there."""
         for g, bodies in enumerate(self._groups()):
             begin = self.particles.of(bodies[0]).start
             for body in bodies:
                 part, law = self.particles.of(body), cast(Any, self.scene.bodies[body].material.elastic.value)
-                if "youngs_modulus" in law.parameters:
-                    row = law.parameters.index("youngs_modulus")
-                    yield part, g, row, slice(part.start - begin, part.stop - begin)
+                for which in (STIFFNESS, RATIO):
+                    if DESIGN[which] in law.parameters:
+                        row = law.parameters.index(DESIGN[which])
+                        yield which, part, g, row, slice(part.start - begin, part.stop - begin)
 
     # --- boundaries -------------------------------------------------------------------------------------------------
 

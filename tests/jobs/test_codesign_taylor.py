@@ -38,6 +38,8 @@ OTHERS = [
     "constraints.room={of: {volume: {body: finger}}, at_most: 1}",
     "constraints.stiff={of: {stiffness: {body: finger}}, at_most: 12}",
     "constraints.same={of: {unchanged: {body: finger}}, at_most: 1}",
+    "constraints.narrow={of: {unchanged: {body: finger, of: poissons_ratio}}, at_most: 1}",
+    "constraints.light={of: {unchanged: {body: finger, of: density}}, at_most: 1}",
 ]
 STEPS = 0.004 * 0.5 ** np.arange(4)
 

@@ -14,8 +14,10 @@ from small_finger import FINGER
 
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.jobs.control import run_control
-from cqrun.jobs.export import _outline, _surface, designed, export_design
+from cqrun.jobs.export import _outline, _surface, designed, export_design, table
 from cqrun.jobs.simulate import run_simulate
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
 
 E = "bodies.finger.material.elastic.fixed_corotated.youngs_modulus"
 TALL, ABOVE = "bodies.finger.parts.tip.box.size.1", "bodies.finger.material.density"
@@ -51,6 +53,8 @@ def test_the_table_has_the_designed_body(run, tmp_path):
     assert np.ptp(y) == pytest.approx(0.2 * tall * 3 / 4)  # four rows in its height, on a scale of .2
     assert all(float(row["density [kg/m^3]"]) == pytest.approx(0.5 * tall + 0.5) for row in rows)
     assert all(float(row["area [m^2]"]) == pytest.approx(0.2**2 * tall / 16) for row in tip)
+    assert {row["muscle.left strength [Pa]"] for row in rows if row["groups"] == "left"} == {"4.0"}
+    assert {row["muscle.left strength [Pa]"] for row in rows if row["groups"] != "left"} == {""}
     assert all(float(row["mass [kg/m]"]) == pytest.approx(tall * (0.5 * tall + 0.5)) for row in tip)  # unit mass
 
 
@@ -65,6 +69,16 @@ def test_paraviews_file_has_the_same(run, tmp_path):
         assert not group["Points"][:, 2].any()
         own = group["PointData/fixed_corotated.youngs_modulus [Pa]"]
         np.testing.assert_array_equal(own, [float(row["fixed_corotated.youngs_modulus [Pa]"]) for row in rows])
+
+
+def test_the_table_has_where_an_actuator_lies_and_how_a_body_starts():
+    weight = "actuators.muscle.muscle.weight"
+    unknown = f"unknowns.{weight}={{bounds: [0, 1], per: particle}}"
+    built = build(load_scene(FINGER, ["bodies.finger.velocity=[0, 2]", unknown]))
+    columns = table(built, {weight: np.linspace(0, 1, 48)})
+    left = built.particles.groups("finger")["left"]
+    np.testing.assert_allclose(columns["muscle.left strength [Pa]"][left], 4 * np.linspace(0, 1, 48)[left])
+    np.testing.assert_array_equal(columns["velocity y [m/s]"], 2.0)
 
 
 def test_the_outline_of_a_slice(tmp_path):

@@ -43,7 +43,10 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
         "effort": [{}],
         "mass": [{"body": "arm"}, {"body": "arm", "group": "tip"}],
         "volume": [{"body": "ball"}],
-        "unchanged": [{"body": "arm"}, {"body": "arm", "group": "tip", "of": "mass"}, {"body": "ball", "of": "volume"}],
+        "unchanged": [
+            {"body": "arm"}, {"body": "arm", "group": "tip", "of": "mass"}, {"body": "ball", "of": "volume"},
+            {"body": "arm", "of": "density"}, {"body": "ball", "of": "poissons_ratio"},
+        ],
         "stretch": [{"body": "arm"}, {"body": "arm", "region": box_around_left(dim), "power": 2}, {"body": "ball",
                      "power": 4096}],
         "stiffness": [{"body": "arm"}, {"body": "arm", "group": "left"}],
@@ -73,7 +76,7 @@ def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
     draw = lambda *shape: rng.normal(size=(N_CONTROLS + 1, n_rows, *shape))  # noqa: E731
     goals = {"target": rng.normal(size=dim)}
     return Track(0.3 * draw(dim), draw(dim), draw(dim, dim), draw(dim, dim), rng.normal(size=(N_CONTROLS, N_ACTUATORS)),
-                 goals, CONTROL_STEP, rng.normal(size=(3, made_matter(dim).n_particles)))  # fmt: skip
+                 goals, CONTROL_STEP, 2.0 + 0.1 * rng.normal(size=(4, made_matter(dim).n_particles)))  # fmt: skip
 
 
 def adjoint_error(value: Any, value_vjp: Any, track: Track, rng: np.random.Generator) -> float:
