@@ -47,6 +47,7 @@ def _figure(result: dict[str, Any]) -> Figure:
         tick.set_color(colour)  # so that they name the curves, too
     ends.invert_yaxis()
     ends.margins(x=0.15)
+    ends.locator_params(axis="x", nbins=4)  # values that differ in their last digits have long names
     whole_ticks(by_iteration.xaxis)
     by_iteration.set_xlabel("iteration")
     titled(by_iteration, capitalised(compared))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -16,12 +15,12 @@ from cqrun.optimizers.constrained import (
     ConstrainedOptimizer,
     ConstrainedProblem,
     Kkt,
+    infeasible,
     most_violated,
     projected,
     ranked,
     require_constraints,
     told,
-    verdict,
 )
 from cqrun.optimizers.descent import DescentState
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
@@ -81,9 +80,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         _, c = problem.values_and_constraints(outcome.x)  # type: ignore[attr-defined]
         if most_violated(c, problem.c_low, problem.c_high) <= self.constraint_tolerance:  # type: ignore[attr-defined]
             return outcome
-        told = verdict(problem, outcome.x, c, self.constraint_tolerance)  # type: ignore[arg-type]
-        message = f"{told} ({outcome.message})"
-        return replace(outcome, status="infeasible", message=message)
+        return infeasible(problem, outcome, c, self.constraint_tolerance)  # type: ignore[arg-type]
 
     def begin_memory(self, problem: Problem, x: Array) -> dict[str, Array]:
         """Return Adam's moments, the multipliers, the penalty, and what they were last judged by."""

@@ -11,7 +11,7 @@ largest component, with the multipliers that make its Euclidean norm least.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -255,5 +255,11 @@ def ended(trials: ConstrainedTrials, outcome: Outcome) -> Outcome:
     """Return an outcome, with status `infeasible` and a verdict where it ended before the constraints were met."""
     if trials.feasible or outcome.status in ("failed", "stopped"):
         return outcome
-    message = f"{verdict(trials.problem, outcome.x, trials.best_c, trials.tolerance)} ({outcome.message})"
-    return Outcome(outcome.x, outcome.loss, "infeasible", message, outcome.iterations)
+    return infeasible(trials.problem, outcome, trials.best_c, trials.tolerance)
+
+
+def infeasible(problem: ConstrainedProblem, outcome: Outcome, c: Array, tolerance: float) -> Outcome:
+    """Return an outcome whose c (m,) violate constraints, with the verdict; a limit of iterations is no last word."""
+    limited = "not met yet, more iterations may do: " if outcome.status == "iteration_limit" else ""
+    message = f"{limited}{verdict(problem, outcome.x, c, tolerance)} ({outcome.message})"
+    return replace(outcome, status="infeasible", message=message)

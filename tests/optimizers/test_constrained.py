@@ -205,6 +205,7 @@ def test_sqp_shortens_its_step_where_a_trial_blows_up(tmp_path):
 def test_a_limit_before_the_constraints_are_met_is_no_success(tmp_path):
     outcome, _ = solve(tmp_path, Slsqp(max_iterations=1), Confined(n=6, radius=0.5, total=1.0))
     assert outcome.status == "infeasible"
+    assert outcome.message.startswith("not met yet, more iterations may do: constraint")
     assert "(1 iterations, the limit)" in outcome.message
 
 
