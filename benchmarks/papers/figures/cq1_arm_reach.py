@@ -33,8 +33,8 @@ class ArmReach(Figure):
     paper = "a scene of CQ1's repository without a figure; no number is printed"
     left_open = (
         "how many goals to learn from: twenty one seed at the paper's size learned by heart (.018 m in 60 iterations, "
-        "and .062 from unseen ones); of the scene's sixty a smaller arm learned .035 and .049. With two substeps a step in "
-        "place of three the first seed came to .043 and .061 in 20 iterations, and blew up at one of the unseen goals"
+        "and .062 from unseen ones); of the scene's sixty a smaller arm learned .035 and .049. With two substeps "
+        "a step, not three, the first seed came to .043 and .061 in 20 iterations, but blew up at an unseen goal"
     )
     tolerance = {
         Size.QUICK: "the mean error over unseen goals is less than at the start",
