@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -25,6 +25,7 @@ class Mlp(Controller):
     The slope of relu at 0 is 0.
     """
 
+    unit_inputs: ClassVar[bool] = True
     hidden: list[Width] = Field(description="Width of each hidden layer", default=[64, 64])
     activation: Literal["relu", "tanh"] = Field(description="Of the hidden layers", default="relu")
     output_spread: float = Field(

@@ -42,6 +42,7 @@ class ControlPolicy:
 
     Attributes:
         n_memory: length of the memory, zero at the start.
+        saw: what the controller got (Z,), an entry for every control step that it acted in.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class ControlPolicy:
     ) -> None:  # fmt: skip
         self.observation, self.controller, self.parameters = observation, controller, parameters
         self.limits, self.goals, self.control_step, self.dim = limits, goals, control_step, dim
+        self.saw: list[Array] = []
         self.slow = bool(np.isfinite(limits.change).any())
         self.n_memory = observation.n_memory + len(limits.low) * self.slow
         half = 0.5 * (limits.high - limits.low)
@@ -58,6 +60,7 @@ class ControlPolicy:
     def act(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
         """Return the activations (A,) of a control step, and the next memory (M,)."""
         z, remembered = self.seen(control, record, memory, state)
+        self.saw.append(z)
         u = self.controller.act(self.parameters, z, control, control * self.control_step)
         return self.driven(control, u, remembered, memory)
 

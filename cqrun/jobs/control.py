@@ -18,6 +18,7 @@ from cqrun.explain import listed
 from cqrun.jobs.agent import FILE
 from cqrun.jobs.bodies import tell_bodies
 from cqrun.jobs.episodes import EpisodeProblem
+from cqrun.jobs.faint import faint
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.learned import blown_up, write_learned
 from cqrun.jobs.memory import gradient_plan
@@ -195,6 +196,8 @@ def _flat(run: RunDirectory) -> bool:
 class Keeping(Progress):
     """Keeps the controller of the best iteration so far in the run's directory, for who cannot wait.
 
+    At the start it tells whether the controller hardly feels what it sees.
+
     Where episodes change from iteration to iteration, losses are not of the same: the last one is kept.
     """
 
@@ -213,6 +216,11 @@ class Keeping(Progress):
 
     def __call__(self, iteration: int, x: Array, loss: float, terms: Mapping[str, float]) -> None:
         super().__call__(iteration, x, loss, terms)
+        if iteration == 0 and self._problem.controller.unit_inputs:
+            told = faint(self._problem.observation, self._problem.saw)
+            if told is not None:
+                self._talk.warn(told)
+                self._run.log(told)
         rank = self._of(terms.get(VIOLATION, 0.0), loss)
         if rank < self._rank or self._latest:
             self._rank = rank

@@ -42,6 +42,9 @@ class EpisodeProblem(Agent):
         built: a scene with actuators, a controller and an objective.
         threads: cores to use.
 
+    Attributes:
+        saw: what the controller got in the episodes of the last evaluation, (T, Z) each.
+
     Raises:
         SceneError: something is missing, or names what is not there.
     """
@@ -62,6 +65,7 @@ class EpisodeProblem(Agent):
         self.effort = Effort()
         self.interrupt: Callable[[], None] = lambda: None
         self._terms = np.full(len(self.term_names), np.nan)
+        self.saw: list[Array] = []  # (T, Z) an episode
 
     # --- goals ------------------------------------------------------------------------------------------------
 
@@ -227,9 +231,11 @@ class EpisodeProblem(Agent):
             ) from error  # fmt: skip
 
     def _note(self, attempts: Sequence[Attempt]) -> None:
-        """Keep the mean of every term, and where the gradient of the first episode grew fastest [s]."""
+        """Keep the means of the terms, where the first episode's gradient grew fastest [s], what controllers saw."""
         means = [float(np.mean([a.terms[name] for a in attempts])) for name in self.built.scene.objective]
         self._terms = np.array([*means, attempts[0].rollout.growth_at * self.matter.control_step])
+        policies: list[Any] = [a.rollout.policy for a in attempts]
+        self.saw = [np.array(policy.saw) for policy in policies]
 
     def term_values(self) -> Array:
         """Return the terms at the last evaluation, in the order of `term_names`."""

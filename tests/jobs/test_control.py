@@ -190,6 +190,19 @@ def test_a_gradient_of_nought_is_told(finger, tmp_path):
     assert not any("nought" in line for line in listener.said)
 
 
+@pytest.mark.parametrize(("range_", "told"), [("[-1, 1]", True), ("[-0.001, 0.001]", False)])
+def test_a_network_that_hardly_feels_its_body_is_told(finger, tmp_path, range_, told):
+    """Only where nothing that it sees moves enough."""
+    listener = Listener()
+    parts = f"observers.parts.centroids.range={{position: {range_}, velocity: {range_}}}"
+    wanted = ["controller={mlp: {hidden: [4]}}", parts, "observers.clock.clock.range=[0, 10]"]
+    run = learn(finger, tmp_path, *wanted, reporter=listener)
+    found = [text for text in listener.said if "hardly feels" in text]
+    assert len(found) == (1 if told else 0)
+    assert ("hardly feels" in (run / "log.txt").read_text()) is told
+    assert all("observers.parts: " in text and "where -1 to 1 become [-1, 1]" in text for text in found)
+
+
 def test_a_run_begins_with_a_line_on_each_body(finger, tmp_path):
     listener = Listener()
     run = learn(finger, tmp_path, "optimizer.adam.max_iterations=1", reporter=listener)

@@ -19,8 +19,8 @@ class Creature(Distances):
     paper = "from -.25 to .27 m (90 %: .06 to .50) in 100 iterations, 38 s each; mean of 10 runs"
     left_open = (
         "the mesh (theirs is a trademarked figure) and the chambers in it; half and double of the pressure too; and "
-        "which velocities are 1 for the network. Here .05 m/s, as the creature has: with 1 m/s it feels little, and went "
-        ".05 m (three seeds)"
+        "which velocities are 1 for the network. Here .05 m/s, as the creature has: with 1 m/s it feels little, and "
+        "went .05 m (three seeds)"
     )
     scene = "control/creature"
     final, interval, seconds = 0.27, (0.06, 0.50), 38.0
