@@ -21,7 +21,7 @@ def publish(figure: Figure, size: Size, runs: Path, out: Path) -> Verdict | None
         out: results/figures.
     """
     works = figure.work(size)
-    found = {work.name: runs / work.name for work in works if (runs / work.name).exists()}
+    found = {work.name: runs / work.name for work in works if work.begun(runs / work.name)}
     done = {work.name: facts for work in works if (facts := work.done(runs / work.name)) is not None}
     table = figure.table(found, size) if found else {}
     if not table or not len(next(iter(table.values()))):
@@ -40,7 +40,7 @@ def publish(figure: Figure, size: Size, runs: Path, out: Path) -> Verdict | None
         "checks": dict(verdict.checks),
         "done": [len(done), len(works)],
         "commands": [work.command for work in works],
-        "minutes": sum(facts["seconds"] for facts in done.values()) / 60.0,
+        "minutes": sum(work.spent(runs / work.name) for work in works) / 60.0,
         "engine": sorted({facts["engine"] for facts in done.values()}),
         "machine": next((facts["machine"] for facts in done.values()), None),
     }

@@ -76,14 +76,17 @@ class Work(ABC):
         """Return what `done.json` tells besides how it was done."""
         return {"command": self.command}
 
+    def begun(self, folder: Path) -> bool:
+        """Say whether a folder holds some of it, and not of what it was before it changed."""
+        return bool(_read(folder / CLOCK).get("fingerprint") == self.fingerprint())
+
     def spent(self, folder: Path) -> float:
         """Return the seconds that were spent on it so far."""
-        return float(_read(folder / CLOCK).get("seconds", 0.0))
+        return float(_read(folder / CLOCK)["seconds"]) if self.begun(folder) else 0.0
 
     def do(self, folder: Path, seconds: float, jobs: int) -> bool:
         """Do it, or go on with it; say whether it is done."""
-        clock = _read(folder / CLOCK)
-        if clock.get("fingerprint") != self.fingerprint():
+        if not self.begun(folder):
             shutil.rmtree(folder, ignore_errors=True)
             make_directory(folder)
             clock = {"fingerprint": self.fingerprint(), "engine": engine_hash(), "seconds": 0.0}

@@ -147,6 +147,7 @@ def test_work_that_has_changed_is_done_anew(tmp_path):
         pass
     other = replace(COUNT, told="count differently")
     assert other.done(folder) is None
+    assert (other.begun(folder), other.spent(folder)) == (False, 0.0)
     assert not other.do(folder, 1.0, 1)
     assert [file.name for file in folder.glob("*.txt")] == ["0.txt"]
 
