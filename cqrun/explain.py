@@ -59,7 +59,11 @@ def shown(value: Any) -> str:
         return "empty"
     if isinstance(value, bool):
         return str(value).lower()
-    text = repr(value)
+    return cut(repr(value))
+
+
+def cut(text: str) -> str:
+    """Return a text of at most 60 characters."""
     return text if len(text) <= 60 else text[:57] + "..."
 
 

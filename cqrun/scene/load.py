@@ -83,7 +83,7 @@ def _overridden(data: Any, overrides: Sequence[str]) -> tuple[Any, list[Override
     for text in overrides:
         path, equals, value = text.partition("=")
         path = path.strip()
-        where = f"-o {text}"
+        where = Override(text, path).where
         if not (equals and path and value.strip()):
             problems.append(Problem(where, path, "must be key.path=value"))
             continue

@@ -9,7 +9,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from cqrun.errors import Problem
-from cqrun.explain import KEY, Loc
+from cqrun.explain import KEY, Loc, cut
 from cqrun.scene.document import Document
 from cqrun.scene.keypath import joined, locate
 
@@ -29,8 +29,9 @@ class Override:
 
     @property
     def where(self) -> str:
-        """How messages name it."""
-        return f"-o {self.text}"
+        """How messages name it: a whole section would hide what they say."""
+        path, equals, value = self.text.partition("=")
+        return f"-o {path}{equals}{cut(value)}"
 
     def covers(self, path: str) -> bool:
         """Say whether it set the path or something around it."""

@@ -135,6 +135,12 @@ def test_problems_of_overrides_name_the_override(override: str, message: str, re
     assert len(told) == 1 or override.startswith("bodies.")
 
 
+def test_a_long_override_is_named_by_its_beginning(refused: Refused) -> None:
+    whole = f"unknowns={{{', '.join(f'loads.wind.strength.{k}: {{bounds: [1, 2]}}' for k in range(9))}}}"
+    (told, *_) = refused("", "", whole)
+    assert told.startswith(f"-o {whole[: len('unknowns=') + 57]}...: unknowns.")
+
+
 def test_a_file_and_an_override_are_both_blamed_for_their_own(refused: Refused) -> None:
     told = refused("dx: 0.005", "dx: 0", "time.duration=-1")
     assert told == [
