@@ -89,8 +89,8 @@ class Work(ABC):
         if not self.begun(folder):
             shutil.rmtree(folder, ignore_errors=True)
             make_directory(folder)
-            clock = {"fingerprint": self.fingerprint(), "engine": engine_hash(), "seconds": 0.0}
-            write_json(folder / CLOCK, clock)
+            fresh = {"fingerprint": self.fingerprint(), "engine": engine_hash(), "seconds": 0.0}
+            write_json(folder / CLOCK, fresh)
         begun = time.monotonic()
         try:
             finished = self.go_on(folder, seconds, jobs)
