@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ModelWrapValidatorHandler, Va
 from pydantic.config import JsonDict
 from pydantic_core import ErrorDetails, InitErrorDetails
 
-from cqrun.explain import Loc, complaint, retold
+from cqrun.explain import Loc, complaint, lists_or_words, retold
 
 
 class Spec(BaseModel):
@@ -28,7 +28,7 @@ class Spec(BaseModel):
         try:
             return handler(data)
         except ValidationError as error:
-            findings = [cls._retold(e) for e in error.errors(include_url=False)]
+            findings = [cls._retold(e) for e in lists_or_words(error.errors(include_url=False))]
             raise complaint(cls.__name__, findings) from None
 
     @classmethod

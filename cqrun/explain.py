@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from pydantic import ValidationError
@@ -83,6 +83,22 @@ def finding(message: str, loc: Loc = (), *, kind: str = VALUE, involves: Iterabl
 def complaint(title: str, findings: list[InitErrorDetails]) -> ValidationError:
     """Return the error for a validator to raise; pydantic puts the outer keys before each `loc`."""
     return ValidationError.from_exception_data(title, findings)
+
+
+def lists_or_words(errors: Iterable[ErrorDetails]) -> Iterator[ErrorDetails]:
+    """Yield pydantic's findings, those of a field that takes a list or a word by what it was given, at the field.
+
+    Pydantic tells one for each of the two, with the type among the keys: `groups.list[str]`, `groups.literal['all']`.
+    """
+    for error in errors:
+        field, branch, *inner = (*error["loc"], "", "")[: max(2, len(error["loc"]))]
+        if str(branch).startswith("literal["):
+            if not isinstance(error["input"], list):
+                yield {**error, "loc": (field,), "ctx": {"expected": f"a list, or {error['ctx']['expected']}"}}
+        elif not str(branch).startswith("list["):
+            yield error
+        elif error["type"] != "list_type":
+            yield {**error, "loc": (field, *inner)}
 
 
 def retold(error: ErrorDetails, prefix: Loc = (), **hints: Any) -> InitErrorDetails:

@@ -19,16 +19,21 @@ def print_run(run: Path) -> None:
 
 
 def draw_and_print_run(run: Path) -> None:
-    """Draw a run, if its job has pictures, then print it; what it found is printed even if drawing fails.
+    """Draw a run, if its job has pictures, then print it; a picture that cannot be drawn makes no run fail.
 
     Raises:
         UsageError, RunError: the pictures cannot be written.
     """
+    from cqrun.errors import CqrunError
     from cqrun.figures.draw import draw_run, has_pictures
 
     try:
         if has_pictures(run):
             draw_run(run)
+    except CqrunError:
+        raise
+    except Exception as error:  # ours: what was found is worth more than how it looks
+        typer.echo(f"warning: no pictures: {type(error).__name__}: {error}; `cqrun plot {run}` tells more", err=True)
     finally:
         print_run(run)
 

@@ -205,19 +205,20 @@ def _plot_gradients(axes: Axes, iteration: Array, blocks: dict[str, Array]) -> N
         there = norm > 0
         colour = COLOURS[k % len(COLOURS)]
         axes.plot(iteration[there], norm[there], color=colour, label=name, **_marked(len(iteration)))
-    if any(norm.size for norm in known):
-        everything = np.concatenate(known)
-        _log_axis(axes, float(everything.min()), float(everything.max()))
     whole_ticks(axes.xaxis)
     _pad_iterations(axes, iteration)
-    many = len(blocks) > 3
-    low, high = axes.get_ylim()
-    if many:  # room above the lines for the names, two side by side
+    titled(axes, "Norm of the gradient")
+    if not any(norm.size for norm in known):  # of a method without gradients, or nought at every iteration
+        axes.text(0.5, 0.5, "none, or nought", transform=axes.transAxes, ha="center", color=GREY)
+        return
+    everything = np.concatenate(known)
+    _log_axis(axes, float(everything.min()), float(everything.max()))
+    if len(blocks) > 3:  # room above the lines for the names, two side by side
+        low, high = axes.get_ylim()
         axes.set_ylim(low, high * (high / low) ** (0.14 * (len(blocks) + 1) / 2))
         axes.legend(loc="upper center", ncols=2, handlelength=1.2, fontsize=6.5)
     else:
         axes.legend(loc="best", handlelength=1.6)
-    titled(axes, "Norm of the gradient")
 
 
 def plot_unknown(axes: Axes, iteration: Array, curve: UnknownCurve, *, tell_bounds: bool = True) -> None:

@@ -156,7 +156,9 @@ def _read(path: Path, time: int, size: int) -> Surface:
             strange = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
             mesh.process()  # which leaves out what is not finite, without a word
     except Exception as error:  # whatever its readers raise on a broken file
-        raise UsageError(f"{path}: cannot be read as {path.suffix[1:].upper()}: {error}") from None
+        raise UsageError(
+            f"{path}: cannot be read as {path.suffix[1:].upper()} ({error}); is the file whole? save it again"
+        ) from None
     if strange:
         raise UsageError(f"{path}: {strange} of its points are no finite numbers")
     vertices, faces = np.ascontiguousarray(mesh.vertices, float), np.ascontiguousarray(mesh.faces, np.int64)

@@ -230,7 +230,7 @@ class Experiment:
             if leaf(self.scene, path).differentiable:
                 return canonical(self.scene, path)
         except SceneError as error:
-            raise UsageError(str(error.problems[0].message)) from None
+            raise UsageError(f"{path}: {error.problems[0].message}") from None
         raise UsageError(f"{path}: no gradient reaches it{suggest(path, reached)}; there are: {listed(reached)}")
 
     def _shaped(self, path: str, value: Array) -> Array:

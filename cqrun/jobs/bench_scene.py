@@ -80,7 +80,7 @@ def run_bench_scene(
 
 def excerpt_of(built: Built, threads: int, talk: Reporter) -> Excerpt:
     """Return some substeps from the middle of a scene's rollout, run so far."""
-    agent, model = make_agent(built, None), built.model
+    agent, model = make_agent(built, None, talk), built.model
     if agent is None:
         rollout = Rollout(model, built.assembly.inputs({}), threads=threads, adjoint=True)
     else:

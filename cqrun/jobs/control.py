@@ -52,6 +52,9 @@ NEEDED = {
 DESIGN = {"unknowns": "say what of the design may change, such as a material's `youngs_modulus: {bounds: [...]}`"}
 """What a scene must have to be learned, and for a design, and the advice where it is missing."""
 
+EXTENDED = "`cqrun resume` has given it more iterations than this scene has"
+"""Of a run that was extended, where the scene that it began with is asked for."""
+
 NOUGHT = 1e-15
 """A gradient's norm, over a loss of 1 or more, below which nothing can be learned from it."""
 
@@ -85,6 +88,9 @@ def run_control(
     ) as run:
         if run.finished:
             talk.phase(f"finished already ({run.status}); --fresh starts over")
+        if run.record.get("extended"):
+            talk.warn(f"{run.path}: {EXTENDED}; --fresh starts over")
+        if run.finished:
             return raise_if_failed(run)
         if run.record.get("extended"):
             problem = prepare(saved_scene(run), n_threads, talk, job)
@@ -163,7 +169,7 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
     if outcome.status == "stopped":
         run.finish("stopped", outcome.message)
         raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
-    if optimizer.gradients and _flat(run):
+    if optimizer.gradients and outcome.status != "failed" and _flat(run):
         talk.warn(FLAT)
         run.log(FLAT)
     if outcome.status != "failed":
@@ -190,7 +196,7 @@ def _flat(run: RunDirectory) -> bool:
     history = read_history(run.path / "history.csv")
     norms = [column for name, column in history.items() if name.startswith("grad:")]
     greatest = max((np.nanmax(np.abs(column), initial=0.0) for column in norms), default=np.inf)
-    return bool(greatest <= NOUGHT * max(1.0, np.nanmax(np.abs(history["loss"]), initial=0.0)))
+    return bool(len(history["loss"]) and greatest <= NOUGHT * max(1.0, np.nanmax(np.abs(history["loss"]), initial=0.0)))
 
 
 class Keeping(Progress):
@@ -216,9 +222,9 @@ class Keeping(Progress):
 
     def __call__(self, iteration: int, x: Array, loss: float, terms: Mapping[str, float]) -> None:
         super().__call__(iteration, x, loss, terms)
-        if iteration == 0 and self._problem.controller.unit_inputs:
-            told = faint(self._problem.observation, self._problem.saw)
-            if told is not None:
+        controller: Any = self._problem.built.scene.controller
+        if iteration == 0 and controller.value.unit_inputs:
+            for told in faint(self._problem.observation, self._problem.saw):
                 self._talk.warn(told)
                 self._run.log(told)
         rank = self._of(terms.get(VIOLATION, 0.0), loss)

@@ -6,7 +6,7 @@ could walk learns to stand, and nothing else tells why.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -14,26 +14,28 @@ from cqrun.contract import Array
 from cqrun.observers.observer import Observation
 
 LEAST = 0.1
-"""Standard deviation over an episode that some observation should have, of half its range."""
+"""Standard deviation over an episode that some number of an observer should have, of half its range."""
 
 
-def faint(observation: Observation, saw: Sequence[Array]) -> str | None:
-    """Return a sentence if no observation moved by LEAST or more in any episode; None if one did, or none moved.
+def faint(observation: Observation, saw: Sequence[Array]) -> Iterator[str]:
+    """Yield a sentence on every observer of which no number moved by LEAST in any episode; what stood still is none.
 
     Args:
         observation: what was seen, and its ranges.
         saw: what the controller got, (T, Z) an episode.
     """
-    moved = np.max([z.std(axis=0) for z in saw], axis=0, initial=0.0)
-    if not 0 < moved.max(initial=0.0) < LEAST:
-        return None
-    told = []
+    if not saw:  # an evaluation that was only read again
+        return
+    moved = np.max([z.std(axis=0) for z in saw], axis=0)
     for name, place in observation.parts.items():
+        if not 0 < moved[place].max(initial=0.0) < LEAST:
+            continue
         ranges = np.stack([observation.middle[place], observation.half[place]], axis=1)
+        told = []
         for middle, half in np.unique(ranges, axis=0):
             most = half * moved[place][(ranges == (middle, half)).all(axis=1)].max()
-            told.append(f"observers.{name}: {most:.2g} where {middle - half:g} to {middle + half:g} become [-1, 1]")
-    return (
-        f"the controller hardly feels what it sees; at the start it moves by (standard deviation) {'; '.join(told)}. "
-        "A narrower `range` may be what it needs to learn"
-    )
+            told.append(f"{most:.2g} of the range {middle - half:g} to {middle + half:g}")
+        yield (
+            f"observers.{name}: the controller hardly feels it: at the start it moves by {', by '.join(told)} "
+            "(standard deviation). A narrower `range` may be what it needs to learn"
+        )

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.errors import UsageError
-from cqrun.jobs.control import optimizer_of, prepare
+from cqrun.jobs.control import EXTENDED, optimizer_of, prepare
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.fleet import Member, run_fleet
 from cqrun.jobs.kernels import compile_kernels
@@ -36,7 +36,7 @@ from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import make_directory, write_json, write_text
-from cqrun.store.run import RunScene
+from cqrun.store.run import RunScene, read_record
 
 CONFIDENCE = 0.9
 """Of the intervals of means."""
@@ -165,7 +165,7 @@ def _summary(stem: str, seeds: Sequence[Member]) -> dict[str, Any]:
             k: {"run": str(s.run), "status": "failed", "reason": s.failure}
             if s.failure is not None
             else {"run": str(s.run)} | {key: results[k][key] for key in ("status", "iterations")}
-            | {"blew_up": list(blown_up(results[k]))}
+            | {"blew_up": list(blown_up(results[k])), "extended": bool(read_record(s.run).get("extended"))}
             | {stage: _numbers(results[k][stage]) for stage in stages}
             for k, s in enumerate(seeds)
         },
@@ -211,6 +211,7 @@ def summary_lines(path: Path) -> list[str]:
         names = list(summary["all"][stages[0]])
         lines += table(head, [(name, *(shown(summary["all"][stage][name]) for stage in stages)) for name in names])
     lines += [f"seed {k} failed: {e['reason']}" for k, e in summary["seeds"].items() if e["status"] == "failed"]
+    lines += [f"warning: seed {k}: {EXTENDED}" for k, e in summary["seeds"].items() if e.get("extended")]
     lines += [f"seed {k}, {lost}" for k, e in summary["seeds"].items() for lost in e.get("blew_up", [])]
     spread = summary["all"].get("trained", {}).get("loss", {})
     if len(good) > 1 and spread["low"] == spread["high"]:

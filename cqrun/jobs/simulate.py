@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
-from cqrun.errors import RolloutError, RunError, UsageError
+from cqrun.errors import RolloutError, RunError, SceneError, UsageError
 from cqrun.jobs.agent import FILE, Agent, learned_values
 from cqrun.jobs.bodies import tell_bodies
 from cqrun.jobs.control import JOBS
@@ -66,11 +67,13 @@ def run_simulate(
     """
     talk, n_threads = reporter or Silent(), cores(threads)
     trained = controller if controller is not None or not source.is_dir() else _controller_of(source, talk)
+    overrides = [*_standing_goals(source), *overrides]
     scene = _scene(source, overrides)
     if trained is not None:
         scene = _scene(source, [*learned_values(trained, scene, overrides), *overrides])
     built = build_and_warn(scene, talk)
-    agent = make_agent(built, trained)
+    agent = make_agent(built, trained, talk)
+    built = built if agent is None else agent.built
     stem = source.resolve().parent.name if source.is_dir() else source.stem
     files = {} if trained is None else {FILE: trained}
     with open_run(
@@ -91,6 +94,16 @@ def _scene(source: Path, overrides: Sequence[str]) -> Scene:
     return load_scene(source / "scene.yaml", overrides, Path(str(read_record(source).get("base", ""))))
 
 
+def _standing_goals(source: Path) -> list[str]:
+    """Return overrides that draw nothing: one episode, and goals where they are, so that they may be put anywhere."""
+    try:
+        goals = _scene(source, ()).goals
+    except SceneError:  # which is told with the overrides in place
+        return []
+    drawn = [f"goals.{name}.spread=null" for name, goal in goals.items() if goal.spread is not None]
+    return [*drawn, "episodes.count=1", "episodes.unseen=0", "episodes.fresh=false"] if drawn else []
+
+
 def _controller_of(run: Path, talk: Reporter) -> Path:
     """Return the file of the controller that a run has trained."""
     record, file = read_record(run), run / FILE
@@ -105,17 +118,33 @@ def _controller_of(run: Path, talk: Reporter) -> Path:
     return file
 
 
-def make_agent(built: Built, trained: Path | None) -> Agent | None:
+def make_agent(built: Built, trained: Path | None, talk: Reporter) -> Agent | None:
     """Return what drives a scene's actuators: none where no controller does.
 
+    Terms of the objective, and constraints, that do not fit the run are left out with a warning: recorded motions and
+    key frames are for the time that they cover, and nothing is learned here.
+
     Raises:
+        SceneError: an observer or the controller does not fit.
         UsageError: a controller is given for a scene without one, or for another one.
     """
     if built.scene.controller is None:
         if trained is not None:
             raise UsageError(f"{trained}: a controller for a scene that has none: add `controller` to the scene")
         return None
-    return Agent(built, trained)
+    try:
+        return Agent(built, trained)
+    except SceneError as error:
+        scene, unfit = built.scene, [problem.path.partition(".") for problem in error.problems]
+        if not all(section in ("objective", "constraints") and name for section, _, name in unfit):
+            raise
+        for problem in error.problems:
+            talk.warn(f"{problem}: this run goes without it")
+        left = {
+            section: {name: term for name, term in getattr(scene, section).items() if (section, ".", name) not in unfit}
+            for section in ("objective", "constraints")
+        }
+        return make_agent(replace(built, scene=scene.model_copy(update=left)), trained, talk)
 
 
 def resume_simulate(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
@@ -129,7 +158,7 @@ def resume_simulate(run: RunDirectory, overrides: Sequence[str], threads: int, t
         talk.phase(f"finished already ({run.status})")
         return raise_if_failed(run)
     built = build_and_warn(saved_scene(run), talk)
-    return simulate(run, built, make_agent(built, _kept(run)), threads, talk)
+    return simulate(run, built, make_agent(built, _kept(run), talk), threads, talk)
 
 
 def _kept(run: RunDirectory) -> Path | None:

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import BeforeValidator, Field
 
 from cqrun.contract import Array, Spec
+from cqrun.explain import shown
 from cqrun.observers.matter import Matter
 from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import RAW, Range, limits
@@ -28,6 +29,18 @@ class MotionRanges(Spec):
 _ALL_RAW = MotionRanges(position=RAW, velocity=RAW, acceleration=RAW)
 
 
+def _by_quantity(value: Any) -> Any:
+    """Return the ranges that null and raw stand for; refuse one range for all."""
+    if value is None or value == RAW:
+        return _ALL_RAW
+    if not isinstance(value, (dict, MotionRanges)):
+        raise ValueError(
+            "must have a range for each quantity, such as {position: [0, 1], velocity: [-1, 1]}, or be null (raw); is "
+            f"{shown(value)}"
+        )
+    return value
+
+
 class MotionObserver(Observer):
     """Base of observers of centroids."""
 
@@ -36,7 +49,7 @@ class MotionObserver(Observer):
         description="What of each centroid, in this order", default=["position", "velocity"]
     )
     # a null is kept as raw ranges: a resolved scene does not write what is null
-    range: Annotated[MotionRanges | None, AfterValidator(lambda value: value or _ALL_RAW)] = Field(
+    range: Annotated[MotionRanges | None, BeforeValidator(_by_quantity)] = Field(
         description="What becomes [-1, 1], by quantity; null (raw): values as they are", default_factory=MotionRanges
     )
 

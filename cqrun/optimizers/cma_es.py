@@ -57,6 +57,15 @@ class CmaEs(Optimizer):
         """Its trials."""
         return True
 
+    def require(self, problem: Problem) -> None:
+        """Refuse, beside what the base refuses, to do without its library.
+
+        Raises:
+            MissingExtra: `cma` is not installed. UsageError: as the base says.
+        """
+        library()
+        super().require(problem)
+
     def minimise(self, problem: Problem, session: Session) -> Outcome:
         """Minimise with exact resume through the session's log.
 

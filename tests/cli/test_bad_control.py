@@ -151,6 +151,26 @@ CASES = {
         "{goal: {goal: target, range: [[0, 1], [0, 1], [0, 1]]}}",
         ["finger.yaml:22:3: observers.goal: a range has 3 pairs [low, high] for 2 entries; give 2 or one"],
     ),
+    "one range for all quantities": (
+        PARTS,
+        PARTS.replace("of: [position, velocity]", "range: [0, 1]"),
+        ["observers.parts.centroids.range: must have a range for each quantity, such as {position: [0, 1], velocity: "],
+    ),
+    "a group that is no list": (
+        PARTS,
+        PARTS.replace("of: [position, velocity]", "groups: tip"),
+        ["observers.parts.centroids.groups: must be a list, or 'all', is 'tip'"],
+    ),
+    "an axis of words": (
+        MUSCLE,
+        MUSCLE.replace("axis: [0, 1]", "axis: [up, 1]"),
+        ["actuators.muscle.muscle.axis.0: must be a number, is 'up'"],
+    ),
+    "an axis that is no word for one": (
+        MUSCLE,
+        MUSCLE.replace("axis: [0, 1]", "axis: isotropc"),
+        ["actuators.muscle.muscle.axis: must be a list, or 'isotropic', is 'isotropc' (did you mean 'isotropic'?)"],
+    ),
     # --- what it is for
     "an objective of no body": (
         TIP,

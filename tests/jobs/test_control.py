@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import sys
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from small_beam import Listener, assert_same, changed, result_of
 from small_finger import written
 
 from cqrun.controllers.saved import read_controller
-from cqrun.errors import RolloutError, RunError, Stopped, UsageError
-from cqrun.jobs.control import run_control
+from cqrun.errors import RolloutError, RunError, SceneError, Stopped, UsageError
+from cqrun.figures.draw import draw_run
+from cqrun.jobs.control import EXTENDED, run_control
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
@@ -151,8 +153,10 @@ def test_a_start_that_blows_up_is_told(finger, tmp_path):
     changed(finger, "corner: [-1, -1], size: [3, 1.31]", "corner: [0.9, 0.9], size: [1, 1]")
     changed(finger, "place:", "velocity: [10, 0]\n    place:")
     changed(finger, "substeps: 2", "substeps: auto")
+    listener = Listener()
     with pytest.raises(RunError, match=r"body 'finger', particle \d+, t = .* left the grid"):
-        learn(finger, tmp_path)
+        learn(finger, tmp_path, reporter=listener)
+    assert not any("nought" in line for line in listener.said)
     (run,) = (tmp_path / "finger").iterdir()
     assert result_of(run)["trained"] is None
     assert report_lines(run)[0].startswith("failed after 0 iterations")
@@ -192,15 +196,40 @@ def test_a_gradient_of_nought_is_told(finger, tmp_path):
 
 @pytest.mark.parametrize(("range_", "told"), [("[-1, 1]", True), ("[-0.001, 0.001]", False)])
 def test_a_network_that_hardly_feels_its_body_is_told(finger, tmp_path, range_, told):
-    """Only where nothing that it sees moves enough."""
+    """Whatever a clock beside it does."""
     listener = Listener()
     parts = f"observers.parts.centroids.range={{position: {range_}, velocity: {range_}}}"
-    wanted = ["controller={mlp: {hidden: [4]}}", parts, "observers.clock.clock.range=[0, 10]"]
+    wanted = ["controller={mlp: {hidden: [4]}}", parts]
     run = learn(finger, tmp_path, *wanted, reporter=listener)
     found = [text for text in listener.said if "hardly feels" in text]
     assert len(found) == (1 if told else 0)
     assert ("hardly feels" in (run / "log.txt").read_text()) is told
-    assert all("observers.parts: " in text and "where -1 to 1 become [-1, 1]" in text for text in found)
+    assert all("observers.parts: " in text and " of the range -1 to 1 " in text for text in found)
+
+
+def test_an_extended_run_is_told_where_fewer_iterations_are_asked_for(finger, tmp_path):
+    run = learn(finger, tmp_path)
+    run_resume(run, ["optimizer.adam.max_iterations=5"], 1, True)
+    listener = Listener()
+    assert learn(finger, tmp_path, reporter=listener) == run
+    assert f"warning: {run}: {EXTENDED}; --fresh starts over" in listener.said
+
+
+@pytest.mark.parametrize(
+    "wanted", [["optimizer={cma_es: {max_iterations: 1}}"], ["actuators.muscle.muscle.strength=0"]]
+)
+def test_a_network_without_gradients_is_drawn(finger, tmp_path, wanted):
+    """Neither a method of values alone has norms to draw, nor muscles without strength."""
+    pytest.importorskip("cma")
+    no_effort = "objective={tip: {reach: {body: finger, group: tip, goal: target}}}"
+    run = learn(finger, tmp_path, "controller={mlp: {hidden: [4, 4]}}", no_effort, *wanted)
+    assert run / "figures" / "convergence.png" in draw_run(run)
+
+
+def test_a_missing_cma_is_named_before_anything_runs(finger, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cma", None)
+    with pytest.raises(SceneError, match=r"optimizer.cma_es: .*'cma', which is not installed: pip install"):
+        learn(finger, tmp_path, "optimizer={cma_es: {}}")
 
 
 def test_a_run_begins_with_a_line_on_each_body(finger, tmp_path):

@@ -11,7 +11,7 @@ from small_beam import Listener, assert_same, changed, result_of
 from small_finger import FINGER, written
 
 from cqrun.controllers.saved import read_controller, save_controller
-from cqrun.errors import Stopped, UsageError
+from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.figures.render import Wanted, render
 from cqrun.jobs.control import Keeping, run_control
 from cqrun.jobs.report import report_lines
@@ -75,6 +75,39 @@ def test_another_goal_and_another_place(trained, tmp_path):
     np.testing.assert_allclose(moved[0], here[0] + [0.05, 0.0], rtol=0, atol=1e-14)
     assert np.abs(moved[-1] - here[-1] - [0.05, 0.0]).max() > 1e-5  # it sees that it is elsewhere
     assert len({run.name for run in (away, there, trained)}) == 3
+
+
+def test_a_goal_that_was_drawn_may_be_put_anywhere(tmp_path):
+    """At the world's edge no spread would be left."""
+    listener = Listener()
+    run = replay(written(tmp_path), tmp_path, "goals.target.position=[0.98, 0.5]", reporter=listener)
+    assert [line for line in listener.said if "warning" in line] == [f"warning: {UNTRAINED}"]
+    assert result_of(run)["goals"] == {"target": [0.98, 0.5]}
+    with pytest.raises(SceneError, match=r"goals.target.position: lies outside the world: x = 1.2 m"):
+        replay(written(tmp_path), tmp_path, "goals.target.position=[1.2, 0.5]")
+
+
+@pytest.mark.parametrize(
+    ("term", "longer", "told"),
+    [
+        ("{track: {body: finger, marker: {file: wave.csv, marker: tip}}}", "0.2", "was seen from 0 to 0.1 s"),
+        ("{track: {body: finger, keys: [[0.1, 0.5, 0.6]]}}", "0.05", "a key frame at 0.1 s is after the end"),
+    ],
+)
+def test_terms_that_do_not_fit_another_time_are_left_out(tmp_path, term, longer, told):
+    (tmp_path / "wave.csv").write_text("time,marker,x,y\n0,tip,0.5,0.6\n0.1,tip,0.5,0.7\n")
+    scene = written(tmp_path)
+    listener = Listener()
+    run = replay(scene, tmp_path, f"objective.way={term}", f"time.duration={longer}", reporter=listener)
+    assert [line.startswith("warning: ") and told in line for line in listener.said if "goes without it" in line] == [
+        True
+    ]
+    assert set(result_of(run)["terms"]) == {"tip", "effort"}
+    fitting = replay(scene, tmp_path, f"objective.way={term}")
+    assert set(result_of(fitting)["terms"]) == {"tip", "effort", "way"}
+    (tmp_path / "wave.csv").unlink()
+    without = result_of(replay(scene, tmp_path / "again", f"objective.way={term}"))
+    assert ("way" in without["terms"]) is ("wave.csv" not in term)
 
 
 def test_what_was_learned_beside_it_comes_with_it_unless_overridden(trained, tmp_path):

@@ -17,7 +17,9 @@ from small_finger import written
 
 from cqrun.errors import Stopped, UsageError
 from cqrun.jobs import seeds
+from cqrun.jobs.control import EXTENDED
 from cqrun.jobs.fleet import Member
+from cqrun.jobs.resume import run_resume
 from cqrun.jobs.seeds import _summary, interval, run_seeds, summary_lines
 
 
@@ -70,6 +72,10 @@ def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
     assert lines[0].startswith("1 of 2 seeds learned")
     assert "seed 0 failed: blew up" in lines
     assert json.loads(path.read_text())["all"]["trained"]["loss"] == {"mean": losses[1], "low": None, "high": None}
+    # and with one that went on for longer
+    run_resume(run, ["optimizer.adam.max_iterations=3"], 1, True)
+    path.write_text(json.dumps(_summary("finger", runs)))
+    assert f"warning: seed 1: {EXTENDED}" in summary_lines(path)
 
 
 def test_seeds_that_change_nothing_are_told(tmp_path):
