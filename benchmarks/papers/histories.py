@@ -11,18 +11,19 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.objectives.uncertainty import interval_of_mean
 from cqrun.store.history import read_history
-from cqrun.store.run import read_record
+from cqrun.store.run import FINISHED, read_record
 
 CONFIDENCE = 0.9
 
 
 @dataclass(frozen=True)
 class Run:
-    """A run directory with its seed and its history's columns."""
+    """A run directory with its seed, its history's columns, and whether it has come to its end."""
 
     path: Path
     seed: int
     history: Mapping[str, Array]
+    finished: bool = True
 
     @property
     def seconds(self) -> Array:
@@ -36,8 +37,14 @@ def runs_below(folder: Path) -> list[Run]:
     for file in folder.rglob("history.csv"):
         history = {name: np.array(column) for name, column in read_history(file).items()}
         if history and len(history["iteration"]):
-            found.append(Run(file.parent, int(read_record(file.parent)["seed"]), history))
+            record = read_record(file.parent)
+            found.append(Run(file.parent, int(record["seed"]), history, record["status"] in FINISHED))
     return sorted(found, key=lambda run: run.seed)
+
+
+def settled(runs: list[Run]) -> list[Run]:
+    """Return the runs that have come to their end or, where none has, all."""
+    return [run for run in runs if run.finished] or runs
 
 
 def rows(variant: str, runs: list[Run], value: Mapping[int, Array]) -> Iterator[dict[str, object]]:

@@ -34,9 +34,9 @@ def archive_of(work: Work, folder: Path) -> Path:
 
 
 def keep(work: Work, runs: Path, archive: Path) -> None:
-    """Pack what was begun, if anything was."""
+    """Pack what was begun, if anything was, and not before the work changed."""
     root = runs / work.name
-    if not (root / CLOCK).exists():
+    if not work.begun(root):
         return
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:xz") as tar:

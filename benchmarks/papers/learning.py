@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.histories import Curves, curves, rows, runs_below
+from benchmarks.papers.histories import Curves, curves, rows, runs_below, settled
 from benchmarks.papers.work import Found, Runs, Work
 from cqrun.figures.style import COLOURS, GREY, clock_ticks, new_figure, titled
 
@@ -77,7 +77,7 @@ class Distances(Figure):
         parts: list[dict[str, object]] = []
         for variant in self.variants:
             if self._name(variant) in found:
-                runs = runs_below(found[self._name(variant)])
+                runs = settled(runs_below(found[self._name(variant)]))
                 parts += rows(variant.label, runs, {run.seed: run.history[self.term] for run in runs})
         return stacked(iter(parts))
 

@@ -20,7 +20,7 @@ import pytest
 from benchmarks.papers import __main__ as command
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Figure, Judgement, Size, judged, read_table, stacked, write_table
-from benchmarks.papers.histories import curves, first_below, smooth
+from benchmarks.papers.histories import Run, curves, first_below, settled, smooth
 from benchmarks.papers.learning import Distances
 from benchmarks.papers.page import write_page
 from benchmarks.papers.publish import publish
@@ -118,6 +118,12 @@ def test_what_is_committed_is_what_is_judged(record):
     assert told["verdict"] in (verdict.judgement, Judgement.UNFINISHED)
     for suffix in (".png", ".pdf"):
         assert record.with_suffix(suffix).stat().st_size > 1000
+
+
+def test_a_seed_that_goes_on_is_left_out_beside_one_that_is_done():
+    runs = [Run(Path(), seed, {}, finished) for seed, finished in ((0, True), (1, False))]
+    assert [run.seed for run in settled(runs)] == [0]
+    assert settled(runs[1:]) == runs[1:]
 
 
 # --- work ---------------------------------------------------------------------------------------------------------
