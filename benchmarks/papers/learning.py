@@ -113,7 +113,8 @@ class Distances(Figure):
         low, high = self.interval
         mean, half = float(found.mean[-1]), float(found.half[-1])
         beyond = ", above its interval" if mean > high else ""
-        told = f"{mean:.2f} +- {half:.2f} m, paper {self.final:g} ({low:g} to {high:g}){beyond}"
+        ours = f"{mean:.2f} +- {half:.2f} m" if len(found.value) > 1 else f"{mean:.2f} m (one seed)"
+        told = f"{ours}, paper {self.final:g} ({low:g} to {high:g}){beyond}"
         return judged({told: mean >= low})
 
 
