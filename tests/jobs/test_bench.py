@@ -72,7 +72,7 @@ def test_what_is_measured_is_the_scenes_own_rollout(text):
     built = build(load_scene(text))
     excerpt = excerpt_of(built, 1, Silent())
     excerpt.measure(1)
-    agent, model = make_agent(built, None), built.model
+    agent, model = make_agent(built, None, Silent()), built.model
     if agent is None:
         rollout = Rollout(model, built.assembly.inputs({}))
     else:
