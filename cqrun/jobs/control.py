@@ -196,7 +196,7 @@ def _flat(run: RunDirectory) -> bool:
     history = read_history(run.path / "history.csv")
     norms = [column for name, column in history.items() if name.startswith("grad:")]
     greatest = max((np.nanmax(np.abs(column), initial=0.0) for column in norms), default=np.inf)
-    return bool(len(history["loss"]) and greatest <= NOUGHT * max(1.0, np.nanmax(np.abs(history["loss"]), initial=0.0)))
+    return bool(greatest <= NOUGHT * max(1.0, np.nanmax(np.abs(history["loss"]), initial=0.0)))
 
 
 class Keeping(Progress):

@@ -38,6 +38,16 @@ def test_simulate_prints_where_the_bodies_are(cqrun, scene):
     assert "t = 0 of 0.02 s" in err
 
 
+def test_a_picture_that_cannot_be_drawn_makes_no_run_fail(cqrun, scene, monkeypatch):
+    def broken(run):
+        raise ValueError("no such axis")
+
+    monkeypatch.setattr("cqrun.figures.draw.draw_run", broken)
+    code, out, err = cqrun("simulate", scene, "--quiet", "-o", "time.duration=0.02")
+    assert (code, out.splitlines()[-1].partition(" ")[0]) == (0, "run:")
+    assert err.startswith("warning: no pictures: ValueError: no such axis; `cqrun plot results")
+
+
 def test_gradcheck_ends_with_0_or_1(cqrun, scene, monkeypatch):
     code, out, _ = cqrun("gradcheck", scene, "--quiet")
     assert code == 0

@@ -220,7 +220,6 @@ def test_an_extended_run_is_told_where_fewer_iterations_are_asked_for(finger, tm
 )
 def test_a_network_without_gradients_is_drawn(finger, tmp_path, wanted):
     """Neither a method of values alone has norms to draw, nor muscles without strength."""
-    pytest.importorskip("cma")
     no_effort = "objective={tip: {reach: {body: finger, group: tip, goal: target}}}"
     run = learn(finger, tmp_path, "controller={mlp: {hidden: [4, 4]}}", no_effort, *wanted)
     assert run / "figures" / "convergence.png" in draw_run(run)
