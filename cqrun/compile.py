@@ -26,6 +26,7 @@ from numba.extending import intrinsic, overload
 
 _compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 _KERNELS: list[Any] = []
+_OF_ONE_BODY: set[str] = set()
 
 
 class _OwnHelpers(codegen.JITCodeLibrary):
@@ -41,6 +42,8 @@ class _OwnHelpers(codegen.JITCodeLibrary):
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage == binding.Linkage.linkonce_odr:
                 function.linkage = "internal"
+                if any(name in function.name for name in _OF_ONE_BODY):
+                    function.add_function_attribute("noinline")
         super()._optimize_final_module()
 
 
@@ -75,6 +78,15 @@ def kernel(function: Callable[..., Any]) -> Any:
 def allocating_kernel(function: Callable[..., Any]) -> Any:
     """As `kernel`, for a function that makes arrays of its own; it returns none."""
     return _kernel(function, references=True)
+
+
+def one_body(function: Callable[..., Any]) -> Any:
+    """As `kernel`, for a function that another calls from several places and that must give the same bits in each.
+
+    Copies would be optimised each where they stand; this one is never copied into its caller.
+    """
+    _OF_ONE_BODY.add(f"{len(function.__name__)}{function.__name__}")  # as mangled names have it
+    return kernel(function)
 
 
 def _kernel(function: Callable[..., Any], references: bool) -> Any:

@@ -1,5 +1,8 @@
 """Passes over particles, lane by lane: momentum before P2G, motion after G2P, and their adjoints.
 
+A particle's momentum for the next substep needs nothing but its own motion in this one. So `move` can go on with
+it tile by tile, while the tile is in the cache (`ahead`); so can `momentum_vjp` with the adjoint of the substep before.
+
 Momentum (CQ1 eqs 3-5), with kappa = exp(-damping dt), all external forces f, and tau the Kirchhoff stress:
 
     p = kappa m v + dt f,    G = kappa m C - (4 / dx^2) dt vol0 tau(F, C)
@@ -14,7 +17,7 @@ In cells, d = dx (o - f): P2G scatters a = p, columns dx G; G2P gathers B / dx.
 
 from __future__ import annotations
 
-from cqrun.compile import kernel, share
+from cqrun.compile import kernel, one_body, share
 from cqrun.contract import Array
 from cqrun.engine.arrays import (
     add_vector,
@@ -54,11 +57,19 @@ def momentum(
     group: Group, q: Array, fields: Array, push: Array, setting: Setting, work: Work, thread: int, n_threads: int
 ) -> None:
     """Write what P2G scatters for one body's particles; `push` is the force of actuators, if there are any."""
+    lo, hi = tiles_of(group, thread, n_threads)
+    write_momentum(group, q, fields, push, setting, work, lo, hi)
+
+
+@one_body
+def write_momentum(
+    group: Group, q: Array, fields: Array, push: Array, setting: Setting, work: Work, lo: int, hi: int
+) -> None:
+    """Write what P2G scatters for columns lo .. hi of a body."""
     dims, dx, dt = setting.dims, setting.dx, setting.dt
     D, n = len(dims), work.place.shape[0]
     width = LANE_BYTES // q.itemsize
     pushed = push.shape[0] > 0
-    lo, hi = tiles_of(group, thread, n_threads)
     for i in range(lo, hi, width):
         C = load_matrix(q, 2 * D, i, dims)
         F = load_matrix(q, 2 * D + D * D, i, dims)
@@ -77,10 +88,16 @@ def momentum(
 
 
 @kernel
-def move(group: Group, q: Array, q_next: Array, setting: Setting, work: Work, thread: int, n_threads: int) -> None:
+def move(
+    group: Group, q: Array, q_next: Array, fields: Array, push: Array, ahead: bool, setting: Setting, work: Work,
+    thread: int, n_threads: int,
+) -> None:  # fmt: skip
     """Gather the grid velocity and move one body's particles; q_next may be q.
 
     Leaves the fastest component of velocity and the first stray particle in the thread's slots of `work`.
+
+    Args:
+        fields, push, ahead: whether to go on with the momentum of the next substep, and what that needs.
     """
     dims, dx, dt = setting.dims, setting.dx, setting.dt
     D = len(dims)
@@ -104,26 +121,29 @@ def move(group: Group, q: Array, q_next: Array, setting: Setting, work: Work, th
             inside = within(shift(scale(x, 1.0 / dx), MARGIN), setting.upper)
             if not all_lanes(inside) and work.stray[thread] < 0:
                 work.stray[thread] = i
+        if ahead:
+            write_momentum(group, q_next, fields, push, setting, work, tile, end)
     for k in range(width):
         work.speed[thread] = max(work.speed[thread], lane(fastest, k))
 
 
 @kernel
 def move_vjp(
-    group: Group,
-    q: Array,
-    q_next: Array,
-    q_bar: Array,
-    setting: Setting,
-    work: Work,
-    thread: int,
-    n_threads: int,
+    group: Group, q: Array, q_next: Array, q_bar: Array, setting: Setting, work: Work, thread: int, n_threads: int
 ) -> None:
     """Write what the adjoint of G2P scatters, and begin the cotangent of q in place of that of q_next."""
+    lo, hi = tiles_of(group, thread, n_threads)
+    begin_cotangent(group, q, q_next, q_bar, setting, work, lo, hi, thread)
+
+
+@one_body
+def begin_cotangent(
+    group: Group, q: Array, q_next: Array, q_bar: Array, setting: Setting, work: Work, lo: int, hi: int, thread: int
+) -> None:
+    """Do `move_vjp` for columns lo .. hi of a body."""
     dims, dx, dt = setting.dims, setting.dx, setting.dt
     D, n = len(dims), work.place.shape[0]
     width = LANE_BYTES // q.itemsize
-    lo, hi = tiles_of(group, thread, n_threads)
     fastest = load(q, 0, group.lo) * 0.0
     for i in range(lo, hi, width):
         v, C = load_vector(q_next, D, i, dims), load_matrix(q_next, 2 * D, i, dims)
@@ -146,13 +166,15 @@ def move_vjp(
 @kernel
 def momentum_vjp(
     groups: tuple[Group, Group], q: Array, q_bar: Array, fields: Array, fields_bar: Array, push_bar: Array,
-    setting: Setting, work: Work, thread: int, n_threads: int,
+    ahead: bool, q_before: Array, push: Array, setting: Setting, work: Work, thread: int, n_threads: int,
 ) -> None:  # fmt: skip
     """Gather the adjoints of both transfers, finish the cotangent of q, add to those of all parameters.
 
     Args:
         groups: a body and its cotangent.
         push_bar: becomes the cotangent of this substep's push.
+        ahead, q_before, push: whether to go on with the adjoint of the substep before this, the state that it began
+            from, and what pushes in it.
     """
     group, group_bar = groups
     dims, dx, dt = setting.dims, setting.dx, setting.dt
@@ -192,3 +214,6 @@ def momentum_vjp(
             store_matrix(q_bar, 2 * D, i, add(C_bar, scale(G_bar, m * kappa)), dims)
             F_bar = add(F_bar, load_matrix(q_bar, 2 * D + D * D, i, dims))
             store_matrix(q_bar, 2 * D + D * D, i, F_bar, dims)
+        if ahead:
+            begin_cotangent(group, q_before, q, q_bar, setting, work, tile, end, thread)
+            write_momentum(group, q_before, fields, push, setting, work, tile, end)

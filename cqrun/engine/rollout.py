@@ -36,6 +36,9 @@ THREAD_WORTH = 1000
 CALL_WORTH = 2500
 """Particles times substeps of a control step for which it gains more than waking it costs: often at each."""
 
+CHAINED_FROM = 3 << 20
+"""Bytes of a state from which substeps are chained tile by tile: from there what one touches leaves the last cache."""
+
 SLICE = 0.2
 """Seconds of compiled code between looks at `should_stop` and observers."""
 
@@ -100,6 +103,10 @@ class Rollout:
         n, substeps = self.model.layout.n_particles, self.model.substeps
         return max(1, min(threads, n // THREAD_WORTH, n * substeps // CALL_WORTH))
 
+    def _chained(self) -> bool:
+        """Say whether substeps may follow each other tile by tile: what pushes must see all particles in between."""
+        return self.start.nbytes >= CHAINED_FROM and self.model.substeps > 1 and not len(self.drive.push)
+
     def _pack(self) -> None:
         model, inputs = self.model, self.inputs
         layout, real, shape = model.layout, model.real, model.grid_shape
@@ -111,7 +118,7 @@ class Rollout:
         self.probe = model.kernel_probe()
         self.setting = Setting(
             (0,) * model.dim, node_strides(shape), tuple(float(n - 2) for n in shape), model.dx, model.dt,
-            model.substeps,
+            model.substeps, self._chained(),
         )  # fmt: skip
         self.work = make_work(
             shape,

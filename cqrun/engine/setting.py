@@ -27,6 +27,7 @@ class Setting(NamedTuple):
     dx: float
     dt: float
     substeps: int  # in a control step
+    chained: bool  # whether substeps follow each other tile by tile (`step.follows`)
 
 
 class Group(NamedTuple):

@@ -1,6 +1,10 @@
 """The substep as a list of passes, and its adjoint, that list reversed; the loops over substeps.
 
 Every thread runs these loops with its own number and meets the others after each pass (`compile.py`).
+
+Where a state does not fit the cache, the last pass of a substep does the first of the next as well, tile by tile
+(`follows`): the same arithmetic in the same order for each particle, with fewer ways to the memory. A substep whose
+first pass is done already was `begun`; one that does the next one's goes `ahead`.
 """
 
 from __future__ import annotations
@@ -63,49 +67,58 @@ def sort_if_due(step: int, setting: Setting, work: Work, thread: int, n_threads:
 
 
 @kernel
+def follows(step: int, setting: Setting) -> bool:
+    """Say whether a substep follows the one before it tile by tile: it does within a control step."""
+    return setting.chained and step % setting.substeps != 0
+
+
+@kernel
 def fields_of_particles(
-    step: int, control: int, groups: Any, q: Array, fields: Array, drive: Drive, setting: Setting, work: Work,
-    thread: int, n_threads: int,
+    step: int, control: int, begun: bool, groups: Any, q: Array, fields: Array, drive: Drive, setting: Setting,
+    work: Work, thread: int, n_threads: int,
 ) -> None:  # fmt: skip
     """The first part of a substep: what P2G scatters from the state q, and in which order."""
     if drive.push.shape[0] > 0:
         if thread == 0:
             push_particles(drive, control, q, fields)
         barrier(work.arrivals, n_threads)
-    momentum_of_each(groups, q, fields, drive.push, setting, work, thread, n_threads)
+    if not begun:
+        momentum_of_each(groups, q, fields, drive.push, setting, work, thread, n_threads)
     sort_if_due(step, setting, work, thread, n_threads)
 
 
 @kernel
 def substep(
-    step: int, groups: Any, conditions: Any, q: Array, q_next: Array, fields: Array, drive: Drive, setting: Setting,
-    work: Work, thread: int, n_threads: int,
+    step: int, begun: bool, ahead: bool, groups: Any, conditions: Any, q: Array, q_next: Array, fields: Array,
+    drive: Drive, setting: Setting, work: Work, thread: int, n_threads: int,
 ) -> None:  # fmt: skip
     """q_next = one substep from q."""
     control = step // setting.substeps
-    fields_of_particles(step, control, groups, q, fields, drive, setting, work, thread, n_threads)
+    fields_of_particles(step, control, begun, groups, q, fields, drive, setting, work, thread, n_threads)
     clear(work.grid, 1, setting, work, thread, n_threads)
     barrier(work.arrivals, n_threads)
     scatter_blocks(work.grid, (work.value,), (work.affine,), setting, work, thread, n_threads)
     update_grid(setting, conditions, work, thread, n_threads)
     barrier(work.arrivals, n_threads)
-    move_each(groups, q, q_next, setting, work, thread, n_threads)
+    move_each(groups, q, q_next, fields, drive.push, ahead, setting, work, thread, n_threads)
 
 
 @kernel
 def substep_vjp(
-    due: int, control: int, groups: Any, pairs: Any, conditions: Any, coefficient_bar: Array, q: Array, q_next: Array,
-    q_bar: Array, fields: Array, fields_bar: Array, drive: Drive, drive_bar: Drive, setting: Setting, work: Work,
-    thread: int, n_threads: int,
+    due: int, begun: bool, ahead: bool, control: int, groups: Any, pairs: Any, conditions: Any, coefficient_bar: Array,
+    q_before: Array, q: Array, q_next: Array, q_bar: Array, fields: Array, fields_bar: Array, drive: Drive,
+    drive_bar: Drive, setting: Setting, work: Work, thread: int, n_threads: int,
 ) -> None:  # fmt: skip
     """Turn q_bar from the cotangent of q_next into that of q; add to those of the parameters.
 
     Args:
         due: stands for the substep's number: particles are sorted where it is a multiple of SORT_EVERY.
         pairs: every group with its cotangent.
+        q_before: the state that the substep before this began from; used if that follows at once (`ahead`).
     """
-    move_each_vjp(groups, q, q_next, q_bar, setting, work, thread, n_threads)
-    fields_of_particles(due, control, groups, q, fields, drive, setting, work, thread, n_threads)
+    if not begun:
+        move_each_vjp(groups, q, q_next, q_bar, setting, work, thread, n_threads)
+    fields_of_particles(due, control, begun, groups, q, fields, drive, setting, work, thread, n_threads)
     clear(work.both, 2, setting, work, thread, n_threads)
     barrier(work.arrivals, n_threads)
     values, affines = (work.value, work.value_2), (work.affine, work.affine_2)
@@ -114,7 +127,10 @@ def substep_vjp(
     barrier(work.arrivals, n_threads)
     if thread == 0:
         add_friction_bar(coefficient_bar, work)
-    momentum_of_each_vjp(pairs, q, q_bar, fields, fields_bar, drive_bar.push, setting, work, thread, n_threads)
+    momentum_of_each_vjp(
+        pairs, q, q_bar, fields, fields_bar, drive_bar.push, ahead, q_before, drive.push, setting, work, thread,
+        n_threads,
+    )  # fmt: skip
     if drive.push.shape[0] > 0:
         barrier(work.arrivals, n_threads)
         if thread == 0:
@@ -138,7 +154,8 @@ def advance(
             if thread == 0:
                 activate(drive, step // setting.substeps)
             barrier(work.arrivals, n_threads)
-        substep(step, groups, conditions, q, q_next, fields, drive, setting, work, thread, n_threads)
+        begun, ahead = step > begin and follows(step, setting), step + 1 < end and follows(step + 1, setting)
+        substep(step, begun, ahead, groups, conditions, q, q_next, fields, drive, setting, work, thread, n_threads)
         barrier(work.arrivals, n_threads)
         for other in range(n_threads):
             if work.stray[other] >= 0:
@@ -170,9 +187,11 @@ def reverse(
             barrier(work.arrivals, n_threads)
         # sorted where a forward run counted down would be: at the chunk's start and every SORT_EVERY
         due = 0 if step == end - 1 or (step + 1) % SORT_EVERY == 0 else 1
+        begun, ahead = step + 1 < end and follows(step + 1, setting), step > begin and follows(step, setting)
+        q_before = states[step - begin - 1] if ahead else q
         substep_vjp(
-            due, control, groups, pairs, conditions, coefficient_bar, q, q_next, q_bar, fields, fields_bar,
-            drive, drive_bar, setting, work, thread, n_threads,
+            due, begun, ahead, control, groups, pairs, conditions, coefficient_bar, q_before, q, q_next, q_bar, fields,
+            fields_bar, drive, drive_bar, setting, work, thread, n_threads,
         )  # fmt: skip
         barrier(work.arrivals, n_threads)
         if step % setting.substeps == 0 and thread == 0:

@@ -107,19 +107,26 @@ class Excerpt:
         setting, work, drive, fields = r.setting, r.work, r.drive, r.fields
         q, q_next = self.states[0], self.states[1]
         once = 1.0 / self.substeps
+        apart = once if setting.chained else 1.0
         if r.policy is not None:
             yield Pass("policy", alone(self._policy), once)
         if drive.stresses:
             yield Pass("activate", alone(lambda: activate(drive, control)), once)
         if len(drive.push):
             yield Pass("push", alone(lambda: push_particles(drive, control, q, fields)))
-        yield Pass("momentum", lambda t: momentum_of_each(r.groups, q, fields, drive.push, setting, work, t, n))
+        yield Pass("momentum", lambda t: momentum_of_each(r.groups, q, fields, drive.push, setting, work, t, n), apart)
         yield Pass("sort", alone(lambda: sort_particles(work.blocks, work.place)), 1.0 / SORT_EVERY)
         yield Pass("clear", lambda t: clear(work.grid, 1, setting, work, t, n))
         value, affine = (work.value,), (work.affine,)
         yield Pass("scatter", lambda t: scatter_blocks(work.grid, value, affine, setting, work, t, n))
         yield Pass("update_grid", lambda t: update_grid(setting, r.conditions, work, t, n))
-        yield Pass("move", lambda t: move_each(r.groups, q, q_next, setting, work, t, n))
+
+        def move(thread: int, ahead: bool = False) -> None:
+            move_each(r.groups, q, q_next, fields, drive.push, ahead, setting, work, thread, n)
+
+        yield Pass("move", move, apart)
+        if setting.chained:
+            yield Pass("move_momentum", lambda t: move(t, True), 1.0 - apart)
         if r.probe.start.shape[0] > 1:
             rows = np.ones_like(r.records[0])
             yield Pass("record", alone(lambda: record(r.probe, q, rows)), once)
@@ -130,18 +137,24 @@ class Excerpt:
         setting, work, drive, bar, fields = r.setting, r.work, r.drive, b.drive_bar, r.fields
         q, q_next = self.states[0], self.states[1]
         once, rows = 1.0 / self.substeps, np.ones_like(r.records[0])
+        apart = once if setting.chained else 1.0
         if r.probe.start.shape[0] > 1:
             yield Pass("record_vjp", alone(lambda: record_vjp(r.probe, b.q_bar, rows)), once)
-        yield Pass("move_vjp", lambda t: move_each_vjp(r.groups, q, q_next, b.q_bar, setting, work, t, n))
+        yield Pass("move_vjp", lambda t: move_each_vjp(r.groups, q, q_next, b.q_bar, setting, work, t, n), apart)
         values, affines = (work.value, work.value_2), (work.affine, work.affine_2)
         yield Pass("clear_both", lambda t: clear(work.both, 2, setting, work, t, n))
         yield Pass("scatter_both", lambda t: scatter_blocks(work.both, values, affines, setting, work, t, n))
         yield Pass("update_grid_vjp", lambda t: update_grid_vjp(setting, r.conditions, work, t, n))
         pairs = tuple(zip(r.groups, b.groups_bar, strict=True))
-        yield Pass(
-            "momentum_vjp",
-            lambda t: momentum_of_each_vjp(pairs, q, b.q_bar, fields, b.fields_bar, bar.push, setting, work, t, n),
-        )
+
+        def momentum_vjp(thread: int, ahead: bool = False) -> None:
+            momentum_of_each_vjp(
+                pairs, q_next, b.q_bar, fields, b.fields_bar, bar.push, ahead, q, drive.push, setting, work, thread, n
+            )
+
+        yield Pass("momentum_vjp", momentum_vjp, apart)
+        if setting.chained:
+            yield Pass("momentum_move_vjp", lambda t: momentum_vjp(t, True), 1.0 - apart)
         if len(drive.push):
             yield Pass(
                 "push_vjp",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,11 @@ from cqrun.boundaries.friction import Friction
 from cqrun.engine import rollout
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
 from cqrun.state import Layout, State
+
+SCENES = Path(__file__).parents[2] / "scenes"
 
 
 def gradient(model, inputs, threads, records_bar):
@@ -59,6 +64,38 @@ def test_one_thread_and_two_and_three_give_the_same_bits(dim, rng):
             np.testing.assert_array_equal(a, b)
         for kind, a, b in zip(KINDS, arrays(others[2]), arrays(bar), strict=True):
             np.testing.assert_array_equal(a, b, err_msg=kind)
+
+
+@needs_jit
+@pytest.mark.parametrize("real", [np.float64, np.float32])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_substeps_one_by_one_and_tile_by_tile_give_the_same_bits(dim, real, rng, monkeypatch):
+    """With all states kept, on two threads, and in little memory."""
+    model, inputs = crowd(dim, rng)
+    model = replace(model, real=real)
+    records_bar = random_records(Records.zeros(model.n_controls, 2, dim), rng)
+    short = replace(model, memory_budget=20 * 2 * dim * (1 + dim) * model.layout.n * np.dtype(real).itemsize)
+    state, records, bar = gradient(model, inputs, 1, records_bar)
+    monkeypatch.setattr(Rollout, "_chained", lambda rollout: True)  # all kinds of actuators are here, none that pushes
+    for other, threads in ((model, 1), (model, 2), (short, 1)):
+        again, records_again, bar_again = gradient(other, inputs, threads, records_bar)
+        for a, b in zip((*parts(again), *parts(records_again)), (*parts(state), *parts(records)), strict=True):
+            np.testing.assert_array_equal(a, b)
+        for kind, a, b in zip(KINDS, arrays(bar_again), arrays(bar), strict=True):
+            np.testing.assert_array_equal(a, b, err_msg=kind)
+
+
+@needs_jit
+def test_large_bodies_are_chained_unless_something_pushes(monkeypatch):
+    found = {}
+    for name in ("simulate/oscillator", "control/biped_cable"):
+        built = build(load_scene(SCENES / f"{name}.yaml", []))
+        inputs = built.assembly.inputs({})
+        size = Rollout(built.model, inputs).start.nbytes
+        for least in (size, size + 1):
+            monkeypatch.setattr(rollout, "CHAINED_FROM", least)
+            found[name, least - size] = Rollout(built.model, inputs).setting.chained
+    assert list(found.values()) == [True, False, False, False]
 
 
 @needs_jit

@@ -9,6 +9,7 @@ import pytest
 from small_beam import BEAM, Listener
 from small_finger import FINGER, written
 
+from cqrun.engine import rollout
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RunError, SceneError, Stopped, UsageError
 from cqrun.jobs import bench as blocks
@@ -26,6 +27,7 @@ PASSES = {
 }  # fmt: skip
 ACTING = PASSES | {"policy", "policy_vjp", "activate", "activate_vjp", "record", "record_vjp"}
 PUSHING = ACTING - {"activate", "activate_vjp"} | {"push", "push_vjp"}
+CHAINED = PASSES | {"move_momentum", "momentum_move_vjp"}
 PUSHED = FINGER.replace(
     "muscle: {muscle: {body: finger, each: [left, right], axis: [0, 1], strength: 4}}",
     "push: {body_force: {body: finger, direction: [1, 0], acceleration: 0.1}}",
@@ -39,8 +41,10 @@ def few(monkeypatch):
         monkeypatch.setattr(module, "REPEAT", 1)
 
 
-@pytest.mark.parametrize(("text", "passes"), [(BEAM, PASSES), (FINGER, ACTING), (PUSHED, PUSHING)])
-def test_every_pass_has_a_line_and_a_share(tmp_path, text, passes):
+@pytest.mark.parametrize(("text", "passes"), [(BEAM, PASSES), (BEAM, CHAINED), (FINGER, ACTING), (PUSHED, PUSHING)])
+def test_every_pass_has_a_line_and_a_share(tmp_path, text, passes, monkeypatch):
+    if passes is CHAINED:
+        monkeypatch.setattr(rollout, "CHAINED_FROM", 0)
     file = tmp_path / "scene.yaml"
     file.write_text(text)
     output = tmp_path / "new" / "bench.json"
@@ -74,14 +78,14 @@ def test_what_is_measured_is_the_scenes_own_rollout(text):
     excerpt.measure(1)
     agent, model = make_agent(built, None, Silent()), built.model
     if agent is None:
-        rollout = Rollout(model, built.assembly.inputs({}))
+        whole = Rollout(model, built.assembly.inputs({}))
     else:
-        rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, 1)
-    states = rollout.start[None].copy()
-    rollout.advance(0, excerpt.begin, states, keep=False)
+        whole = agent.rollout(agent.acting, agent.goals_in_the_middle, 1)
+    states = whole.start[None].copy()
+    whole.advance(0, excerpt.begin, states, keep=False)
     assert excerpt.begin > 0
     assert np.array_equal(excerpt.states[0], states[0])
-    rollout.advance(excerpt.begin, excerpt.end, states, keep=False)
+    whole.advance(excerpt.begin, excerpt.end, states, keep=False)
     excerpt.rewind()
     excerpt.store()
     assert np.array_equal(excerpt.states[-1], states[0])
