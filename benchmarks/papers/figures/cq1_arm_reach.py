@@ -33,8 +33,11 @@ class ArmReach(Figure):
     paper = "a scene of CQ1's repository without a figure; no number is printed"
     left_open = (
         "how many goals to learn from: twenty one seed at the paper's size learned by heart (.018 m in 60 iterations, "
-        "and .062 from unseen ones); of the scene's sixty a smaller arm learned .035 and .049. With two substeps "
-        "a step, not three, the first seed came to .043 and .061 in 20 iterations, but blew up at an unseen goal"
+        "and .062 from unseen ones); of the scene's sixty a smaller arm learned .035 and .049. With two substeps a "
+        "step, not three, the first seed came to .043 and .061 in 20 iterations, but blew up at an unseen goal. Of "
+        "the twenty unseen goals three lie in corners of the range, and are half of their mean. Over forty others "
+        "drawn the same way the same controller comes to .028 m, 1.05 times what it does on its trained goals (.027). "
+        "One seed, which takes some four hours of a core"
     )
     tolerance = {
         Size.QUICK: "the mean error over unseen goals is less than at the start",
@@ -46,7 +49,7 @@ class ArmReach(Figure):
         """Return the seeds."""
         if size is Size.QUICK:
             return [Runs("arm_reach_3d", 1.8, "control", "control/arm_reach_3d", QUICK, 1)]
-        return [Runs("arm_reach_3d", 110.0, "control", "control/arm_reach_3d", SINGLE, 3)]
+        return [Runs("arm_reach_3d", 240.0, "control", "control/arm_reach_3d", SINGLE, 1)]
 
     def table(self, found: Found, size: Size) -> Table:
         """Return set, seed, x and z of the goal [m], error [m]."""
