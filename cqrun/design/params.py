@@ -15,6 +15,9 @@ import numpy as np
 
 from cqrun.contract import Array
 
+REGULARISER = "regulariser"
+"""What the unknowns' regularisers together are called among the terms of a loss."""
+
 
 @dataclass(frozen=True)
 class Follower:
@@ -45,7 +48,8 @@ class Follower:
 class Block:
     """One unknown: `size` numbers under one key path, with common bounds.
 
-    `initial` has the shape of the value: () for one number, (n,) for one a group or a particle.
+    `initial` has the shape of the value: () for one number, (n,) for one a group or a particle. `regulariser` is the
+    weight of the mean of (s - s_0)^2 in a loss, s how far the value lies between its bounds, s_0 where it starts.
     """
 
     path: str
@@ -54,6 +58,7 @@ class Block:
     log: bool
     initial: Array
     followers: tuple[Follower, ...] = field(default=(), kw_only=True)
+    regulariser: float = field(default=0.0, kw_only=True)
 
     @property
     def size(self) -> int:
@@ -97,6 +102,15 @@ class Block:
     def gradient(self, value: Array, bar: Array) -> Array:
         """Return the gradient by x (size,) from that by the value."""
         return np.asarray(bar * self.slope(value)).reshape(-1)
+
+    def departure(self, value: Array) -> float:
+        """Return the regulariser of a value, with its weight."""
+        return float(self.regulariser * np.mean((self.to_scaled(value) - self.to_scaled(self.initial)) ** 2))
+
+    def departure_vjp(self, value: Array, bar: float) -> Array:
+        """Return the cotangent of a value from that of `departure`."""
+        s_bar = 2.0 * bar * self.regulariser / np.size(value) * (self.to_scaled(value) - self.to_scaled(self.initial))
+        return np.asarray(s_bar / self.slope(value))
 
     def numbers(self, x: Array) -> Array:
         """Return x (size,) in the unknown's unit."""
@@ -206,6 +220,19 @@ class Params:
         values = self.unpack(x)
         bars = {b.path: sum((f.of_vjp(by_value[f.path]) for f in b.followers), by_value[b.path]) for b in self.blocks}
         return _joined([b.gradient(values[b.path], np.asarray(bars[b.path])) for b in self.blocks])
+
+    @property
+    def regularised(self) -> bool:
+        """Whether any unknown has a regulariser."""
+        return any(block.regulariser for block in self.blocks)
+
+    def departure(self, values: Mapping[str, Array]) -> float:
+        """Return the sum of the regularisers of values by path."""
+        return sum(block.departure(values[block.path]) for block in self.blocks)
+
+    def departure_vjp(self, values: Mapping[str, Array], bar: float) -> dict[str, Array]:
+        """Return the cotangents, by path, of values that have a regulariser."""
+        return {b.path: b.departure_vjp(values[b.path], bar) for b in self.blocks if b.regulariser}
 
     def describe(self, x: Array) -> str:
         """Return values as text, for messages."""

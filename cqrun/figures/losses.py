@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.design.params import REGULARISER
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
 from cqrun.figures.quantities import MILLI, Unit, capitalised
@@ -60,8 +61,8 @@ def loss_curve(run: RunData) -> LossCurve:
 
 
 def term_names(run: RunData) -> list[str]:
-    """Return the terms of a run's objective that its history has, in the order of the scene."""
-    return [name for name in run.scene.objective if name in run.history]
+    """Return the terms of a run's loss that its history has, in the order of the scene."""
+    return [name for name in [*run.scene.objective, REGULARISER] if name in run.history]
 
 
 def term_curve(run: RunData, name: str) -> LossCurve:

@@ -89,7 +89,7 @@ def episode_loss(problem: EpisodeProblem) -> Loss:
         return total(attempt), problem.params.gradient(x, gradient)
 
     first = problem.attempt(problem.values(x), goals, problem.threads)
-    parts = [problem.objective.factors[name] * value for name, value in first.terms.items()]
+    parts = [problem.objective.factors.get(name, 1.0) * value for name, value in first.terms.items()]
     parts += [factor * first.held[name] for name, factor in mix.constraints.items()]
     scale = sum(map(abs, parts))
     moved = "" if np.array_equal(x, problem.params.start) else ", a little inside the bounds"

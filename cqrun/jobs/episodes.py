@@ -8,11 +8,13 @@ one thread; a single one may take all threads. Neither changes a bit of the resu
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.design.params import REGULARISER
 from cqrun.errors import RolloutError, UsageError
 from cqrun.jobs.agent import Agent, Attempt, Goals, Mix, Values
 from cqrun.jobs.memory import least_budget, state_bytes
@@ -20,6 +22,7 @@ from cqrun.jobs.problem import Effort, side_by_side
 from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import Built
 from cqrun.scene.schema import Scene
+from cqrun.state import State
 
 UNSEEN = 1_000_003
 """Where the seeds of unseen goals begin, far from any iteration's."""
@@ -43,6 +46,7 @@ class EpisodeProblem(Agent):
         threads: cores to use.
 
     Attributes:
+        summands: names of what the loss is a sum of.
         saw: what the controller got in the episodes of the last evaluation, (T, Z) each.
 
     Raises:
@@ -56,7 +60,8 @@ class EpisodeProblem(Agent):
         self.lower, self.upper = self.params.bounds
         self.stochastic = scene.episodes.fresh and any(g.drawn for g in scene.goals.values())
         self.n_batches = 1 if self.stochastic else self.n_episodes
-        self.term_names: Sequence[str] = [*scene.objective, "growth_at"]
+        self.summands = [*scene.objective, *[REGULARISER] * self.params.regularised]
+        self.term_names: Sequence[str] = [*self.summands, "growth_at"]
         held = scene.constraints
         self.constraint_names: Sequence[str] = list(held)
         self.scales = np.array([c.scale for c in held.values()])
@@ -66,6 +71,36 @@ class EpisodeProblem(Agent):
         self.interrupt: Callable[[], None] = lambda: None
         self._terms = np.full(len(self.term_names), np.nan)
         self.saw: list[Array] = []  # (T, Z) an episode
+
+    # --- regularisers: of the unknowns, and so no part of what an agent sees ------------------------------------
+
+    def attempt(
+        self, values: Values, goals: Goals, threads: int, observe: Callable[[int, State], None] | None = None
+    ) -> Attempt:
+        """Run one episode forward; its loss and terms with the unknowns' regularisers."""
+        return self._regularised(super().attempt(values, goals, threads, observe), values)
+
+    def attempt_with_gradients(
+        self, values: Values, goals: Goals, threads: int, budget: int, mixes: Callable[[Attempt], Sequence[Mix]]
+    ) -> tuple[Attempt, list[dict[str, Array]]]:
+        """Run one episode forward and backward, the unknowns' regularisers in its loss and in the loss's gradient."""
+        asked: list[Mix] = []
+
+        def noted(attempt: Attempt) -> Sequence[Mix]:
+            asked.extend(mixes(attempt))
+            return asked
+
+        attempt, gradients = super().attempt_with_gradients(values, goals, threads, budget, noted)
+        for mix, gradient in zip(asked, gradients, strict=True):
+            for path, bar in self.params.departure_vjp(values, mix.loss).items():
+                gradient[path] = gradient[path] + bar
+        return self._regularised(attempt, values), gradients
+
+    def _regularised(self, attempt: Attempt, values: Values) -> Attempt:
+        if not self.params.regularised:
+            return attempt
+        departure = self.params.departure(values)
+        return replace(attempt, loss=attempt.loss + departure, terms=attempt.terms | {REGULARISER: departure})
 
     # --- goals ------------------------------------------------------------------------------------------------
 
@@ -232,7 +267,7 @@ class EpisodeProblem(Agent):
 
     def _note(self, attempts: Sequence[Attempt]) -> None:
         """Keep the means of the terms, where the first episode's gradient grew fastest [s], what controllers saw."""
-        means = [float(np.mean([a.terms[name] for a in attempts])) for name in self.built.scene.objective]
+        means = [float(np.mean([a.terms[name] for a in attempts])) for name in self.summands]
         self._terms = np.array([*means, attempts[0].rollout.growth_at * self.matter.control_step])
         policies: list[Any] = [a.rollout.policy for a in attempts]
         self.saw = [np.array(policy.saw) for policy in policies]

@@ -147,6 +147,6 @@ def _summary(problem: EpisodeProblem, attempts: Sequence[Attempt]) -> dict[str, 
         return None
     return {
         "loss": float(np.mean([a.loss for a in attempts])),
-        "terms": {name: float(np.mean([a.terms[name] for a in attempts])) for name in problem.built.scene.objective},
+        "terms": {name: float(np.mean([a.terms[name] for a in attempts])) for name in problem.summands},
         "episodes": [{"goals": _plain(a.track.goals), "loss": a.loss, "terms": a.terms} for a in attempts],
     }

@@ -74,6 +74,10 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
     if missing:
         told = {"unknowns": "name what shall be found, by key path, with bounds", "data": "say what it is fitted to"}
         raise SceneError([Problem(scene.where(key), key, f"sysid needs it: {told[key]}") for key in missing])
+    for name in (name for name, unknown in scene.unknowns.items() if unknown.regulariser):
+        path = f"unknowns.{name}.regulariser"
+        message = "sysid takes none: it would pull the value towards the start, and intervals would not say so"
+        raise SceneError([Problem(scene.where(path), path, message)])
     scene = with_optimizer(scene)
     if scene.precision == "float32" and not uses_gradients(scene) and _optimizer(scene).squares:
         path = f"optimizer.{scene.optimizer.name}"  # type: ignore[union-attr]

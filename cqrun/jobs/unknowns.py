@@ -49,24 +49,25 @@ def _block(scene: Scene, particles: Particles, path: str, unknown: Unknown) -> B
     name, initial = canonical(scene, path), start(scene, path)
     low, high, log = *unknown.bounds, unknown.scale == "log"
     body, followers = body_of(scene, name), tuple(_followers(scene, particles, path, unknown))
+    beside: Any = {"followers": followers, "regulariser": unknown.regulariser}
     if unknown.per == "body":
-        return Block(name, low, high, log, np.array(initial), followers=followers)
+        return Block(name, low, high, log, np.array(initial), **beside)
     x, what = particles.x[particles.of(body)], "particles"
     if unknown.per == "group":
         x, what = _middles(particles, body, scene.bodies[body].group_names), "groups"
     values, axis = np.full(len(x), initial), -1 if unknown.mirror is None else "xyz".index(unknown.mirror)
     if unknown.per != "field" and unknown.mirror is None:
-        return Block(name, low, high, log, values, followers=followers)
+        return Block(name, low, high, log, values, **beside)
     if unknown.per != "field":
         try:
             over = spread.pairs(x, axis, f"{what} of '{body}'")
-            return Spread(name, low, high, log, values, over, followers=followers)
+            return Spread(name, low, high, log, values, over, **beside)
         except UsageError as error:
             place = f"unknowns.{path}.mirror"
             raise SceneError([Problem(scene.where(place), place, str(error))]) from error
     cells = unknown.resolution or RESOLUTION
     over = spread.field(x, cells) if unknown.mirror is None else spread.mirrored_field(x, cells, axis)
-    return Spread(name, low, high, log, values, over, followers=followers)
+    return Spread(name, low, high, log, values, over, **beside)
 
 
 def _middles(particles: Particles, body: str, names: Sequence[str]) -> Array:

@@ -146,6 +146,9 @@ class Unknown(Spec):
         default_factory=dict,
     )
     initial: float | None = Field(description="Start; the scene's own value if absent", default=None)
+    regulariser: float = Field(
+        description="Weight in the loss of the mean squared way from the start, bounds being 1 apart", ge=0, default=0.0
+    )
 
     @model_validator(mode="after")
     def _bounds_are_ordered(self) -> Self:

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 PICKING = ("observers", "objective", "constraints")
 """Parts whose groups are particles that are picked once, so that a region of the scene does as well."""
 
+TAKEN = ("iteration", "loss", "growth_at", "regulariser", "violation", "kkt", "seconds")
+"""Columns of history.csv beside those of the objective's terms."""
+
 
 def findings_between(scene: Scene) -> list[InitErrorDetails]:
     """Return what does not fit together."""
@@ -27,6 +30,7 @@ def findings_between(scene: Scene) -> list[InitErrorDetails]:
         for place, message in part.dim_problems(scene.dim)
     ]
     named = [*_faces(scene), *_bodies(scene), *_groups(scene), *findings_of_regions(scene), *_goals_named(scene)]
+    named += _columns(scene)
     placed = [*_goals_unused(scene), *_goals_outside(scene), *_positions_outside(scene)]
     return [*found, *named, *_signals(scene), *_controller(scene), *placed, *_target(scene)]
 
@@ -69,6 +73,14 @@ def _goals_named(scene: Scene) -> Iterator[InitErrorDetails]:
         name = getattr(part, "goal", None)
         if isinstance(name, str) and name not in scene.goals:
             yield finding(unknown("goal", name, list(scene.goals)), (*loc, "goal"))
+
+
+def _columns(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield terms whose column in history.csv would be another one's."""
+    for name in scene.objective:
+        if name in TAKEN:
+            message = "history.csv has a column of this name already: give the term another name"
+            yield finding(message, ("objective", name), kind=KEY)
 
 
 def _goals_unused(scene: Scene) -> Iterator[InitErrorDetails]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,12 @@ def params(request):
     name, log = request.param
     block = Spread("b", 2.0, 50.0, log, np.full(36, 10.0), MAPS[name])
     return Params((Block("a", 1.0, 3.0, False, np.array(1.5)), block))
+
+
+@pytest.fixture
+def regularised(params):
+    """Return the same unknowns, each with a regulariser."""
+    return Params(tuple(replace(b, regulariser=w) for b, w in zip(params.blocks, (0.3, 2.0), strict=True)))
 
 
 def test_the_start_is_the_initial_value(params):
@@ -41,6 +49,28 @@ def test_the_gradient_is_that_of_the_values(params, rng):
     ahead, behind = ([product(x + k * h * way) for k in ks] for ks in ((1, 2), (-1, -2)))
     slope = (8 * (ahead[0] - behind[0]) - (ahead[1] - behind[1])) / (12 * h)
     assert params.gradient(x, bars) @ way == pytest.approx(slope, rel=1e-9)
+
+
+def test_a_regulariser_is_the_mean_squared_way_from_the_start_between_the_bounds(params, regularised):
+    assert not params.regularised
+    assert params.departure(params.unpack(params.start)) == 0.0
+    assert regularised.departure(regularised.unpack(regularised.start)) == pytest.approx(0.0, abs=1e-28)
+    moved = regularised.unpack(regularised.start + 0.1)
+    assert regularised.departure(moved) == pytest.approx(0.3 * 0.1**2 + 2.0 * 0.1**2, rel=1e-9)
+
+
+def test_a_regularisers_gradient_is_that_of_its_value(regularised, rng):
+    x, way = (draw(size=len(regularised.start)) for draw in (rng.random, rng.normal))
+    x = 0.2 + 0.6 * x
+
+    def departure(at):
+        return 1.7 * regularised.departure(regularised.unpack(at))
+
+    h = 1e-3
+    ahead, behind = ([departure(x + k * h * way) for k in ks] for ks in ((1, 2), (-1, -2)))
+    slope = (8 * (ahead[0] - behind[0]) - (ahead[1] - behind[1])) / (12 * h)
+    gradient = regularised.gradient(x, regularised.departure_vjp(regularised.unpack(x), 1.7))
+    assert gradient @ way == pytest.approx(slope, rel=1e-9)
 
 
 def test_values_stay_within_the_bounds_and_can_be_packed_again(params, rng):

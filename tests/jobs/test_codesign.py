@@ -20,6 +20,7 @@ from cqrun.jobs.resume import run_resume
 from cqrun.jobs.validate import validate
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
+from cqrun.scene.references import TAKEN
 from cqrun.store.history import read_history
 from cqrun.store.run import read_record
 
@@ -157,6 +158,35 @@ def test_a_mirrored_field_is_smooth_and_the_same_on_either_side(finger, tmp_path
     np.testing.assert_allclose(values, values[twin], rtol=1e-9)
 
 
+def test_a_regulariser_holds_a_design_near_its_start(finger, tmp_path):
+    strength = "actuators.muscle.muscle.strength"
+    only = ["unknowns={}", "constraints={}", "objective={tip: {reach: {body: finger, group: tip, goal: target}}}"]
+    ways = {}
+    for weight in (0.0, 10.0):
+        bounded = f"unknowns.{strength}={{bounds: [1, 8], initial: 4, regulariser: {weight}}}"
+        run = learn(finger, tmp_path, *only, "optimizer={adam: {max_iterations: 8}}", bounded)
+        result = result_of(run)
+        ways[weight] = abs(result["unknowns"][strength]["value"] - 4.0)
+    rows = read_history(run / "history.csv")
+    np.testing.assert_allclose(rows["loss"], np.add(rows["tip"], rows["regulariser"]), rtol=1e-12)
+    assert rows["regulariser"][0] == 0.0 < rows["regulariser"][1]
+    assert result["trained"]["terms"].keys() == {"tip", "regulariser"}
+    assert 0.0 < ways[10.0] < 0.5 * ways[0.0]
+
+
+@pytest.mark.parametrize("name", [*TAKEN])
+def test_no_term_is_called_as_a_column_of_the_history_is(finger, name):
+    with pytest.raises(SceneError, match=rf"objective.{name}: history.csv has a column of this name already"):
+        load_scene(finger, [f"objective.{name}={{effort: {{}}}}"])
+
+
+def test_the_names_of_the_historys_columns_are_known(finger, tmp_path):
+    density = "unknowns.bodies.finger.material.density={bounds: [0.5, 2], regulariser: 1}"
+    run = learn(finger, tmp_path, density, "optimizer.slsqp.max_iterations=2")
+    columns = read_history(run / "history.csv").keys()
+    assert {name for name in columns if name.isidentifier()} == {*TAKEN, "effort"}
+
+
 def test_groups_are_the_same_on_either_side(finger, tmp_path):
     both = f"unknowns.{STIFFNESS}={{bounds: [5, 20], per: group, mirror: x}}"
     result = result_of(learn(finger, tmp_path, both, "optimizer={adam: {max_iterations: 2}}", "constraints={}"))
@@ -239,6 +269,7 @@ def test_validate_tells_the_constraints(finger):
         ("constraints.up.scale=0", "constraints.up.scale: must be greater than 0"),
         (f"unknowns.{STIFFNESS}.resolution=3", "resolution: has a meaning only for `per: field`"),
         (f"unknowns.{STIFFNESS}={{bounds: [5, 20], mirror: x}}", "mirror: has a meaning only for `per: group`"),
+        (f"unknowns.{STIFFNESS}.regulariser=-1", "regulariser: must be at least 0, is -1"),
         (f"unknowns.{STIFFNESS}.mirror=z", "mirror: a 2D world has no axis z"),
         (f"unknowns.{STIFFNESS}.mirror=y", "of 48 particles of 'finger' have no mirror image across y, the first at"),
     ],

@@ -17,13 +17,13 @@ MATERIAL = "bodies.finger.material"
 RATIO = f"{MATERIAL}.elastic.fixed_corotated.poissons_ratio"
 UNKNOWNS = {
     "a stiffness a particle": "youngs_modulus",
-    "a smooth Poisson's ratio": f"unknowns.{RATIO}={{bounds: [.1, .4], per: field}}",
+    "a smooth Poisson's ratio": f"unknowns.{RATIO}={{bounds: [.1, .4], per: field, regulariser: .5}}",
     "a density a group, left = right": f"unknowns.{MATERIAL}.density={{bounds: [.5, 2], per: group, mirror: x}}",
     "its size": "unknowns.bodies.finger.place.scale={bounds: [.15, .2]}",
     "its pose": "unknowns.bodies.finger.place.angle={bounds: [-10, 10]}",
     "a part's size": "unknowns.bodies.finger.parts.tip.box.size.1={bounds: [.8, 1]}",
     "where a muscle lies": "unknowns.actuators.muscle.muscle.weight={bounds: [0, 1], per: field}",
-    "a strength": "unknowns.actuators.muscle.muscle.strength={bounds: [1, 8]}",
+    "a strength": "unknowns.actuators.muscle.muscle.strength={bounds: [1, 8], scale: log, regulariser: .5}",
     "a velocity": "unknowns.bodies.finger.velocity.0={bounds: [-1, 1]}",
 }  # fmt: skip
 OTHERS = [

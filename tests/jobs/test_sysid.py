@@ -219,6 +219,11 @@ def test_a_scene_that_is_not_for_sysid_says_what_is_missing(beam, tmp_path):
     ]
 
 
+def test_a_regulariser_is_refused(fit, tmp_path):
+    with pytest.raises(SceneError, match=r"regulariser: sysid takes none: it would pull the value towards the start"):
+        identify(fit, tmp_path, f"unknowns.{E_PATH}.regulariser=1")
+
+
 def test_without_an_optimizer_the_data_choose_one(fit, tmp_path):
     changed(fit, "optimizer: {least_squares: {max_iterations: 8}}", "")
     run = identify(fit, tmp_path)
