@@ -53,6 +53,11 @@ def boundaries(dim: int) -> str:
     return f"boundaries={{walls: {{friction: {{face: all, coefficient: 0.5}}}}, clamp: {clamp}}}"
 
 
+def standing(body: str, *at: float) -> str:
+    """Return an override that puts a walker's feet within reach of the floor's nodes: a short run does not fall."""
+    return f"bodies.{body}.place.offset={list(at)}"
+
+
 # Kernels are compiled anew for other laws, actuators or boundaries, so scenes that may share some are made to.
 SMALLER = {
     "real_beam": ["world.dx=0.01"],
@@ -62,14 +67,15 @@ SMALLER = {
     "finger": ["bodies.finger.sampling.lattice.count=10"],
     "finger_random": ["bodies.finger.sampling.lattice.count=10", "episodes.unseen=2"],
     "finger_wide": ["bodies.finger.sampling.lattice.count=10", "episodes.unseen=2"],
-    "biped": ["bodies.biped.sampling.lattice.count=6", boundaries(2)],
+    "biped": ["bodies.biped.sampling.lattice.count=6", boundaries(2), standing("biped", 0.2, 0.06)],
     "biped_cable": ["bodies.biped.spacing=0.00625",
                     "boundaries={base: {sticky: {region: {box: {corner: [0, 0], size: [1, 0.1]}}}}}"],
-    "rhino": ["bodies.rhino.spacing=0.01", "time.substeps=2", boundaries(2), *elastic("rhino")],
+    "rhino": ["bodies.rhino.spacing=0.01", "time.substeps=2", boundaries(2), *elastic("rhino"),
+              standing("rhino", 0.2, 0.04)],
     "biped_terrain": ["bodies.biped.sampling.lattice.count=4", "bodies.terrain.spacing=0.02", "time.substeps=10",
-                      *elastic("biped", "terrain")],
-    "quadruped": ["bodies.quadruped.sampling.lattice.count=4", boundaries(3)],
-    "crawler": ["bodies.crawler.sampling.lattice.count=4", boundaries(3)],
+                      standing("biped", 0.2, 0.115), *elastic("biped", "terrain")],
+    "quadruped": ["bodies.quadruped.sampling.lattice.count=4", boundaries(3), standing("quadruped", 0.2, 0.07, 0.1)],
+    "crawler": ["bodies.crawler.sampling.lattice.count=4", boundaries(3), standing("crawler", 0.2, 0.07, 0.1)],
     "arm_reach_3d": ["bodies.arm.sampling.lattice.count=4", "episodes.count=2", "episodes.unseen=1"],
     "leg_actuate": ["bodies.leg.spacing=0.5", "world.dx=1.6", "time.substeps=40"],
     "leg_drop": ["bodies.leg.spacing=0.5", "world.dx=1.6", "time.substeps=40",
@@ -77,13 +83,14 @@ SMALLER = {
     "arm_two_link": ["bodies.arm.sampling.lattice.count=10", boundaries(2)],
     "arm_3d": ["bodies.arm.sampling.lattice.count=4", boundaries(3), *designed("arm")],
     "biped_codesign": ["bodies.biped.sampling.lattice.count=10", "bodies.biped.spin=[9]", boundaries(2),
-                       *designed("biped")],
+                       standing("biped", 0.2, 0.04), *designed("biped")],
     **{
         f"{name}_codesign": [f"bodies.{name}.sampling.lattice.count=3", boundaries(3),
-                             *designed(name)]
+                             standing(name, 0.2, 0.07, 0.25), *designed(name)]
         for name in ("quadruped", "hexapod", "octopod")
     },
-    "creature": ["bodies.creature.spacing=0.02", "time.substeps=2", boundaries(3), *elastic("creature")],
+    "creature": ["bodies.creature.spacing=0.02", "time.substeps=2", boundaries(3), *elastic("creature"),
+                 standing("creature", 0.5, 0.07, 0.38)],
 }  # fmt: skip
 """What makes a scene quicker besides a shorter run."""
 

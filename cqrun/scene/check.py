@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cqrun.choice import Chosen
 from cqrun.contract import Array
@@ -21,6 +22,9 @@ from cqrun.scene.keypath import joined
 from cqrun.scene.regions import BodyPoints
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import parts
+
+HOLDS_ON = 1.5
+"""Cells between two bodies below which they hold on to each other."""
 
 Points = Mapping[str, BodyPoints]
 
@@ -191,6 +195,25 @@ def sparse_bodies(scene: Scene, volumes: Mapping[str, Array]) -> list[Problem]:
             key = "spacing" if scene.bodies[name].spacing is not None else key
             found.append(_problem(scene, f"bodies.{name}.{key}", message))
     return found
+
+
+def bodies_that_hold_on(scene: Scene, points: Points) -> Iterator[Problem]:
+    """Yield warnings for pairs of bodies that start so near to each other that they do not come apart again.
+
+    What lies between them counts as unstretched where it starts, on the nodes that both share: pulled apart they hold
+    on until they tear (tests/engine/test_engine_clinging.py). Bodies that meet later rest a cell apart, and let go.
+    """
+    reach = HOLDS_ON * scene.world.dx
+    for first, second in combinations(points, 2):
+        if not (len(points[first].world) and len(points[second].world)):
+            continue
+        gaps, _ = cKDTree(points[first].world).query(points[second].world, distance_upper_bound=reach)
+        if np.isfinite(gaps).any():
+            message = (
+                f"starts {gaps.min() / scene.world.dx:.2g} cells from the body '{first}': bodies that start so near "
+                f"are joined there, as if glued; if they should come apart, leave {reach:.3g} m between them"
+            )
+            yield _problem(scene, _placed(scene, second), message)
 
 
 def points_to_track(scene: Scene, points: Points) -> Iterator[Problem]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import reference
+from made_encoders import made_encoder
 from rich_scene import ACTUATORS, COUNTS, make_complex, product, random_records, random_state, rich
 from scipy import sparse
 
@@ -25,6 +26,7 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observati
 from cqrun.observers.pca import Pca, fit_components
 from cqrun.observers.rows import means
 from cqrun.observers.strain import Strain
+from cqrun.observers.vae import Vae
 from cqrun.state import State
 
 TINY = 1e-30
@@ -47,7 +49,7 @@ class Everything(BoundObserver):
     def observe_vjp(self, moment: Moment, z_bar: np.ndarray, memory_next_bar: np.ndarray) -> MomentBar:
         sum_bar = z_bar * np.cos(self._sum(moment.state()))
         parts = (np.tensordot(sum_bar, w, 1) for w in self.weights.values())
-        return MomentBar(state=State(*parts, np.zeros(len(moment.state().memory))))
+        return MomentBar(state=State(*parts))
 
     def _sum(self, state: State) -> np.ndarray:
         return sum((w * getattr(state, name)).reshape(2, -1).sum(axis=1) for name, w in self.weights.items())
@@ -84,6 +86,7 @@ def observation_of(matter: Matter, rng: np.random.Generator) -> Observation:
         "place": Goal(goal="target").bind(matter),
         "shape": Pca(body="second", components=2).bind_to(matter, fit_components(shapes, 3)),
         "everything": Everything(matter.n_particles, dim, rng),
+        "cells": Vae(body="second", file="made here").bind_to(matter, made_encoder(dim, np.random.default_rng(3))),
     }
     return Observation(bound, matter.n_particles)
 

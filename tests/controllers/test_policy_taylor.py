@@ -110,6 +110,15 @@ class Shuffler:
         rollout.gradient(lambda records, state: value_bar(records, rollout.activation))
         return float(sum((rollout.parameters_bar[name] * self.way[name]).sum() for name in self.way))
 
+    def touches_hills(self) -> bool:
+        """Say whether at the end the block and the hills still share nodes of the grid, which is their contact."""
+        inputs = copy.deepcopy(self.inputs)
+        _, last, _ = reference.rollout(self.model, inputs, self.policy(self.parameters))
+        base = np.floor(last.x.real / DX - 0.5).astype(int)
+        nodes = base[:, None] + np.stack(np.meshgrid(*[np.arange(3)] * 2, indexing="ij"), -1).reshape(-1, 2)
+        block, hills = ({tuple(node) for node in part.reshape(-1, 2).tolist()} for part in (nodes[:32], nodes[32:]))
+        return not block.isdisjoint(hills)
+
     def branches(self, h: float) -> tuple[list[str], np.ndarray]:
         """Return the branches of contact and cables, control step by control step, and which actuators were late."""
         inputs = copy.deepcopy(self.inputs)
@@ -140,6 +149,9 @@ def taylor_rate(controls: int, *, terrain: bool) -> tuple[float, float]:
     kinds = str(taken)
     for branch in (0, 1, 2):
         assert re.search(rf"'friction', 0, \d+, {branch}\)", kinds), f"no node slid in branch {branch}"
+    assert re.search(r"'cable', '[^']*', (np\.)?True", kinds), "the cable never pulled"
+    if terrain:
+        assert robot.touches_hills(), "the block has left its hills"
     assert set(np.unique(np.abs(late))) == {0.0, 1.0}
     remainders: list[float] = []
     for h in STEPS:

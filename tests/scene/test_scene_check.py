@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, ClassVar
 
 import numpy as np
@@ -71,6 +72,17 @@ def test_bodies_may_touch() -> None:
     box = {"box": {"corner": [0.4, 0.45], "size": [0.1, 0.1]}}
     scene = two_balls(shape=box)
     assert told(scene) == []
+
+
+@pytest.mark.parametrize(("gap", "warned"), [(0.0, True), (0.4, True), (1.6, False)])
+def test_bodies_that_start_near_each_other_are_told_that_they_hold_on(gap: float, warned: bool) -> None:
+    # balls of radius .1 with their outermost particles on the line between them
+    scene = two_balls(shape={"ball": {"center": [0.5 + gap * 0.02, 0.5], "radius": 0.1}})
+    warnings = [str(p) for p in check.bodies_that_hold_on(scene, sampled(scene)[0])]
+    assert bool(warnings) == warned
+    if warned:
+        told = r"bodies.right.shape: starts [\d.]+ cells from the body 'left': .* leave 0.03 m between them"
+        assert re.search(told, warnings[0])
 
 
 def test_a_small_body_inside_another_is_found_both_ways() -> None:
