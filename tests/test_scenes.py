@@ -13,6 +13,7 @@ import trimesh
 from PIL import Image
 from small_beam import result_of
 
+import cqrun
 from cqrun.errors import SceneError
 from cqrun.jobs.control import run_control
 from cqrun.jobs.gradcheck import run_gradcheck
@@ -208,6 +209,16 @@ def test_it_has_the_papers_size(name):
     particles, substeps = PAPERS[name]
     assert built.model.n_steps == substeps
     assert built.particles.layout.n_particles == pytest.approx(particles, rel=0.01 if name in FROM_FILES else 0)
+
+
+def test_cables_that_are_reeled_in_leave_seven_tenths_of_a_leg():
+    (path,) = (path for path in SCENES if path.stem == "biped_cable")
+    weightless = ["world.gravity=[0, 0]", "controller.open_loop.initial=0", "controller.open_loop.noise=0"]
+    motion = cqrun.load(path, [*weightless, "time.duration=1.5"]).simulate()
+    start, foot = motion.x[0], motion.x[0, :, 1] < 0.102
+    hip = (np.abs(start[:, 1] - 0.2) < 0.0017) & (start[:, 0] % 0.2 < 0.1)  # the feet's and the body's nearest rows
+    legs = motion.x[-100:, hip, 1].mean() - motion.x[-100:, foot, 1].mean()
+    assert legs / (start[hip, 1].mean() - start[foot, 1].mean()) == pytest.approx(0.70, abs=0.01)
 
 
 def test_the_files_of_shapes_are_what_their_script_draws():

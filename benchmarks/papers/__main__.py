@@ -1,8 +1,9 @@
-"""python -m benchmarks.papers [--size quick|paper] [--only ID ...] [--minutes N] [--list] [--page]
+"""python -m benchmarks.papers [--size quick|paper] [--only ID ...] [--minutes N] [--list] [--judge] [--page]
 
 Do what is missing, go on with what was stopped, skip what is done; then write each figure's CSV, PNG, PDF and verdict
 to results/figures/SIZE, and results/figures/index.html. What a figure that is not complete needs to go on, here or on
-another machine, is left in results/figures/SIZE/unfinished; `--minutes 0` does nothing else.
+another machine, is left in results/figures/SIZE/unfinished; `--minutes 0` does nothing else. It goes on with the engine
+that it was begun with, which the figure's JSON names.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Figure, Size
 from benchmarks.papers.kept import archive_of, keep, restore
 from benchmarks.papers.page import write_page
-from benchmarks.papers.publish import publish
+from benchmarks.papers.publish import publish, publish_again
 from benchmarks.papers.work import ROOT, Work
 
 FIGURES_DIR = ROOT / "results" / "figures"
@@ -36,6 +37,9 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=Path, default=ROOT / "results" / "papers", help="where the runs are kept")
     parser.add_argument("--out", type=Path, default=FIGURES_DIR, help="where the figures go")
     parser.add_argument("--list", action="store_true", help="list the figures and how long they take")
+    parser.add_argument(
+        "--judge", action="store_true", help="only draw and judge anew what was published, from its CSV"
+    )
     parser.add_argument("--page", action="store_true", help="only write index.html, from what was published")
     options = parser.parse_args(words)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(75))  # so that runs are asked to stop, too
@@ -43,7 +47,11 @@ def main(words: Sequence[str] | None = None) -> int:
     if options.list:
         _list(chosen, options.runs)
         return 0
-    finished = options.page or _do(chosen, options.size, options)
+    if options.judge:
+        for figure in chosen:
+            if (verdict := publish_again(figure, options.size, options.out)) is not None:
+                print(f"{figure.id}: {verdict}")
+    finished = options.page or options.judge or _do(chosen, options.size, options)
     page = write_page(options.out)
     print(f"\n{page}")
     return 0 if finished else 75

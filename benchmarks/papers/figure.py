@@ -72,6 +72,7 @@ class Figure(ABC):
         paper: what is printed there, in words and numbers.
         tolerance: what is asked at each size for the verdict, fixed before any run.
         left_open: what the paper does not say and we chose, or why a number is not met; may be empty.
+        needs_runs: its picture cannot be drawn from the table alone.
     """
 
     id: ClassVar[str]
@@ -80,6 +81,7 @@ class Figure(ABC):
     paper: ClassVar[str]
     tolerance: ClassVar[dict[Size, str]]
     left_open: ClassVar[str] = ""
+    needs_runs: ClassVar[bool] = False
 
     @abstractmethod
     def work(self, size: Size) -> Sequence[Work]:

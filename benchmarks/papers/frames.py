@@ -38,6 +38,7 @@ class Frames(Figure):
         unit: of the scene's lengths.
     """
 
+    needs_runs = True
     name: ClassVar[str]
     term: ClassVar[str] = ""
     greatest: ClassVar[bool] = True

@@ -58,7 +58,7 @@ class Distances(Figure):
 
     tolerance: ClassVar[dict[Size, str]] = {
         Size.QUICK: "the distance grows: by seed, the end is above the start",
-        Size.PAPER: "at no more iterations, the mean over seeds is no less than the lower end of the paper's interval",
+        Size.PAPER: "at no more iterations, the mean over seeds is the paper's or more; in part within its interval",
     }
 
     def work(self, size: Size) -> Sequence[Work]:
@@ -88,7 +88,8 @@ class Distances(Figure):
         labels = list(dict.fromkeys(table["variant"]))
         for colour, label in zip(COLOURS, labels, strict=False):
             draw_curves(axes, curves(table, label), label, colour)
-        longest = max((curves(table, label) for label in labels), key=lambda c: c.value.shape[1])
+        timed = max(labels, key=lambda label: curves(table, label).value.shape[1])
+        longest = curves(table, timed)
         end = longest.value.shape[1] - 1
         low, high = self.interval
         printed = np.array([[self.final - low], [high - self.final]])
@@ -96,7 +97,8 @@ class Distances(Figure):
         after = max(end, self.iterations) if size is Size.PAPER else end
         axes.errorbar([after], [self.final], yerr=printed, color=GREY, fmt="D", ms=4, capsize=4, lw=1.2, label=label)
         clock = clock_ticks(axes.xaxis, np.arange(end + 1), longest.seconds) if end else "s"
-        axes.set_xlabel(f"iteration, and below it the wall time [{clock}]")
+        whose = f" of '{timed}'" if len(labels) > 1 else ""
+        axes.set_xlabel(f"iteration, and below it the wall time{whose} [{clock}]")
         axes.set_ylabel("distance travelled [m]")
         axes.legend(loc="best")
         titled(axes, self.title)
@@ -112,10 +114,14 @@ class Distances(Figure):
             )})  # fmt: skip
         low, high = self.interval
         mean, half = float(found.mean[-1]), float(found.half[-1])
-        beyond = ", above its interval" if mean > high else ""
         ours = f"{mean:.2f} +- {half:.2f} m" if len(found.value) > 1 else f"{mean:.2f} m (one seed)"
-        told = f"{ours}, paper {self.final:g} ({low:g} to {high:g}){beyond}"
-        return judged({told: mean >= low})
+        done = found.value.shape[1] - 1
+        early = "" if done >= self.iterations else f" after {done} of {self.iterations} iterations"
+        beyond = ", and above it" if mean > high else ""
+        return judged({
+            f"{ours}{early}, paper {self.final:g}": mean >= self.final,
+            f"no less than the paper's 90 % interval, {low:g} to {high:g}{beyond}": mean >= low,
+        })  # fmt: skip
 
 
 def draw_curves(axes: Axes, found: Curves, label: str, colour: str) -> None:

@@ -41,10 +41,30 @@ def publish(figure: Figure, size: Size, runs: Path, out: Path) -> Verdict | None
         "done": [len(done), len(works)],
         "commands": [work.command for work in works],
         "minutes": sum(work.spent(runs / work.name) for work in works) / 60.0,
-        "engine": sorted({facts["engine"] for facts in done.values()}),
+        "engine": sorted(
+            {work.engine(folder) for work, folder in ((w, runs / w.name) for w in works if w.name in found)}
+        ),
         "machine": next((facts["machine"] for facts in done.values()), None),
     }
     write_json(folder / f"{figure.id}.json", record)
+    return verdict
+
+
+def publish_again(figure: Figure, size: Size, out: Path) -> Verdict | None:
+    """Draw and judge what was published once more, from its CSV; return the verdict, or None if there is nothing."""
+    record = published(figure, size, out)
+    if record is None:
+        return None
+    table = read_table(out / size / f"{figure.id}.csv")
+    if not figure.needs_runs:
+        with styled():
+            save(figure.draw(table, size, {}), out / size / figure.id, KINDS)
+    verdict = figure.judge(table, size)
+    if record["done"][0] < record["done"][1]:
+        verdict = Verdict(Judgement.UNFINISHED, verdict.checks)
+    write_json(
+        out / size / f"{figure.id}.json", record | {"verdict": verdict.judgement, "checks": dict(verdict.checks)}
+    )
     return verdict
 
 

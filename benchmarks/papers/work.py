@@ -80,6 +80,10 @@ class Work(ABC):
         """Say whether a folder holds some of it, and not of what it was before it changed."""
         return bool(_read(folder / CLOCK).get("fingerprint") == self.fingerprint())
 
+    def engine(self, folder: Path) -> str:
+        """Return the hash of the engine that did it, or goes on with it."""
+        return str((_read(folder / DONE) or _read(folder / CLOCK))["engine"])
+
     def spent(self, folder: Path) -> float:
         """Return the seconds that were spent on it so far."""
         return float(_read(folder / CLOCK)["seconds"]) if self.begun(folder) else 0.0

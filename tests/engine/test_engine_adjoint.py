@@ -23,6 +23,7 @@ from rich_scene import (
 from cqrun.actuators import muscle
 from cqrun.engine.model import GroupModel, LossBar, Records
 from cqrun.engine.rollout import Rollout
+from cqrun.registry import plugins
 
 DOT_PRODUCT = 1e-9
 TINY = 1e-30
@@ -48,6 +49,15 @@ def test_dot_product(adjoint, kind, rng):
     backward = (arrays(bar)[KINDS.index(kind)] * change).sum()
     assert abs(forward) > 0
     assert backward == pytest.approx(forward, rel=DOT_PRODUCT)
+
+
+def test_every_kind_of_actuator_is_in_the_rich_scene():
+    kernels = {part.kernel for part in rich(2)[0].actuators if len(part.particles)}
+    example = {"body": "b", "axis": [1, 0], "strength": 1, "max_pressure": 1, "stiffness": 1, "route": [[0, 0], [1, 1]],
+               "direction": [1, 0], "acceleration": 1}  # fmt: skip
+    for name, kind in plugins("actuator").items():
+        spec = kind.model_validate({key: value for key, value in example.items() if key in kind.model_fields})
+        assert spec.kernel(2) in kernels, name
 
 
 def test_memory_passes_through(adjoint):

@@ -23,9 +23,10 @@ from benchmarks.papers.figure import Figure, Judgement, Size, judged, read_table
 from benchmarks.papers.histories import Run, curves, first_below, settled, smooth
 from benchmarks.papers.learning import Distances
 from benchmarks.papers.page import write_page
-from benchmarks.papers.publish import publish
+from benchmarks.papers.publish import publish, publish_again
 from benchmarks.papers.work import DONE, ROOT, Measurement, Runs
 from cqrun.figures.style import new_figure, styled
+from cqrun.fingerprint import engine_hash
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
@@ -253,6 +254,21 @@ def test_an_unfinished_figure_shows_what_there_is(tmp_path):
     verdict = publish(toy, Size.QUICK, tmp_path, tmp_path / "out")
     assert str(verdict) == "reproduced: they grow (yes); there are three (yes)"
     assert sorted(path.suffix for path in (tmp_path / "out" / "quick").iterdir()) == [".csv", ".json", ".pdf", ".png"]
+
+
+def test_what_was_published_is_drawn_and_judged_anew(tmp_path):
+    toy, out = Toy(COUNT), tmp_path / "out"
+    assert publish_again(toy, Size.QUICK, out) is None
+    COUNT.do(tmp_path / "count", 1.0, 1)
+    assert publish(toy, Size.QUICK, tmp_path, out).judgement is Judgement.UNFINISHED
+    record, picture = out / "quick" / "toy.json", out / "quick" / "toy.png"
+    before, drawn = json.loads(record.read_text()), picture.read_bytes()
+    record.write_text(json.dumps(before | {"checks": {"by an older rule": False}}))
+    picture.unlink()
+    assert publish_again(toy, Size.QUICK, out).judgement is Judgement.UNFINISHED
+    assert json.loads(record.read_text()) == before
+    assert picture.read_bytes() == drawn
+    assert before["engine"] == [engine_hash()]  # of what is begun, too
 
 
 def test_a_verdict_is_what_its_checks_come_to():

@@ -12,7 +12,11 @@ class BipedAgainstPPO(Learners):
     source = "CQ1 V-B"
     paper = "the gradient walks well within 20 minutes; PPO moves nearly at random after more than 4 hours"
     tolerance = {size: "the gradient passes each threshold in fewer episodes than PPO and CMA-ES" for size in Size}
-    left_open = "time is counted in episodes: they cost the gradient about three times a plain rollout"
+    left_open = (
+        "time is counted in episodes: they cost the gradient about three times a plain rollout. Losses are means over "
+        "ten episodes; of CMA-ES every sixteen the best one counts, and after 2,400 it is lower (-.71 to -.86) than "
+        "the gradient after its 100 (-.26 to -.63)"
+    )
     scene, label, optimizer = "control/biped", "loss: -x + v^2 of the head", "sgd"
     small = ("bodies.biped.sampling.lattice.count=10",)
     distance, squared = False, ""
@@ -28,4 +32,4 @@ class BipedAgainstPPO(Learners):
     }
     seeds, trials = {Size.QUICK: 2, Size.PAPER: 10}, {Size.QUICK: 2, Size.PAPER: 3}
     thresholds = (-0.1, -0.2)
-    windows = {PPO: 10}
+    windows = {GRADIENT: 10, PPO: 10}
