@@ -87,7 +87,7 @@ class Distances(Figure):
         axes = picture.add_subplot()
         labels = list(dict.fromkeys(table["variant"]))
         for colour, label in zip(COLOURS, labels, strict=False):
-            draw_curves(axes, curves(table, label), label, colour)
+            draw_curves(axes, curves(table, label), label, colour, band=label == labels[0])
         timed = max(labels, key=lambda label: curves(table, label).value.shape[1])
         longest = curves(table, timed)
         end = longest.value.shape[1] - 1
@@ -124,11 +124,12 @@ class Distances(Figure):
         })  # fmt: skip
 
 
-def draw_curves(axes: Axes, found: Curves, label: str, colour: str) -> None:
-    """Draw seeds thin, their mean thick, and its interval as a band."""
+def draw_curves(axes: Axes, found: Curves, label: str, colour: str, *, band: bool = True) -> None:
+    """Draw seeds thin, their mean thick, and its interval as a band: of two or three seeds it may hide the rest."""
     x = np.arange(found.value.shape[1])
     if len(found.value) > 1:
         axes.plot(x, found.value.T, color=colour, lw=0.5, alpha=0.35)
+    if len(found.value) > 1 and band:
         axes.fill_between(x, found.mean - found.half, found.mean + found.half, color=colour, alpha=0.2, lw=0)
     seeds = f", {len(found.value)} seeds" if len(found.value) > 1 else ""
     axes.plot(x, found.mean, color=colour, lw=1.8, label=f"{label}{seeds}")
