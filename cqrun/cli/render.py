@@ -12,7 +12,9 @@ from cqrun.errors import UsageError
 
 SUFFIXES = {"gif": ".gif", "mp4": ".mp4", "png": ".png", "stills": ".png", "onion": ".png"}
 
-Quantity = Literal["activation", "strain", "velocity", "stiffness", "density", "poissons_ratio", "displacement"]
+Quantity = Literal[
+    "activation", "strain", "velocity", "stiffness", "density", "poissons_ratio", "weight", "displacement"
+]  # fmt: skip
 Look = Literal["front", "side", "top", "iso"]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,18 +14,20 @@ from cqrun.figures.run_data import RunData
 from cqrun.figures.strain import Strain, green_norm
 from cqrun.figures.style import AMOUNT_MAP, PASSIVE, SIGNED_MAP
 from cqrun.jobs.unknowns import values_found
+from cqrun.scene.actuation import Actuation
 from cqrun.scene.assembly import Assembly
 from cqrun.scene.particles import Particles, sample
 from cqrun.store.frames import Frames
 
-QUANTITIES = ("activation", "strain", "velocity", "stiffness", "density", "poissons_ratio", "displacement")
+QUANTITIES = ("activation", "strain", "velocity", "stiffness", "density", "poissons_ratio", "weight", "displacement")
 
 MATERIAL = {
     "stiffness": ("youngs_modulus", "Young's modulus", "Pa"),
     "density": ("density", "density", "kg/m^3"),
     "poissons_ratio": ("poissons_ratio", "Poisson's ratio", ""),
+    "weight": ("weight", "share of the actuator's strength", ""),
 }
-"""Quantities of the material: the last name of their paths, what they are called, their unit."""
+"""Of the material, and of what drives it: the last name of its path, what it is called, its unit."""
 
 SHARE = 0.995
 """Of a frame's particles: colours reach as far as these, so that one fast particle does not dim all others."""
@@ -147,6 +149,8 @@ def material_of(run: RunData, particles: Particles, quantity: str) -> Array:
     """Return one of MATERIAL for every particle (N,), with the values that a run has found; UsageError without it."""
     assembly = Assembly(run.scene, particles)
     values = values_found(run.scene, particles, (run.result or {}).get("unknowns") or {})
+    if quantity == "weight":
+        return _weight(assembly.actuation, values, len(particles.x))
     found, key = np.zeros(len(particles.x)), MATERIAL[quantity][0]
     for body in particles.names:
         material = assembly.material(body, values)
@@ -155,6 +159,20 @@ def material_of(run: RunData, particles: Particles, quantity: str) -> Array:
             law = run.scene.bodies[body].material.elastic.name
             raise UsageError(f"--color {quantity}: the law {law} of body '{body}' has no {key} to show")
         found[particles.of(body)] = material[path]
+    return found
+
+
+def _weight(actuation: Actuation, values: Mapping[str, Array], n: int) -> Array:
+    """Return the largest weight that an actuator has at every particle (N,), 0 where there is none."""
+    weights, found, begin = actuation.weights(values), np.zeros(n), 0
+    for part in actuation.parts:
+        held = part.model.particles
+        own = weights[begin : begin + len(held)] if len(weights) else np.ones(len(held))
+        begin += len(held)
+        if hasattr(part.spec, "weight"):
+            found[held] = np.maximum(found[held], own)
+    if not any(hasattr(part.spec, "weight") for part in actuation.parts):
+        raise UsageError("--color weight: the scene of this run has no muscle or chamber, which alone have weights")
     return found
 
 

@@ -11,8 +11,11 @@ from small_finger import FINGER
 
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.draw import draw_run
+from cqrun.figures.render import Wanted, render
 from cqrun.figures.run_data import read_run
 from cqrun.jobs.control import run_control
+from cqrun.jobs.reporter import Silent
+from cqrun.scene.particles import sample
 
 E, RHO = (f"bodies.finger.material.{name}" for name in ("elastic.fixed_corotated.youngs_modulus", "density"))
 
@@ -74,3 +77,21 @@ def test_a_control_run_has_no_design(run, tmp_path):
     (run / "run.json").write_text(json.dumps(record | {"job": "control"}))
     assert designed_quantities(read_run(run)) == {}
     (run / "run.json").write_text(json.dumps(record))
+
+
+def test_where_a_muscle_lies_is_shown(tmp_path):
+    path, weight = tmp_path / "finger.yaml", "actuators.muscle.muscle.weight"
+    unknown = f"unknowns:\n  {weight}: {{bounds: [0, 1], initial: 0.5, per: particle}}\n"
+    path.write_text(FINGER.replace("job: control", "job: codesign") + unknown)
+    run = run_control(path, [], tmp_path / "out", False, 1, True, job="codesign")
+    (shown,) = (data := designed_quantities(read_run(run))).values()
+    assert list(data) == ["weight"]
+    tip = sample(read_run(run).scene).groups("finger")["tip"]
+    assert not shown[tip].any()  # the muscles lie in the other two groups
+    others = np.setdiff1d(np.arange(len(shown)), tip)
+    np.testing.assert_array_equal(shown[others], np.array(result_of(run)["unknowns"][weight]["value"])[others])
+    assert np.ptp(shown[others]) > 1e-3
+    figure = draw_design(read_run(run), data)
+    assert figure.axes[-1].get_ylabel() == "share of the actuator's strength"
+    drawn = render(run, Wanted("png", 1, "weight", 25.0, 1, None, None, tmp_path / "w.png"), Silent())
+    assert drawn == [tmp_path / "w.png"]
