@@ -197,21 +197,28 @@ def sparse_bodies(scene: Scene, volumes: Mapping[str, Array]) -> list[Problem]:
     return found
 
 
-def bodies_that_hold_on(scene: Scene, points: Points) -> Iterator[Problem]:
+def bodies_that_hold_on(scene: Scene, points: Points, volumes: Mapping[str, Array]) -> Iterator[Problem]:
     """Yield warnings for pairs of bodies that start so near to each other that they do not come apart again.
 
     What lies between them counts as unstretched where it starts, on the nodes that both share: pulled apart they hold
     on until they tear (tests/engine/test_engine_clinging.py). Bodies that meet later rest a cell apart, and let go.
+
+    Args:
+        scene: the scene.
+        points: particles by body.
+        volumes: particle volumes (N,) [m^3; 2D: m^2] by body, before any `unit_mass`.
     """
-    reach = HOLDS_ON * scene.world.dx
-    for first, second in combinations(points, 2):
-        if not (len(points[first].world) and len(points[second].world)):
-            continue
-        gaps, _ = cKDTree(points[first].world).query(points[second].world, distance_upper_bound=reach)
+    dx = scene.world.dx
+    for first, second in combinations((name for name in points if len(volumes[name])), 2):
+        # a surface is half a spacing beyond its particles
+        inside = sum(0.5 * float(volumes[name].mean()) ** (1 / scene.dim) for name in (first, second))
+        near = HOLDS_ON * dx * (1 - 1e-9) + inside
+        gaps, _ = cKDTree(points[first].world).query(points[second].world, distance_upper_bound=near)
         if np.isfinite(gaps).any():
+            gap = max(0.0, float(gaps.min()) - inside) / dx
             message = (
-                f"starts {gaps.min() / scene.world.dx:.2g} cells from the body '{first}': bodies that start so near "
-                f"are joined there, as if glued; if they should come apart, leave {reach:.3g} m between them"
+                f"starts {gap:.1f} cells from the body '{first}': bodies that start so near are joined there, as if "
+                f"glued; if they should come apart, leave {HOLDS_ON * dx:.3g} m between them"
             )
             yield _problem(scene, _placed(scene, second), message)
 

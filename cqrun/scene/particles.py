@@ -92,7 +92,7 @@ def sample(scene: Scene) -> Particles:
     problems = geometry_problems(scene, points)
     if problems:
         raise SceneError(problems)
-    warnings += [*sparse_bodies(scene, volumes), *bodies_that_hold_on(scene, points)]
+    warnings += [*sparse_bodies(scene, volumes), *bodies_that_hold_on(scene, points, volumes)]
     room = {name: np.ones(len(volumes[name])) for name in names}
     for name in names:
         spacing[name] = float(volumes[name].mean() ** (1 / scene.dim))
