@@ -41,9 +41,7 @@ def publish(figure: Figure, size: Size, runs: Path, out: Path) -> Verdict | None
         "done": [len(done), len(works)],
         "commands": [work.command for work in works],
         "minutes": sum(work.spent(runs / work.name) for work in works) / 60.0,
-        "engine": sorted(
-            {work.engine(folder) for work, folder in ((w, runs / w.name) for w in works if w.name in found)}
-        ),
+        "engine": sorted({work.engine(found[work.name]) for work in works if work.name in found}),
         "machine": next((facts["machine"] for facts in done.values()), None),
     }
     write_json(folder / f"{figure.id}.json", record)

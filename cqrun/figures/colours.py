@@ -140,8 +140,8 @@ def _of_material(quantity: str, run: RunData, frames: Frames) -> Colours:
     unit = shown_unit(unit_name, float(values.max()))
     shown = unit.factor * values
     low, high = float(shown.min()), float(shown.max())
-    if high - low < 1e-6 * high:
-        low, high = 0.0, 2.0 * high
+    if high - low <= 1e-6 * high:
+        low, high = 0.0, 2.0 * high or 1.0
     return Colours(unit.label(label), low, high, AMOUNT_MAP, lambda _: shown)
 
 
