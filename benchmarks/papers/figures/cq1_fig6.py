@@ -18,7 +18,8 @@ class ToGoal(Frames):
 
     Attributes:
         small: overrides at quick size.
-        minutes: of three seeds at paper size.
+        seeds: how many run at paper size.
+        minutes: of them all.
     """
 
     tolerance: ClassVar[dict[Size, str]] = {
@@ -27,14 +28,15 @@ class ToGoal(Frames):
     }
     term, greatest, group = "head", False, "head"
     small: ClassVar[tuple[str, ...]]
+    seeds: ClassVar[int] = 3
     minutes: ClassVar[float]
 
     def work(self, size: Size) -> list[Runs]:
-        """Return the seeds: one of few particles, or three of all."""
+        """Return the seeds: one of few particles, or several of all."""
         scene = f"control/{self.body}"
         if size is Size.QUICK:
             return [Runs(self.name, 1.0, "control", scene, self.small, 1)]
-        return [Runs(self.name, self.minutes, "control", scene, SINGLE, 3)]
+        return [Runs(self.name, self.minutes, "control", scene, SINGLE, self.seeds)]
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge how near to the goal the head ends."""
@@ -70,4 +72,4 @@ class Crawler(ToGoal):
     )
     name, body = "crawler", "crawler"
     small = ("bodies.crawler.sampling.lattice.count=5", "time.substeps=2", "optimizer.sgd.max_iterations=20")
-    minutes = 30.0
+    seeds, minutes = 10, 120.0
