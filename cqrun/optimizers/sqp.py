@@ -64,7 +64,7 @@ class Sqp(TwoSearches):
             curvature.begin_at_constraints(here.J, violation(here.c, low, high))
         else:
             rho = curvature.begin_at_slope(here.g, here.J, radius)
-        B, y, least = curvature.of(np.zeros(len(low))), np.full(len(low), np.inf), rho
+        B, y, least, anew = curvature.of(np.zeros(len(low))), np.full(len(low), np.inf), rho, False
         while radius > SMALLEST:
             rho = min(rho, max(least, LIGHT * float(np.max(np.abs(y), initial=0.0))))
             room, ends = (lower - x, upper - x), (low - here.c, high - here.c)
@@ -78,6 +78,10 @@ class Sqp(TwoSearches):
             if promised <= little:
                 free = _step(B, here, ends, room, self.radius, rho)  # the radius may be what keeps the promise small
                 found = met and free.promised(B, here, ends, rho) <= self.function_tolerance
+                if met and not found and not anew:  # or what older steps say of the curvature
+                    curvature.keep_last()
+                    B, radius, anew = curvature.of(y), self.radius, True
+                    continue
                 told = f"SQP: a step of {length:.2g} promises no more than {max(promised, 0.0):.2g}"
                 return ("converged" if found else "stalled"), told
             try:
@@ -95,7 +99,7 @@ class Sqp(TwoSearches):
             B = curvature.of(y)
             if not fallen > TAKEN * promised:
                 continue
-            x, here = there.x, there
+            x, here, anew = there.x, there, False
             trials.accept(x)
             if feasibility and trials.violated(x) <= self.constraint_tolerance:
                 raise Feasible
@@ -193,6 +197,10 @@ class Curvature:
         """Take in a step s (n,), and the changes of the gradient (n,) of f and of the Jacobian (m, n) of c."""
         if s.any():
             self.changes = [*self.changes, (s, g_change, J_change)][-self.memory :]
+
+    def keep_last(self) -> None:
+        """Forget all steps but the last."""
+        self.changes = self.changes[-1:]
 
     def of(self, y: Array) -> LowRank:
         """Return B for multipliers y (m,), each pair damped so that it stays positive."""
