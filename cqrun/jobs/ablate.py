@@ -35,6 +35,7 @@ from cqrun.jobs.report import table
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import cores
 from cqrun.jobs.seeds import CONFIDENCE, command_of, inputs_of, interval, member, require_seeds, shown, warn_if_alike
+from cqrun.optimizers.constrained import ranked
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, leaf
 from cqrun.scene.schema import Scene
@@ -197,11 +198,13 @@ def _result(run: Path) -> dict[str, Any]:
     return found
 
 
-def _rank(scene: Scene, result: dict[str, Any]) -> tuple[float, float]:
-    """Return what orders results: that which violates least is best, and of those that violate nothing the lowest."""
+def _rank(scene: Scene, result: dict[str, Any]) -> tuple[float, float, float]:
+    """Return what orders results, as the optimizers order points."""
+    assert scene.optimizer is not None
+    tolerance = getattr(scene.optimizer.value, "constraint_tolerance", 0.0)
     held = result["constraints"].items() if result["status"] == INFEASIBLE else ()
-    excess = max((entry["violation"] / scene.constraints[name].scale for name, entry in held), default=0.0)
-    return excess, float(result["trained"]["loss"])
+    excess = np.array([entry["violation"] / scene.constraints[name].scale for name, entry in held])
+    return ranked(excess, float(result["trained"]["loss"]), tolerance)
 
 
 # --- what they say ------------------------------------------------------------------------------------------------

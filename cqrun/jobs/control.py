@@ -33,7 +33,7 @@ from cqrun.jobs.runs import (
     saved_scene,
 )
 from cqrun.optimizers.base import Optimizer
-from cqrun.optimizers.constrained import VIOLATION, ConstrainedOptimizer, ranked, report_names
+from cqrun.optimizers.constrained import ConstrainedOptimizer, excess_told, ranked, report_names
 from cqrun.registry import plugins
 from cqrun.scene.build import Built
 from cqrun.scene.load import dump, load_scene, resolve
@@ -214,11 +214,11 @@ class Keeping(Progress):
         self._latest = problem.stochastic or getattr(optimizer, "batch_size", None) is not None
         file = run.path / "history.csv"
         before = read_history(file) if (run.path / FILE).exists() and file.exists() else {}
-        ranks = zip(before.get(VIOLATION, [0.0] * len(before.get("loss", []))), before.get("loss", []), strict=True)
-        self._rank = min((self._of(*rank) for rank in ranks), default=(np.inf, np.inf))
+        rows = [dict(zip(before, row, strict=True)) for row in zip(*before.values(), strict=True)]
+        self._rank = min((self._of(row, row["loss"]) for row in rows), default=(np.inf, np.inf, np.inf))
 
-    def _of(self, excess: float, loss: float) -> tuple[float, float]:
-        return ranked(excess, loss, self._tolerance)
+    def _of(self, row: Mapping[str, float], loss: float) -> tuple[float, float, float]:
+        return ranked(excess_told(self._problem, row), loss, self._tolerance)
 
     def __call__(self, iteration: int, x: Array, loss: float, terms: Mapping[str, float]) -> None:
         super().__call__(iteration, x, loss, terms)
@@ -227,7 +227,7 @@ class Keeping(Progress):
             for told in faint(self._problem.observation, self._problem.saw):
                 self._talk.warn(told)
                 self._run.log(told)
-        rank = self._of(terms.get(VIOLATION, 0.0), loss)
+        rank = self._of(terms, loss)
         if rank < self._rank or self._latest:
             self._rank = rank
             self._problem.save(self._run.path / FILE, self._problem.values(x))

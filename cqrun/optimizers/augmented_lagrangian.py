@@ -21,6 +21,7 @@ from cqrun.optimizers.constrained import (
     ranked,
     require_constraints,
     told,
+    violation,
 )
 from cqrun.optimizers.descent import DescentState
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
@@ -91,7 +92,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
             "restoring": np.array(0),
             "last": np.array(np.inf),
             "violation": np.array(np.inf),
-            "best": np.array([np.inf, np.inf]),
+            "best": np.full(3, np.inf),
         }
 
     def evaluate(
@@ -115,8 +116,11 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
             f, c, g = problem.lagrangian(x, weigh)  # type: ignore[attr-defined]
         require_finite(x, loss=np.asarray(f), constraints=c, gradient=g)
         terms = np.array(problem.term_values(), float)
-        excess = np.array(most_violated(c, low, high))
-        return {"f": np.array(f, float), "g": g, "c": c, "w": weigh(c), "violation": excess, "terms": terms} | normal
+        told = {
+            "violation": np.array(most_violated(c, low, high)),
+            "rank": np.array(ranked(violation(c, low, high), float(f), self.constraint_tolerance)),
+        }
+        return {"f": np.array(f, float), "g": g, "c": c, "w": weigh(c), "terms": terms} | told | normal
 
     def _normal_step(self, problem: ConstrainedProblem, x: Array, c: Array, J: Array) -> Array:
         """Return the shortest step (n,) in the box that meets the linearised constraints, cut to `LONGEST`."""
@@ -139,7 +143,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
     def learn(self, iteration: int, answer: dict[str, Array], memory: dict[str, Array]) -> dict[str, Array]:
         """Return the memory with the multipliers and the penalty moved on where they are due."""
         memory = memory | {
-            "best": np.array(min(tuple(memory["best"]), self._rank(answer))),
+            "best": np.array(min(tuple(memory["best"]), tuple(answer["rank"]))),
             "restoring": np.array(self._left(memory, float(answer["violation"]))),
             "last": answer["violation"],
         }
@@ -162,15 +166,12 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
 
     def better(self, state: DescentState, answer: dict[str, Array]) -> bool:
         """Say whether an evaluation violates less than all before, or nothing and is lower."""
-        return self._rank(answer) < tuple(state.memory["best"])
+        return tuple(answer["rank"]) < tuple(state.memory["best"])
 
     def told(self, problem: Problem, x: Array, answer: dict[str, Array]) -> dict[str, float]:
         """Return the terms and what is known of the constraints; the weights are the multipliers."""
         found = Kkt(answer["w"], projected(problem, x, answer["g"]))
         return terms_of(problem, answer["terms"]) | told(problem, answer["c"], found)  # type: ignore[arg-type]
-
-    def _rank(self, answer: dict[str, Array]) -> tuple[float, float]:
-        return ranked(float(answer["violation"]), float(answer["f"]), self.constraint_tolerance)
 
     def _converged(self, state: DescentState, problem: Problem) -> bool:
         return float(state.memory["best"][0]) == 0.0 and super()._converged(state, problem)

@@ -10,7 +10,7 @@ largest component, with the multipliers that make its Euclidean norm least.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol
 
@@ -84,9 +84,15 @@ def most_violated(c: Array, low: Array, high: Array) -> float:
     return float(np.max(violation(c, low, high), initial=0.0))
 
 
-def ranked(excess: float, loss: float, tolerance: float) -> tuple[float, float]:
-    """Return what orders points: the one that violates least is best, and of those that violate nothing the lowest."""
-    return (excess, loss) if excess > tolerance else (0.0, loss)
+def ranked(excess: Array, loss: float, tolerance: float) -> tuple[float, float, float]:
+    """Return what orders points: the largest violation, then the sum of those above the tolerance, then the loss.
+
+    Violations (m,) count in whole tolerances, so that one that nothing moves does not hide what becomes of the others.
+    """
+    over = excess[excess > tolerance]
+    if not len(over):
+        return 0.0, 0.0, loss
+    return float(np.ceil(over.max() / tolerance)), float(np.ceil(over.sum() / tolerance)), loss
 
 
 @dataclass(frozen=True)
@@ -139,14 +145,20 @@ def held_by_box(problem: Problem, x: Array) -> tuple[Array, Array]:
 
 
 def told(problem: ConstrainedProblem, c: Array, found: Kkt) -> dict[str, float]:
-    """Return the columns of `report_names`."""
+    """Return the columns of `report_names`; constraints and multipliers are for constraints in their own units."""
     if not len(c):
         return {}
     values = {VIOLATION: most_violated(c, problem.c_low, problem.c_high), KKT: found.residual}
-    values |= {CONSTRAINT + name: float(value) for name, value in zip(problem.constraint_names, c, strict=True)}
-    return values | {
-        MULTIPLIER + name: float(y) for name, y in zip(problem.constraint_names, found.multipliers, strict=True)
-    }
+    each = zip(problem.constraint_names, problem.scales, c, found.multipliers, strict=True)
+    for name, scale, value, y in each:
+        values |= {CONSTRAINT + name: float(value * scale), MULTIPLIER + name: float(y / scale)}
+    return values
+
+
+def excess_told(problem: ConstrainedProblem, row: Mapping[str, float]) -> Array:
+    """Return the violations (m,) from the columns of `told`."""
+    c = np.array([row[CONSTRAINT + name] for name in problem.constraint_names]) / problem.scales
+    return violation(c, problem.c_low, problem.c_high)
 
 
 def verdict(problem: ConstrainedProblem, x: Array, c: Array, tolerance: float) -> str:
@@ -184,7 +196,7 @@ class ConstrainedTrials(Trials):
         super().__init__(problem, session, max_iterations)
         self.tolerance = tolerance
         self.best_c = np.zeros(0)
-        self._best_rank = (np.inf, np.inf)
+        self._best_rank = (np.inf, np.inf, np.inf)
         self._values: dict[bytes, tuple[float, Array]] = {}
         self._gradients: dict[bytes, dict[str, Array]] = {}
 
@@ -234,8 +246,7 @@ class ConstrainedTrials(Trials):
     def _keep(self, x: Array, answer: dict[str, Array]) -> None:
         loss, c = float(answer["f"]), answer["c"]
         self._values[x.tobytes()] = loss, c
-        excess = most_violated(c, self.problem.c_low, self.problem.c_high)
-        rank = ranked(excess, loss, self.tolerance)
+        rank = ranked(violation(c, self.problem.c_low, self.problem.c_high), loss, self.tolerance)
         if rank < self._best_rank:
             self._best_rank, self.best_x, self.best_loss, self.best_c = rank, x.copy(), loss, c
 

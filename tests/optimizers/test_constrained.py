@@ -10,7 +10,7 @@ from toy_problems import Confined, Nearest, Rosenbrock, run_folder, solve
 
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.optimizers.augmented_lagrangian import AugmentedLagrangian
-from cqrun.optimizers.constrained import Kkt, _of_one_sign, kkt, most_violated, verdict, violation
+from cqrun.optimizers.constrained import Kkt, _of_one_sign, kkt, most_violated, ranked, verdict, violation
 from cqrun.optimizers.nlopt import Nlopt
 from cqrun.optimizers.slsqp import MOST_UNKNOWNS, Slsqp
 from cqrun.optimizers.sqp import Sqp
@@ -174,6 +174,52 @@ def test_what_cannot_be_met_is_told_with_the_least_violation(tmp_path, method):
     assert outcome.x.sum() == pytest.approx(6.0, abs=1e-3)
     assert "constraint 'sum' is 6, wanted 10: violated by 4, the least that was found" in outcome.message
     assert "at bounds: [] below, [0, 1, 2] above" in outcome.message
+
+
+class Stuck(Confined):
+    """The valley with a third constraint, that nothing moves."""
+
+    constraint_names = ("sum", "ball", "stuck")
+
+    def __init__(self):
+        super().__init__()
+        self.c_low, self.c_high = np.append(self.c_low, -np.inf), np.append(self.c_high, 0.0)
+
+    @property
+    def scales(self):
+        return np.array([1.0, 1.0, 10.0])
+
+    def values_and_constraints(self, x):
+        f, c = super().values_and_constraints(x)
+        return f, np.append(c, 7.0)
+
+    def gradients_and_constraints(self, x):
+        f, g, c, J = super().gradients_and_constraints(x)
+        return f, g, np.append(c, 7.0), np.vstack([J, np.zeros_like(x)])
+
+
+def test_a_constraint_that_nothing_moves_hides_no_other(tmp_path, method):
+    """The others are met all the same, and what is kept meets them; the history is in the constraints' own units."""
+    problem = Stuck()
+    outcome, _ = solve(tmp_path, method, problem)
+    assert outcome.status == "infeasible"
+    assert "constraint 'stuck' is 70, wanted at most 0" in outcome.message
+    rows = read_history(run_folder(tmp_path) / "history.csv")
+    assert set(rows["constraint:stuck"]) == {70.0}
+    _, c = problem.values_and_constraints(outcome.x)
+    others = violation(c, problem.c_low, problem.c_high)[:2]
+    told = np.array([rows["constraint:sum"], rows["constraint:ball"]]) - problem.c_high[:2, None]
+    assert others.sum() <= (np.abs(told[0]) + np.maximum(told[1], 0.0)).min() + 2e-6
+    if not isinstance(method, Slsqp) and getattr(method, "algorithm", "") != "slsqp":  # Kraft's steps end there
+        assert others.max() <= method.constraint_tolerance
+        assert "violated less" not in outcome.message
+
+
+def test_violations_below_the_tolerance_order_nothing():
+    assert ranked(np.array([2e-7, 0.0]), 3.0, 1e-6) == (0.0, 0.0, 3.0)
+    assert ranked(np.array([0.5, 0.25]), 9.0, 1e-6) < ranked(np.array([0.5, 0.25 + 3e-6]), 3.0, 1e-6)
+    assert ranked(np.array([0.5, 0.25]), 3.0, 1e-6) < ranked(np.array([0.5 - 4e-7, 0.25 + 3e-7]), 9.0, 1e-6)
+    assert ranked(np.zeros(0), 3.0, 0.0) == (0.0, 0.0, 3.0)
 
 
 def test_the_verdict_is_in_the_constraints_own_unit_and_names_the_others():
