@@ -70,7 +70,7 @@ def unknown_curves(run: RunData) -> list[UnknownCurve]:
     truths = {canonical(scene, p): v for p, v in synthetic.truth.items()} if synthetic is not None else {}
     found = (run.result or {}).get("unknowns", {})
     curves = []
-    for path, label, unknown in zip(paths, labels(paths), scene.unknowns.values(), strict=True):
+    for path, label, unknown in zip(paths, labels(paths, scene.dim), scene.unknowns.values(), strict=True):
         lower, upper = unknown.bounds
         unit = shown_unit(leaf(scene, path).unit, max(abs(lower), abs(upper)))
         values = _values(run, path)
@@ -168,9 +168,17 @@ def plot_loss(axes: Axes, loss: LossCurve) -> None:
     _pad_iterations(axes, loss.iteration)
     unit = clock_ticks(axes.xaxis, loss.iteration, loss.seconds)
     axes.set_xlabel(f"iteration, wall time ({unit})")
-    last = float(loss.value[-1])
-    final = f"{millimetres(last) if loss.unit == 'mm' else number(last)} after {int(loss.iteration[-1])} iterations"
-    titled(axes, loss.title, final)
+    last = f"{_value(loss, -1)} after {int(loss.iteration[-1])}"
+    if loss.kept is None:
+        titled(axes, loss.title, f"{last} iterations")
+    else:
+        axes.plot(loss.iteration[loss.kept], loss.value[loss.kept], "o", ms=6, mfc="none", color=COLOURS[0])
+        titled(axes, loss.title, f"{_value(loss, loss.kept)} kept, after {int(loss.iteration[loss.kept])}; {last}")
+
+
+def _value(loss: LossCurve, row: int) -> str:
+    value = float(loss.value[row])
+    return millimetres(value) if loss.unit == "mm" else number(value)
 
 
 def plot_violation(axes: Axes, run: RunData) -> None:

@@ -18,8 +18,9 @@ from cqrun.figures.quantities import length_unit, shown_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, GREY, new_figure
 from cqrun.figures.views import of_equal_width, room_around, views, window
+from cqrun.scene.geometry import Geometry
 from cqrun.scene.particles import sample
-from cqrun.scene.paths import canonical, is_geometry, with_values
+from cqrun.scene.paths import canonical, is_geometry
 from cqrun.scene.unknowns import start, tied
 
 if TYPE_CHECKING:
@@ -53,10 +54,11 @@ def _shape_before(run: RunData) -> dict[str, float]:
 def draw_shape(run: RunData) -> Figure:
     """Return the picture of a design that has another shape (`has_new_shape`): before, and as it was designed."""
     trajectory = run.trajectory()
-    particles = sample(with_values(run.scene, _shape_before(run)))
+    particles = sample(run.scene)
+    x, _ = Geometry(run.scene, particles).at_rest({path: np.array(v) for path, v in _shape_before(run).items()})
     bodies = {name: particles.of(name) for name in run.scene.bodies}
     after = snapshot(trajectory, 0)
-    before = Snapshot(0.0, particles.x, np.zeros(len(particles.x)), Dots.of(particles.x, bodies))
+    before = Snapshot(0.0, x, np.zeros(len(x)), Dots.of(x, bodies))
     both = np.concatenate([before.x, after.x])
     looks = views(run.scene, both)
     windows = of_equal_width([window(both, look, room_around(both, after.dots.size)) for look in looks])

@@ -28,6 +28,7 @@ class LossCurve:
         floor: RMSE that the noise of synthetic data alone makes [mm]; None where it is not known.
         unit: mm, or nothing where the objective has its own.
         log: it is drawn on a logarithmic axis.
+        kept: the row whose parameters the run found best and kept, where that is not the last one.
     """
 
     label: str
@@ -37,6 +38,7 @@ class LossCurve:
     floor: float | None = None
     unit: str = "mm"
     log: bool = True
+    kept: int | None = None
 
     @property
     def title(self) -> str:
@@ -52,12 +54,12 @@ def loss_curve(run: RunData) -> LossCurve:
     if data is None:
         known = loss[np.isfinite(loss)]
         falls = bool(known.size) and float(known.min()) > 0 and float(known.max() / known.min()) >= SPAN
-        return LossCurve("loss", iteration, seconds, loss, unit="", log=falls)
+        return LossCurve("loss", iteration, seconds, loss, unit="", log=falls, kept=_kept(run))
     label = "distance to the target" if data.target is not None else "RMSE"
     floor = None
     if data.synthetic is not None and data.synthetic.noise > 0:
         floor = MILLI * data.synthetic.noise * float(np.sqrt(run.scene.dim))
-    return LossCurve(label, iteration, seconds, MILLI * np.sqrt(np.maximum(loss, 0.0)), floor)
+    return LossCurve(label, iteration, seconds, MILLI * np.sqrt(np.maximum(loss, 0.0)), floor, kept=_kept(run))
 
 
 def term_names(run: RunData) -> list[str]:
@@ -77,7 +79,13 @@ def term_curve(run: RunData, name: str) -> LossCurve:
         known = f"; there are: {listed(names)}" if names else ""
         raise UsageError(f"{run.path}: its objective has no term '{name}'{suggest(name, names)}{known}")
     rows = run.history
-    return LossCurve(name, rows["iteration"], rows["seconds"], rows[name], unit="", log=False)
+    return LossCurve(name, rows["iteration"], rows["seconds"], rows[name], unit="", log=False, kept=_kept(run))
+
+
+def _kept(run: RunData) -> int | None:
+    found, loss = (run.result or {}).get("loss"), run.history["loss"]
+    rows = np.flatnonzero(loss == (np.nan if found is None else found))
+    return int(rows[-1]) if len(rows) and rows[-1] != len(loss) - 1 else None
 
 
 def require_rows(run: RunData) -> None:

@@ -57,9 +57,9 @@ def time_unit(longest: float) -> Unit:
     return next(Unit(name, 1.0 / size) for name, size in _TIMES if longest >= 3 * size or size == 1.0)
 
 
-def labels(paths: Sequence[str]) -> list[str]:
+def labels(paths: Sequence[str], dim: int) -> list[str]:
     """Return a short name for each key path; paths that would share one get what tells them apart."""
-    short = [capitalised(_short(path)) for path in paths]
+    short = [capitalised(_short(path, dim)) for path in paths]
     out = []
     for path, name in zip(paths, short, strict=True):
         rivals = [rival for rival, same in zip(paths, short, strict=True) if same == name and rival != path]
@@ -72,12 +72,15 @@ def capitalised(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _short(path: str) -> str:
+def _short(path: str, dim: int) -> str:
     *before, last = path.split(".")
     parent = before[-1] if before else ""
     if last.isdigit():
         axis = "xyz"[int(last)] if int(last) < 3 else last
-        return f"{parent} {axis}".replace("_", " ")
+        if parent == "spin" and dim == 2:
+            axis = "z"  # the one that it can be about
+        named = " ".join(before[-2:]) if parent.isdigit() else parent  # `points 2`, of a polygon
+        return f"{named} {axis}".replace("_", " ")
     if last in _WORDS:
         return _WORDS[last]
     if parent == "viscosity" and last in _ORDER:

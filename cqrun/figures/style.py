@@ -6,6 +6,7 @@ Pictures are made without pyplot: no window, no state between two of them. Draw 
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -73,6 +74,9 @@ FEW_DECADES = 2.5
 
 LONG_TITLE = 36
 """Titles of more letters are written smaller."""
+
+TITLE_LINE = 48
+"""Letters in a line of a title."""
 
 NARROW = 3.0
 """One whose ends differ by a smaller factor is labelled at round numbers, as a linear one."""
@@ -168,6 +172,6 @@ def note(axes: Axes, text: str) -> None:
 def titled(axes: Axes, title: str, text: str = "") -> None:
     """Give an axes a title and, below it, a small grey line."""
     size = None if len(title) <= LONG_TITLE else 7.5
-    axes.set_title(title, pad=15 if text else 6, fontsize=size)
+    axes.set_title("\n".join(textwrap.wrap(title, TITLE_LINE)), pad=15 if text else 6, fontsize=size)
     if text:
         note(axes, text)

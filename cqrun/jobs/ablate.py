@@ -37,11 +37,11 @@ from cqrun.jobs.runs import cores
 from cqrun.jobs.seeds import CONFIDENCE, command_of, inputs_of, interval, member, require_seeds, shown, warn_if_alike
 from cqrun.optimizers.constrained import ranked
 from cqrun.scene.load import load_scene
-from cqrun.scene.paths import canonical, leaf
+from cqrun.scene.paths import canonical, is_geometry, leaf
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start, tied
 from cqrun.store.atomic import make_directory, write_json, write_text
-from cqrun.store.run import read_record
+from cqrun.store.run import RECORD, read_record
 
 INFEASIBLE = "infeasible"
 """How a run ended whose constraints are not met."""
@@ -95,18 +95,21 @@ def run_ablation(
     scene = load_scene(source, overrides)
     variants = variants_of(scene)
     tried = _rate_overrides(scene, rates)
-    warn_if_alike(prepare(scene, 1, Silent(), "codesign"), seeds, talk)
+    whole = prepare(scene, 1, Silent(), "codesign")
+    warn_if_alike(whole, seeds, talk)
+    # `auto` follows from the bounds of what is free: variants of other time steps would not be comparable
+    same_step = [f"time.substeps={whole.built.model.substeps}"] if scene.time.substeps == "auto" else []
     at_once = n_threads if jobs is None else jobs
     share = max(1, n_threads // at_once)
 
     def members(variant: Variant, rate: str | None, chosen: Sequence[int], anew: bool) -> list[Member]:
-        own = [*overrides, *variant.overrides, *([rate] if rate else [])]
+        own = [*overrides, *same_step, *variant.overrides, *([rate] if rate else [])]
         problem = prepare(load_scene(source, own), 1, talk, variant.job)
         compile_kernels([problem.built], talk, adjoint=optimizer_of(problem.built).gradients)
         words = command_of(variant.job, source, out, share, anew, allow_plugins)
         made = [member(words, source, problem.built.scene, own, seed, out, variant.job) for seed in chosen]
         for run in made:
-            run.name = f"{variant.name}, {run.name}"
+            run.name = f"{variant.name}, {run.name}{f' with {rate}' if rate else ''}"
         return made
 
     best: dict[str, str | None] = {variant.name: tried[0] for variant in variants}
@@ -151,6 +154,8 @@ def variants_of(scene: Scene) -> list[Variant]:
     if not scene.objective:
         raise UsageError("--ablate compares the first term of the objective: this scene has no `objective`")
     paths = list(scene.unknowns)
+    for path in paths:
+        _require_same_particles(scene, path)
     groups = list(dict.fromkeys(group_of(canonical(scene, path)) for path in paths))
     chosen: list[tuple[str, ...]] = [(), *((group,) for group in groups)]
     if len(groups) <= MOST_GROUPS:
@@ -167,6 +172,17 @@ def variants_of(scene: Scene) -> list[Variant]:
     return found
 
 
+def _require_same_particles(scene: Scene, path: str) -> None:
+    """Refuse an unknown whose start is another body than the scene's: kept fixed, it would be sampled anew."""
+    for other, value in tied(scene, path, start(scene, path)).items():
+        own = leaf(scene, other).value
+        if is_geometry(other) and value != own:
+            raise UsageError(
+                f"--ablate: '{other}' starts at {value:g}, but the scene has {own:g}; variants that keep it would be "
+                f"of other particles: give it that value in the scene, -o {other}={value:g}"
+            )
+
+
 def _rate_overrides(scene: Scene, rates: Sequence[float]) -> list[str | None]:
     if not rates:
         return [None]
@@ -181,9 +197,9 @@ def _run(members: Sequence[Member], at_once: int, what: str, talk: Reporter, *, 
     good = [m for m in members if _has_ended(m)]
     if talk.stop.asked and len(good) < len(members):
         raise talk.stop.stopped(f"{len(good)} of {len(members)} {what} are finished; the same command continues")
-    if len(good) < len(members) and not may_fail:
-        bad = next(m for m in members if not _has_ended(m))
-        raise RunError(f"{len(members) - len(good)} of {len(members)} {what} failed; {bad.name}: {bad.failure}")
+    bad = [m for m in members if not _has_ended(m) and not (may_fail and _blew_up(m))]
+    if bad:
+        raise RunError(f"{len(bad)} of {len(members)} {what} failed; {bad[0].name}: {bad[0].failure}")
 
 
 def _has_ended(member: Member) -> bool:
@@ -191,6 +207,11 @@ def _has_ended(member: Member) -> bool:
     return member.failure is None or (
         (member.run / "result.json").exists() and read_record(member.run)["status"] == INFEASIBLE
     )
+
+
+def _blew_up(member: Member) -> bool:
+    """Say whether a run itself found that it fails, which is a result too; a process that was killed has none."""
+    return (member.run / RECORD).exists() and read_record(member.run)["status"] == "failed"
 
 
 def _result(run: Path) -> dict[str, Any]:

@@ -11,8 +11,9 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,8 +31,11 @@ from cqrun.store.vtkhdf import write_points
 CELL = 2.0
 """Edge of the cells that a surface is found on, in distances between particles."""
 
-HALF_FULL = 0.5
-"""Share of a node's cell that matter fills on the surface."""
+EXACT = 1e-3
+"""Relative difference between what a surface encloses and the particles' volume."""
+
+HALVINGS = 20
+"""At most, in search of that surface."""
 
 
 def export_design(run: Path, out: Path) -> list[Path]:
@@ -123,6 +127,18 @@ def _filled(x: Array, volume: Array) -> tuple[Array, Array, float]:
     return np.pad(share, 1), x.min(axis=0) - 1.5 * edge, edge
 
 
+def _level(enclosed: Callable[[float], float], volume: float, fullest: float) -> float:
+    """Return how full nodes are on the surface that encloses a volume, by halving: of a thin body less than half."""
+    low, high, level = 0.0, fullest, 0.5 * fullest
+    for _ in range(HALVINGS):
+        level = 0.5 * (low + high)
+        found = enclosed(level)
+        if abs(found - volume) <= EXACT * volume:
+            break
+        low, high = (level, high) if found > volume else (low, level)
+    return level
+
+
 def _surface(x: Array, volume: Array, path: Path) -> None:
     """Write the surface of a 3D body as STL [m]."""
     try:
@@ -133,11 +149,17 @@ def _surface(x: Array, volume: Array, path: Path) -> None:
     share, low, edge = _filled(x, volume)
     nodes = low + edge * np.stack(np.meshgrid(*map(np.arange, share.shape), indexing="ij"), axis=-1)
     points = np.ascontiguousarray(nodes.transpose(2, 1, 0, 3).reshape(-1, 3))
-    vertices, faces, _ = igl.marching_cubes(np.ascontiguousarray(share.transpose(2, 1, 0).reshape(-1)), points,
-                                            *share.shape, HALF_FULL)  # fmt: skip
-    mesh = trimesh.Trimesh(vertices, faces)
-    mesh.fix_normals()
-    write_bytes(path, mesh.export(file_type="stl"))
+    filled = np.ascontiguousarray(share.transpose(2, 1, 0).reshape(-1))
+
+    def mesh_at(level: float) -> Any:
+        vertices, faces, _ = igl.marching_cubes(filled, points, *share.shape, level)
+        mesh = trimesh.Trimesh(vertices, faces)
+        if mesh.volume < 0.0:  # faces look inwards, those of cavities outwards
+            mesh.invert()
+        return mesh
+
+    level = _level(lambda level: float(mesh_at(level).volume), float(np.sum(volume)), float(share.max()))
+    write_bytes(path, mesh_at(level).export(file_type="stl"))
 
 
 def _outline(x: Array, volume: Array, path: Path) -> None:
@@ -145,8 +167,14 @@ def _outline(x: Array, volume: Array, path: Path) -> None:
     import contourpy
 
     share, low, edge = _filled(x, volume)
-    lines = contourpy.contour_generator(z=share.T).lines(HALF_FULL)
+    contours = contourpy.contour_generator(z=share.T)
+
+    def area(level: float) -> float:
+        lines = [edge * np.asarray(line) for line in contours.lines(level)]  # holes run the other way round
+        return abs(sum(0.5 * float(np.sum(a[:-1, 0] * a[1:, 1] - a[1:, 0] * a[:-1, 1])) for a in lines))
+
+    level = _level(area, float(np.sum(volume)), float(share.max()))
     rows = ["line,x [m],y [m]"]
-    for k, line in enumerate(lines):
+    for k, line in enumerate(contours.lines(level)):
         rows += [f"{k},{a!r},{b!r}" for a, b in (low + edge * np.asarray(line)).tolist()]
     write_text(path, "\n".join(rows) + "\n")

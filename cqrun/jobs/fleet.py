@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO
 
 from cqrun.jobs.reporter import EXIT_INTERRUPTED, Reporter
+from cqrun.store.lock import held
 
 EVERY = 0.2
 """Time between two looks at the processes [s]."""
@@ -61,10 +62,13 @@ class Member:
     def _take_leave(self) -> bool:
         assert self.process is not None
         assert self.said is not None
-        if self.process.returncode != 0:
+        code = self.process.returncode
+        if code < 0:  # what it said before is not why
+            self.failure = f"was killed ({signal.Signals(-code).name}); the same command goes on with it"
+        elif code > 0:
             self.said.seek(0)
             lines = self.said.read().decode(errors="replace").strip().splitlines()
-            self.failure = lines[-1].removeprefix("error: ") if lines else f"ended with {self.process.returncode}"
+            self.failure = lines[-1].removeprefix("error: ") if lines else f"ended with {code}"
         self.said.close()
         self.process = self.said = None
         return True
@@ -73,11 +77,13 @@ class Member:
 def run_fleet(members: Sequence[Member], at_once: int, what: str, talk: Reporter) -> None:
     """Run every member's process; a first request to stop is handed on, and none begins after it.
 
+    A run that another process works on is waited for: a command that was killed leaves its runs behind, and they go on.
+
     Args:
         at_once: how many processes at once.
         what: members are called, such as `seeds`.
     """
-    waiting, running, asked = list(members), list[Member](), False
+    waiting, running, told, asked = list(members), list[Member](), set[str](), False
     try:
         while waiting or running:
             if talk.stop.asked and not asked:
@@ -87,16 +93,22 @@ def run_fleet(members: Sequence[Member], at_once: int, what: str, talk: Reporter
                 waiting.clear()
                 for member in running:
                     member.ask(signal.SIGINT if talk.stop.exit_code == EXIT_INTERRUPTED else signal.SIGTERM)
-            while waiting and len(running) < at_once:
-                running.append(waiting.pop(0))
-                running[-1].start()
+            for member in [m for m in waiting if not held(m.run)][: at_once - len(running)]:
+                waiting.remove(member)
+                running.append(member)
+                member.start()
+            if len(running) < at_once:  # those left are held
+                for member in waiting:
+                    if member.name not in told:
+                        talk.warn(f"{member.name}: another process works on it ({member.run}); waiting for its end")
+                told |= {member.name for member in waiting}
             for member in [m for m in running if m.ended()]:
                 running.remove(member)
                 if member.failure is not None and not asked:
                     talk.warn(f"{member.name}: {member.failure}")
             if not asked:
                 _tell(members, running, waiting, what, talk)
-            if running:
+            if running or waiting:
                 time.sleep(EVERY)
     finally:  # after a second Ctrl-C, or an error here
         for member in running:

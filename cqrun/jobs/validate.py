@@ -22,6 +22,7 @@ from cqrun.jobs.reporter import Silent
 from cqrun.jobs.sysid import prepare, with_optimizer
 from cqrun.jobs.validate_control import control_lines, line
 from cqrun.objectives.markers import MarkerObjective
+from cqrun.optimizers.two_searches import TwoSearches
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
@@ -206,7 +207,12 @@ def _cost(built: Built, agent: Agent | None) -> Iterator[str]:
         if optimizer.gradients:
             episodes = min(agent.n_episodes, getattr(optimizer, "batch_size", None) or agent.n_episodes)
             of = f"{episodes} {'episode' if episodes == 1 else 'episodes'} with the gradient"
-            yield line("", f"an iteration of {optimizer.name}: {of}, {_seconds(episodes * backward)}")
+            held = len(agent.constraint_names) if isinstance(optimizer, TwoSearches) else 0
+            sweeps = held * (GRADIENT - 1.0) * forward
+            if held:
+                of += f" and {'that' if held == 1 else 'those'} of {held} constraint{'s' if held > 1 else ''}, at most"
+            cost = _seconds(episodes * (backward + sweeps))
+            yield line("", f"an iteration of {optimizer.name}: {of}{' ' if held else ', '}{cost}")
         else:
             of = f"{agent.n_episodes} {'episode' if agent.n_episodes == 1 else 'episodes'} forward"
             yield line("", f"a trial of {optimizer.name}: {of}, {_seconds(agent.n_episodes * forward)}")

@@ -11,6 +11,21 @@ from cqrun.errors import UsageError
 from cqrun.store.atomic import disk_errors
 
 
+def held(directory: Path) -> bool:
+    """Say whether a process holds a run directory at this moment."""
+    try:
+        handle = os.open(directory / "lock", os.O_RDONLY)
+    except OSError:
+        return False  # there is nothing to hold
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(handle)
+    return False
+
+
 class DirectoryLock:
     """An advisory lock (flock) on the file `lock`; it ends with the process, however that ends.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from made_runs import YOUNG, history, made_twin, plane_scene, write_history, write_result, write_run
@@ -118,6 +120,22 @@ def test_the_picture_holds_the_numbers(twin):
     assert set(truth.get_ydata()) == {300.0}
     np.testing.assert_array_equal(way.get_ydata(), unknown_curves(twin)[0].values[:, 0])
     assert [t.get_text() for t in unknown.texts] == ["299.8 (290.0 to 310.0), bounds 100 to 500"]
+
+
+def test_the_point_that_was_kept_is_marked(tmp_path, rng):
+    """The unknowns' titles tell of it; the last iterate is another."""
+    path = made_twin(tmp_path, rng)
+    loss = read_run(path).history["loss"]
+    write_result(path, {E: {"initial": 2e5, "value": 3e5, "interval": None}}, {"r": {"holdout": False}})
+    result = json.loads((path / "result.json").read_text())
+    for row, told in ((len(loss) - 1, 1), (2, 2)):
+        (path / "result.json").write_text(json.dumps(result | {"loss": float(loss[row])}))
+        with styled():
+            axes = draw_convergence(read_run(path)).axes[0]
+        (text,) = [t.get_text() for t in axes.texts]
+        assert len(text.split("; ")) == told
+        assert ("kept, after 2; " in text) == (told == 2)
+        assert len([line for line in axes.lines if line.get_marker() == "o" and len(line.get_xdata()) == 1]) == told - 1
 
 
 def test_the_wall_time_stands_below_the_iterations(twin):

@@ -22,11 +22,11 @@ E = "material.elastic.fixed_corotated.youngs_modulus"
     ],
 )
 def test_a_path_has_a_short_name(path, label):
-    assert labels([path]) == [label]
+    assert labels([path], 3) == [label]
 
 
 def test_names_that_would_be_equal_say_what_differs():
-    assert labels([f"bodies.beam.{E}", f"bodies.tip.{E}", "bodies.beam.material.density"]) == [
+    assert labels([f"bodies.beam.{E}", f"bodies.tip.{E}", "bodies.beam.material.density"], 2) == [
         "beam: Young's modulus",
         "tip: Young's modulus",
         "Density",
@@ -65,3 +65,10 @@ def test_an_estimate_has_as_many_digits_as_its_interval_leaves_meaning():
 def test_millimetres_keep_three_digits():
     assert [millimetres(value) for value in (0.36, 57.0, 123.4)] == ["0.360", "57.0", "123"]
     assert millimetres(float("nan")) == "not seen"
+
+
+def test_numbers_of_a_shape_and_a_spin_are_named_by_what_they_are():
+    paths = ["bodies.arm.shape.polygon.points.2.0", "bodies.arm.shape.polygon.points.3.1"]
+    assert labels(paths, 2) == ["Points 2 x", "Points 3 y"]
+    assert labels(["bodies.arm.velocity.spin.0"], 2) == ["Spin z"]
+    assert labels(["bodies.arm.velocity.spin.0"], 3) == ["Spin x"]

@@ -10,12 +10,14 @@ import pytest
 from small_beam import Listener, changed, result_of
 from small_finger import DESIGN, FINGER, written
 
-from cqrun.errors import UsageError
+from cqrun.errors import RunError, UsageError
 from cqrun.figures.ablation import draw_ablation
 from cqrun.jobs.ablate import _effects, _gain, ablation_lines, group_of, run_ablation, variants_of
+from cqrun.jobs.fleet import Member
 from cqrun.jobs.seeds import run_seeds
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import get
+from cqrun.store.history import read_history
 from cqrun.store.run import read_record
 
 E, NU, RHO = (f"bodies.finger.material.{name}" for name in (
@@ -144,3 +146,47 @@ def test_seeds_of_a_codesign(tmp_path):
     assert good
     assert len(json.loads(path.read_text())["seeds"]) == len(list(path.parent.glob("*/result.json"))) == 2
     assert {read_record(run)["job"] for run in path.parent.glob("*/")} == {"codesign"}
+
+
+def test_variants_run_with_the_time_steps_of_the_whole(tmp_path):
+    """`auto` would give control alone longer ones than stiffnesses that may reach 400: the starts are the same."""
+    scene = design(tmp_path, E)
+    changed(scene, f"{E}: {{bounds: [5, 20]", f"{E}: {{bounds: [5, 400]")
+    path = run_ablation(scene, ["time.substeps=auto"], tmp_path / "out", False, 1, seeds=1)
+    runs = [Path(entry["runs"][0]) for entry in json.loads(path.read_text())["variants"].values()]
+    steps = {load_scene(run / "scene.yaml").time.substeps for run in runs}
+    assert len(steps) == 1
+    assert steps.pop() > 1
+    assert len({read_history(run / "history.csv")["tip"][0] for run in runs}) == 1
+
+
+def test_a_start_that_is_another_body_is_refused(tmp_path):
+    scene = load_scene(
+        design(tmp_path, E), ["unknowns.bodies.finger.place.offset.0={bounds: [0.19, 0.25], initial: 0.22}"]
+    )
+    told = (
+        "'bodies.finger.place.offset.0' starts at 0.22, but the scene has 0.2; .* -o bodies.finger.place.offset.0=0.22"
+    )
+    with pytest.raises(UsageError, match=told):
+        variants_of(scene)
+    same = ["bodies.finger.place.offset.0=0.22", "unknowns.bodies.finger.place.offset.0={bounds: [0.19, 0.25]}"]
+    assert len(variants_of(load_scene(tmp_path / "finger.yaml", same))) == 4
+
+
+def test_a_trial_that_was_killed_is_no_rate_that_fails(tmp_path, monkeypatch):
+    """The command ends, and goes on when repeated."""
+    scene = design(tmp_path, E)
+    begin = Member.start
+
+    def start(self):
+        begin(self)
+        if not (tmp_path / "killed").exists():
+            (tmp_path / "killed").touch()
+            self.process.kill()
+
+    monkeypatch.setattr(Member, "start", start)
+    told = r"1 of 4 trials failed; control, seed 0 with optimizer.adam.learning_rate=0.1: was killed \(SIGKILL\)"
+    with pytest.raises(RunError, match=told):
+        run_ablation(scene, [], tmp_path / "out", False, 2, seeds=1, rates=[0.1, 1e-6])
+    path = run_ablation(scene, [], tmp_path / "out", False, 2, seeds=1, rates=[0.1, 1e-6])
+    assert all(None not in entry["searched"].values() for entry in json.loads(path.read_text())["variants"].values())

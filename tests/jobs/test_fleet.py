@@ -12,6 +12,7 @@ from small_beam import Listener
 
 from cqrun.jobs import fleet
 from cqrun.jobs.fleet import Member, run_fleet
+from cqrun.store.lock import DirectoryLock
 
 FAILS_AT_ONE = """
 import sys, time
@@ -26,6 +27,7 @@ signal.signal(signal.SIGTERM, stop)
 pathlib.Path(sys.argv[1], sys.argv[-1]).touch()
 time.sleep(60)
 """
+KILLED = "was killed (SIGKILL); the same command goes on with it"
 
 
 @pytest.fixture
@@ -76,4 +78,39 @@ def test_no_process_outlives_what_ends_the_wait_for_it(three, tmp_path, monkeypa
     runs = three(WAITS, str(tmp_path))
     with pytest.raises(KeyboardInterrupt):
         run_fleet(runs, 2, "seeds", Listener())
-    assert [run.failure for run in runs] == ["ended with -9", "ended with -9", None]
+    assert [run.failure for run in runs] == [KILLED, KILLED, None]
+
+
+def test_a_killed_run_says_so_and_not_what_it_said_last(three):
+    runs = three("import os, sys; print('warning: of old', file=sys.stderr, flush=True); os.kill(os.getpid(), 9)")
+    run_fleet(runs[:1], 1, "seeds", Listener())
+    assert runs[0].failure == KILLED
+
+
+def test_a_run_that_another_process_works_on_is_waited_for(three, tmp_path):
+    listener, runs = Listener(), three("import sys; sys.exit(0)")
+    runs[1].run.mkdir()
+    lock = DirectoryLock(runs[1].run)
+
+    def when_it_is_told() -> None:
+        while not any("another process" in line for line in listener.said):
+            time.sleep(0.01)
+        assert runs[1].process is None
+        lock.release()
+
+    watcher = threading.Thread(target=when_it_is_told)
+    watcher.start()
+    run_fleet(runs, 2, "seeds", listener)
+    watcher.join()
+    assert [run.failure for run in runs] == [None] * 3
+    assert listener.said == [f"warning: seed 1: another process works on it ({runs[1].run}); waiting for its end"]
+
+
+def test_a_wait_for_another_process_can_be_stopped(three):
+    listener, runs = Listener(), three("import sys; sys.exit(0)")
+    runs[1].run.mkdir()
+    lock = DirectoryLock(runs[1].run)
+    threading.Timer(2.0, lambda: listener.stop.ask(signal.SIGINT)).start()
+    run_fleet(runs, 2, "seeds", listener)
+    lock.release()
+    assert [run.failure for run in runs] == [None, "not begun", None]
