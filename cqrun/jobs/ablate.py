@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.errors import RunError, UsageError
+from cqrun.explain import listed
 from cqrun.jobs.control import optimizer_of, prepare
 from cqrun.jobs.fleet import Member, run_fleet
 from cqrun.jobs.kernels import compile_kernels
@@ -327,11 +328,14 @@ def ablation_lines(path: Path) -> list[str]:
     ]
     head = ("free", "rate", compared, "gain", "feasible")[: len(rows[0])]
     effects = sorted(result["effects"].items(), key=lambda item: -abs(item[1]["mean"]))
+    failed = {name: [rate for rate, loss in entry.get("searched", {}).items() if loss is None]
+              for name, entry in variants.items()}  # fmt: skip
     return [
         f"{len(variants)} variants from {seeds} seeds; mean and {result['confidence']:.0%} interval; "
         f"{result['better']} is better",
         "",
         *table(head, rows),
+        *(f"note: {name} failed with rate {listed(rates)}" for name, rates in failed.items() if rates),
         "",
         *table(("freeing it adds", compared), [(name, shown(effect)) for name, effect in effects]),
         f"ablation: {path}",

@@ -100,6 +100,10 @@ def test_variants_are_learned_and_compared(tmp_path):
     text = "\n".join(ablation_lines(path))
     assert text.startswith("2 variants from 2 seeds; mean and 90% interval; smaller is better")
     assert "freeing it adds" in text
+    assert "failed" not in text
+    result["variants"]["control"]["searched"]["1e-06"] = None
+    path.write_text(json.dumps(result))
+    assert "note: control failed with rate 1e-06" in ablation_lines(path)
 
 
 def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
