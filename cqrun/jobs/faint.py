@@ -13,12 +13,14 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.observers.observer import Observation
 
-LEAST = 0.1
-"""Standard deviation over an episode that some number of an observer should have, of half its range."""
+LEAST = 0.05
+"""Standard deviation over an episode, of half the range, that numbers should have (root of the mean square)."""
 
 
 def faint(observation: Observation, saw: Sequence[Array]) -> Iterator[str]:
-    """Yield a sentence on every observer of which no number moved by LEAST in any episode; what stood still is none.
+    """Yield a sentence on every observer of which no kind moved by LEAST in any episode; what stood still is none.
+
+    Numbers of one range are a kind, such as velocities: one leg that swings does not speak for forty parts that do not.
 
     Args:
         observation: what was seen, and its ranges.
@@ -28,13 +30,15 @@ def faint(observation: Observation, saw: Sequence[Array]) -> Iterator[str]:
         return
     moved = np.max([z.std(axis=0) for z in saw], axis=0)
     for name, place in observation.parts.items():
-        if not 0 < moved[place].max(initial=0.0) < LEAST:
-            continue
         ranges = np.stack([observation.middle[place], observation.half[place]], axis=1)
-        told = []
-        for middle, half in np.unique(ranges, axis=0):
-            most = half * moved[place][(ranges == (middle, half)).all(axis=1)].max()
-            told.append(f"{most:.2g} of the range {middle - half:g} to {middle + half:g}")
+        kinds = np.unique(ranges, axis=0)
+        sizes = [float(np.sqrt(np.mean(moved[place][(ranges == kind).all(axis=1)] ** 2))) for kind in kinds]
+        if not 0 < max(sizes, default=0.0) < LEAST:
+            continue
+        told = [
+            f"{half * size:.2g} of the range {middle - half:g} to {middle + half:g}"
+            for (middle, half), size in zip(kinds, sizes, strict=True)
+        ]
         yield (
             f"observers.{name}: the controller hardly feels it: at the start it moves by {', by '.join(told)} "
             "(standard deviation). A narrower `range` may be what it needs to learn"
