@@ -110,7 +110,15 @@ def test_a_wait_for_another_process_can_be_stopped(three):
     listener, runs = Listener(), three("import sys; sys.exit(0)")
     runs[1].run.mkdir()
     lock = DirectoryLock(runs[1].run)
-    threading.Timer(2.0, lambda: listener.stop.ask(signal.SIGINT)).start()
-    run_fleet(runs, 2, "seeds", listener)
+
+    def when_nothing_else_is_left() -> None:
+        while not any("another process" in line for line in listener.said):
+            time.sleep(0.01)
+        listener.stop.ask(signal.SIGINT)
+
+    watcher = threading.Thread(target=when_nothing_else_is_left)
+    watcher.start()
+    run_fleet(runs, 1, "seeds", listener)
+    watcher.join()
     lock.release()
     assert [run.failure for run in runs] == [None, "not begun", None]

@@ -139,11 +139,11 @@ def test_units_change_little(f_unit, c_unit, feasibility_first, tmp_path):
     np.testing.assert_allclose(outcome.x, known.x, atol=1e-3)
 
 
-@pytest.mark.parametrize("n", [4, 10, 20, 30])
+@pytest.mark.parametrize("n", [4, 10, 14, 30])
 def test_a_minimum_is_not_called_stalled(n, tmp_path):
     """Rejected trials leave a small radius, in which nothing is promised; the whole radius promises nothing either.
 
-    From 20 unknowns on it seems to, by curvature learned on the way round the valley's bend.
+    From 14 unknowns on it seems to, by curvature learned on the way round the valley's bend.
     """
 
     class Free(Told, Rosenbrock):
