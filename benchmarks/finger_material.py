@@ -26,7 +26,7 @@ WANTED = {"with noise": 0.03, "without noise": 0.01}
 
 def fit(name: str, runs: Path) -> dict[str, Any]:
     """Run one fit, or go on with it; return what it found."""
-    run = run_sysid(SCENE, FITS[name], runs, False, None, True)
+    run = run_sysid(SCENE, FITS[name], runs)
     result = json.loads((run / "result.json").read_text())
     words = ["cqrun", "sysid", str(SCENE.relative_to(ROOT)), *(f"-o {each}" for each in FITS[name])]
     return {

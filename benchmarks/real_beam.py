@@ -59,7 +59,7 @@ SIDEWAYS = "world.gravity.1"
 def fit(name: str, recordings: Sequence[str], runs: Path) -> dict[str, Any]:
     """Run one fit, or go on with it; return what it found."""
     scene, overrides = FITS[name]
-    run = run_sysid(scene, [*recordings, *overrides], runs / name, False, None, True)
+    run = run_sysid(scene, [*recordings, *overrides], runs / name)
     found = json.loads((run / "result.json").read_text())
     facts = json.loads((run / "run.json").read_text())
     told = " ".join(f"-o {override}" for override in overrides)

@@ -25,7 +25,6 @@ FOLDERS = {
     "controller": "cqrun.controllers",
     "observer": "cqrun.observers",
     "objective": "cqrun.objectives",
-    "constraint": "cqrun.constraints",
     "optimizer": "cqrun.optimizers",
 }
 """Where the plug-ins of each kind live."""

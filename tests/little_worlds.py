@@ -70,7 +70,7 @@ class Acting:
         """Return a plug-in on some of the particles at rest at x (N, D)."""
         particles = np.asarray(particles, np.int64)
         own = x[particles]
-        return cls(spec.kernel(x.shape[1]), particles, spec.constants(own), spec.rest_length(own))
+        return cls(spec.kernel, particles, spec.constants(own), spec.rest_length(own))
 
 
 def every_kind(wanted: list[Acting], dim: int) -> tuple[list[Acting], np.ndarray]:

@@ -19,7 +19,7 @@ FLOORS = (
     {"tensor", "lanes", "polar", "compile", "packed", "records", "wide_records", "state"},
     {"materials", "actuators", "boundaries", "loads"},
     {"engine"},
-    {"geometry", "observers", "controllers", "objectives", "constraints", "design", "optimizers"},
+    {"geometry", "observers", "controllers", "objectives", "design", "optimizers"},
     {"scene", "store"},
     {"jobs"},
     {"cli", "figures"},

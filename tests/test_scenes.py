@@ -247,7 +247,7 @@ def of_job(*jobs: str) -> pytest.MarkDecorator:
 def test_it_learns_shortened(path, tmp_path):
     overrides = [*shortened(path, tmp_path), *loosened(path)]
     scene = load_scene(path, overrides)
-    run = run_control(path, overrides, tmp_path, False, 1, True, job=path.parent.name)
+    run = run_control(path, overrides, tmp_path, threads=1, job=path.parent.name)
     result = result_of(run)
     if (result["status"], result["iterations"]) != ("iteration_limit", 1):  # effort is least where nothing moves
         assert (result["status"], result["iterations"], result["start"]["loss"]) == ("converged", 0, 0.0)
@@ -265,7 +265,7 @@ def test_it_learns_shortened(path, tmp_path):
 
 @of_job("sysid")
 def test_it_runs_shortened(path, tmp_path):
-    run = run_sysid(path, shortened(path, tmp_path), tmp_path, False, 1, True)
+    run = run_sysid(path, shortened(path, tmp_path), tmp_path, threads=1)
     result = result_of(run)
     assert result["status"] in ("converged", "iteration_limit")
     assert result["iterations"] <= 1
@@ -275,7 +275,7 @@ def test_it_runs_shortened(path, tmp_path):
 
 @scene_files
 def test_it_simulates_shortened(path, tmp_path):
-    result = result_of(run_simulate(path, shortened(path, tmp_path), tmp_path, False, 1, True))
+    result = result_of(run_simulate(path, shortened(path, tmp_path), tmp_path, threads=1))
     assert result["status"] == "done"
     assert all(number == 0 for number in result["fracture"].values())
 
@@ -303,7 +303,7 @@ def test_its_gradient_is_that_of_differences(path, tmp_path):
     overrides = shortened(path, tmp_path, steps=2 if scene.controller is None else 6)
     if scene.controller is not None and scene.controller.name == "mlp":
         overrides.append("controller.mlp.activation=tanh")  # differences cannot be taken across the corners of relu
-    run, agrees = run_gradcheck(path, overrides, tmp_path, False, 1, True)
+    run, agrees = run_gradcheck(path, overrides, tmp_path, threads=1)
     assert agrees, "\n".join(report_lines(run))
     rows = json.loads((run / "gradcheck.json").read_text())["rows"]
     assert any(max(abs(row["adjoint"]), abs(row["differences"])) > row["noise"] for row in rows), "nothing was compared"
@@ -313,7 +313,7 @@ def test_its_gradient_is_that_of_differences(path, tmp_path):
 @pytest.mark.parametrize("stem", ["beam_twin", "collision", "finger_material"])
 def test_its_gradient_over_the_whole_run(stem, tmp_path):
     path = ROOT / "scenes" / "sysid" / f"{stem}.yaml"
-    run, agrees = run_gradcheck(path, [], tmp_path, False, 2, True)
+    run, agrees = run_gradcheck(path, [], tmp_path, threads=2)
     assert agrees, "\n".join(report_lines(run))
 
 

@@ -39,6 +39,9 @@ class Actuator(Plugin):
     scale: ClassVar[str] = ""
     """The differentiable field that an activation is multiplied by."""
 
+    kernel: ClassVar[type]
+    """The class of the kernels' view: of a term of the stress, or of a force."""
+
     @property
     def full(self) -> float:
         """What an activation of 1 stands for: the value of the field that `scale` names."""
@@ -62,10 +65,6 @@ class Actuator(Plugin):
             x: all particles at rest (N, D) [m].
             inside: finds the particles of a body and region.
         """
-
-    @abstractmethod
-    def kernel(self, dim: int) -> type:
-        """Return the class of the kernels' view: of a term of the stress, or of a force."""
 
     @abstractmethod
     def constants(self, x: Array) -> Array:

@@ -35,15 +35,12 @@ class BodyForce(RegionActuator):
     acceleration: float = quantity("m/s^2", "Acceleration at activation 1", differentiable=True, ge=0)
 
     scale = "acceleration"
+    kernel = Kernel
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
         found = super().dim_problems(dim)
         return found if np.any(self.direction) else [*found, (("direction",), "must not be zero")]
-
-    def kernel(self, dim: int) -> type:
-        """Return the class of the kernels' view."""
-        return Kernel
 
     def greatest_acceleration(self, strength: float) -> float:
         """Return what it accelerates its particles by [m/s^2]."""

@@ -50,6 +50,7 @@ class Cable(Actuator):
     stiffness: float = quantity("N/m", "Tension over stretch", differentiable=True, ge=0)
 
     scale = "stiffness"
+    kernel = Kernel
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -108,10 +109,6 @@ class Cable(Actuator):
         if different < len(x):
             return "runs through a particle twice: separate the points of the route, or tie it less often (`spacing`)"
         return None
-
-    def kernel(self, dim: int) -> type:
-        """Return the class of the kernels' view."""
-        return Kernel
 
     def constants(self, x: Array) -> Array:
         """Return nothing."""

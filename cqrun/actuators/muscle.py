@@ -36,10 +36,7 @@ class Muscle(DirectedStress):
     strength: float = quantity("Pa", "Active stress at activation 1", differentiable=True, ge=0)
 
     scale = "strength"
-
-    def kernel(self, dim: int) -> type:
-        """Return the class of the kernels' view."""
-        return Kernel
+    kernel = Kernel
 
     def constants(self, x: Array) -> Array:
         """Return S / (activation strength) as rows (D (D + 1) / 2,)."""

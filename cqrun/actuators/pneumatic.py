@@ -43,8 +43,9 @@ class Pneumatic(DirectedStress):
             found.append((("axis",), "a fluid's pressure acts all ways: leave it out, or use `law: chainqueen`"))
         return found
 
-    def kernel(self, dim: int) -> type:
-        """Return the class of the kernels' view."""
+    @property
+    def kernel(self) -> type:  # type: ignore[override]
+        """The class of the kernels' view, of the law."""
         return pressure.Kernel if self.law == "pressure" else muscle.Kernel
 
     def constants(self, x: Array) -> Array:

@@ -47,16 +47,18 @@ def codesign(
         with reporting(quiet) as reporter:
             if ablate:
                 found = run_ablation(
-                    scene, overrides or [], out, fresh, threads, seeds=seeds or 1, rates=rates or [], jobs=jobs,
-                    allow_plugins=allow_plugins, reporter=reporter,
+                    scene, overrides or [], out, seeds=1 if seeds is None else seeds, rates=rates or [], jobs=jobs,
+                    fresh=fresh, threads=threads, allow_plugins=allow_plugins, reporter=reporter,
                 )  # fmt: skip
             elif seeds is not None:
                 summary, good = run_seeds(
-                    scene, overrides or [], out, fresh, threads, seeds=seeds, job="codesign", jobs=jobs,
+                    scene, overrides or [], out, seeds=seeds, job="codesign", jobs=jobs, fresh=fresh, threads=threads,
                     allow_plugins=allow_plugins, reporter=reporter,
                 )  # fmt: skip
             else:
-                run = run_control(scene, overrides or [], out, fresh, threads, quiet, job="codesign", reporter=reporter)
+                run = run_control(
+                    scene, overrides or [], out, fresh=fresh, threads=threads, job="codesign", reporter=reporter
+                )
         if ablate:
             from cqrun.figures.ablation import draw_ablation
 

@@ -31,11 +31,11 @@ def control(
         with reporting(quiet) as reporter:
             if seeds is not None:
                 summary, good = run_seeds(
-                    scene, overrides or [], out, fresh, threads, seeds=seeds, jobs=jobs, allow_plugins=allow_plugins,
-                    reporter=reporter,
+                    scene, overrides or [], out, seeds=seeds, jobs=jobs, fresh=fresh, threads=threads,
+                    allow_plugins=allow_plugins, reporter=reporter,
                 )  # fmt: skip
             else:
-                run = run_control(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
+                run = run_control(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
         if seeds is None:
             draw_and_print_run(run)
         else:

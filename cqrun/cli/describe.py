@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import typing
 from collections.abc import Iterator
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -77,10 +76,10 @@ def _sections() -> dict[str, type[BaseModel]]:
 
 
 def _kinds() -> list[str]:
-    """Return the kinds whose folder exists."""
+    """Return the kinds of plug-ins."""
     from cqrun.registry import FOLDERS
 
-    return [kind for kind, folder in FOLDERS.items() if find_spec(folder) is not None]
+    return list(FOLDERS)
 
 
 def _plugins(kind: str) -> dict[str, Any]:

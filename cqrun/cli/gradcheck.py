@@ -24,7 +24,7 @@ def gradcheck(
 
     with plugins_allowed(allow_plugins):
         with reporting(quiet) as reporter:
-            run, agrees = run_gradcheck(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
+            run, agrees = run_gradcheck(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
         print_run(run)
     if not agrees:
         raise typer.Exit(1)

@@ -20,5 +20,5 @@ def resume(
 
     with plugins_allowed(allow_plugins), infeasible_shown():
         with reporting(quiet) as reporter:
-            continued = run_resume(run, overrides or [], threads, quiet, reporter=reporter)
+            continued = run_resume(run, overrides or [], threads=threads, reporter=reporter)
         draw_and_print_run(continued)

@@ -39,6 +39,6 @@ def simulate(
     with plugins_allowed(allow_plugins):
         with reporting(quiet) as reporter:
             run = run_simulate(
-                scene, overrides or [], out, fresh, threads, quiet, controller=controller, reporter=reporter
+                scene, overrides or [], out, fresh=fresh, threads=threads, controller=controller, reporter=reporter
             )
         draw_and_print_run(run)

@@ -25,5 +25,5 @@ def sysid(
 
     with plugins_allowed(allow_plugins):
         with reporting(quiet) as reporter:
-            run = run_sysid(scene, overrides or [], out, fresh, threads, quiet, reporter=reporter)
+            run = run_sysid(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
         draw_and_print_run(run)

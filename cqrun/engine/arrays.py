@@ -100,5 +100,5 @@ within = _over_entries(
 
 
 _square = {d: " + ".join(f"v[{k}] * v[{k}]" for k in range(d)) for d in (2, 3)}
-larger = _over_entries("a, v", lambda d: f"select(a > {_square[d]}, a, {_square[d]})")
-"""The larger of a and |v|^2."""
+greatest_square = _over_entries("a, v", lambda d: f"select(a > {_square[d]}, a, {_square[d]})")
+"""The greater of a and |v|^2."""

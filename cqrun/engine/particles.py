@@ -26,7 +26,7 @@ from cqrun.engine.arrays import (
     get_extra,
     get_place,
     get_vector,
-    larger,
+    greatest_square,
     load_matrix,
     load_vector,
     put_columns,
@@ -94,7 +94,7 @@ def move(
 ) -> None:  # fmt: skip
     """Gather the grid velocity and move one body's particles; q_next may be q.
 
-    Leaves the fastest component of velocity and the first stray particle in the thread's slots of `work`.
+    Leaves the greatest |v|^2 and the first stray particle in the thread's slots of `work`.
 
     Args:
         fields, push, ahead: whether to go on with the momentum of the next substep, and what that needs.
@@ -117,7 +117,7 @@ def move(
             store_vector(q_next, D, i, v, dims)
             store_matrix(q_next, 2 * D, i, C, dims)
             store_matrix(q_next, 2 * D + D * D, i, add(F, scale(mul(C, F), dt)), dims)
-            fastest = larger(fastest, v)
+            fastest = greatest_square(fastest, v)
             inside = within(shift(scale(x, 1.0 / dx), MARGIN), setting.upper)
             if not all_lanes(inside) and work.stray[thread] < 0:
                 work.stray[thread] = i
@@ -158,7 +158,7 @@ def begin_cotangent(
         # the arm d = x_n - x_p of G2P's moments
         store_vector(q_bar, 0, i, sub(x_bar, scale(matvec_t(A, v), 1.0 / dx)), dims)
         store_matrix(q_bar, 2 * D + D * D, i, add(F_bar, scale(mul_at(C, F_bar), dt)), dims)
-        fastest = larger(fastest, v)
+        fastest = greatest_square(fastest, v)
     for k in range(width):
         work.speed[thread] = max(work.speed[thread], lane(fastest, k))
 

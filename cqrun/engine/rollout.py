@@ -28,7 +28,7 @@ from cqrun.engine.step import advance
 from cqrun.engine.team import Team
 from cqrun.errors import RolloutError
 from cqrun.packed import pack, unpack
-from cqrun.state import DECAY, FORCE, MASS, VOLUME, ParticleFields, State
+from cqrun.state import DECAY, FORCE, MASS, VOLUME, ParticleFields, State, rows_of
 
 THREAD_WORTH = 1000
 """Particles for which a thread gains more than it costs to hand the grid over, pass by pass."""
@@ -38,9 +38,6 @@ CALL_WORTH = 2500
 
 CHAINED_FROM = 3 << 20
 """Bytes of a state from which substeps are chained tile by tile: from there what one touches leaves the last cache."""
-
-SLICE = 0.2
-"""Seconds of compiled code between looks at `should_stop` and observers."""
 
 
 class Rollout:
@@ -57,7 +54,7 @@ class Rollout:
     Attributes:
         activation: (T, A) as the policy decided, or as in the inputs.
         memory: (T + 1, M) of the policy at every control step.
-        growth_at: after a gradient under a policy, the control step where it grew most.
+        growth_at: after a gradient under a policy, the control step where it grew most; -1 without a policy.
 
     Raises:
         RolloutError: (from `run`) a particle left the grid or is not finite.
@@ -70,7 +67,7 @@ class Rollout:
         self.adjoint, self.policy = adjoint, policy
         self.team = Team(self._useful(threads))
         self._pack()
-        self.rows = 2 * model.dim * (1 + model.dim)
+        self.rows = rows_of(model.dim)[-1]
         self.records: Array = np.zeros((model.n_controls + 1, self.rows, len(self.probe.start) - 1))
         record(self.probe, self.start, self.records[0])
         self.memory = np.tile(inputs.state.memory, (model.n_controls + 1, 1))

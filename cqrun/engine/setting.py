@@ -88,7 +88,7 @@ class Work(NamedTuple):
     both: Array  # (2 nodes, 4) in the adjoint: every node's record as in `grid`, and after it that of its cotangent
     held: Array  # (nodes,) bit k: boundary condition k holds the node
     friction_bar: Array  # (blocks * conditions,) partial sums
-    speed: Array  # (threads,) fastest particle of the substep [m/s]
+    speed: Array  # (threads,) greatest |v|^2 of the substep [m^2/s^2]
     stray: Array  # (threads,) first particle that left the grid or is not finite, else -1
     tile_value: Array  # (threads, TILE, 4), tile_moment (threads, 3 TILE, 4): what a thread gathers at a time
     tile_moment: Array

@@ -16,6 +16,7 @@ from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, GREY, PALE, TRUTH, clock_ticks, log_ticks, new_figure, titled, whole_ticks
 from cqrun.optimizers.constrained import VIOLATION
 from cqrun.scene.paths import canonical, leaf
+from cqrun.scene.unknowns import groups_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +67,7 @@ def unknown_curves(run: RunData) -> list[UnknownCurve]:
     """Return the unknowns of a run, in the order of its scene."""
     scene = run.scene
     paths = [canonical(scene, path) for path in scene.unknowns]
-    synthetic = scene.data.synthetic if scene.data is not None else None
+    synthetic = scene.synthetic
     truths = {canonical(scene, p): v for p, v in synthetic.truth.items()} if synthetic is not None else {}
     found = (run.result or {}).get("unknowns", {})
     curves = []
@@ -95,7 +96,7 @@ def _names(run: RunData, path: str, per: str, count: int) -> tuple[str, ...]:
     if count < 2:
         return ()
     if per == "group":
-        return run.scene.bodies[path.split(".")[1]].group_names
+        return groups_of(run.scene, path)
     return tuple(str(i) for i in range(count))
 
 

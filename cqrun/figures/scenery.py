@@ -49,7 +49,7 @@ def goals(scene: Scene, told: Mapping[str, Any] | None = None) -> list[Goal]:
     found = []
     drawn: Mapping[str, Any] = (told or {}).get("goals") or {}
     still = np.zeros(scene.dim)
-    target = scene.data.target if scene.data is not None else None
+    target = scene.target
     if target is not None:
         found.append(Goal("target", np.array(target.position), still))
     for name, goal in scene.goals.items():

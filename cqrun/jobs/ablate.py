@@ -20,7 +20,7 @@ import csv
 import io
 import itertools
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,10 +71,10 @@ def run_ablation(
     source: Path,
     overrides: Sequence[str],
     out: Path,
-    fresh: bool,
-    threads: int | None,
     *,
     seeds: int,
+    fresh: bool = False,
+    threads: int | None = None,
     rates: Sequence[float] = (),
     jobs: int | None = None,
     allow_plugins: bool = False,
@@ -94,41 +94,25 @@ def run_ablation(
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
     scene = load_scene(source, overrides)
-    variants = variants_of(scene)
-    tried = _rate_overrides(scene, rates)
+    variants, tried = variants_of(scene), _rate_overrides(scene, rates)
     whole = prepare(scene, 1, Silent(), "codesign")
     warn_if_alike(whole, seeds, talk)
     # `auto` follows from the bounds of what is free: variants of other time steps would not be comparable
     same_step = [f"time.substeps={whole.built.model.substeps}"] if scene.time.substeps == "auto" else []
     at_once = n_threads if jobs is None else jobs
-    share = max(1, n_threads // at_once)
-
-    def members(variant: Variant, rate: str | None, chosen: Sequence[int], anew: bool) -> list[Member]:
-        own = [*overrides, *same_step, *variant.overrides, *([rate] if rate else [])]
-        problem = prepare(load_scene(source, own), 1, talk, variant.job)
-        compile_kernels([problem.built], talk, adjoint=optimizer_of(problem.built).gradients)
-        words = command_of(variant.job, source, out, share, anew, allow_plugins)
-        made = [member(words, source, problem.built.scene, own, seed, out, variant.job) for seed in chosen]
-        for run in made:
-            run.name = f"{variant.name}, {run.name}{f' with {rate}' if rate else ''}"
-        return made
-
-    best: dict[str, str | None] = {variant.name: tried[0] for variant in variants}
+    make = _Members(source, [*overrides, *same_step], out, max(1, n_threads // at_once), allow_plugins, talk)
+    best: dict[str, str | None] = {v.name: tried[0] for v in variants}
     searched: dict[str, dict[str, float | None]] = {}
     if len(tried) > 1:
-        trials = {(v.name, rate): members(v, rate, [0], fresh)[0] for v in variants for rate in tried}
+        trials = {(v.name, rate): make(v, rate, [0], fresh)[0] for v in variants for rate in tried}
         talk.phase(f"trying {len(tried)} learning rates with {len(variants)} variants, {at_once} at once")
         _run(list(trials.values()), at_once, "trials", talk, may_fail=True)
         for v in variants:
-            found = {rate: _result(trials[v.name, rate].run) for rate in tried if _has_ended(trials[v.name, rate])}
-            losses = {rate: found[rate]["trained"]["loss"] if rate in found else None for rate in tried}
-            searched[v.name] = {str(rate).partition("=")[2]: loss for rate, loss in losses.items()}
-            ranks = {rate: _rank(scene, result) for rate, result in found.items()}
-            best[v.name] = min(ranks, key=ranks.__getitem__, default=tried[0])
+            best[v.name], searched[v.name] = _best_rate(scene, {rate: trials[v.name, rate] for rate in tried})
     runs = {}
     for v in variants:  # seed 0 has been learned anew by the search, if there was one
-        first = members(v, best[v.name], [0], fresh and not searched)
-        runs[v.name] = first + (members(v, best[v.name], range(1, seeds), fresh) if seeds > 1 else [])
+        first = make(v, best[v.name], [0], fresh and not searched)
+        runs[v.name] = first + (make(v, best[v.name], range(1, seeds), fresh) if seeds > 1 else [])
     talk.phase(f"learning {len(variants)} variants from {seeds} seeds, {at_once} at once")
     _run([run for each in runs.values() for run in each], at_once, "runs", talk)
     result = summary(source.stem, scene, variants, runs)
@@ -141,6 +125,37 @@ def run_ablation(
     write_json(path, result)
     write_text(path.with_suffix(".csv"), _table(result))
     return path
+
+
+@dataclass(frozen=True)
+class _Members:
+    """Makes the runs of variants, as processes of the command."""
+
+    source: Path
+    overrides: Sequence[str]
+    out: Path
+    threads: int
+    allow_plugins: bool
+    talk: Reporter
+
+    def __call__(self, variant: Variant, rate: str | None, seeds: Sequence[int], fresh: bool) -> list[Member]:
+        own = [*self.overrides, *variant.overrides, *([rate] if rate else [])]
+        problem = prepare(load_scene(self.source, own), 1, self.talk, variant.job)
+        compile_kernels([problem.built], self.talk, adjoint=optimizer_of(problem.built).gradients)
+        words = command_of(variant.job, self.source, self.out, self.threads, fresh, self.allow_plugins)
+        scene = problem.built.scene
+        made = [member(words, self.source, scene, own, seed, self.out, variant.job) for seed in seeds]
+        for run in made:
+            run.name = f"{variant.name}, {run.name}{f' with {rate}' if rate else ''}"
+        return made
+
+
+def _best_rate(scene: Scene, trials: Mapping[str | None, Member]) -> tuple[str | None, dict[str, float | None]]:
+    """Return the override of the rate whose trial ended best, and every rate's loss, None where it failed."""
+    found = {rate: _result(trial.run) for rate, trial in trials.items() if _has_ended(trial)}
+    losses = {str(rate).partition("=")[2]: found[rate]["trained"]["loss"] if rate in found else None for rate in trials}
+    ranks = {rate: _rank(scene, result) for rate, result in found.items()}
+    return min(ranks, key=ranks.__getitem__, default=next(iter(trials))), losses
 
 
 def group_of(path: str) -> str:

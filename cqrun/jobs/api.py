@@ -38,7 +38,7 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, leaf, leaves, with_values
 from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import body_of
+from cqrun.scene.unknowns import body_of, groups_of
 from cqrun.state import State
 
 Values = Mapping[str, Any]
@@ -234,18 +234,14 @@ class Experiment:
         raise UsageError(f"{path}: no gradient reaches it{suggest(path, reached)}; there are: {listed(reached)}")
 
     def _shaped(self, path: str, value: Array) -> Array:
-        """Return a value of a legal shape: a block's or () or, for a body's material, one a group or a particle."""
+        """Return a value of a legal shape: a block's, or () or, of a material or weight, one a group or a particle."""
         keys = path.split(".")
         legal: list[tuple[int, ...]] = [()]
         if path.startswith(CONTROLLER):
             legal = [b.initial.shape for b in self._params.blocks if b.path == path]
-        elif keys[0] == "bodies" and keys[2] == "material":
-            part = self.built.particles.of(keys[1])
-            groups = len(self.scene.bodies[keys[1]].group_names)
+        elif (keys[0] == "bodies" and keys[2] == "material") or (keys[0] == "actuators" and keys[-1] == "weight"):
+            part, groups = self.built.particles.of(body_of(self.scene, path)), len(groups_of(self.scene, path))
             legal += [(part.stop - part.start,), *[(groups,)] * (groups > 0)]
-        elif keys[0] == "actuators" and keys[-1] == "weight":
-            part = self.built.particles.of(body_of(self.scene, path))
-            legal.append((part.stop - part.start,))
         if value.shape not in legal:
             raise UsageError(f"{path}: a value of shape {value.shape}; it must be one of {listed(map(str, legal))}")
         if not np.isfinite(value).all():

@@ -303,9 +303,8 @@ def _probed(built: Built, body: str, observer: Points) -> Built:
 
 def _targeted(built: Built) -> Case:
     scene = built.scene
-    assert scene.data is not None
-    assert scene.data.target is not None
-    spec, model = scene.data.target, built.model
+    spec, model = scene.target, built.model
+    assert spec is not None
     observer = centroid(built.assembly.inputs({}).fields.mass[built.particles.of(spec.body)])
     objective = TargetObjective(
         observer, np.array(spec.position), time=spec.time, control_step=scene.time.control_step, steps=model.n_controls
@@ -318,8 +317,7 @@ def _targeted(built: Built) -> Case:
 
 def _synthetic(built: Built, directory: Path | None) -> list[Case]:
     scene = built.scene
-    assert scene.data is not None
-    spec = scene.data.synthetic
+    spec = scene.synthetic
     assert spec is not None
     rng = np.random.default_rng(spec.seed)
     part = built.particles.of(spec.body)
@@ -332,10 +330,10 @@ def _synthetic(built: Built, directory: Path | None) -> list[Case]:
         names = tuple(f"particle {index}" for index in chosen)
         observer = particles(chosen, count)
     base = _probed(built, spec.body, observer)
-    random = scene.activation.random if scene.activation is not None else None
+    random = scene.activation is not None and scene.activation.random is not None
     cases = []
-    for sequence in range(1 if random is None else random.sequences):
-        name = f"sequence_{sequence}" if random is not None else "synthetic"
+    for sequence in range(scene.sequences):
+        name = f"sequence_{sequence}" if random else "synthetic"
         own = replace(base, assembly=base.assembly.with_sequence(sequence))
         recordings = _made(own, name, names, observer, rng, directory)
         objectives = tuple(_absolute(own.model, observer, recording) for recording in recordings)
@@ -348,8 +346,7 @@ def _made(
 ) -> list[Recording]:
     """Return the noisy copies of one sequence: read from the run, or made and written there."""
     scene = built.scene
-    assert scene.data is not None
-    spec = scene.data.synthetic
+    spec = scene.synthetic
     assert spec is not None
     draw = np.random.default_rng(rng.integers(2**63))  # one generator a sequence, whatever is on disk already
     files = [(directory / SYNTHETIC / f"{name}_{copy}.csv") if directory else None for copy in range(spec.copies)]

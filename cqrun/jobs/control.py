@@ -27,10 +27,12 @@ from cqrun.jobs.runs import (
     Progress,
     build_and_warn,
     cores,
+    finished_already,
     open_run,
     raise_if_failed,
     require_extension,
     saved_scene,
+    stopping,
 )
 from cqrun.optimizers.base import Optimizer
 from cqrun.optimizers.constrained import ConstrainedOptimizer, excess_told, ranked, report_names
@@ -52,9 +54,6 @@ NEEDED = {
 DESIGN = {"unknowns": "say what of the design may change, such as a material's `youngs_modulus: {bounds: [...]}`"}
 """What a scene must have to be learned, and for a design, and the advice where it is missing."""
 
-EXTENDED = "`cqrun resume` has given it more iterations than this scene has"
-"""Of a run that was extended, where the scene that it began with is asked for."""
-
 NOUGHT = 1e-15
 """A gradient's norm, over a loss of 1 or more, below which nothing can be learned from it."""
 
@@ -66,13 +65,12 @@ FLAT = (
 
 
 def run_control(
-    scene_source: Path,
+    source: Path,
     overrides: Sequence[str],
     out: Path,
-    fresh: bool,
-    threads: int | None,
-    quiet: bool,
     *,
+    fresh: bool = False,
+    threads: int | None = None,
     job: str = "control",
     reporter: Reporter | None = None,
 ) -> Path:
@@ -82,15 +80,11 @@ def run_control(
         SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
     """
     talk, n_threads = reporter or Silent(), cores(threads)
-    problem = prepare(load_scene(scene_source, overrides), n_threads, talk, job)
+    problem = prepare(load_scene(source, overrides), n_threads, talk, job)
     with open_run(
-        scene_source.stem, problem.built.scene, out, job=job, threads=n_threads, fresh=fresh, with_data=False
+        source.stem, problem.built.scene, out, job=job, threads=n_threads, fresh=fresh, with_data=False
     ) as run:
-        if run.finished:
-            talk.phase(f"finished already ({run.status}); --fresh starts over")
-        if run.record.get("extended"):
-            talk.warn(f"{run.path}: {EXTENDED}; --fresh starts over")
-        if run.finished:
+        if finished_already(run, talk):
             return raise_if_failed(run)
         if run.record.get("extended"):
             problem = prepare(saved_scene(run), n_threads, talk, job)
@@ -144,8 +138,7 @@ def resume_control(run: RunDirectory, overrides: Sequence[str], threads: int, ta
     problem = prepare(saved_scene(run, overrides), threads, talk, str(run.record["job"]))
     if overrides:
         run.extend(dump(resolve(problem.built.scene)), list(overrides))
-    elif run.finished:
-        talk.phase(f"finished already ({run.status})")
+    elif finished_already(run, talk, asked_by_scene=False):
         return raise_if_failed(run)
     return learn(run, problem, talk)
 
@@ -174,12 +167,7 @@ def learn(run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> Path:
         run.log(FLAT)
     if outcome.status != "failed":
         talk.phase("what was learned, trajectory")
-
-    def interrupt() -> None:
-        if talk.stop.asked:
-            raise talk.stop.stopped(f"stopped before the findings were written; `cqrun resume {run.path}` continues")
-
-    problem.interrupt = interrupt
+    problem.interrupt = stopping(run, talk)
     for lost in blown_up(write_learned(run, problem, outcome)):
         run.log(lost)
     run.finish(outcome.status, outcome.message)

@@ -15,10 +15,10 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.design.params import REGULARISER
-from cqrun.errors import RolloutError, UsageError
+from cqrun.errors import UsageError
 from cqrun.jobs.agent import Agent, Attempt, Goals, Mix, Values
 from cqrun.jobs.memory import least_budget, state_bytes
-from cqrun.jobs.problem import Effort, side_by_side
+from cqrun.jobs.side_by_side import Effort, side_by_side, the_value, trial
 from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import Built
 from cqrun.scene.schema import Scene
@@ -146,7 +146,8 @@ class EpisodeProblem(Agent):
     ) -> tuple[list[Attempt], list[Array]]:
         """Run episodes forward and backward at x; return them and the gradients (n,) of the means of functions."""
         values = self.values(x)
-        found, gradients = self._guarded(x, lambda: self.attempts_with_gradients(values, goals, mixes))
+        with trial(self.params, x):
+            found, gradients = self.attempts_with_gradients(values, goals, mixes)
         self._note(found)
         return found, [self.params.gradient(x, gradient) for gradient in gradients]
 
@@ -186,10 +187,7 @@ class EpisodeProblem(Agent):
 
     def value(self, x: Array, batch: tuple[int, ...] | None = None) -> float:
         """Return the mean loss of a batch of episodes."""
-        (found,) = self.values_at([x], batch)
-        if isinstance(found, TrialFailed):
-            raise found
-        return found
+        return the_value(self.values_at([x], batch))
 
     def values_at(self, points: Sequence[Array], batch: tuple[int, ...] | None = None) -> list[float | TrialFailed]:
         """Return the mean loss at every point, or how its trial failed; rollouts side by side."""
@@ -199,7 +197,8 @@ class EpisodeProblem(Agent):
             def run(threads: int) -> Attempt | TrialFailed:
                 self.interrupt()
                 try:
-                    return self._guarded(x, lambda: self.attempt(self.values(x), goal, threads))
+                    with trial(self.params, x):
+                        return self.attempt(self.values(x), goal, threads)
                 except TrialFailed as failure:
                     return failure
 
@@ -225,7 +224,8 @@ class EpisodeProblem(Agent):
         def task(goal: Goals) -> Callable[[int], Attempt]:
             return lambda threads: self.attempt(values, goal, threads)
 
-        found = self._guarded(x, lambda: side_by_side([task(goal) for goal in self.goals(None)], self.threads))
+        with trial(self.params, x):
+            found = side_by_side([task(goal) for goal in self.goals(None)], self.threads)
         self._note(found)
         return float(np.mean([a.loss for a in found])), self._held(found)
 
@@ -255,15 +255,6 @@ class EpisodeProblem(Agent):
 
     def _held(self, attempts: Sequence[Attempt]) -> Array:
         return np.array([np.mean([a.held[name] for a in attempts]) for name in self.constraint_names]) / self.scales
-
-    def _guarded(self, x: Array, work: Callable[[], Any]) -> Any:
-        try:
-            return work()
-        except RolloutError as error:
-            raise TrialFailed(
-                f"{error.reason}; {error.advice}", body=error.body, particle=error.particle, time=error.time,
-                values=self.params.describe(x),
-            ) from error  # fmt: skip
 
     def _note(self, attempts: Sequence[Attempt]) -> None:
         """Keep the means of the terms, where the first episode's gradient grew fastest [s], what controllers saw."""

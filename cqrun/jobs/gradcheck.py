@@ -32,7 +32,15 @@ from cqrun.jobs.episodes import EpisodeProblem, has_episodes
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.memory import gradient_plan
 from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import build_and_warn, cores, open_run, raise_if_failed, refuse_overrides, saved_scene
+from cqrun.jobs.runs import (
+    build_and_warn,
+    cores,
+    finished_already,
+    open_run,
+    raise_if_failed,
+    refuse_overrides,
+    saved_scene,
+)
 from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import Built
 from cqrun.scene.load import load_scene
@@ -84,13 +92,12 @@ class Row:
 
 
 def run_gradcheck(
-    scene_source: Path,
+    source: Path,
     overrides: Sequence[str],
     out: Path,
-    fresh: bool,
-    threads: int | None,
-    quiet: bool,
     *,
+    fresh: bool = False,
+    threads: int | None = None,
     reporter: Reporter | None = None,
 ) -> tuple[Path, bool]:
     """Check a scene's gradient; return the run's directory and whether all directions agree.
@@ -99,17 +106,16 @@ def run_gradcheck(
         SceneError, UsageError: bad input. RunError: the scene blows up at its start. Stopped: asked to stop.
     """
     talk = reporter or Silent()
-    built = build_and_warn(load_scene(scene_source, overrides), talk)
+    built = build_and_warn(load_scene(source, overrides), talk)
     gradient_plan(built)
     n_threads = cores(threads)
     with_data = has_data(built)
     cases = given_cases(built) if with_data else None
     episodes = _episodes(built, n_threads)
     with open_run(
-        scene_source.stem, built.scene, out, job="gradcheck", threads=n_threads, fresh=fresh, with_data=with_data
+        source.stem, built.scene, out, job="gradcheck", threads=n_threads, fresh=fresh, with_data=with_data
     ) as run:
-        if run.finished:
-            talk.phase(f"finished already ({run.status}); --fresh starts over")
+        if finished_already(run, talk):
             return run.path, run.status == "done"
         return check_gradient(run, built, cases, episodes, n_threads, talk)
 

@@ -20,7 +20,7 @@ from cqrun.design.params import Block
 from cqrun.errors import RolloutError
 from cqrun.jobs.agent import CONTROLLER, FILE, Attempt, Goals
 from cqrun.jobs.episodes import EpisodeProblem
-from cqrun.jobs.problem import side_by_side
+from cqrun.jobs.side_by_side import side_by_side
 from cqrun.jobs.trajectories import write_activation, write_trajectory
 from cqrun.optimizers.base import Outcome
 from cqrun.optimizers.constrained import AT_BOUND

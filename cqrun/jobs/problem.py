@@ -11,18 +11,16 @@ on one thread; a single one may take all threads. Neither changes a bit of the r
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from cqrun.contract import Array
 from cqrun.design.params import Params
 from cqrun.engine.rollout import Rollout
-from cqrun.errors import CrushedError, RolloutError
 from cqrun.jobs.cases import Case
 from cqrun.jobs.memory import least_budget, state_bytes
+from cqrun.jobs.side_by_side import Effort, side_by_side, the_value, trial
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.objectives.uncertainty import Series
 from cqrun.observers.record import Record
@@ -30,35 +28,6 @@ from cqrun.optimizers.base import TrialFailed
 
 DIFFERENCE = 1e-4
 """Step of the forward-difference Jacobian in scaled coordinates, where bounds are 1 apart."""
-
-T = TypeVar("T")
-
-
-def side_by_side(tasks: Sequence[Callable[[int], T]], threads: int, at_once: int | None = None) -> list[T]:
-    """Run tasks, each given its number of threads, and return their results in order.
-
-    Args:
-        at_once: how many may run side by side; as many as there are threads, if not given.
-    """
-    at_once = min(threads, len(tasks), threads if at_once is None else at_once)
-    if at_once <= 1:
-        return [task(threads) for task in tasks]
-    with ThreadPoolExecutor(at_once) as pool:
-        return list(pool.map(lambda task: task(1), tasks))
-
-
-@dataclass
-class Effort:
-    """What gradients cost: the greatest recompute factor, and states kept [bytes]."""
-
-    recompute: float = 0.0
-    peak: int = 0
-
-    def add(self, rollout: Rollout) -> None:
-        """Take a gradient's plan into account."""
-        if rollout.plan is not None:
-            self.recompute = max(self.recompute, rollout.plan.recompute)
-            self.peak = max(self.peak, rollout.plan.states * rollout.state_bytes)
 
 
 class FitProblem:
@@ -100,25 +69,11 @@ class FitProblem:
         """Return the unknowns' values by path."""
         return self.params.unpack(x)
 
-    def _attempt(self, x: Array, work: Callable[[], T]) -> T:
-        try:
-            return work()
-        except RolloutError as error:
-            raise TrialFailed(
-                f"{error.reason}; {error.advice}", body=error.body, particle=error.particle, time=error.time,
-                values=self.params.describe(x),
-            ) from error  # fmt: skip
-        except CrushedError as error:
-            raise TrialFailed(str(error), values=self.params.describe(x)) from error
-
     # --- values ---------------------------------------------------------------------------------------------
 
     def value(self, x: Array, batch: tuple[int, ...] | None = None) -> float:
         """Return f, over all cases or scaled up from those in `batch`, by rollouts forward."""
-        (answer,) = self.values_at([x], batch)
-        if isinstance(answer, TrialFailed):
-            raise answer
-        return answer
+        return the_value(self.values_at([x], batch))
 
     def values_at(self, points: Sequence[Array], batch: tuple[int, ...] | None = None) -> list[float | TrialFailed]:
         """Return f at every point, or how its trial failed; the points' rollouts side by side."""
@@ -139,7 +94,8 @@ class FitProblem:
     def _value(self, case: Case, weights: Array, x: Array, threads: int) -> float:
         """Return a case's part of f."""
         values = self.values(x)
-        record = self._attempt(x, lambda: case.run(values, threads))
+        with trial(self.params, x):
+            record = case.run(values, threads)
         parts = zip(case.residuals(record, values), self._scales(case, weights), strict=True)
         return sum(0.5 * scale**2 * float(np.sum(r**2)) for r, scale in parts)
 
@@ -154,7 +110,8 @@ class FitProblem:
     def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
         """Return f and its gradient (n,), over all cases or scaled up from those in `batch`."""
         values = self.values(x)
-        parts, gradient = self._attempt(x, lambda: self.losses_and_gradient(values, batch))
+        with trial(self.params, x):
+            parts, gradient = self.losses_and_gradient(values, batch)
         return float(sum(parts.values())) / self.unit, self.params.gradient(x, gradient) / self.unit
 
     def losses_and_gradient(
@@ -216,7 +173,8 @@ class FitProblem:
         self, case: Case, x: Array, values: Mapping[str, Array], records: Mapping[tuple[int, bytes], Record]
     ) -> list[Array]:
         record = records[self._rollout_key(case, values)]
-        return self._attempt(x, lambda: case.residuals(record, values))
+        with trial(self.params, x):
+            return case.residuals(record, values)
 
     def _rollout_key(self, case: Case, values: Mapping[str, Array]) -> tuple[int, bytes]:
         """Return what tells rollouts apart: a recording's start moves the data, not the model."""
@@ -237,7 +195,8 @@ class FitProblem:
         def task(case: Case, x: Array, values: dict[str, Array]) -> Callable[[int], Record]:
             def run(threads: int) -> Record:
                 self.interrupt()
-                return self._attempt(x, lambda: case.run(values, threads))
+                with trial(self.params, x):
+                    return case.run(values, threads)
 
             return run
 

@@ -26,7 +26,7 @@ JOBS: dict[str, Resume] = {
 
 
 def run_resume(
-    run_dir: Path, overrides: Sequence[str], threads: int | None, quiet: bool, *, reporter: Reporter | None = None
+    run_dir: Path, overrides: Sequence[str], *, threads: int | None = None, reporter: Reporter | None = None
 ) -> Path:
     """Continue the run in a directory; return it.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,9 @@ from cqrun.scene.schema import Scene
 from cqrun.scene.walk import parts
 from cqrun.store.history import read_history
 from cqrun.store.run import RunDirectory, RunScene
+
+EXTENDED = "`cqrun resume` has given it more iterations than this scene has"
+"""Of a run that was extended, where the scene that it began with is asked for."""
 
 
 def cores(threads: int | None) -> int:
@@ -77,7 +80,7 @@ def data_files(scene: Scene) -> dict[str, Path]:
     Raises:
         SceneError: all those that are missing.
     """
-    recordings = (scene.data.recordings if scene.data is not None else None) or {}
+    recordings = scene.recordings
     problems = []
     for name, recording in recordings.items():
         path = scene.resolve_path(recording.file)
@@ -127,6 +130,26 @@ def require_same_data(run: RunDirectory) -> None:
             f"{run.path}: its folder is not named after its scene: the folder was renamed, or its scene.yaml has "
             "changed since the run began; give it its name back, or run the scene again"
         )
+
+
+def finished_already(run: RunDirectory, talk: Reporter, *, asked_by_scene: bool = True) -> bool:
+    """Say whether a run is finished, and tell so; tell that it was extended, where its first scene is asked for."""
+    over = "; --fresh starts over" if asked_by_scene else ""
+    if run.finished:
+        talk.phase(f"finished already ({run.status}){over}")
+    if asked_by_scene and run.record.get("extended"):
+        talk.warn(f"{run.path}: {EXTENDED}{over}")
+    return run.finished
+
+
+def stopping(run: RunDirectory, talk: Reporter) -> Callable[[], None]:
+    """Return what raises Stopped where a run whose optimizer has ended is asked to stop."""
+
+    def interrupt() -> None:
+        if talk.stop.asked:
+            raise talk.stop.stopped(f"stopped before the findings were written; `cqrun resume {run.path}` continues")
+
+    return interrupt
 
 
 def refuse_overrides(run: RunDirectory, overrides: Sequence[str]) -> None:

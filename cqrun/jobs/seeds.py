@@ -23,14 +23,14 @@ from typing import Any
 import numpy as np
 
 from cqrun.errors import UsageError
-from cqrun.jobs.control import EXTENDED, optimizer_of, prepare
+from cqrun.jobs.control import optimizer_of, prepare
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.fleet import Member, run_fleet
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.learned import STAGES, blown_up
 from cqrun.jobs.report import number, table
 from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import cores, run_scene
+from cqrun.jobs.runs import EXTENDED, cores, run_scene
 from cqrun.objectives.uncertainty import interval_of_mean
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
@@ -46,10 +46,10 @@ def run_seeds(
     source: Path,
     overrides: Sequence[str],
     out: Path,
-    fresh: bool,
-    threads: int | None,
     *,
     seeds: int,
+    fresh: bool = False,
+    threads: int | None = None,
     job: str = "control",
     jobs: int | None = None,
     allow_plugins: bool = False,

@@ -26,6 +26,7 @@ from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import (
     build_and_warn,
     cores,
+    finished_already,
     open_run,
     raise_if_failed,
     refuse_overrides,
@@ -46,10 +47,9 @@ def run_simulate(
     source: Path,
     overrides: Sequence[str],
     out: Path,
-    fresh: bool,
-    threads: int | None,
-    quiet: bool,
     *,
+    fresh: bool = False,
+    threads: int | None = None,
     controller: Path | None = None,
     reporter: Reporter | None = None,
 ) -> Path:
@@ -79,8 +79,7 @@ def run_simulate(
     with open_run(
         stem, built.scene, out, job="simulate", threads=n_threads, fresh=fresh, with_data=False, files=files
     ) as run:
-        if run.finished:
-            talk.phase(f"finished already ({run.status}); --fresh starts over")
+        if finished_already(run, talk):
             return raise_if_failed(run)
         if trained is not None:
             write_bytes(run.path / FILE, trained.read_bytes())
@@ -154,8 +153,7 @@ def resume_simulate(run: RunDirectory, overrides: Sequence[str], threads: int, t
         UsageError: overrides are given: they would make another run.
     """
     refuse_overrides(run, overrides)
-    if run.finished:
-        talk.phase(f"finished already ({run.status})")
+    if finished_already(run, talk, asked_by_scene=False):
         return raise_if_failed(run)
     built = build_and_warn(saved_scene(run), talk)
     return simulate(run, built, make_agent(built, _kept(run), talk), threads, talk)

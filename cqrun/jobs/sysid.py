@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,17 +18,20 @@ from cqrun.jobs.runs import (
     Progress,
     build_and_warn,
     cores,
+    finished_already,
     open_run,
     raise_if_failed,
     require_extension,
     require_same_data,
     saved_scene,
+    stopping,
 )
 from cqrun.jobs.unknowns import make_params
 from cqrun.optimizers.base import Optimizer, Outcome
 from cqrun.scene.build import Built
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
+from cqrun.scene.unknowns import groups_of
 from cqrun.store.run import RunDirectory
 from cqrun.store.session import RunSession
 
@@ -38,13 +40,12 @@ FEW = 10
 
 
 def run_sysid(
-    scene_source: Path,
+    source: Path,
     overrides: Sequence[str],
     out: Path,
-    fresh: bool,
-    threads: int | None,
-    quiet: bool,
     *,
+    fresh: bool = False,
+    threads: int | None = None,
     reporter: Reporter | None = None,
 ) -> Path:
     """Identify a scene's unknowns; return the run's directory.
@@ -53,11 +54,10 @@ def run_sysid(
         SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
     """
     talk = reporter or Silent()
-    built = prepare(load_scene(scene_source, overrides), talk)
+    built = prepare(load_scene(source, overrides), talk)
     cases, n_threads = given_cases(built), cores(threads)
-    with open_run(scene_source.stem, built.scene, out, job="sysid", threads=n_threads, fresh=fresh) as run:
-        if run.finished:
-            talk.phase(f"finished already ({run.status}); --fresh starts over")
+    with open_run(source.stem, built.scene, out, job="sysid", threads=n_threads, fresh=fresh) as run:
+        if finished_already(run, talk):
             return raise_if_failed(run)
         if run.record.get("extended"):
             built = prepare(saved_scene(run), talk)
@@ -93,10 +93,8 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
 def _require_batches(scene: Scene) -> None:
     """Refuse mini-batches larger than the data before any are made."""
     size = None if scene.optimizer is None else getattr(scene.optimizer.value, "batch_size", None)
-    assert scene.data is not None
-    recordings = (scene.data.recordings or {}).values()
-    random = scene.activation.random if scene.activation is not None and scene.data.synthetic is not None else None
-    parts = sum(not spec.holdout for spec in recordings) or (1 if random is None else random.sequences)
+    sequences = scene.sequences if scene.synthetic is not None else 1
+    parts = sum(not spec.holdout for spec in scene.recordings.values()) or sequences
     if size is not None and size > parts:
         assert scene.optimizer is not None
         path = f"optimizer.{scene.optimizer.name}.batch_size"
@@ -119,8 +117,7 @@ def with_optimizer(scene: Scene) -> Scene:
         return scene
     from cqrun.registry import plugins
 
-    assert scene.data is not None
-    suited = scene.data.target is None and _numbers(scene) <= FEW and scene.precision == "float64"
+    suited = scene.target is None and _numbers(scene) <= FEW and scene.precision == "float64"
     name = "least_squares" if suited else "lbfgs"
     return scene.with_plugin("optimizer", plugins("optimizer")[name]())
 
@@ -129,8 +126,7 @@ def _numbers(scene: Scene) -> float:
     """Return how many numbers are unknown; infinitely many where each particle has one, or a field."""
     count = 0.0
     for path, unknown in scene.unknowns.items():
-        groups = scene.bodies[path.split(".")[1]].group_names if unknown.per == "group" else ()
-        count += {"body": 1, "group": len(groups)}.get(unknown.per, float("inf"))
+        count += {"body": 1, "group": len(groups_of(scene, path))}.get(unknown.per, float("inf"))
     return count
 
 
@@ -169,12 +165,7 @@ def conclude(
         raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
     if outcome.status != "failed":
         talk.phase("intervals, predictions, trajectory")
-
-    def interrupt() -> None:
-        if talk.stop.asked:
-            raise talk.stop.stopped(f"stopped before the findings were written; `cqrun resume {run.path}` continues")
-
-    problem.interrupt = interrupt
+    problem.interrupt = stopping(run, talk)
     write_findings(run, built, cases, problem, outcome)
     run.finish(outcome.status, outcome.message)
     return raise_if_failed(run)
@@ -186,8 +177,7 @@ def resume_sysid(run: RunDirectory, overrides: Sequence[str], threads: int, talk
     require_same_data(run)
     built = prepare(saved_scene(run, overrides), talk)
     if overrides:
-        run.extend(dump(resolve(built.scene)), sys.argv)
-    elif run.finished:
-        talk.phase(f"finished already ({run.status})")
+        run.extend(dump(resolve(built.scene)), list(overrides))
+    elif finished_already(run, talk, asked_by_scene=False):
         return raise_if_failed(run)
     return identify(run, built, given_cases(built), threads, talk)

@@ -139,21 +139,15 @@ def _unknowns(built: Built) -> Iterator[str]:
 
 
 def _data(built: Built, cases: list[Case] | None) -> Iterator[str]:
-    data = built.scene.data
-    if data is None:
-        return
-    if data.synthetic is not None:
-        made = data.synthetic
-        random = built.scene.activation.random if built.scene.activation is not None else None
-        sequences = random.sequences if random is not None else 1
+    made, goal = built.scene.synthetic, built.scene.target
+    if made is not None:
         points = f"{len(made.markers)} markers" if made.markers is not None else f"{made.tracked} tracked particles"
         yield line(
             "data",
-            f"synthetic: {sequences} x {made.copies} recordings of {points} on '{made.body}', "
+            f"synthetic: {built.scene.sequences} x {made.copies} recordings of {points} on '{made.body}', "
             f"noise {number(MILLI * made.noise)} mm",
         )
-    if data.target is not None:
-        goal = data.target
+    if goal is not None:
         where = f"{point(goal.position)} m, t = {number(goal.time)} s"
         yield line("data", f"target: the centroid of '{goal.body}' at {where}")
     for case in cases or []:

@@ -11,6 +11,7 @@ from cqrun.jobs.bodies import point
 from cqrun.jobs.control import optimizer_of
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.report import number
+from cqrun.state import rows_of
 from cqrun.units import format_bytes
 
 
@@ -55,7 +56,7 @@ def _controller(agent: Agent) -> Iterator[str]:
     drives = f"{_count(len(low), 'activation')} within {listed(pairs)}"
     yield line("", f"from {sees} to {drives}, every {number(scene.time.control_step)} s")
     dim, rows = agent.model.dim, agent.model.probe.shape[0] if agent.model.probe is not None else 0
-    kept = 8 * (agent.model.n_controls + 1) * (2 * dim * (1 + dim) * rows + agent.n_memory)
+    kept = 8 * (agent.model.n_controls + 1) * (rows_of(dim)[-1] * rows + agent.n_memory)
     yield line("", f"beside its states an episode keeps {format_bytes(kept)} of what is seen, remembered and judged")
 
 

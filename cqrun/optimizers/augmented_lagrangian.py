@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Self, cast
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -15,12 +15,12 @@ from cqrun.optimizers.constrained import (
     ConstrainedOptimizer,
     ConstrainedProblem,
     Kkt,
+    columns_of,
     infeasible,
     most_violated,
     projected,
     ranked,
     require_constraints,
-    told,
     violation,
 )
 from cqrun.optimizers.descent import DescentState
@@ -78,14 +78,15 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         outcome = super().minimise(problem, session)
         if outcome.status in ("failed", "stopped"):
             return outcome
-        _, c = problem.values_and_constraints(outcome.x)  # type: ignore[attr-defined]
-        if most_violated(c, problem.c_low, problem.c_high) <= self.constraint_tolerance:  # type: ignore[attr-defined]
+        held = _with_constraints(problem)
+        _, c = held.values_and_constraints(outcome.x)
+        if most_violated(c, held.c_low, held.c_high) <= self.constraint_tolerance:
             return outcome
-        return infeasible(problem, outcome, c, self.constraint_tolerance)  # type: ignore[arg-type]
+        return infeasible(held, outcome, c, self.constraint_tolerance)
 
     def begin_memory(self, problem: Problem, x: Array) -> dict[str, Array]:
         """Return Adam's moments, the multipliers, the penalty, and what they were last judged by."""
-        m = len(problem.constraint_names)  # type: ignore[attr-defined]
+        m = len(_with_constraints(problem).constraint_names)
         return super().begin_memory(problem, x) | {
             "multipliers": np.zeros(m),
             "penalty": np.array(self.penalty),
@@ -100,7 +101,8 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
     ) -> dict[str, Array]:
         """Return f, the gradient of the augmented Lagrangian, constraints c and weights w (m,), and the terms."""
         y, rho = memory["multipliers"], memory["penalty"]
-        low, high = problem.c_low, problem.c_high  # type: ignore[attr-defined]
+        held = _with_constraints(problem)
+        low, high = held.c_low, held.c_high
 
         def weigh(c: Array) -> Array:
             aim = c + y / rho
@@ -108,19 +110,19 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
 
         normal = {}
         if memory["restoring"] > 0:
-            f, g, c, J = problem.gradients_and_constraints(x)  # type: ignore[attr-defined]
+            f, g, c, J = held.gradients_and_constraints(x)
             require_finite(x, constraints=c, jacobian=J)
             g = g + weigh(c) @ J
-            normal = {"normal": self._normal_step(problem, x, c, J)}  # type: ignore[arg-type]
+            normal = {"normal": self._normal_step(held, x, c, J)}
         else:
-            f, c, g = problem.lagrangian(x, weigh)  # type: ignore[attr-defined]
+            f, c, g = held.lagrangian(x, weigh)
         require_finite(x, loss=np.asarray(f), constraints=c, gradient=g)
         terms = np.array(problem.term_values(), float)
-        told = {
+        judged = {
             "violation": np.array(most_violated(c, low, high)),
             "rank": np.array(ranked(violation(c, low, high), float(f), self.constraint_tolerance)),
         }
-        return {"f": np.array(f, float), "g": g, "c": c, "w": weigh(c), "terms": terms} | told | normal
+        return {"f": np.array(f, float), "g": g, "c": c, "w": weigh(c), "terms": terms} | judged | normal
 
     def _normal_step(self, problem: ConstrainedProblem, x: Array, c: Array, J: Array) -> Array:
         """Return the shortest step (n,) in the box that meets the linearised constraints, cut to `LONGEST`."""
@@ -171,7 +173,12 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
     def told(self, problem: Problem, x: Array, answer: dict[str, Array]) -> dict[str, float]:
         """Return the terms and what is known of the constraints; the weights are the multipliers."""
         found = Kkt(answer["w"], projected(problem, x, answer["g"]))
-        return terms_of(problem, answer["terms"]) | told(problem, answer["c"], found)  # type: ignore[arg-type]
+        return terms_of(problem, answer["terms"]) | columns_of(_with_constraints(problem), answer["c"], found)
 
     def _converged(self, state: DescentState, problem: Problem) -> bool:
         return float(state.memory["best"][0]) == 0.0 and super()._converged(state, problem)
+
+
+def _with_constraints(problem: Problem) -> ConstrainedProblem:
+    """Return a problem, which `require` has seen to have constraints, as one that has."""
+    return cast(ConstrainedProblem, problem)

@@ -162,6 +162,7 @@ class _OneBlasThread:
         self._limits: Any = None
 
     def __enter__(self) -> None:
+        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
         from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
         with self._lock:

@@ -21,7 +21,7 @@ from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import listed
 from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, require_finite, terms_of
-from cqrun.optimizers.replayed import Trials
+from cqrun.optimizers.replayed import Replayed, Trials, minimise_with_restarts
 
 VIOLATION, KKT = "violation", "kkt"
 AT_BOUND = 1e-6
@@ -144,7 +144,7 @@ def held_by_box(problem: Problem, x: Array) -> tuple[Array, Array]:
     return x <= problem.lower + AT_BOUND, x >= problem.upper - AT_BOUND
 
 
-def told(problem: ConstrainedProblem, c: Array, found: Kkt) -> dict[str, float]:
+def columns_of(problem: ConstrainedProblem, c: Array, found: Kkt) -> dict[str, float]:
     """Return the columns of `report_names`; constraints and multipliers are for constraints in their own units."""
     if not len(c):
         return {}
@@ -252,7 +252,7 @@ class ConstrainedTrials(Trials):
 
     def _tell(self, x: Array, answer: dict[str, Array]) -> None:
         found = kkt(self.problem, x, answer["g"], answer["c"], answer["J"], self.tolerance)
-        terms = terms_of(self.problem, answer["terms"]) | told(self.problem, answer["c"], found)
+        terms = terms_of(self.problem, answer["terms"]) | columns_of(self.problem, answer["c"], found)
         slope = answer["g"] + found.multipliers @ answer["J"]  # the Lagrangian's gradient: what has yet to vanish
         self.session.report(self.iteration, x.copy(), float(answer["f"]), slope, terms)
 
@@ -262,11 +262,22 @@ class ConstrainedTrials(Trials):
         return self._best_rank[0] == 0.0
 
 
-def ended(trials: ConstrainedTrials, outcome: Outcome) -> Outcome:
-    """Return an outcome, with status `infeasible` and a verdict where it ended before the constraints were met."""
-    if trials.feasible or outcome.status in ("failed", "stopped"):
-        return outcome
-    return infeasible(trials.problem, outcome, trials.best_c, trials.tolerance)
+class ReplayedConstrained(ConstrainedOptimizer, Replayed):
+    """Base of solvers that honour constraints, and whose evaluations are replayed."""
+
+    def require(self, problem: Problem) -> None:
+        """Refuse what has no constraints to ask for, and what changes from iteration to iteration."""
+        require_constraints(problem, self.name)
+        super().require(problem)
+
+    def minimise(self, problem: Problem, session: Session) -> Outcome:
+        """Minimise; status `infeasible` with a verdict where it ends before the constraints are met."""
+        self.require(problem)
+        trials = ConstrainedTrials(problem, session, self.max_iterations, self.constraint_tolerance)
+        outcome = minimise_with_restarts(self.attempt, trials)
+        if trials.feasible or outcome.status in ("failed", "stopped"):
+            return outcome
+        return infeasible(trials.problem, outcome, trials.best_c, trials.tolerance)
 
 
 def infeasible(problem: ConstrainedProblem, outcome: Outcome, c: Array, tolerance: float) -> Outcome:

@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array
-from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, Status, refuse_stochastic
-from cqrun.optimizers.replayed import Trials, minimise_with_restarts
+from cqrun.optimizers.base import Status
+from cqrun.optimizers.replayed import Replayed, Trials
 from cqrun.registry import plugin
 
 STOPPED_BY_CALLBACK = 99
@@ -15,7 +15,7 @@ STOPPED_BY_CALLBACK = 99
 
 
 @plugin("optimizer", "lbfgs")
-class Lbfgs(Optimizer):
+class Lbfgs(Replayed):
     """L-BFGS-B: x <- x - alpha H g inside the bounds, H from the last `memory` pairs (s, y).
 
     For smooth losses of any number of unknowns. A line search finds alpha (strong Wolfe conditions).
@@ -33,22 +33,8 @@ class Lbfgs(Optimizer):
     )
     line_search_steps: int = Field(20, ge=1, description="trials of one line search at most")
 
-    def require(self, problem: Problem) -> None:
-        """Refuse an objective that is another one at every iteration."""
-        refuse_stochastic(problem, self)
-
-    def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise with exact resume through the session's log.
-
-        Raises:
-            UsageError: the objective is stochastic.
-        """
-        self.require(problem)
-        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
-
-        return minimise_with_restarts(self._attempt, Trials(problem, session, self.max_iterations))
-
-    def _attempt(self, trials: Trials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
+    def attempt(self, trials: Trials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
+        """Run scipy's method once."""
         from scipy.optimize import Bounds, minimize
 
         unlimited = 2**31 - 1  # the callback counts, over restarts too

@@ -7,13 +7,13 @@ from typing import ClassVar
 from pydantic import Field
 
 from cqrun.contract import Array
-from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, Status, refuse_stochastic
-from cqrun.optimizers.replayed import Trials, minimise_with_restarts
+from cqrun.optimizers.base import Status
+from cqrun.optimizers.replayed import Replayed, Trials
 from cqrun.registry import plugin
 
 
 @plugin("optimizer", "least_squares")
-class LeastSquares(Optimizer):
+class LeastSquares(Replayed):
     """Trust-region reflective least squares: min |r(x)|^2 / 2, steps from (J^T J + D) p = -J^T r.
 
     The default up to 10 unknowns with marker data: it uses the residuals one by one, so it converges
@@ -37,22 +37,8 @@ class LeastSquares(Optimizer):
         1e-8, ge=2.3e-16, description="converged when no component of the scaled gradient is larger"
     )
 
-    def require(self, problem: Problem) -> None:
-        """Refuse an objective that is another one at every iteration."""
-        refuse_stochastic(problem, self)
-
-    def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise with exact resume through the session's log.
-
-        Raises:
-            UsageError: the objective is stochastic.
-        """
-        self.require(problem)
-        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
-
-        return minimise_with_restarts(self._attempt, Trials(problem, session, self.max_iterations))
-
-    def _attempt(self, trials: Trials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
+    def attempt(self, trials: Trials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
+        """Run scipy's method once."""
         from scipy.optimize import least_squares
 
         result = least_squares(

@@ -7,6 +7,7 @@ a machine that adds up in another order, but for round-off.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.optimizers.base import (
+    Optimizer,
     Outcome,
     Problem,
     Session,
@@ -21,6 +23,7 @@ from cqrun.optimizers.base import (
     TrialFailed,
     checked_value_and_grad,
     one_blas_thread,
+    refuse_stochastic,
     require_finite,
     terms_of,
 )
@@ -150,6 +153,25 @@ class Trials:
 
 Attempt = Callable[[Any, Array, Array, Array], tuple[Status, str]]
 """One call of scipy: (trials, start, lower, upper) -> status, message."""
+
+
+class Replayed(Optimizer):
+    """Base of optimizers that cannot save their state, and whose evaluations are replayed instead."""
+
+    max_iterations: int
+
+    def require(self, problem: Problem) -> None:
+        """Refuse an objective that is another one at every iteration."""
+        refuse_stochastic(problem, self)
+
+    def minimise(self, problem: Problem, session: Session) -> Outcome:
+        """Minimise with exact resume through the session's log; UsageError as `require`."""
+        self.require(problem)
+        return minimise_with_restarts(self.attempt, Trials(problem, session, self.max_iterations))
+
+    @abstractmethod
+    def attempt(self, trials: Any, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
+        """Minimise once from x in a box (n,), by the functions of `trials`; return how it ended."""
 
 
 def minimise_with_restarts(attempt: Attempt, trials: Trials) -> Outcome:

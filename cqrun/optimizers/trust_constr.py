@@ -9,9 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array
-from cqrun.optimizers.base import Outcome, Problem, Session, Status, refuse_stochastic
-from cqrun.optimizers.constrained import ConstrainedOptimizer, ConstrainedTrials, ended, require_constraints
-from cqrun.optimizers.replayed import minimise_with_restarts
+from cqrun.optimizers.base import Problem, Status
+from cqrun.optimizers.constrained import ConstrainedTrials, ReplayedConstrained
 from cqrun.optimizers.slsqp import require_size
 from cqrun.registry import plugin
 
@@ -20,7 +19,7 @@ INSIDE = 1e-6
 
 
 @plugin("optimizer", "trust_constr")
-class TrustConstr(ConstrainedOptimizer):
+class TrustConstr(ReplayedConstrained):
     """Trust-region interior point: equalities by projected steps, bounds and inequalities by a barrier that shrinks.
 
     R. H. Byrd, M. E. Hribar, J. Nocedal: An interior point algorithm for large-scale nonlinear programming, SIAM J.
@@ -33,19 +32,11 @@ class TrustConstr(ConstrainedOptimizer):
 
     def require(self, problem: Problem) -> None:
         """Refuse what has no constraints to ask for, changes from iteration to iteration, or is too large."""
-        require_constraints(problem, self.name)
-        refuse_stochastic(problem, self)
+        super().require(problem)
         require_size(problem, self.name, matrices=1.0)  # of its curvature; factors come on top
 
-    def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise with exact resume through the session's log; UsageError as `require`."""
-        self.require(problem)
-        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
-
-        trials = ConstrainedTrials(problem, session, self.max_iterations, self.constraint_tolerance)
-        return ended(trials, minimise_with_restarts(self._attempt, trials))
-
-    def _attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
+    def attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
+        """Run scipy's method once."""
         from scipy.optimize import BFGS, Bounds, NonlinearConstraint, minimize
 
         low, high = trials.problem.c_low, trials.problem.c_high

@@ -64,7 +64,7 @@ class Actuation:
                 if problem or not len(held):
                     raise SceneError([Problem(scene.where(path), path, problem or "holds no particle")])
                 full = f"{name}.{part}" if part else name
-                model = ActuatorModel(full, spec.kernel(scene.dim), held, spec.constants(x[held]))
+                model = ActuatorModel(full, spec.kernel, held, spec.constants(x[held]))
                 yield Part(full, name, path, spec, model)
 
     @property

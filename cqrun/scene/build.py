@@ -202,7 +202,7 @@ def _limits_of_data(scene: Scene, particles: Particles, assembly: Assembly) -> l
     found: list[Limit] = []
     if truth := _truth(scene):
         found += _limits(scene, particles, assembly, truth)
-    for recording in ((scene.data.recordings if scene.data is not None else None) or {}).values():
+    for recording in scene.recordings.values():
         if recording.overrides:
             variant = with_values(scene, recording.overrides)
             particles = sample(variant)
@@ -212,7 +212,7 @@ def _limits_of_data(scene: Scene, particles: Particles, assembly: Assembly) -> l
 
 def _truth(scene: Scene) -> dict[str, Array]:
     """Return the values that synthetic data are made with."""
-    made = scene.data.synthetic if scene.data is not None else None
+    made = scene.synthetic
     return {} if made is None else {canonical(scene, path): np.array(value) for path, value in made.truth.items()}
 
 

@@ -225,7 +225,7 @@ def bodies_that_hold_on(scene: Scene, points: Points, volumes: Mapping[str, Arra
 
 def points_to_track(scene: Scene, points: Points) -> Iterator[Problem]:
     """Yield what synthetic data would track that is not on its body."""
-    made = scene.data.synthetic if scene.data is not None else None
+    made = scene.synthetic
     if made is None or not len(points[made.body].world):
         return
     x = points[made.body].world

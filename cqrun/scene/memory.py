@@ -10,6 +10,7 @@ from cqrun.engine.setting import grid_shape
 from cqrun.errors import Problem
 from cqrun.scene.particles import Particles
 from cqrun.scene.schema import Scene
+from cqrun.state import rows_of
 from cqrun.units import format_bytes
 
 DOUBLE = 8
@@ -38,14 +39,13 @@ def _needs(scene: Scene, particles: Particles) -> Iterator[tuple[str, str, float
     yield "world", what, working, "use a larger dx or a smaller world"
     # at every control step, were it of one marker, and of every actuator
     steps = float(scene.time.control_steps)
-    records = DOUBLE * steps * (2 * scene.dim * (1 + scene.dim) + len(scene.actuators))
+    records = DOUBLE * steps * (rows_of(scene.dim)[-1] + len(scene.actuators))
     what = f"the records of {steps:.3g} control steps"
     yield "time.duration", what, records, "use fewer: longer ones, or a shorter run"
-    made = scene.data.synthetic if scene.data is not None else None
+    made = scene.synthetic
     if made is not None:
-        random = scene.activation.random if scene.activation is not None else None
         frames = made.key_frames or steps // (made.every or 1) + 1
         points = made.tracked or len(made.markers or {})
-        recordings = made.copies * (random.sequences if random is not None else 1)
+        recordings = made.copies * scene.sequences
         size = DOUBLE * recordings * frames * points * scene.dim
         yield "data.synthetic.copies", f"{recordings:,} recordings", size, "make fewer copies"

@@ -17,7 +17,6 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -88,8 +87,7 @@ def take_files(paths: Sequence[Path]) -> None:
 def _take_all(paths: Sequence[Path]) -> list[tuple[int, str]]:
     """Make the plug-ins of files known; return what is wrong, with the file's place in the list."""
     for folder in dict.fromkeys(registry.FOLDERS.values()):  # first, so that a name they have is taken
-        if find_spec(folder) is not None:
-            registry.plugins(next(kind for kind, place in registry.FOLDERS.items() if place == folder))
+        registry.plugins(next(kind for kind, place in registry.FOLDERS.items() if place == folder))
     found, earlier = [], set(_TAKEN)
     for i, path in enumerate(paths):
         try:

@@ -167,7 +167,7 @@ def _limits(scene: Scene, activation: Activation) -> Iterator[InitErrorDetails]:
 
 
 def _target(scene: Scene) -> Iterator[InitErrorDetails]:
-    target = scene.data.target if scene.data is not None else None
+    target = scene.target
     if target is not None and target.time > scene.time.duration * (1 + 1e-9):
         message = f"{target.time:g} s is after the end of the run at {scene.time.duration:g} s"
         yield finding(message, ("data", "target", "time"))

@@ -20,7 +20,7 @@ from cqrun.geometry.transformed import Transformed
 from cqrun.geometry.union import Union
 from cqrun.scene.constraint import Constraint
 from cqrun.scene.control import Episodes, Goal
-from cqrun.scene.data import Data, Unknown, exactly_one
+from cqrun.scene.data import Data, Recording, Synthetic, Target, Unknown, exactly_one
 from cqrun.scene.defaults import with_defaults
 from cqrun.scene.fields import Memory, Name, Seed, Substeps
 from cqrun.scene.material import Material, OtherMaterial
@@ -245,6 +245,27 @@ class Scene(Spec):
     def dim(self) -> int:
         """2 or 3: the dimension of the world."""
         return len(self.world.size)
+
+    @property
+    def recordings(self) -> dict[str, Recording]:
+        """The measured motions it is fitted to, by name."""
+        return (self.data.recordings if self.data is not None else None) or {}
+
+    @property
+    def synthetic(self) -> Synthetic | None:
+        """The data that it makes itself, if it does."""
+        return self.data.synthetic if self.data is not None else None
+
+    @property
+    def target(self) -> Target | None:
+        """Where a body's centroid shall be, if it says so."""
+        return self.data.target if self.data is not None else None
+
+    @property
+    def sequences(self) -> int:
+        """How many random sequences of activations synthetic data has; 1 where they are not random."""
+        random = self.activation.random if self.activation is not None else None
+        return 1 if random is None else random.sequences
 
     def came_from(self, origin: Origin) -> None:
         """Take up where the scene came from; files that its shapes name start from there."""

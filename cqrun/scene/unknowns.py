@@ -44,6 +44,12 @@ def body_of(scene: Scene, name: str) -> str:
     return keys[1] if keys[0] == "bodies" else ""
 
 
+def groups_of(scene: Scene, path: str) -> tuple[str, ...]:
+    """Return the names of the groups of the body that a value at a path belongs to."""
+    body = body_of(scene, canonical(scene, path))
+    return scene.bodies[body].group_names if body else ()
+
+
 def findings_of_paths(scene: Scene) -> list[InitErrorDetails]:
     """Return what is wrong with the unknowns, the synthetic truth and the recordings' overrides."""
     found = [item for path, unknown in scene.unknowns.items() for item in _unknown(scene, path, unknown)]
@@ -150,8 +156,7 @@ def _twice(scene: Scene) -> Iterator[InitErrorDetails]:
 
 def _held_out(scene: Scene) -> Iterator[InitErrorDetails]:
     """Yield unknown starts of recordings that nothing is fitted to."""
-    recordings = (scene.data.recordings if scene.data is not None else None) or {}
-    for name, recording in recordings.items():
+    for name, recording in scene.recordings.items():
         path = f"data.recordings.{name}.start"
         message = f"the recording '{name}' is held out, so nothing tells its start: remove this unknown"
         for unknown, spec in scene.unknowns.items() if recording.holdout else ():
@@ -162,9 +167,7 @@ def _held_out(scene: Scene) -> Iterator[InitErrorDetails]:
 
 
 def _truth(scene: Scene) -> Iterator[InitErrorDetails]:
-    if scene.data is None or scene.data.synthetic is None:
-        return
-    for path, value in scene.data.synthetic.truth.items():
+    for path, value in (scene.synthetic.truth if scene.synthetic is not None else {}).items():
         place: Loc = ("data", "synthetic", "truth", path)
         try:
             info = leaf(scene, path)
@@ -182,8 +185,7 @@ def _truth(scene: Scene) -> Iterator[InitErrorDetails]:
 
 def _overrides(scene: Scene) -> Iterator[InitErrorDetails]:
     """Yield overrides of recordings that their scene refuses, each tried alone, then all together."""
-    recordings = (scene.data.recordings if scene.data else None) or {}
-    for name, recording in recordings.items():
+    for name, recording in scene.recordings.items():
         place: Loc = ("data", "recordings", name, "overrides")
         useless = list(_without_effect(scene, place, list(recording.overrides)))
         if useless:

@@ -190,12 +190,12 @@ class RunDirectory:
         """Put facts into run.json that are not part of the result: they may differ between equal runs."""
         self._write(facts)
 
-    def extend(self, resolved: str, argv: Sequence[str]) -> None:
+    def extend(self, resolved: str, overrides: Sequence[str]) -> None:
         """Go on with another resolved scene, say with more iterations; the run keeps its name."""
-        self.record["extended"] = [*self.record.get("extended", []), list(argv)]
+        self.record["extended"] = [*self.record.get("extended", []), list(overrides)]
         # killed between here and the last line, the run has one or the other
         self.record["scenes"] = [_hash_of(text) for text in (self.resolved, resolved)]
-        self.log("extended: " + " ".join(argv))
+        self.log("extended: " + " ".join(overrides))
         self.begin()  # first: a run that is killed here goes on with the scene it had
         write_text(self.path / "scene.yaml", resolved)
 

@@ -52,7 +52,7 @@ def test_modulus_ratio_and_density_are_found(percent, error, tmp_path):
     moved = float(np.sqrt(((x - x[0]) ** 2).sum(axis=2).mean()))
     scene = tmp_path / "twin.yaml"
     scene.write_text(text.replace("NOISE", repr(percent / 100 * moved)))
-    run = run_sysid(scene, (), tmp_path / "out", False, 1, True)
+    run = run_sysid(scene, (), tmp_path / "out", threads=1)
     found = json.loads((run / "result.json").read_text())
     assert found["status"] == "converged"
     for name, value in TRUTH.items():

@@ -294,6 +294,8 @@ def test_no_seeds(cqrun, tmp_path):
     code, _, err = cqrun("control", scene, "--seeds", "0", "--out", tmp_path / "out")
     words = "must be at least 1; without it the scene is learned from its own seed"
     assert (code, err) == (2, f"error: --seeds 0: {words}\n")
+    code, _, err = cqrun("codesign", scene, "--ablate", "--seeds", "0", "--out", tmp_path / "out")
+    assert (code, err) == (2, f"error: --seeds 0: {words}\n")
     code, _, err = cqrun("control", scene, "--jobs", "2", "--out", tmp_path / "out")
     assert (code, err) == (2, "error: --jobs 2: says how many of several seeds run at once: add --seeds N\n")
     assert not (tmp_path / "out").exists()

@@ -26,7 +26,7 @@ def finished(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("runs")
     (folder / "fit.yaml").write_text(BEAM + FIT)
     overrides = {"least_squares": [], "adam": [ADAM]}
-    return {name: run_sysid(folder / "fit.yaml", o, folder, False, 1, True) for name, o in overrides.items()}
+    return {name: run_sysid(folder / "fit.yaml", o, folder, threads=1) for name, o in overrides.items()}
 
 
 @pytest.fixture(scope="module")

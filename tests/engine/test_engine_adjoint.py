@@ -57,7 +57,7 @@ def test_every_kind_of_actuator_is_in_the_rich_scene():
                "direction": [1, 0], "acceleration": 1}  # fmt: skip
     for name, kind in plugins("actuator").items():
         spec = kind.model_validate({key: value for key, value in example.items() if key in kind.model_fields})
-        assert spec.kernel(2) in kernels, name
+        assert spec.kernel in kernels, name
 
 
 def test_memory_passes_through(adjoint):

@@ -9,6 +9,8 @@ import pytest
 from small_beam import changed, result_of
 from small_finger import FINGER
 
+import cqrun
+from cqrun.figures.convergence import unknown_curves
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.draw import draw_run
 from cqrun.figures.render import Wanted, render
@@ -27,7 +29,7 @@ def run(tmp_path_factory):
     unknowns = f"unknowns:\n  {E}: {{bounds: [5, 20], per: particle}}\n  {RHO}: {{bounds: [0.5, 2]}}\n"
     path.write_text(FINGER.replace("job: control", "job: codesign") + unknowns)
     changed(path, "duration: 0.1", "duration: 0.04")
-    return run_control(path, [], path.parent / "out", False, 1, True, job="codesign")
+    return run_control(path, [], path.parent / "out", threads=1, job="codesign")
 
 
 def test_what_differs_from_particle_to_particle_is_shown(run):
@@ -57,7 +59,7 @@ def test_a_new_shape_is_drawn_beside_the_old_one(run, tmp_path):
     unknown = f"unknowns:\n  {size}: {{bounds: [0.6, 1.0], initial: 0.8}}\n"
     path.write_text(FINGER.replace("job: control", "job: codesign") + unknown)
     changed(path, "duration: 0.1", "duration: 0.04")
-    shaped = run_control(path, [], tmp_path / "out", False, 1, True, job="codesign")
+    shaped = run_control(path, [], tmp_path / "out", threads=1, job="codesign")
     data = read_run(shaped)
     assert designed_quantities(data) == {}
     assert (has_new_shape(data), has_new_shape(read_run(run))) == (True, False)
@@ -83,7 +85,7 @@ def test_where_a_muscle_lies_is_shown(tmp_path):
     path, weight = tmp_path / "finger.yaml", "actuators.muscle.muscle.weight"
     unknown = f"unknowns:\n  {weight}: {{bounds: [0, 1], initial: 0.5, per: particle}}\n"
     path.write_text(FINGER.replace("job: control", "job: codesign") + unknown)
-    run = run_control(path, [], tmp_path / "out", False, 1, True, job="codesign")
+    run = run_control(path, [], tmp_path / "out", threads=1, job="codesign")
     (shown,) = (data := designed_quantities(read_run(run))).values()
     assert list(data) == ["weight"]
     tip = sample(read_run(run).scene).groups("finger")["tip"]
@@ -95,3 +97,18 @@ def test_where_a_muscle_lies_is_shown(tmp_path):
     assert figure.axes[-1].get_ylabel() == "share of the actuator's strength"
     drawn = render(run, Wanted("png", 1, "weight", 25.0, 1, None, None, tmp_path / "w.png"), Silent())
     assert drawn == [tmp_path / "w.png"]
+
+
+def test_a_muscle_share_for_every_group_is_learned_and_drawn(tmp_path):
+    """Paths of actuators have no body in them: what named the groups once took `muscle` for one."""
+    path, weight = tmp_path / "finger.yaml", "actuators.muscle.muscle.weight"
+    unknown = f"unknowns:\n  {weight}: {{bounds: [0, 1], initial: 0.5, per: group}}\n"
+    path.write_text(FINGER.replace("job: control", "job: codesign") + unknown)
+    problem = cqrun.load(path)
+    _, gradient, _ = problem.value_and_grad(problem.params)
+    groups = len(problem.scene.bodies["finger"].group_names)
+    assert gradient[weight].shape == problem.params[weight].shape == (groups,)
+    run = run_control(path, [], tmp_path / "out", threads=1, job="codesign")
+    (curve,) = unknown_curves(read_run(run))
+    assert curve.names == problem.scene.bodies["finger"].group_names
+    assert draw_run(run)

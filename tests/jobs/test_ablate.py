@@ -79,7 +79,7 @@ def test_effects_and_gains_of_a_known_design(tmp_path):
 
 def test_variants_are_learned_and_compared(tmp_path):
     scene, listener = design(tmp_path, E), Listener()
-    path = run_ablation(scene, [], tmp_path / "out", False, 2, seeds=2, rates=[0.1, 1e-6], reporter=listener)
+    path = run_ablation(scene, [], tmp_path / "out", threads=2, seeds=2, rates=[0.1, 1e-6], reporter=listener)
     result = json.loads(path.read_text())
     assert listener.said[-2:] == [
         "trying 2 learning rates with 2 variants, 2 at once", "learning 2 variants from 2 seeds, 2 at once",
@@ -112,7 +112,7 @@ def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     path = run_ablation(
         scene, ["constraints.tip.at_most=0.0152", "controller.linear_tanh.spread=0",
                 "unknowns.bodies.finger.material.density={bounds: [0.999, 1.001]}"],
-        tmp_path / "out", False, 2, seeds=2, reporter=listener,
+        tmp_path / "out", threads=2, seeds=2, reporter=listener,
     )  # fmt: skip
     assert any("every run will be the same" in line for line in listener.said)
     variants = json.loads(path.read_text())["variants"]
@@ -142,11 +142,11 @@ def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
 )
 def test_what_cannot_be_compared(tmp_path, change, options, message):
     with pytest.raises(UsageError, match=message):
-        run_ablation(design(tmp_path, E), [change], tmp_path / "out", False, 1, **{"seeds": 1, **options})
+        run_ablation(design(tmp_path, E), [change], tmp_path / "out", threads=1, **{"seeds": 1, **options})
 
 
 def test_seeds_of_a_codesign(tmp_path):
-    path, good = run_seeds(design(tmp_path, E), [], tmp_path / "out", False, 2, seeds=2, job="codesign")
+    path, good = run_seeds(design(tmp_path, E), [], tmp_path / "out", threads=2, seeds=2, job="codesign")
     assert good
     assert len(json.loads(path.read_text())["seeds"]) == len(list(path.parent.glob("*/result.json"))) == 2
     assert {read_record(run)["job"] for run in path.parent.glob("*/")} == {"codesign"}
@@ -156,7 +156,7 @@ def test_variants_run_with_the_time_steps_of_the_whole(tmp_path):
     """`auto` would give control alone longer ones than stiffnesses that may reach 400: the starts are the same."""
     scene = design(tmp_path, E)
     changed(scene, f"{E}: {{bounds: [5, 20]", f"{E}: {{bounds: [5, 400]")
-    path = run_ablation(scene, ["time.substeps=auto"], tmp_path / "out", False, 1, seeds=1)
+    path = run_ablation(scene, ["time.substeps=auto"], tmp_path / "out", threads=1, seeds=1)
     runs = [Path(entry["runs"][0]) for entry in json.loads(path.read_text())["variants"].values()]
     steps = {load_scene(run / "scene.yaml").time.substeps for run in runs}
     assert len(steps) == 1
@@ -191,6 +191,6 @@ def test_a_trial_that_was_killed_is_no_rate_that_fails(tmp_path, monkeypatch):
     monkeypatch.setattr(Member, "start", start)
     told = r"1 of 4 trials failed; control, seed 0 with optimizer.adam.learning_rate=0.1: was killed \(SIGKILL\)"
     with pytest.raises(RunError, match=told):
-        run_ablation(scene, [], tmp_path / "out", False, 2, seeds=1, rates=[0.1, 1e-6])
-    path = run_ablation(scene, [], tmp_path / "out", False, 2, seeds=1, rates=[0.1, 1e-6])
+        run_ablation(scene, [], tmp_path / "out", threads=2, seeds=1, rates=[0.1, 1e-6])
+    path = run_ablation(scene, [], tmp_path / "out", threads=2, seeds=1, rates=[0.1, 1e-6])
     assert all(None not in entry["searched"].values() for entry in json.loads(path.read_text())["variants"].values())

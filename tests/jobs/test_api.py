@@ -28,7 +28,7 @@ def test_params_are_the_unknowns_at_their_starts(problem):
 
 def test_the_loss_is_that_of_sysid(problem, fit, tmp_path):
     loss, gradient, aux = problem.value_and_grad()
-    run = run_sysid(fit, ["optimizer={lbfgs: {max_iterations: 1}}"], tmp_path, False, 1, True)
+    run = run_sysid(fit, ["optimizer={lbfgs: {max_iterations: 1}}"], tmp_path, threads=1)
     history = read_history(run / "history.csv")
     assert loss == pytest.approx(history["loss"][0], rel=1e-12)
     assert aux["losses"] == {"synthetic": loss}
@@ -79,7 +79,7 @@ def test_unknowns_by_particle_are_arrays(fit):
 
 def test_simulate_is_the_job(problem, fit, tmp_path):
     motion = problem.simulate()
-    expected = read_trajectory(run_simulate(fit, [], tmp_path, False, 1, True) / "trajectory.h5")
+    expected = read_trajectory(run_simulate(fit, [], tmp_path, threads=1) / "trajectory.h5")
     np.testing.assert_array_equal(motion.x, expected.fields["x"])
     np.testing.assert_allclose(motion.v, expected.fields["v"], rtol=1e-6, atol=1e-12)  # float32 on disk
     np.testing.assert_array_equal(motion.time, expected.time)

@@ -52,7 +52,7 @@ def somewhere(problem, rng):
 
 
 def learn(scene, out, *overrides, job="codesign"):
-    return run_control(scene, overrides, out, False, 1, True, job=job)
+    return run_control(scene, overrides, out, threads=1, job=job)
 
 
 # --- gradients ----------------------------------------------------------------------------------------------------
@@ -138,7 +138,7 @@ def test_a_design_that_cannot_be_had_ends_infeasible_and_is_kept(finger, tmp_pat
 def test_an_extended_design_is_that_of_a_longer_run(finger, tmp_path):
     limited = "optimizer.slsqp.max_iterations={}"
     run = learn(finger, tmp_path / "short", limited.format(6))
-    assert run_resume(run, [limited.format(9)], 1, True) == run
+    assert run_resume(run, [limited.format(9)], threads=1) == run
     longer = learn(finger, tmp_path / "long", limited.format(9))
     mine, other = (read_history(folder / "history.csv") for folder in (run, longer))
     assert len(mine["loss"]) == 10

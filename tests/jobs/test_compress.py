@@ -19,7 +19,7 @@ def swing(tmp_path_factory):
     """Return a run of the small beam."""
     folder = tmp_path_factory.mktemp("swing")
     (folder / "beam.yaml").write_text(BEAM)
-    return run_simulate(folder / "beam.yaml", (), folder / "out", False, 1, True)
+    return run_simulate(folder / "beam.yaml", (), folder / "out", threads=1)
 
 
 def test_components_explain_a_swing(swing, tmp_path):

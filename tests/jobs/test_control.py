@@ -13,10 +13,11 @@ from small_finger import written
 from cqrun.controllers.saved import read_controller
 from cqrun.errors import RolloutError, RunError, SceneError, Stopped, UsageError
 from cqrun.figures.draw import draw_run
-from cqrun.jobs.control import EXTENDED, run_control
+from cqrun.jobs.control import run_control
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
+from cqrun.jobs.runs import EXTENDED
 from cqrun.store.history import read_history
 from cqrun.store.run import read_record
 from cqrun.store.trajectory import read_trajectory
@@ -29,7 +30,7 @@ def finger(tmp_path):
 
 
 def learn(scene, out, *overrides, reporter=None, threads=1, fresh=False):
-    return run_control(scene, overrides, out, fresh, threads, True, reporter=reporter)
+    return run_control(scene, overrides, out, fresh=fresh, threads=threads, reporter=reporter)
 
 
 def test_it_learns_and_writes_what_it_learned(finger, tmp_path):
@@ -106,10 +107,10 @@ def test_the_same_again_is_finished_and_more_iterations_extend_it(finger, tmp_pa
     listener = Listener()
     assert learn(finger, tmp_path / "out", reporter=listener) == run
     assert listener.said == ["finished already (iteration_limit); --fresh starts over"]
-    assert run_resume(run, ["optimizer.adam.max_iterations=6"], 1, True) == run
+    assert run_resume(run, ["optimizer.adam.max_iterations=6"], threads=1) == run
     assert_same_learning(run, learn(finger, tmp_path / "long", "optimizer.adam.max_iterations=6"))
     with pytest.raises(UsageError, match="a run can only be extended"):
-        run_resume(run, ["time.duration=1"], 1, True)
+        run_resume(run, ["time.duration=1"], threads=1)
 
 
 def assert_same_learning(run, other):
@@ -133,7 +134,7 @@ def test_stopped_and_resumed_is_the_same(finger, tmp_path, fresh):
         learn(finger, tmp_path, reporter=Listener(stop_after=2))
     run = tmp_path / whole.relative_to(tmp_path / "whole")
     assert read_record(run)["status"] == "stopped"
-    run_resume(run, [], 1, True)
+    run_resume(run, [], threads=1)
     assert_same(run, whole)
 
 
@@ -209,7 +210,7 @@ def test_a_network_that_hardly_feels_its_body_is_told(finger, tmp_path, range_, 
 
 def test_an_extended_run_is_told_where_fewer_iterations_are_asked_for(finger, tmp_path):
     run = learn(finger, tmp_path)
-    run_resume(run, ["optimizer.adam.max_iterations=5"], 1, True)
+    run_resume(run, ["optimizer.adam.max_iterations=5"], threads=1)
     listener = Listener()
     assert learn(finger, tmp_path, reporter=listener) == run
     assert f"warning: {run}: {EXTENDED}; --fresh starts over" in listener.said

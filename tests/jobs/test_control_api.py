@@ -33,7 +33,7 @@ def test_params_are_the_controllers_as_it_starts(problem):
 
 def test_the_loss_is_that_of_control(problem, tmp_path):
     loss, gradient, aux = problem.value_and_grad()
-    run = run_control(written(tmp_path), ["optimizer.adam.max_iterations=1"], tmp_path, False, 1, True)
+    run = run_control(written(tmp_path), ["optimizer.adam.max_iterations=1"], tmp_path, threads=1)
     history = read_history(run / "history.csv")
     assert loss == pytest.approx(history["loss"][0], rel=1e-12)
     assert np.linalg.norm(gradient[WEIGHTS]) == pytest.approx(history[f"grad:{WEIGHTS}"][0], rel=1e-12)
@@ -60,7 +60,7 @@ def test_gradients_are_those_of_differences(problem, rng):
 
 def test_simulate_is_the_job(problem, tmp_path):
     motion = problem.simulate()
-    run = run_simulate(written(tmp_path), [], tmp_path, False, 1, True)
+    run = run_simulate(written(tmp_path), [], tmp_path, threads=1)
     np.testing.assert_array_equal(motion.x, read_trajectory(run / "trajectory.h5").fields["x"])
     table = np.loadtxt(run / "activation.csv", delimiter=",", skiprows=1)
     np.testing.assert_array_equal(motion.activation, table[:, 1:])
@@ -112,7 +112,7 @@ def test_without_an_objective_it_acts_but_has_no_loss():
 def test_gradcheck_is_of_the_first_episode(tmp_path, controller):
     unknown = f"unknowns={{{STRENGTH}: {{bounds: [2, 8]}}}}"
     overrides = [f"controller={{{controller}}}", unknown]
-    run, agrees = run_gradcheck(written(tmp_path), overrides, tmp_path, False, 1, True)
+    run, agrees = run_gradcheck(written(tmp_path), overrides, tmp_path, threads=1)
     found = json.loads((run / "gradcheck.json").read_text())
     assert agrees
     assert found["of"] == "the first episode's loss"
@@ -127,5 +127,5 @@ def test_gradcheck_is_of_the_first_episode(tmp_path, controller):
 def test_a_scene_that_does_not_fit_leaves_no_run_of_gradcheck(tmp_path):
     overrides = ["observers.parts={clusters: {body: finger, count: 49}}"]
     with pytest.raises(SceneError, match=r"observers.parts: 49 clusters of 48 particles"):
-        run_gradcheck(written(tmp_path), overrides, tmp_path / "out", False, 1, True)
+        run_gradcheck(written(tmp_path), overrides, tmp_path / "out", threads=1)
     assert not (tmp_path / "out").exists()

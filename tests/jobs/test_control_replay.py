@@ -33,11 +33,11 @@ def trained(tmp_path_factory):
     """Return a run that learned a controller and a strength; its goal is not drawn."""
     folder = tmp_path_factory.mktemp("trained")
     text = FINGER.replace(", spread: [0.05, 0.05]", "") + f"unknowns: {{{STRENGTH}: {{bounds: [2, 8]}}}}\n"
-    return run_control(written(folder, text), [], folder / "out", False, 1, True)
+    return run_control(written(folder, text), [], folder / "out", threads=1)
 
 
 def replay(source, out, *overrides, **options):
-    return run_simulate(source, overrides, out, False, 1, True, **options)
+    return run_simulate(source, overrides, out, threads=1, **options)
 
 
 def position(run):
@@ -121,7 +121,7 @@ def test_what_was_learned_beside_it_comes_with_it_unless_overridden(trained, tmp
 def test_numbers_for_every_particle_come_with_it(tmp_path):
     path = "bodies.finger.material.elastic.fixed_corotated.youngs_modulus"
     text = FINGER.replace(", spread: [0.05, 0.05]", "") + f"unknowns: {{{path}: {{bounds: [5, 20], per: particle}}}}\n"
-    run = run_control(written(tmp_path, text), [], tmp_path / "out", False, 1, True)
+    run = run_control(written(tmp_path, text), [], tmp_path / "out", threads=1)
     assert len(read_controller(run / "controller.npz")[1]["unknowns"][path]) == 48
     np.testing.assert_array_equal(position(replay(run, tmp_path)), position(run))
     with pytest.raises(UsageError, match=r"-o bodies.*: .* has a value of it for every group or particle"):
@@ -158,11 +158,11 @@ def test_a_stopped_replay_runs_again_with_its_own_copy(trained, tmp_path):
         replay(source, tmp_path / "out", "time.duration=0.2", reporter=Listener(stop_after=3))
     shutil.rmtree(source)
     (run,) = (tmp_path / "out" / "finger").iterdir()
-    assert_same(run_resume(run, [], 1, True), whole)
+    assert_same(run_resume(run, [], threads=1), whole)
     (run / "controller.npz").unlink()
     (run / "run.json").write_text((run / "run.json").read_text().replace('"done"', '"stopped"'))
     with pytest.raises(UsageError, match="this copy of the controller is not what the run began with"):
-        run_resume(run, [], 1, True)
+        run_resume(run, [], threads=1)
 
 
 @pytest.mark.parametrize(
@@ -184,7 +184,7 @@ def test_elsewhere_what_lies_at_a_place_in_the_world_acts_on_others(tmp_path):
     """A region does not move with the body; groups do (the tests above), and of other particles nothing is known."""
     region = "region: {box: {corner: [0.4, 0.2], size: [0.1, 0.4]}}"
     text = FINGER.replace("each: [left, right]", region).replace("max_iterations: 4", "max_iterations: 1")
-    run = run_control(written(tmp_path, text), [], tmp_path / "out", False, 1, True)
+    run = run_control(written(tmp_path, text), [], tmp_path / "out", threads=1)
     moved = "bodies.finger.place.offset=[0.25, 0.2]"
     with pytest.raises(UsageError, match="muscle would act on other particles than in the training"):
         replay(run, tmp_path / "moved", moved)
@@ -197,7 +197,7 @@ def test_a_run_that_is_not_finished_has_its_best_controller(tmp_path):
     text = FINGER.replace(", spread: [0.05, 0.05]", "").replace("episodes: {count: 2, unseen: 1}\n", "")
     scene = written(tmp_path, text)
     with pytest.raises(Stopped):
-        run_control(scene, [], tmp_path / "out", False, 1, True, reporter=Listener(stop_after=2))
+        run_control(scene, [], tmp_path / "out", threads=1, reporter=Listener(stop_after=2))
     (run,) = (tmp_path / "out" / "finger").iterdir()
     found = result_of(replay(run, tmp_path / "early"))
     history = read_history(run / "history.csv")

@@ -17,9 +17,9 @@ from small_finger import written
 
 from cqrun.errors import Stopped, UsageError
 from cqrun.jobs import seeds
-from cqrun.jobs.control import EXTENDED
 from cqrun.jobs.fleet import Member
 from cqrun.jobs.resume import run_resume
+from cqrun.jobs.runs import EXTENDED
 from cqrun.jobs.seeds import _summary, interval, run_seeds, summary_lines
 
 
@@ -41,7 +41,7 @@ def test_the_interval_is_students():
 
 def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
     listener = Listener()
-    path, good = run_seeds(finger, [], tmp_path / "out", False, 2, seeds=2, jobs=2, reporter=listener)
+    path, good = run_seeds(finger, [], tmp_path / "out", threads=2, seeds=2, jobs=2, reporter=listener)
     assert good
     summary = json.loads(path.read_text())
     # a process of its own, as each seed is: it takes the same compiled kernels from the cache
@@ -73,7 +73,7 @@ def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
     assert "seed 0 failed: blew up" in lines
     assert json.loads(path.read_text())["all"]["trained"]["loss"] == {"mean": losses[1], "low": None, "high": None}
     # and with one that went on for longer
-    run_resume(run, ["optimizer.adam.max_iterations=3"], 1, True)
+    run_resume(run, ["optimizer.adam.max_iterations=3"], threads=1)
     path.write_text(json.dumps(_summary("finger", runs)))
     assert f"warning: seed 1: {EXTENDED}" in summary_lines(path)
 
@@ -95,7 +95,7 @@ def test_seeds_that_will_change_nothing_are_warned_of(finger, tmp_path, monkeypa
     ):
         listener = Listener()
         overrides = [f"controller={{open_loop: {controller}}}", f"optimizer={{{optimizer}}}", "observers={}"]
-        run_seeds(finger, overrides, tmp_path, False, 1, seeds=2, reporter=listener)
+        run_seeds(finger, overrides, tmp_path, threads=1, seeds=2, reporter=listener)
         warned[controller, optimizer] = any("nothing in this scene is drawn from its seed" in s for s in listener.said)
     assert {key for key, told in warned.items() if told} == {("{}", "adam: {}"), ("{}", "lbfgs: {}")}
 
@@ -107,7 +107,7 @@ def test_a_stopped_command_says_how_to_go_on(finger, tmp_path, monkeypatch):
 
     monkeypatch.setattr(seeds, "run_fleet", stopped)
     with pytest.raises(Stopped, match="2 of 3 seeds are finished; the same command continues the others") as ended:
-        run_seeds(finger, [], tmp_path, False, 1, seeds=3)
+        run_seeds(finger, [], tmp_path, threads=1, seeds=3)
     assert ended.value.exit_code == 130
     assert not list(tmp_path.glob("finger/summary*"))
 
@@ -116,7 +116,7 @@ def test_permission_and_fresh_are_handed_on(finger, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(seeds, "run_fleet", lambda runs, at_once, *rest: asked.append((runs[2].command, at_once)))
     monkeypatch.setattr(seeds, "_summary", lambda stem, all_of_them: {"seeds": {}, "all": {}})
-    run_seeds(finger, ["time.duration=0.05"], tmp_path, True, 4, seeds=3, jobs=2, allow_plugins=True)
+    run_seeds(finger, ["time.duration=0.05"], tmp_path, fresh=True, threads=4, seeds=3, jobs=2, allow_plugins=True)
     command, at_once = asked[0]
     assert at_once == 2
     assert command[:5] == [sys.executable, "-m", "cqrun", "control", str(finger)]
@@ -134,5 +134,5 @@ def test_permission_and_fresh_are_handed_on(finger, tmp_path, monkeypatch):
 )
 def test_what_cannot_be_is_refused(finger, tmp_path, overrides, options, message):
     with pytest.raises(UsageError, match=message):
-        run_seeds(finger, overrides, tmp_path / "out", False, 1, **options)
+        run_seeds(finger, overrides, tmp_path / "out", threads=1, **options)
     assert not (tmp_path / "out").exists()

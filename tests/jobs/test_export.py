@@ -36,7 +36,7 @@ def run(tmp_path_factory):
     changed(path, "duration: 0.1", "duration: 0.05")
     changed(path, ", spread: [0.05, 0.05]", "")
     changed(path, "episodes: {count: 2, unseen: 1}\n", "")
-    return run_control(path, [], folder / "out", False, 1, True, job="codesign")
+    return run_control(path, [], folder / "out", threads=1, job="codesign")
 
 
 def test_the_table_has_the_designed_body(run, tmp_path):
@@ -148,19 +148,19 @@ def test_a_surface_without_the_extra(tmp_path, monkeypatch):
 
 def test_a_design_is_replayed_with_its_geometry(run, tmp_path):
     """The trained body is that of the run, not one sampled anew; and its geometry cannot be another."""
-    again = run_simulate(run, [], tmp_path, False, 1, True)
+    again = run_simulate(run, [], tmp_path, threads=1)
     _, values = designed(run)
     assert values[TALL] == result_of(run)["unknowns"][TALL]["value"]
     (first, last) = (h5py.File(path / "trajectory.h5")["particles/x"][-1] for path in (run, again))
     np.testing.assert_array_equal(first, last)
     with pytest.raises(UsageError, match="holds the body's geometry, which was learned"):
-        run_simulate(run, [f"{TALL}=1.2"], tmp_path, False, 1, True)
+        run_simulate(run, [f"{TALL}=1.2"], tmp_path, threads=1)
 
 
 def test_what_has_no_design(run, tmp_path):
     plain = tmp_path / "finger.yaml"
     plain.write_text(FINGER)
-    control = run_control(plain, ["time.duration=0.02"], tmp_path / "out", False, 1, True)
+    control = run_control(plain, ["time.duration=0.02"], tmp_path / "out", threads=1)
     with pytest.raises(UsageError, match="its scene has no `unknowns`: nothing was designed"):
         export_design(control, tmp_path / "design")
     with pytest.raises(UsageError):

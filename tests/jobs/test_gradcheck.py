@@ -19,7 +19,7 @@ from cqrun.store.run import read_record
 
 
 def check(scene, out, *overrides, reporter=None, threads=1):
-    run, agrees = run_gradcheck(scene, overrides, out, False, threads, True, reporter=reporter)
+    run, agrees = run_gradcheck(scene, overrides, out, threads=threads, reporter=reporter)
     return run, agrees, json.loads((run / "gradcheck.json").read_text())
 
 
@@ -36,7 +36,7 @@ def test_the_fits_gradient(fit, tmp_path):
     assert lines[-1] == "adjoint and differences agree"
     assert (read_record(run)["job"], read_record(run)["status"]) == ("gradcheck", "done")
     listener = Listener()
-    assert run_gradcheck(fit, [], tmp_path, False, 1, True, reporter=listener) == (run, True)
+    assert run_gradcheck(fit, [], tmp_path, threads=1, reporter=listener) == (run, True)
     assert listener.said == ["finished already (done); --fresh starts over"]
 
 
@@ -74,9 +74,9 @@ def test_a_wrong_gradient_is_found(fit, tmp_path, monkeypatch):
     lines = report_lines(run)
     assert lines[3].endswith("DISAGREES")
     assert lines[-1] == "adjoint and differences DISAGREE"
-    assert run_gradcheck(fit, [], tmp_path, False, 1, True) == (run, False)  # and it is remembered
+    assert run_gradcheck(fit, [], tmp_path, threads=1) == (run, False)  # and it is remembered
     with pytest.raises(RunError, match="adjoint and differences disagree"):
-        run_resume(run, [], 1, True)
+        run_resume(run, [], threads=1)
 
 
 def test_what_does_nothing_is_flat_and_agrees(fit, tmp_path):
@@ -100,7 +100,7 @@ def test_a_stopped_check_starts_again(fit, tmp_path):
         check(fit, tmp_path, reporter=Listener(stop_after=1))
     (run,) = (tmp_path / "fit").iterdir()
     assert report_lines(run) == ["gradcheck: stopped (stopped after 1 of 3 directions)"]
-    assert run_resume(run, [], 1, True) == run
+    assert run_resume(run, [], threads=1) == run
     assert report_lines(run)[-1] == "adjoint and differences agree"
 
 

@@ -38,7 +38,7 @@ def drawn(beam: Path) -> Path:
 
 
 def simulate(scene: Path, out: Path, *overrides: str, reporter: Listener | None = None) -> Path:
-    return run_simulate(scene, overrides, out, False, 1, True, reporter=reporter)
+    return run_simulate(scene, overrides, out, threads=1, reporter=reporter)
 
 
 def test_colours_are_groups_of_the_same_particles_as_a_box(beam, drawn):
@@ -68,9 +68,9 @@ def test_a_stopped_run_goes_on_from_the_file_where_it_was(drawn, tmp_path, monke
     monkeypatch.chdir("/")
     draw(drawn.parent, 5)
     with pytest.raises(UsageError, match=r"beam\.png has changed since the run began; run the scene again"):
-        run_resume(run, (), 1, True)
+        run_resume(run, (), threads=1)
     draw(drawn.parent, 4)
-    assert_same(run_resume(run, (), 1, True), whole)
+    assert_same(run_resume(run, (), threads=1), whole)
 
 
 def test_a_file_that_cannot_be_used_is_told_with_its_place(drawn):

@@ -20,7 +20,7 @@ from cqrun.store.trajectory import read_trajectory
 
 
 def simulate(scene, out, *overrides, reporter=None, threads=1, fresh=False):
-    return run_simulate(scene, overrides, out, fresh, threads, True, reporter=reporter)
+    return run_simulate(scene, overrides, out, fresh=fresh, threads=threads, reporter=reporter)
 
 
 def rows(run):
@@ -68,11 +68,8 @@ def test_the_same_again_is_finished_and_fresh_starts_over(beam, tmp_path):
 
 
 def test_a_scene_has_a_run_of_each_job(fit, tmp_path):
-    assert simulate(fit, tmp_path) != run_sysid(fit, ["optimizer.least_squares.max_iterations=1"], tmp_path, *FLAGS)
+    assert simulate(fit, tmp_path) != run_sysid(fit, ["optimizer.least_squares.max_iterations=1"], tmp_path, threads=1)
     assert sorted(read_record(run)["job"] for run in (tmp_path / "fit").iterdir()) == ["simulate", "sysid"]
-
-
-FLAGS = (False, 1, True)
 
 
 def test_long_runs_keep_few_frames_and_the_last(beam, tmp_path, monkeypatch):
@@ -109,8 +106,8 @@ def test_a_stopped_run_leaves_what_it_has_and_runs_again(beam, tmp_path):
     assert not (run / "result.json").exists()
     assert report_lines(run) == ["simulate: stopped (stopped at t = 0.04 s)"]
     with pytest.raises(UsageError, match=r"-o time.duration=1: a run of simulate cannot be extended"):
-        run_resume(run, ["time.duration=1"], 1, True)
-    assert run_resume(run, [], 1, True) == run
+        run_resume(run, ["time.duration=1"], threads=1)
+    assert run_resume(run, [], threads=1) == run
     assert_same(run, whole)
 
 

@@ -27,7 +27,7 @@ OPTIMIZERS = {
 
 
 def identify(scene, out, *overrides, reporter=None, threads=1, fresh=False):
-    return run_sysid(scene, overrides, out, fresh, threads, True, reporter=reporter)
+    return run_sysid(scene, overrides, out, fresh=fresh, threads=threads, reporter=reporter)
 
 
 RMSE_OF_NOISE = 2.0e-5 * math.sqrt(2.0) * 1e3
@@ -100,7 +100,7 @@ def test_the_same_again_is_finished(found, tmp_path):
     listener = Listener()
     assert identify(run.parents[2] / "fit.yaml", run.parents[1], reporter=listener) == run
     assert listener.said == ["finished already (converged); --fresh starts over"]
-    assert run_resume(run, [], 1, True, reporter=listener) == run
+    assert run_resume(run, [], threads=1, reporter=listener) == run
     assert listener.said[1:] == ["finished already (converged)"]
 
 
@@ -157,7 +157,7 @@ def test_stopped_and_resumed_is_never_stopped(fit, tmp_path, name):
         assert ended.value.exit_code == 75
     (run,) = (tmp_path / "fit").iterdir()
     assert read_record(run)["status"] == "stopped"
-    assert run_resume(run, [], 1, True) == run
+    assert run_resume(run, [], threads=1) == run
     assert_same(run, whole)
 
 
@@ -166,21 +166,23 @@ def test_a_finished_run_can_be_extended(fit, tmp_path, name):
     short = identify(fit, tmp_path, OPTIMIZERS[name].replace("12", "3").replace("8", "3"))
     assert result_of(short)["iterations"] == 3
     more = f"optimizer.{name}.max_iterations=5"
-    assert run_resume(short, [more], 1, True) == short
+    assert run_resume(short, [more], threads=1) == short
     assert result_of(short)["iterations"] == 5
     whole = identify(fit, tmp_path / "whole", OPTIMIZERS[name].replace("12", "5").replace("8", "5"))
     assert_same(short, whole)
     assert len(read_record(short)["extended"]) == 1
     listener = Listener()  # the scene itself says 3, the run has 5: it stays as it is
     assert identify(fit, tmp_path, OPTIMIZERS[name].replace("12", "3").replace("8", "3"), reporter=listener) == short
-    assert listener.said == ["finished already (iteration_limit); --fresh starts over"]
+    told, warned = listener.said
+    assert told == "finished already (iteration_limit); --fresh starts over"
+    assert warned.endswith("`cqrun resume` has given it more iterations than this scene has; --fresh starts over")
 
 
 def test_an_extended_run_that_was_stopped_goes_on_extended(fit, tmp_path):
     scene = OPTIMIZERS["adam"].replace("12", "3")
     run = identify(fit, tmp_path, scene)
     with pytest.raises(Stopped):
-        run_resume(run, ["optimizer.adam.max_iterations=9"], 1, True, reporter=Listener(stop_after=2))
+        run_resume(run, ["optimizer.adam.max_iterations=9"], threads=1, reporter=Listener(stop_after=2))
     assert identify(fit, tmp_path, scene) == run
     assert result_of(run)["iterations"] == 9
 
@@ -191,14 +193,14 @@ def test_a_run_cannot_be_shortened(fit, tmp_path):
     before = (run / "result.json").read_bytes()
     for fewer in (2, 3):
         with pytest.raises(UsageError, match="the run has done 3 iterations, and can only be extended"):
-            run_resume(run, [f"optimizer.adam.max_iterations={fewer}"], 1, True)
+            run_resume(run, [f"optimizer.adam.max_iterations={fewer}"], threads=1)
     assert (run / "result.json").read_bytes() == before
 
 
 def test_all_unknowns_at_their_bounds(fit, tmp_path):
     """The truth lies outside: the value is told, without an interval, and why."""
     path = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus"
-    run = run_sysid(fit, [f"unknowns={{{path}: {{bounds: [2e4, 3.5e4], scale: log}}}}"], tmp_path, False, 1, True)
+    run = run_sysid(fit, [f"unknowns={{{path}: {{bounds: [2e4, 3.5e4], scale: log}}}}"], tmp_path, threads=1)
     (entry,) = result_of(run)["unknowns"].values()
     assert (entry["interval"], entry["reason"]) == (None, "at its upper bound")
     assert entry["value"] == pytest.approx(3.5e4, rel=1e-6)
@@ -207,7 +209,7 @@ def test_all_unknowns_at_their_bounds(fit, tmp_path):
 @pytest.mark.parametrize("override", ["time.duration=1", "optimizer.least_squares.step_tolerance=1e-3"])
 def test_only_iterations_can_be_extended(found, override):
     with pytest.raises(UsageError, match=r"a run can only be extended \(optimizer.\*.max_iterations\)"):
-        run_resume(found[0], [override], 1, True)
+        run_resume(found[0], [override], threads=1)
 
 
 def test_a_scene_that_is_not_for_sysid_says_what_is_missing(beam, tmp_path):

@@ -34,7 +34,7 @@ def two(fit, tmp_path):
 
 
 def find(scene, out, *overrides):
-    return run_sysid(scene, list(overrides), out, False, 1, True)
+    return run_sysid(scene, list(overrides), out, threads=1)
 
 
 @pytest.mark.parametrize("name", ["one", "two"])
@@ -115,7 +115,7 @@ def test_what_a_recordings_own_scene_warns_of_is_told(two, tmp_path):
     told = "two: .*1 particles in a cell are few"
     assert any(re.search(f"warning: {told}", line) for line in validate(two, [few]))
     listener = Listener()
-    run_sysid(two, [few, ONCE], tmp_path, False, 1, True, reporter=listener)
+    run_sysid(two, [few, ONCE], tmp_path, threads=1, reporter=listener)
     assert [line for line in listener.said if re.match(f"warning: {told}", line)]
 
 
@@ -140,14 +140,14 @@ def test_a_finished_run_is_not_shortened(two, tmp_path, value):
     run = find(two, tmp_path, "optimizer={lbfgs: {max_iterations: 2}}")
     before = result_of(run)
     with pytest.raises(UsageError, match=r"has done 2 iterations, and can only be extended: give more"):
-        run_resume(run, [f"optimizer.lbfgs.max_iterations={value}"], 1, True)
+        run_resume(run, [f"optimizer.lbfgs.max_iterations={value}"], threads=1)
     assert result_of(run) == before
 
 
 def test_a_stopped_run_says_where_it_stands(two, tmp_path):
     words = ["optimizer={adam: {max_iterations: 9}}"]
     with pytest.raises(Stopped):
-        run_sysid(two, words, tmp_path, False, 1, True, reporter=Listener(stop_after=4))
+        run_sysid(two, words, tmp_path, threads=1, reporter=Listener(stop_after=4))
     (record_file,) = tmp_path.glob("fit/*/run.json")
     run = record_file.parent
     result = result_of(run)
@@ -155,14 +155,14 @@ def test_a_stopped_run_says_where_it_stands(two, tmp_path):
     entry = result["unknowns"][SHEAR_PATH]
     assert entry["value"] != entry["initial"]
     assert entry["interval"] is None
-    run_resume(run, [], 1, True)
+    run_resume(run, [], threads=1)
     assert result_of(run)["status"] == "iteration_limit"
 
 
 def test_an_extended_run_that_is_stopped_says_so(two, tmp_path):
     run = find(two, tmp_path, "optimizer={adam: {max_iterations: 2}}")
     with pytest.raises(Stopped):
-        run_resume(run, ["optimizer.adam.max_iterations=9"], 1, True, reporter=Listener(stop_after=2))
+        run_resume(run, ["optimizer.adam.max_iterations=9"], threads=1, reporter=Listener(stop_after=2))
     result = result_of(run)
     assert result["status"] == "stopped"
     assert 2 < result["iterations"] < 9
@@ -170,10 +170,10 @@ def test_an_extended_run_that_is_stopped_says_so(two, tmp_path):
 
 def test_an_extended_run_keeps_its_scene(two, tmp_path):
     run = find(two, tmp_path, "optimizer={lbfgs: {max_iterations: 1}}")
-    run_resume(run, ["optimizer.lbfgs.max_iterations=2"], 1, True)
+    run_resume(run, ["optimizer.lbfgs.max_iterations=2"], threads=1)
     text = (run / "scene.yaml").read_text()
     (run / "scene.yaml").write_text(text.replace("density: 1000", "density: 1100"))
     with pytest.raises(UsageError, match=r"scene.yaml has changed since the run began"):
-        run_resume(run, ["optimizer.lbfgs.max_iterations=3"], 1, True)
+        run_resume(run, ["optimizer.lbfgs.max_iterations=3"], threads=1)
     (run / "scene.yaml").write_text(text)
-    run_resume(run, ["optimizer.lbfgs.max_iterations=3"], 1, True)
+    run_resume(run, ["optimizer.lbfgs.max_iterations=3"], threads=1)

@@ -52,7 +52,7 @@ def denser(body: str) -> dict[str, Any]:
 def assert_gradients_agree(scene: dict[str, Any], folder: Path) -> None:
     path = folder / "scene.yaml"
     path.write_text(yaml.safe_dump(scene))
-    run, agrees = run_gradcheck(path, [], folder, True, 2, True)
+    run, agrees = run_gradcheck(path, [], folder, fresh=True, threads=2)
     assert agrees, "\n".join(report_lines(run))
 
 
