@@ -20,7 +20,9 @@ from benchmarks.papers.figure import Figure, Size
 from benchmarks.papers.kept import archive_of, keep, restore
 from benchmarks.papers.page import write_page
 from benchmarks.papers.publish import publish, publish_again
-from benchmarks.papers.work import ROOT, Work
+from benchmarks.papers.work import ROOT, Work, span
+from cqrun.errors import CqrunError
+from cqrun.store.atomic import make_directory
 
 FIGURES_DIR = ROOT / "results" / "figures"
 
@@ -28,12 +30,12 @@ FIGURES_DIR = ROOT / "results" / "figures"
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status: 0 all done, 75 out of time."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--size", type=Size, choices=list(Size), default=Size.QUICK)
+    parser.add_argument("--size", choices=[size.value for size in Size], default=Size.QUICK.value)
     parser.add_argument("--only", nargs="+", choices=list(FIGURES), default=list(FIGURES), metavar="ID")
     parser.add_argument(
-        "--minutes", type=float, default=float("inf"), help="stop after so long; the rest goes on later"
+        "--minutes", type=_minutes, default=float("inf"), help="stop after so long; the rest goes on later"
     )
-    parser.add_argument("--jobs", type=int, default=2, help="runs side by side")
+    parser.add_argument("--jobs", type=_count, default=2, help="runs side by side")
     parser.add_argument("--runs", type=Path, default=ROOT / "results" / "papers", help="where the runs are kept")
     parser.add_argument("--out", type=Path, default=FIGURES_DIR, help="where the figures go")
     parser.add_argument("--list", action="store_true", help="list the figures and how long they take")
@@ -43,18 +45,45 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--page", action="store_true", help="only write index.html, from what was published")
     options = parser.parse_args(words)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(75))  # so that runs are asked to stop, too
-    chosen = [FIGURES[name] for name in options.only]
+    chosen, size = [FIGURES[name] for name in options.only], Size(options.size)
+    try:
+        for folder in (options.out / size, options.runs / size):
+            make_directory(folder)
+        return _run(chosen, size, options)
+    except CqrunError as error:
+        parser.exit(2, f"error: {error}\n")
+
+
+def _run(chosen: Sequence[Figure], size: Size, options: argparse.Namespace) -> int:
+    """Do what the options say; return the exit status."""
     if options.list:
         _list(chosen, options.runs)
         return 0
     if options.judge:
         for figure in chosen:
-            if (verdict := publish_again(figure, options.size, options.out)) is not None:
+            if (verdict := publish_again(figure, size, options.out)) is not None:
                 print(f"{figure.id}: {verdict}")
-    finished = options.page or options.judge or _do(chosen, options.size, options)
+    finished = options.page or options.judge or _do(chosen, size, options)
     page = write_page(options.out)
     print(f"\n{page}")
     return 0 if finished else 75
+
+
+def _minutes(word: str) -> float:
+    """Return a number of minutes, 0 or more."""
+    if not (minutes := float(word)) >= 0.0:
+        raise ValueError
+    return minutes
+
+
+def _count(word: str) -> int:
+    """Return a whole number from 1 on."""
+    if (count := int(word)) < 1:
+        raise ValueError
+    return count
+
+
+_minutes.__name__, _count.__name__ = "number of minutes", "whole number from 1 on"  # as argparse says it
 
 
 def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> bool:
@@ -62,7 +91,7 @@ def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> b
     runs = options.runs / size
     end = time.monotonic() + 60.0 * options.minutes
     left = sum(_left(work, runs) for figure in figures for work in figure.work(size))
-    print(f"{len(figures)} figures, size {size}: about {_span(left)} of work left on two cores")
+    print(f"{len(figures)} figures, size {size}: about {span(left)} of work left on two cores")
     complete, folder = True, options.out / size
     for k, figure in enumerate(figures, start=1):
         works = figure.work(size)
@@ -70,8 +99,8 @@ def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> b
             restore(work, runs, archive_of(work, folder))
         todo = [work for work in works if work.done(runs / work.name) is None]
         about = sum(_left(work, runs) for work in todo)
-        told = f"about {_span(about)}" if todo else "done"
-        print(f"[{k}/{len(figures)}] {figure.id}: {figure.title} ({told}; {_span(left)} left in all)", flush=True)
+        told = f"about {span(about)}" if todo else "done"
+        print(f"[{k}/{len(figures)}] {figure.id}: {figure.title} ({told}; {span(left)} left in all)", flush=True)
         for work in todo:
             seconds = end - time.monotonic()
             if seconds <= 0.0 or not work.do(runs / work.name, seconds, options.jobs):
@@ -83,7 +112,7 @@ def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> b
         if verdict is not None:
             print(f"    {verdict}", flush=True)
     if not complete:
-        print("out of time: the same command goes on")
+        print("not all is done: the same command goes on")
     return complete
 
 
@@ -106,10 +135,6 @@ def _left(work: Work, runs: Path) -> float:
     return max(0.1 * work.minutes, work.minutes - work.spent(folder) / 60.0)
 
 
-def _span(minutes: float) -> str:
-    return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"
-
-
 def _list(figures: Sequence[Figure], runs: Path) -> None:
     for figure in figures:
         print(f"{figure.id:<24} {figure.source:<18} {figure.title}")
@@ -117,9 +142,7 @@ def _list(figures: Sequence[Figure], runs: Path) -> None:
             works = figure.work(size)
             done = sum(work.done(runs / size / work.name) is not None for work in works)
             minutes = sum(work.minutes for work in works)
-            print(
-                f"    {size:<6} {_span(minutes):>8}, {done} of {len(works)} done: " + "; ".join(w.name for w in works)
-            )
+            print(f"    {size:<6} {span(minutes):>8}, {done} of {len(works)} done: " + "; ".join(w.name for w in works))
 
 
 if __name__ == "__main__":

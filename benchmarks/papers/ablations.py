@@ -36,6 +36,7 @@ class Ablation(Figure):
         rates: learning rates that each variant is tried with.
         printed: final distances, in the order of `ORDER` [m].
         gain: of all over control, as printed.
+        whole: whether paper size is the paper's; else its distances are not judged.
     """
 
     scene: ClassVar[str]
@@ -47,11 +48,12 @@ class Ablation(Figure):
     rates: ClassVar[Mapping[Size, tuple[float, ...]]]
     printed: ClassVar[Sequence[float]]
     gain: ClassVar[float]
+    whole: ClassVar[bool] = True
 
     tolerance: ClassVar[dict[Size, str]] = {
         Size.QUICK: "the design with everything free goes farther than control alone",
-        Size.PAPER: "control alone reaches the paper's distance (within 10 %); the gain of all is no less than half of "
-        "the paper's, with the same order of E, nu and mass",
+        Size.PAPER: "control alone reaches nine tenths of the paper's distance or more; the gain of all is no less "
+        "than half of the paper's, with the same order of E, nu and mass",
     }
 
     @property
@@ -119,8 +121,8 @@ class Ablation(Figure):
         order = sorted(("mass", "nu", "E"), key=lambda label: -self.ends(table, label).mean())
         theirs = sorted(("mass", "nu", "E"), key=lambda label: -self.printed[ORDER.index(label)])
         wanted = self.printed[0]
-        return judged({
-            f"control {control.mean():.2f} m, paper {wanted:g}": bool(control.mean() >= 0.9 * wanted),
+        reached = {f"control {control.mean():.2f} m, paper {wanted:g}": bool(control.mean() >= 0.9 * wanted)}
+        return judged((reached if self.whole else {}) | {
             told: float(gain["mean"] or 0.0) >= 0.5 * self.gain,
             f"order {' > '.join(order)}, paper {' > '.join(theirs)}": order == theirs,
         })  # fmt: skip

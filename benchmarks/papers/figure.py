@@ -35,9 +35,10 @@ class Size(StrEnum):
 
 
 class Judgement(StrEnum):
-    """What a verdict comes to."""
+    """What a verdict comes to; EXCEEDED is more than the paper's, by more than its own spread."""
 
     MET = "reproduced"
+    EXCEEDED = "exceeded"
     PARTLY = "in part"
     MISSED = "not reproduced"
     UNFINISHED = "unfinished"
@@ -56,10 +57,11 @@ class Verdict:
 
 
 def judged(checks: Mapping[str, bool]) -> Verdict:
-    """Return the verdict on checks: all, some, or none of them hold."""
+    """Return the verdict on checks: all, some, or none of them hold; no checks hold nothing."""
     checks = {said: bool(holds) for said, holds in checks.items()}
     good = sum(checks.values())
-    return Verdict(Judgement.MET if good == len(checks) else Judgement.PARTLY if good else Judgement.MISSED, checks)
+    judgement = Judgement.MISSED if not good else Judgement.MET if good == len(checks) else Judgement.PARTLY
+    return Verdict(judgement, checks)
 
 
 class Figure(ABC):

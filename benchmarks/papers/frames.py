@@ -9,13 +9,13 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table
 from benchmarks.papers.histories import runs_below
-from benchmarks.papers.observed import observables
 from benchmarks.papers.work import Found
 from cqrun.figures.bodies import plot_body, snapshot
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.run_data import RunData, read_run
 from cqrun.figures.style import COLOURS, new_figure
 from cqrun.figures.views import of_equal_width, room_around, views, window
+from cqrun.observers.fracture import Fracture
 from cqrun.scene.particles import sample
 
 if TYPE_CHECKING:
@@ -60,7 +60,10 @@ class Frames(Figure):
         return read_run(max(runs, key=lambda run: sign * float(run.history[self.term][-1])).path)
 
     def table(self, found: Found, size: Size) -> Table:
-        """Return time [s], the mean place of the group, and of a simulation how whole the body is."""
+        """Return time [s], the mean place of the group, and how whole the body is, at each frame.
+
+        `fracture` is the share of neighbouring particles that share no node of the grid any more.
+        """
         run = self.best(found)
         if run is None:
             return {}
@@ -69,11 +72,18 @@ class Frames(Figure):
         own = np.arange(part.start, part.stop) if self.group is None else particles.groups(self.body)[self.group]
         path = trajectory.fields["x"][:, own].mean(axis=1)
         table = {"time": np.asarray(trajectory.time), **{"xyz"[d]: path[:, d] for d in range(path.shape[1])}}
-        if run.has("observables.csv"):
-            seen = observables(run.path)
-            for name in ("least_volume_ratio", "fracture"):
-                table[name] = np.interp(trajectory.time, seen["time"], seen[f"{self.body}.{name}"])
-        return table
+        table["least_volume_ratio"] = trajectory.fields["J"][:, part].min(axis=1)
+        watched = Fracture.of(particles.x, {self.body: part}, particles.spacing, run.scene.world.dx)
+        lost = np.array([watched.count(x)[self.body] for x in trajectory.fields["x"]])
+        return table | {"fracture": lost / len(watched.pairs[self.body])}
+
+    def whole(self, table: Table) -> dict[str, bool]:
+        """Return the check that the body is of one piece at every frame, and nowhere inside out."""
+        if "fracture" not in table:  # done before it was watched
+            return {}
+        torn, least = float(table["fracture"].max()), float(table["least_volume_ratio"].min())
+        told = f"the body stays whole: {torn:.2%} of its neighbours part, volumes {least:.2f} of their own at least"
+        return {told: torn == 0.0 and least > 0.0}
 
     def draw(self, table: Table, size: Size, found: Found) -> Picture:
         """Draw frames spread over the time."""

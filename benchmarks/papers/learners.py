@@ -108,10 +108,8 @@ class Learners(Figure):
             if not has_extra and kept.exists():
                 shutil.copy(kept, file)
             elif not has_extra:
-                print(
-                    "    PPO is left out: it needs stable_baselines3, which is not installed: pip install 'cqrun[rl]'"
-                )
-                return True
+                print("    PPO is left out: it needs stable_baselines3, which is absent: pip install 'cqrun[rl]'")
+                return False
             elif time.monotonic() > deadline:
                 return False
             else:

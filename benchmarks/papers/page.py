@@ -17,6 +17,7 @@ from cqrun.store.atomic import make_directory, write_text
 PAGE, GALLERY = (Path(__file__).with_name(name) for name in ("page.html.j2", "gallery.md.j2"))
 KINDS = {
     Judgement.MET: "reproduced",
+    Judgement.EXCEEDED: "reproduced",
     Judgement.PARTLY: "part",
     Judgement.MISSED: "missed",
     Judgement.UNFINISHED: "none",
@@ -62,9 +63,7 @@ def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
         "kind": KINDS[judgement],
         "picture": base64.b64encode((out / size / f"{figure.id}.png").read_bytes()).decode(),
         "checks": record["checks"],
-        "done": ""
-        if record["done"][0] == record["done"][1]
-        else "{} of {} parts of the work are done".format(*record["done"]),
+        "done": _done(record, judgement),
         "tolerance": figure.tolerance[size],
         "time": _time(record["minutes"]) if machine else "no part is finished",
         "minutes": record["minutes"],
@@ -72,6 +71,14 @@ def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
         "engine": ", ".join(record["engine"]),
         "commands": record["commands"],
     }
+
+
+def _done(record: dict[str, Any], judgement: Judgement) -> str:
+    """Return how much of the work is done, if not all is."""
+    done, whole = record["done"]
+    if done < whole:
+        return f"{done} of {whole} parts of the work are done"
+    return "what is asked has changed since" if judgement is Judgement.UNFINISHED else ""
 
 
 def _time(minutes: float) -> str:

@@ -25,6 +25,7 @@ import yaml
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine
 from cqrun.store.atomic import make_directory, write_json
+from cqrun.store.run import read_record
 
 ROOT = Path(__file__).parents[2]
 SCENES = ROOT / "scenes"
@@ -35,11 +36,14 @@ FAILED, USAGE, STOPPED = 1, 2, 75
 WORTH = 600.0
 """Seconds of work that are not thrown away unasked."""
 
-LONG = 1e6
-"""More seconds than any work takes."""
-
 GRACE = 120.0
 """Seconds that a run has to finish its iteration when its time is over."""
+
+LOOK = 60.0
+"""Seconds between two lines that say how far long work is, or two looks at a run that another process holds."""
+
+HELD = "another process works on this run"
+"""What cqrun says of such a run: one that goes on though who began it was killed, as a rule."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,10 @@ class Work(ABC):
         """Return what `done.json` tells besides how it was done."""
         return {"command": self.command}
 
+    def failures(self, folder: Path) -> list[str]:
+        """Return what of it failed, in words."""
+        return []
+
     def begun(self, folder: Path) -> bool:
         """Say whether a folder holds some of it, and not of what it was before it changed."""
         return bool(_read(folder / CLOCK).get("fingerprint") == self.fingerprint())
@@ -105,6 +113,11 @@ class Work(ABC):
         if finished:
             write_json(folder / DONE, clock | self.facts() | {"machine": machine()})
         return finished
+
+
+def span(minutes: float) -> str:
+    """Return a time in words."""
+    return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"
 
 
 def _read(file: Path) -> dict[str, Any]:
@@ -178,13 +191,37 @@ class Runs(Work):
         ]
         if self.seeds:
             command += ["--jobs", str(min(jobs, self.seeds))]
-        code, said = _for_so_long(command, seconds)
+        end, begun = time.monotonic() + seconds, self.spent(folder) - time.monotonic()
+
+        def tell() -> None:
+            minutes = (begun + time.monotonic()) / 60.0
+            left = max(0.1 * self.minutes, self.minutes - minutes)
+            print(f"    {self.name}: {self.progress(folder)}, {minutes:.0f} min; about {span(left)} left", flush=True)
+
+        code, said = _for_so_long(command, end, tell)
         if code in (FAILED, USAGE) and "made by another engine" in said:
             self._start_over(folder)
-            code, said = _for_so_long(command, seconds)
+            code, said = _for_so_long(command, end, tell)
+        while code in (FAILED, USAGE) and HELD in said:
+            print(f"    {self.name}: {said.strip()}\n    waiting for it", flush=True)
+            time.sleep(min(LOOK, max(0.0, end - time.monotonic())))
+            if time.monotonic() >= end:
+                return False
+            code, said = _for_so_long(command, end, tell)
         if code not in (0, FAILED, STOPPED):
             raise SystemExit(f"{self.name}: `{self.command}` ended with {code}\n{said}")
         return code != STOPPED
+
+    def progress(self, folder: Path) -> str:
+        """Return how far its runs are."""
+        histories = [file.read_text().count("\n") - 2 for file in folder.rglob("history.csv")]
+        runs = f"{len(self.runs(folder))} run{'s' if len(self.runs(folder)) != 1 else ''} begun"
+        return f"{runs}, {sum(max(0, count) for count in histories)} iterations" if histories else runs
+
+    def failures(self, folder: Path) -> list[str]:
+        """Return why runs of it failed, which is a result too."""
+        records = [read_record(run) for run in self.runs(folder)]
+        return [str(record["reason"]) for record in records if record["status"] == "failed"]
 
     def _start_over(self, folder: Path) -> None:
         """Empty the folder of runs that another engine has begun, if that is soon done again.
@@ -207,24 +244,33 @@ class Runs(Work):
         return sorted(path.parent for path in (folder / self.path.stem).glob("*/run.json"))
 
 
-def _for_so_long(command: list[str], seconds: float) -> tuple[int, str]:
-    """Run a command; ask it to stop when its time is over. Return its exit status and what it said."""
+def _for_so_long(command: list[str], end: float, tell: Callable[[], None]) -> tuple[int, str]:
+    """Run a command, telling how far it is; ask it to stop when its time is over.
+
+    Return its exit status, STOPPED if it ended because it was asked to, and what it said.
+    """
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    end = max(end, time.monotonic() + 1.0)
     try:
-        said, _ = process.communicate(timeout=min(max(1.0, seconds), LONG))
-    except subprocess.TimeoutExpired:
+        while (left := end - time.monotonic()) > 0.0:
+            try:
+                said, _ = process.communicate(timeout=min(left, LOOK))
+                return process.returncode, said
+            except subprocess.TimeoutExpired:
+                if left > LOOK:
+                    tell()
         process.send_signal(signal.SIGTERM)
         try:
             said, _ = process.communicate(timeout=GRACE)
         except subprocess.TimeoutExpired:
             process.kill()
             said, _ = process.communicate()
-            return STOPPED, said
+        # it may have been asked before it could listen, and then ends by the signal itself
+        return STOPPED if process.returncode < 0 else process.returncode, said
     except BaseException:
         process.send_signal(signal.SIGTERM)
         process.wait()
         raise
-    return process.returncode, said
 
 
 @dataclass(frozen=True)

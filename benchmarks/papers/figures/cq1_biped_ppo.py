@@ -18,7 +18,7 @@ class BipedAgainstPPO(Learners):
         "the gradient after its 100 (-.26 to -.63)"
     )
     scene, label, optimizer = "control/biped", "loss: -x + v^2 of the head", "sgd"
-    small = ("bodies.biped.sampling.lattice.count=10",)
+    small = ("bodies.biped.sampling.lattice.count=10", "world.dx=0.04")
     distance, squared = False, ""
     episodes = {
         GRADIENT: {Size.QUICK: 60, Size.PAPER: 100},

@@ -35,8 +35,11 @@ class LegActuated(Frames):
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge how far the core bends: to the right, as the left chamber grows."""
         far = float(table["x"][-1] - table["x"][0])
-        whole = bool(table["fracture"].max() == 0 and table["least_volume_ratio"].min() > 0)
-        return judged({f"the core's middle moves {far:.2f} cm away": far > 0.5, "the leg stays whole": whole})
+        lasted = float(table["time"][-1])
+        return judged({
+            f"the core's middle moves {far:.2f} cm away in {lasted:g} s": far > 0.5,
+            **self.whole(table),
+        })  # fmt: skip
 
 
 class LegDropped(Frames):

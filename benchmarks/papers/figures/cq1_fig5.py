@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 ARMS = TwoLinkArm()
 GOAL = (0.7, 0.5)
 AT_REST = "at rest"
+TOUCHES = 0.0101
+"""Distance that the constraint allows [m], and one per cent for the edge that solutions lie on."""
 
 
 class Poses(Figure):
@@ -33,7 +35,9 @@ class Poses(Figure):
     source = "CQ1 Fig 5"
     paper = "the co-designed arm touches the goal and is soft where it bends; the one of 300 % does not get there"
     tolerance = {
-        size: "the co-designed arm's tip ends nearest to the goal, its stiffness differs in space" for size in Size
+        size: "the co-designed arm's tip ends within .0101 m of the goal, that of 300 % does not; its "
+        "stiffness differs in space"
+        for size in Size
     }
 
     def work(self, size: Size) -> Sequence[Work]:
@@ -86,9 +90,9 @@ class Poses(Figure):
             own = (table["pose"] == pose) & (table["tip"] == 1)
             gaps[pose] = float(np.hypot(table["x"][own].mean() - GOAL[0], table["y"][own].mean() - GOAL[1]))
         spread = float(np.std(table["E"][table["pose"] == DESIGNED]))
-        rivals = [gap for pose, gap in gaps.items() if pose not in (DESIGNED, AT_REST)]
-        told = ", ".join(f"{pose} {gap:.3f}" for pose, gap in gaps.items())
+        stiff = gaps["fixed 300 %"]
         return judged({
-            f"tip to goal: {told} m": gaps[DESIGNED] <= min(rivals, default=np.inf) + 1e-3,
+            f"co-design touches the goal: {gaps[DESIGNED]:.4f} m": gaps[DESIGNED] <= TOUCHES,
+            f"300 % does not: {stiff:.4f} m": stiff > TOUCHES,
             f"E varies by {spread:.2g} (sd) in the co-designed arm": spread > 0.1,
         })  # fmt: skip

@@ -5,7 +5,7 @@ from benchmarks.papers.histories import first_below
 from benchmarks.papers.violations import DESIGNED, Violations, effort_ratio
 
 MODULUS = "bodies.arm.material.elastic.fixed_corotated.youngs_modulus"
-QUICK = ("bodies.arm.sampling.lattice.count=7", "controller.open_loop.every=8")
+QUICK = ("bodies.arm.sampling.lattice.count=9", "controller.open_loop.every=8")
 
 
 class TwoLinkArm(Violations):
@@ -16,8 +16,8 @@ class TwoLinkArm(Violations):
     source = "CQ1 Fig 8"
     paper = "co-design .063 -> 1e-6 in 31 iterations; fixed 100 % 8.6e-4 after 45; fixed 300 % stalls at .018"
     tolerance = {
-        Size.QUICK: "co-design meets the constraints (1e-5), no fixed arm sooner",
-        Size.PAPER: "co-design at 1e-5 or below within 31 iterations, no fixed arm sooner, with less effort than 100 %",
+        Size.QUICK: "co-design meets the constraints (1e-6) within 31 iterations, no fixed arm sooner; 300 % stalls",
+        Size.PAPER: "as quick, and co-design has .955 of the effort of 100 %, or at most 10 % more than that",
     }
     scene = "codesign/arm_two_link"
     modulus = MODULUS
@@ -30,13 +30,13 @@ class TwoLinkArm(Violations):
         "fixed 100 %": [(45, 8.6e-4)],
         "fixed 300 %": [(8, 1.8e-2), (29, 1.8e-2)],
     }
-    tolerated = 1e-5
+    tolerated = 1e-6
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge who meets the constraints, when, and with what effort."""
-        checks = self.compared(table)
+        when = first_below(self.violation(table, DESIGNED), self.tolerated)
+        checks = {f"co-design there after {when} iterations, paper 31": when is not None and when <= 31}
+        checks |= self.compared(table) | self.stalls(table, "fixed 300 %")
         if size is Size.PAPER:
-            when = first_below(self.violation(table, DESIGNED), self.tolerated)
-            checks[f"co-design there after {when} iterations, paper 31"] = when is not None and when <= 31
             checks |= effort_ratio(self, table, "fixed 100 %", 0.955)
         return judged(checks)

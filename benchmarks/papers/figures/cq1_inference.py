@@ -72,6 +72,8 @@ class Inference(Figure):
         """Judge the densities that were found."""
         ends = np.array([table["density"][table["sampling"] == s][-1] for s in np.unique(table["sampling"])])
         told = f"{ends.mean():.3f} +- {ends.std(ddof=1):.3f} ({ends.min():.3f} to {ends.max():.3f})"
+        if len(ends) < SEEDS[size]:
+            return judged({f"{len(ends)} of {SEEDS[size]} samplings: {told}": False})
         if size is Size.QUICK:
             return judged({f"between 2 and 2.6: {told}": bool(np.all((ends > 2.0) & (ends < 2.6)))})
         return judged({

@@ -34,6 +34,9 @@ PRINTED = {
     "B": {100: 2.39e-8, 1000: 2.83e-8},
     "C": {1: 5.63e-6, 10: 2.24e-7, 100: 6.97e-7, 1000: 1.76e-6},
 }
+SINGLE_IN_PRINT = ("A1", "A2")
+"""Cases that the paper has in float32."""
+
 TOLD = {
     "A1": "a ball flies",
     "A2": "it bounces once",
@@ -50,8 +53,8 @@ class Accuracy(Figure):
     source = "CQ1 Table III"
     paper = "relative errors of 5e-8 to 3e-5 (float32, analytic) and 2e-8 to 6e-6 (float64, by differences)"
     tolerance = {
-        Size.QUICK: "up to 100 steps in float64, no error larger than the paper's",
-        Size.PAPER: "in float64, no error larger than the paper's at any column",
+        Size.QUICK: "up to 100 steps, no error larger than the paper's: in float64, and for the ball in float32 too",
+        Size.PAPER: "no error larger than the paper's at any column: in float64, and for the ball in float32 too",
     }
     left_open = (
         "truth is exact for A, and a complex step through the equations in plain NumPy for B and C, where the "
@@ -92,13 +95,18 @@ class Accuracy(Figure):
         return picture
 
     def judge(self, table: Table, size: Size) -> Verdict:
-        """Judge the worst of every case in float64."""
+        """Judge every case in float64, and in float32 where that is the paper's, at the steps nearest to missing."""
         checks = {}
         for case in PRINTED:
-            own = (table["case"] == case) & (table["precision"] == "float64") & np.isfinite(table["printed"])
-            if own.any():
-                good = bool(np.all(table["error"][own] <= table["printed"][own]))
-                checks[f"{case} {table['error'][own].max():.1e}, paper {table['printed'][own].max():.1e}"] = good
+            for precision in ("float64", *(("float32",) if case in SINGLE_IN_PRINT else ())):
+                own = (table["case"] == case) & (table["precision"] == precision) & np.isfinite(table["printed"])
+                if own.any():
+                    steps, ours, theirs = (table[name][own] for name in ("steps", "error", "printed"))
+                    worst = int(np.argmax(ours / theirs))
+                    told = (
+                        f"{case} in {precision}, {steps[worst]:g} steps: {ours[worst]:.1e}, paper {theirs[worst]:.1e}"
+                    )
+                    checks[told] = bool(ours[worst] <= theirs[worst])
         return judged(checks)
 
 

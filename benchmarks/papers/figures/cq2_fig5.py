@@ -41,9 +41,7 @@ class FingerMaterial(Figure):
         Size.QUICK: "every value within 5 % of the truth",
         Size.PAPER: "every value within 3 % of the truth, the loss within 10 % of 3.32e-3",
     }
-    left_open = (
-        "the cables' places and stiffness. The paper's legend swaps mass and Poisson's ratio; here it is mended."
-    )
+    left_open = "the cables' places and stiffness. The paper's legend swaps mass and Poisson's ratio; here it is mended"
 
     def work(self, size: Size) -> Sequence[Work]:
         """Return the fit: at quick size of fewer copies and frames."""

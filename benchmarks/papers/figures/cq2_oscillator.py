@@ -75,6 +75,9 @@ class Oscillator(Figure):
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge volumes."""
+        lasted = {law: float(table["time"][table["law"] == law].max(initial=0.0)) for law in LAWS}
+        if min(lasted.values()) < max(lasted.values()):
+            return judged({f"both last as long: {lasted}": False})
         least = {law: float(table["least_volume_ratio"][table["law"] == law].min()) for law in LAWS}
         tips = [table["tip_x"][table["law"] == law] for law in LAWS]
         apart = float(np.abs(tips[0] - tips[1]).max() / np.ptp(tips[0]))
