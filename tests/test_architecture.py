@@ -7,6 +7,7 @@ import re
 import subprocess
 import tomllib
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import cqrun
@@ -79,6 +80,15 @@ def test_imports_go_downward():
             if there > FLOOR_OF[here]:
                 upward.append(f"{path.relative_to(ROOT)}:{line}: floor {FLOOR_OF[here]} imports {name}")
     assert not upward, "\n".join(upward)
+
+
+def test_rooms_of_one_floor_import_each_other_in_no_circle():
+    uses: dict[str, set[str]] = {}
+    for path in modules():
+        here = room(path)
+        found = {name.split(".")[1] for _, name in imported(path) if name.startswith("cqrun.")} - {here}
+        uses.setdefault(here, set()).update(there for there in found if there in FLOOR_OF)
+    TopologicalSorter(uses).prepare()  # raises CycleError, which names the circle
 
 
 def test_the_walk_sees_imports_of_every_form():

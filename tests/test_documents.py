@@ -12,6 +12,8 @@ from cqrun.cli.app import COMMANDS
 from cqrun.cli.options import DEFAULT_OUT
 from cqrun.errors import RunError, Stopped, UsageError
 from cqrun.jobs.reporter import EXIT_INTERRUPTED
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -51,6 +53,13 @@ def test_the_readme_has_the_exit_codes():
 
 def test_the_readme_has_the_default_results_folder():
     assert f"`--out DIR` (default `{DEFAULT_OUT}/`)" in README
+
+
+def test_the_readme_shows_a_scene_that_can_be_run():
+    (text,) = re.findall(r"```yaml\n(.*?)```", README, re.DOTALL)
+    built = build(load_scene(text))
+    assert built.warnings == []
+    assert built.model.n_controls == 100
 
 
 def test_the_demo_runs_a_scene_that_is_shipped():
