@@ -58,7 +58,7 @@ def test_the_readme_has_the_default_results_folder():
 def test_the_readme_shows_a_scene_that_can_be_run():
     (text,) = re.findall(r"```yaml\n(.*?)```", README, re.DOTALL)
     built = build(load_scene(text))
-    assert built.warnings == []
+    assert not built.warnings
     assert built.model.n_controls == 100
 
 

@@ -6,7 +6,6 @@ The table is all that the verdict knows, so that it can be checked on the CSV th
 from __future__ import annotations
 
 import csv
-import io
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from benchmarks.papers.work import Found, Work
-from cqrun.store.atomic import write_text
+from cqrun.store import atomic
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
@@ -103,12 +102,9 @@ class Figure(ABC):
 
 
 def write_table(table: Table, path: Path) -> None:
-    """Write a table as CSV."""
-    text = io.StringIO(newline="")
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(table)
-    rows.writerows([_cell(value) for value in row] for row in zip(*table.values(), strict=True))
-    write_text(path, text.getvalue())
+    """Write a table as CSV, numbers to seven digits."""
+    rows = ([_cell(value) for value in row] for row in zip(*table.values(), strict=True))
+    atomic.write_table(path, [list(table), *rows])
 
 
 def _cell(value: object) -> str:

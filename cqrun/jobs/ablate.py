@@ -16,11 +16,9 @@ positive where a variant is better. Variants that do not meet their constraints 
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,7 +39,7 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, is_geometry, leaf
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start, tied
-from cqrun.store.atomic import make_directory, write_json, write_text
+from cqrun.store.atomic import make_directory, write_json, write_table
 from cqrun.store.run import RECORD, read_record
 
 INFEASIBLE = "infeasible"
@@ -123,7 +121,7 @@ def run_ablation(
     path = out / source.stem / f"ablation-{inputs_of(source, scene, None, 'codesign').digest()}.json"
     make_directory(path.parent)
     write_json(path, result)
-    write_text(path.with_suffix(".csv"), _table(result))
+    write_table(path.with_suffix(".csv"), _table(result))
     return path
 
 
@@ -309,21 +307,16 @@ def _effects(variants: Sequence[Variant], values: dict[str, list[float]]) -> dic
     return found
 
 
-def _table(result: dict[str, Any]) -> str:
-    """Return a row a variant: mean and interval of every term, of every constraint and of the gain."""
-    text = io.StringIO(newline="")
-    rows = csv.writer(text, lineterminator="\n")
+def _table(result: dict[str, Any]) -> Iterator[list[object]]:
+    """Yield a row a variant: mean and interval of every term, of every constraint and of the gain."""
     for k, (name, entry) in enumerate(result["variants"].items()):
         held = {f"constraint:{constraint}": found for constraint, found in entry["constraints"].items()}
         numbers = {**entry["terms"], **held, "gain": entry["gain"] or {}}
         if k == 0:
             columns = [f"{column}:{end}" for column in numbers for end in ("mean", "low", "high")]
-            rows.writerow(["variant", "rate", "seeds", *(["feasible"] if held else []), *columns])
+            yield ["variant", "rate", "seeds", *(["feasible"] if held else []), *columns]
         ends = [n.get(end) for n in numbers.values() for end in ("mean", "low", "high")]
-        cells = ["" if end is None else repr(end) for end in ends]
-        feasible = [entry["feasible"]] if held else []
-        rows.writerow([name, entry["rate"] or "", len(entry["runs"]), *feasible, *cells])
-    return text.getvalue()
+        yield [name, entry["rate"], len(entry["runs"]), *([entry["feasible"]] if held else []), *ends]
 
 
 def ablation_lines(path: Path) -> list[str]:

@@ -8,10 +8,8 @@ surface_BODY.stl the surface of a 3D body (marching cubes, extra `mesh`); in 2D 
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +22,7 @@ from cqrun.jobs.unknowns import values_found
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
-from cqrun.store.atomic import make_directory, write_bytes, write_text
+from cqrun.store.atomic import make_directory, write_bytes, write_table
 from cqrun.store.run import read_record
 from cqrun.store.vtkhdf import write_points
 
@@ -48,7 +46,7 @@ def export_design(run: Path, out: Path) -> list[Path]:
     make_directory(out)
     columns, written = table(built, values), [out / "design.csv", out / "design.vtkhdf"]
     inputs = built.assembly.inputs(values)
-    write_text(written[0], _csv(built, inputs.state.x, columns))
+    write_table(written[0], _table(built, inputs.state.x, columns))
     write_points(written[1], inputs.state.x, columns)
     for name in built.particles.names:
         part = built.particles.of(name)
@@ -98,18 +96,16 @@ def table(built: Built, values: Mapping[str, Array]) -> dict[str, Array]:
     return columns
 
 
-def _csv(built: Built, x: Array, columns: Mapping[str, Array]) -> str:
-    text = io.StringIO(newline="")
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["body", "groups", *(f"{axis} [m]" for axis in "xyz"[: built.scene.dim]), *columns])
+def _table(built: Built, x: Array, columns: Mapping[str, Array]) -> Iterator[list[object]]:
+    """Yield a row a particle."""
+    yield ["body", "groups", *(f"{axis} [m]" for axis in "xyz"[: built.scene.dim]), *columns]
     for body in built.particles.names:
         part = built.particles.of(body)
         groups = built.particles.points[body].groups
         for k in range(part.start, part.stop):
             own = " ".join(name for name, held in groups.items() if held[k - part.start])
-            numbers = ("" if np.isnan(column[k]) else repr(float(column[k])) for column in columns.values())
-            rows.writerow([body, own, *map(repr, x[k].tolist()), *numbers])
-    return text.getvalue()
+            numbers = (None if np.isnan(column[k]) else float(column[k]) for column in columns.values())
+            yield [body, own, *x[k].tolist(), *numbers]
 
 
 # --- surfaces ---------------------------------------------------------------------------------------------------
@@ -174,7 +170,6 @@ def _outline(x: Array, volume: Array, path: Path) -> None:
         return abs(sum(0.5 * float(np.sum(a[:-1, 0] * a[1:, 1] - a[1:, 0] * a[:-1, 1])) for a in lines))
 
     level = _level(area, float(np.sum(volume)), float(share.max()))
-    rows = ["line,x [m],y [m]"]
-    for k, line in enumerate(contours.lines(level)):
-        rows += [f"{k},{a!r},{b!r}" for a, b in (low + edge * np.asarray(line)).tolist()]
-    write_text(path, "\n".join(rows) + "\n")
+    lines = enumerate(contours.lines(level))
+    rows = ([k, *corner] for k, line in lines for corner in (low + edge * np.asarray(line)).tolist())
+    write_table(path, [["line", "x [m]", "y [m]"], *rows])

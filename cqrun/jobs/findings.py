@@ -7,8 +7,6 @@ trajectory.h5   the first fitted case with the values found
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,7 +28,7 @@ from cqrun.observers.record import Record
 from cqrun.optimizers.base import Outcome, TrialFailed
 from cqrun.scene.build import Built
 from cqrun.state import State
-from cqrun.store.atomic import write_text
+from cqrun.store.atomic import write_table
 from cqrun.store.run import RunDirectory
 from cqrun.units import format_bytes
 
@@ -230,22 +228,19 @@ def _write_tracks(
     run: RunDirectory, cases: list[Case], records: list[Record | None], values: Mapping[str, Array]
 ) -> None:
     """Write the first copy of every case: recording, marker, time since the release, data, model [m]."""
-    text = io.StringIO()
-    table = csv.writer(text)
-    header = False
+    table: list[list[object]] = []
     for case, record in zip(cases, records, strict=True):
         objective = case.objectives[0]
         if record is None or not isinstance(objective, MarkerObjective):
             continue
         axes = "xyz"[: objective.data.shape[2]]
-        if not header:
-            table.writerow(["recording", "marker", "time", *(f"data_{a}" for a in axes), *(f"model_{a}" for a in axes)])
-            header = True
+        if not table:
+            table = [["recording", "marker", "time", *(f"data_{a}" for a in axes), *(f"model_{a}" for a in axes)]]
         start = case.start_of(values)
         model = objective.tracks(record, start)
         for m, marker in enumerate(objective.names):
             for f, time in enumerate(objective.times):
-                data = [repr(float(d)) if objective.seen[f, m] else "nan" for d in objective.data[f, m]]
-                table.writerow([case.name, marker, repr(float(time - start)), *data, *map(repr, model[f, m].tolist())])
-    if header:
-        write_text(run.path / "tracks.csv", text.getvalue())
+                data = objective.data[f, m] if objective.seen[f, m] else np.full(len(axes), np.nan)
+                table.append([case.name, marker, float(time - start), *data.tolist(), *model[f, m].tolist()])
+    if table:
+        write_table(run.path / "tracks.csv", table)

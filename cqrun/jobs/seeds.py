@@ -11,11 +11,9 @@ The hash is that of the scene without its seed.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +33,7 @@ from cqrun.objectives.uncertainty import interval_of_mean
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
-from cqrun.store.atomic import make_directory, write_json, write_text
+from cqrun.store.atomic import make_directory, write_json, write_table
 from cqrun.store.run import RunScene, read_record
 
 CONFIDENCE = 0.9
@@ -85,7 +83,7 @@ def run_seeds(
     summary = _summary(source.stem, all_of_them)
     make_directory(path.parent)
     write_json(path, summary)
-    write_text(path.with_suffix(".csv"), _table(summary))
+    write_table(path.with_suffix(".csv"), _table(summary))
     return path, len(good) == seeds
 
 
@@ -184,19 +182,15 @@ def _numbers(stage: Mapping[str, Any]) -> dict[str, float]:
     return {**stage["terms"], "loss": stage["loss"]}
 
 
-def _table(summary: Mapping[str, Any]) -> str:
-    """Return a row a seed, and rows of the mean and of both ends of its interval."""
+def _table(summary: Mapping[str, Any]) -> Iterator[list[object]]:
+    """Yield a row a seed, and rows of the mean and of both ends of its interval."""
     columns = [(stage, name) for stage, numbers in summary["all"].items() for name in numbers]
-    text = io.StringIO(newline="")
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["seed", "run", "status", "iterations", *(f"{stage}:{name}" for stage, name in columns)])
+    yield ["seed", "run", "status", "iterations", *(f"{stage}:{name}" for stage, name in columns)]
     for seed, entry in summary["seeds"].items():
-        numbers = [repr(entry[stage][name]) if stage in entry else "" for stage, name in columns]
-        rows.writerow([seed, entry["run"], entry["status"], entry.get("iterations", ""), *numbers])
+        numbers = [entry[stage][name] if stage in entry else None for stage, name in columns]
+        yield [seed, entry["run"], entry["status"], entry.get("iterations"), *numbers]
     for end in ("mean", "low", "high"):
-        of_all = (summary["all"][stage][name][end] for stage, name in columns)
-        rows.writerow([end, "", "", "", *("" if value is None else repr(value) for value in of_all)])
-    return text.getvalue()
+        yield [end, None, None, None, *(summary["all"][stage][name][end] for stage, name in columns)]
 
 
 def summary_lines(path: Path) -> list[str]:

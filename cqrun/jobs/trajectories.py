@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,7 @@ from cqrun.fingerprint import engine_hash
 from cqrun.scene.build import Built
 from cqrun.scene.load import dump, resolve
 from cqrun.state import State
-from cqrun.store.atomic import write_text
+from cqrun.store.atomic import write_table
 from cqrun.store.trajectory import TrajectoryWriter
 
 FRAMES = 300
@@ -74,12 +72,9 @@ def write_trajectory(
 
 def write_activation(path: Path, built: Built, activation: Array) -> None:
     """Write a table of what drove the actuators (T, A): a row a control step, a column for every part of one."""
-    text = io.StringIO(newline="")
-    table = csv.writer(text)
-    table.writerow(["time", *(part.name for part in built.assembly.actuation.parts)])
-    for k, row in enumerate(activation):
-        table.writerow([repr(float(a)) for a in (k * built.scene.time.control_step, *row)])
-    write_text(path, text.getvalue())
+    step = built.scene.time.control_step
+    head = ["time", *(part.name for part in built.assembly.actuation.parts)]
+    write_table(path, [head, *([k * step, *row] for k, row in enumerate(activation.tolist()))])
 
 
 def on_particles(rollout: Rollout, control: int) -> Array:

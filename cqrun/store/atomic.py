@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import errno
 import io
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +106,13 @@ def write_bytes(path: Path, data: bytes) -> None:
 def write_text(path: Path, text: str) -> None:
     """Put UTF-8 `text` at `path`; see `write_bytes`."""
     write_bytes(path, text.encode())
+
+
+def write_table(path: Path, rows: Iterable[Iterable[object]]) -> None:
+    """Put rows at `path` as CSV; numbers come back to the bit, None is an empty cell. See `write_bytes`."""
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    write_text(path, text.getvalue())
 
 
 def write_json(path: Path, value: Any) -> None:
