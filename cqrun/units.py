@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import re
+from typing import Literal
 
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Metres in one of each unit that a recording may be written in."""
+LengthUnit = Literal["m", "cm", "mm"]
+"""What a recording may be written in."""
+
+METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+"""Metres in one of each."""
 
 _BYTES = {
     "B": 1,

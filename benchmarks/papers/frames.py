@@ -108,7 +108,7 @@ class Frames(Figure):
             upto = table["time"] <= shot.time + 1e-9
             axes.plot(*(unit.factor * (path @ look.axes.T)[upto]).T, color=COLOURS[1], lw=1.0)
             axes.set_title(f"t = {shot.time:.3g} s")
-            axes.locator_params(axis="x", nbins=4)
+            axes.locator_params(axis="x", nbins=4 if self.columns < 5 else 2)
             axes.set_xlabel(axes.get_xlabel().replace("(m)", f"[{self.unit}]"))
             axes.set_ylabel(axes.get_ylabel().replace("(m)", f"[{self.unit}]"))
         for axes in panels[self.count :]:

@@ -11,7 +11,7 @@ from benchmarks.papers.figure import Figure, Size, Table, stacked
 from benchmarks.papers.histories import first_below, runs_below
 from benchmarks.papers.work import Found, Runs, Work
 from cqrun.contract import Array
-from cqrun.figures.style import COLOURS, new_figure, titled
+from cqrun.figures.style import COLOURS, GREY, new_figure, titled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
@@ -95,8 +95,9 @@ class Violations(Figure):
                 x, y = zip(*self.printed[label], strict=True)
                 left.plot(x, y, "D", color=colour, mec="white", ms=6, label=f"{label}, paper")
             right.plot(table["iteration"][own], table["effort"][own], color=colour)
+        left.axhline(self.tolerated, color=GREY, lw=0.8, ls=":", label=f"asked: {self.tolerated:g}")
         left.set_yscale("log")
-        left.set_ylabel("violation of the constraints")
+        left.set_ylabel(f"violation of the constraints, or {SMALLEST:g} if less")
         right.set_ylabel("effort")
         for axes in (left, right):
             axes.set_xlabel("iteration")

@@ -9,13 +9,9 @@ import typer
 
 from cqrun.cli.options import AllowPlugins, Quiet, Run
 from cqrun.errors import UsageError
+from cqrun.figures.choices import Look, Quantity
 
 SUFFIXES = {"gif": ".gif", "mp4": ".mp4", "png": ".png", "stills": ".png", "onion": ".png"}
-
-Quantity = Literal[
-    "activation", "strain", "velocity", "stiffness", "density", "poissons_ratio", "weight", "displacement"
-]  # fmt: skip
-Look = Literal["front", "side", "top", "iso"]
 
 
 def render(

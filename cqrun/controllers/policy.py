@@ -27,6 +27,16 @@ class Limits:
     high: Array
     change: Array
 
+    @property
+    def slow(self) -> bool:
+        """Whether any changes with a limit, so that it is remembered."""
+        return bool(np.isfinite(self.change).any())
+
+
+def remembered(observation: Observation, limits: Limits) -> int:
+    """Return how many numbers a policy takes from one control step to the next: observers', and slow activations."""
+    return observation.n_memory + len(limits.low) * limits.slow
+
 
 class ControlPolicy:
     """Decides the activations of one rollout.
@@ -52,8 +62,8 @@ class ControlPolicy:
         self.observation, self.controller, self.parameters = observation, controller, parameters
         self.limits, self.goals, self.control_step, self.dim = limits, goals, control_step, dim
         self.saw: list[Array] = []
-        self.slow = bool(np.isfinite(limits.change).any())
-        self.n_memory = observation.n_memory + len(limits.low) * self.slow
+        self.slow = limits.slow
+        self.n_memory = remembered(observation, limits)
         half = 0.5 * (limits.high - limits.low)
         self._scale, self._shift = (half, limits.low + half) if controller.bounded else (np.ones_like(half), 0.0 * half)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -192,9 +192,13 @@ class Inputs:
         )
 
 
-@dataclass
-class Records:
-    """Rows of the probe at control steps 0 .. T: x, v (T + 1, K, D), C, F (T + 1, K, D, D); or cotangents."""
+class Records(NamedTuple):
+    """What a rollout writes down at control steps 0 .. T of K weighted means over particles; or the cotangent of that.
+
+    Attributes:
+        x, v: (T + 1, K, D) position [m], velocity [m/s].
+        C, F: (T + 1, K, D, D) velocity gradient [1/s], deformation gradient [1].
+    """
 
     x: Array
     v: Array

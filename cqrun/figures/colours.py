@@ -19,8 +19,6 @@ from cqrun.scene.assembly import Assembly
 from cqrun.scene.particles import Particles, sample
 from cqrun.store.frames import Frames
 
-QUANTITIES = ("activation", "strain", "velocity", "stiffness", "density", "poissons_ratio", "weight", "displacement")
-
 MATERIAL = {
     "stiffness": ("youngs_modulus", "Young's modulus", "Pa"),
     "density": ("density", "density", "kg/m^3"),
@@ -66,7 +64,7 @@ class Colours:
 
 
 def colours(quantity: str | None, run: RunData, frames: Frames, shown: Sequence[int]) -> tuple[str, Colours]:
-    """Return one of QUANTITIES and the colours that show it.
+    """Return one of `choices.Quantity` and the colours that show it.
 
     Args:
         quantity: activation where actuators have signals, and displacement elsewhere, if None.

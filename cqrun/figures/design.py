@@ -20,7 +20,7 @@ from cqrun.figures.style import COLOURS, GREY, new_figure
 from cqrun.figures.views import of_equal_width, room_around, views, window
 from cqrun.scene.geometry import Geometry
 from cqrun.scene.particles import sample
-from cqrun.scene.paths import canonical, is_geometry
+from cqrun.scene.paths import canonical, shapes_a_body
 from cqrun.scene.unknowns import start, tied
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def _shape_before(run: RunData) -> dict[str, float]:
     unknowns = (run.result or {}).get("unknowns") or {}
     asked = [path for path in run.scene.unknowns if canonical(run.scene, path) in unknowns]
     starts = [tied(run.scene, path, start(run.scene, path)) for path in asked if run.scene.unknowns[path].per == "body"]
-    return {path: value for each in starts for path, value in each.items() if is_geometry(path)}
+    return {path: value for each in starts for path, value in each.items() if shapes_a_body(path)}
 
 
 def draw_shape(run: RunData) -> Figure:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from cqrun.actuators.cable import Cable
 from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
+from cqrun.figures.choices import Kind
 from cqrun.figures.colours import colours, sampled
 from cqrun.figures.dots import Dots
 from cqrun.figures.movie import ffmpeg, gif_delay, write_gif, write_mp4, write_png
@@ -26,8 +26,6 @@ from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.scene.assembly import Assembly
 from cqrun.store.atomic import make_directory
 from cqrun.store.frames import Frames
-
-Kind = Literal["gif", "mp4", "png", "stills", "onion"]
 
 MOVIE_DPI, STILL_DPI = 110.0, 220.0
 
@@ -50,10 +48,10 @@ class Wanted:
     Attributes:
         kind: a movie (gif, mp4), the last frame (png), several pictures, or several instants in one.
         count: how many stills or instants.
-        color: one of `colours.QUANTITIES`; what suits the run if None.
+        color: one of `choices.Quantity`; what suits the run if None.
         fps: pictures a second of a movie.
         every: only every so many frames of the trajectory.
-        view: one of `views.VIEWS`, of a world of three dimensions; iso if None.
+        view: one of `choices.Look`, of a world of three dimensions; iso if None.
         trail: body, group or body.group whose path is drawn; every body's if None; `none` for no path.
         output: file; `figures/` of the run if None.
     """

@@ -20,9 +20,6 @@ MARGIN = 0.05
 NEARLY = 0.9
 """Part of the longest extent from which the earlier axis is the one across: robots of equal sides are seen along z."""
 
-VIEWS = ("front", "side", "top", "iso")
-"""From where a world of three dimensions can be looked at."""
-
 
 @dataclass(frozen=True)
 class View:
@@ -53,7 +50,7 @@ def views(scene: Scene, x: Array) -> list[View]:
 
 
 def view(scene: Scene, x: Array, name: str) -> View:
-    """Return one of VIEWS of positions x (..., 3).
+    """Return one of `choices.Look` of positions x (..., 3).
 
     Up is against gravity, z without gravity; the side is the one that shows the bodies longest.
 

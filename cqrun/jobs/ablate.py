@@ -36,7 +36,7 @@ from cqrun.jobs.runs import cores
 from cqrun.jobs.seeds import CONFIDENCE, command_of, inputs_of, interval, member, require_seeds, shown, warn_if_alike
 from cqrun.optimizers.constrained import ranked
 from cqrun.scene.load import load_scene
-from cqrun.scene.paths import canonical, is_geometry, leaf
+from cqrun.scene.paths import canonical, leaf, shapes_a_body
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start, tied
 from cqrun.store.atomic import make_directory, write_json, write_table
@@ -190,7 +190,7 @@ def _require_same_particles(scene: Scene, path: str) -> None:
     """Refuse an unknown whose start is another body than the scene's: kept fixed, it would be sampled anew."""
     for other, value in tied(scene, path, start(scene, path)).items():
         own = leaf(scene, other).value
-        if is_geometry(other) and value != own:
+        if shapes_a_body(other) and value != own:
             raise UsageError(
                 f"--ablate: '{other}' starts at {value:g}, but the scene has {own:g}; variants that keep it would be "
                 f"of other particles: give it that value in the scene, -o {other}={value:g}"

@@ -14,7 +14,7 @@ import numpy as np
 from cqrun.errors import UsageError
 from cqrun.explain import listed
 from cqrun.scene.build import Built
-from cqrun.scene.paths import is_geometry
+from cqrun.scene.paths import shapes_a_body
 
 NEAR = 1e-6
 """Cells within which two places are the same."""
@@ -42,7 +42,7 @@ def require_same(path: Path, then: Mapping[str, Any], built: Built, learned: Ite
         learned: key paths of numbers that were learned with it.
     """
     now = acted_on(built)
-    shaped = any(map(is_geometry, learned))
+    shaped = any(map(shapes_a_body, learned))
     if shaped or (then["particles"], then["lie"]) != (now["particles"], now["lie"]):
         return
     near = NEAR * built.scene.world.dx

@@ -220,12 +220,6 @@ class Agent:
     # --- rollouts -----------------------------------------------------------------------------------------------
 
     @property
-    def n_memory(self) -> int:
-        """How many numbers the policy remembers from one control step to the next."""
-        slow = bool(np.isfinite(self.limits.change).any())
-        return self.observation.n_memory + len(self.limits.low) * slow
-
-    @property
     def goals_in_the_middle(self) -> Goals:
         """Every goal at its position, the middle of its range."""
         return {name: np.array(goal.position) for name, goal in self.built.scene.goals.items()}
@@ -389,4 +383,4 @@ def is_kept_by_controller(path: str, value: Array) -> bool:
 
     It is one a group or particle, or it shapes a body: particles follow it, sampled anew they would be others.
     """
-    return value.ndim > 0 or shapes_a_body(path.split("."))
+    return value.ndim > 0 or shapes_a_body(path)

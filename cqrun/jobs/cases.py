@@ -21,7 +21,6 @@ from cqrun.jobs.runs import data_files
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.objectives.target import TargetObjective
 from cqrun.observers.markers import Points, centroid, markers, particles
-from cqrun.observers.record import Record
 from cqrun.scene.build import Built, build
 from cqrun.scene.data import Recording as RecordingSpec
 from cqrun.scene.paths import canonical, with_values
@@ -77,11 +76,11 @@ class Case:
         values: Mapping[str, Array],
         threads: int = 1,
         observe: Callable[[int, State], None] | None = None,
-    ) -> Record:
+    ) -> Records:
         """Run forward, `observe` called with every control step and its state; return the records."""
-        return as_record(Rollout(self.built.model, self.inputs(values), threads=threads).run(observe))
+        return Rollout(self.built.model, self.inputs(values), threads=threads).run(observe)
 
-    def residuals(self, record: Record, values: Mapping[str, Array]) -> list[Array]:
+    def residuals(self, record: Records, values: Mapping[str, Array]) -> list[Array]:
         """Return every objective's residuals [m]."""
         start = self.start_of(values)
         return [
@@ -95,7 +94,7 @@ class Case:
         assert probe is not None
         shape = (model.n_controls + 1, probe.shape[0], model.dim)
         zeros = np.zeros((*shape, model.dim))
-        record = Record(
+        record = Records(
             np.broadcast_to(probe @ self.built.particles.x, shape), np.zeros(shape), zeros, zeros + np.eye(model.dim)
         )
         return np.array(
@@ -112,17 +111,16 @@ class Case:
         found: dict[str, float] = {"loss": 0.0, "start": 0.0}
 
         def loss_bar(records: Records, final: Any) -> LossBar:
-            record = as_record(records)
-            total = Records.zeros(model.n_controls, record.x.shape[1], model.dim)
+            total = Records.zeros(model.n_controls, records.x.shape[1], model.dim)
             for weight, objective in zip(weights, self.objectives, strict=True):
                 if isinstance(objective, MarkerObjective):
-                    found["loss"] += weight * objective.loss(record, start)
-                    bar, start_bar = objective.loss_vjp(record, start, weight)
+                    found["loss"] += weight * objective.loss(records, start)
+                    bar, start_bar = objective.loss_vjp(records, start, weight)
                     found["start"] += start_bar
                 else:
-                    found["loss"] += weight * objective.loss(record)
-                    bar = objective.loss_vjp(record, weight)
-                for out, part in zip((total.x, total.v, total.C, total.F), bar, strict=True):
+                    found["loss"] += weight * objective.loss(records)
+                    bar = objective.loss_vjp(records, weight)
+                for out, part in zip(total, bar, strict=True):
                     out += part
             return LossBar(total)
 
@@ -131,11 +129,6 @@ class Case:
         if self.start_path in gradient:
             gradient[str(self.start_path)] += found["start"]
         return found["loss"], gradient, rollout
-
-
-def as_record(records: Records) -> Record:
-    """Return the engine's records as observers take them."""
-    return Record(records.x, records.v, records.C, records.F)
 
 
 def make_cases(built: Built, directory: Path | None = None) -> list[Case]:
@@ -292,7 +285,7 @@ def _observe_markers(built: Built, body: str, rest: Mapping[str, Array]) -> Poin
 
 def _probed(built: Built, body: str, observer: Points) -> Built:
     """Return the model that records what an observer of one body needs."""
-    part, rows = built.particles.of(body), sparse.csr_array(observer.rows)
+    part, rows = built.particles.of(body), observer.rows
     n = built.particles.layout.n_particles
     wide = sparse.csr_array((rows.data, rows.indices + part.start, rows.indptr), shape=(rows.shape[0], n))
     return replace(built, model=replace(built.model, probe=wide))
@@ -354,7 +347,7 @@ def _made(
         return [read_recording(file) for file in files if file is not None]
     model = built.model
     truth = {canonical(scene, path): np.asarray(value, float) for path, value in spec.truth.items()}
-    record = as_record(Rollout(model, built.assembly.inputs(truth)).run())
+    record = Rollout(model, built.assembly.inputs(truth)).run()
     steps, step = model.n_controls, scene.time.control_step
     if spec.every is not None:
         time = np.unique([*range(0, steps, spec.every), steps]) * step

@@ -117,11 +117,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
     # --- what it is made of ------------------------------------------------------------------------------------------
 
     def _draw(self) -> Goals:
-        drawn = {}
-        for name, goal in self.agent.built.scene.goals.items():
-            spread = np.array(goal.spread if goal.spread is not None else [0.0] * len(goal.position))
-            drawn[name] = np.array(goal.position) + spread * self.np_random.uniform(-1.0, 1.0, len(spread))
-        return drawn
+        return {name: goal.draw(self.np_random) for name, goal in self.agent.built.scene.goals.items()}
 
     def _see(self) -> Array:
         rollout, control = self.rollout, self.control

@@ -124,11 +124,7 @@ class EpisodeProblem(Agent):
     def _draw(self, iteration: int, episode: int) -> Goals:
         scene = self.built.scene
         rng = np.random.default_rng([scene.episodes.seed, iteration, episode])
-        drawn = {}
-        for name, goal in scene.goals.items():
-            spread = np.array(goal.spread if goal.spread is not None else [0.0] * len(goal.position))
-            drawn[name] = np.array(goal.position) + spread * rng.uniform(-1.0, 1.0, len(spread))
-        return drawn
+        return {name: goal.draw(rng) for name, goal in scene.goals.items()}
 
     # --- the problem ----------------------------------------------------------------------------------------------
 

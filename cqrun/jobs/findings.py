@@ -14,6 +14,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.design.params import Block
+from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError
 from cqrun.jobs.cases import Case
@@ -24,9 +25,7 @@ from cqrun.objectives.identifiability import Unknown
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.objectives.uncertainty import MOST_UNKNOWNS, Uncertainty, central_jacobian, intervals
 from cqrun.observers.fracture import Fracture
-from cqrun.observers.record import Record
 from cqrun.optimizers.base import Outcome, TrialFailed
-from cqrun.scene.build import Built
 from cqrun.state import State
 from cqrun.store.atomic import write_table
 from cqrun.store.run import RunDirectory
@@ -35,9 +34,7 @@ from cqrun.units import format_bytes
 MILLI = 1e3
 
 
-def write_findings(
-    run: RunDirectory, built: Built, cases: list[Case], problem: FitProblem, outcome: Outcome
-) -> dict[str, Any]:
+def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome) -> dict[str, Any]:
     """Write result.json and, unless the run failed or was stopped, tracks and trajectory; return the result."""
     params = problem.params
     values = params.unpack(outcome.x)
@@ -77,7 +74,7 @@ def write_findings(
     return result
 
 
-def _loss(problem: FitProblem, records: Mapping[str, Record | None], values: Mapping[str, Array]) -> float:
+def _loss(problem: FitProblem, records: Mapping[str, Records | None], values: Mapping[str, Array]) -> float:
     """Return the loss of all fitted data with the values found, also where an optimizer saw mini-batches of it."""
     total = 0.0
     for case, weights in zip(problem.cases, problem.weights, strict=True):
@@ -182,9 +179,9 @@ def find_intervals(problem: FitProblem, x: Array, unknowns: list[Unknown]) -> Un
 
 def _predict(
     cases: list[Case], values: Mapping[str, Array], problem: FitProblem, result: dict[str, Any]
-) -> list[Record | None]:
+) -> list[Records | None]:
     """Return every case's records with the values found, None where a held-out one blows up; note fractures."""
-    records: list[Record | None] = []
+    records: list[Records | None] = []
     most = {name: 0 for case in cases for name in case.built.particles.names}
     for case in cases:
         fracture = fracture_of(case.built)
@@ -205,7 +202,7 @@ def _predict(
     return records
 
 
-def _errors(cases: list[Case], records: list[Record | None], values: Mapping[str, Array]) -> dict[str, Any] | None:
+def _errors(cases: list[Case], records: list[Records | None], values: Mapping[str, Array]) -> dict[str, Any] | None:
     """Return RMSE [mm] by recording and marker; None where the data are no markers."""
     found: dict[str, Any] = {}
     for case, record in zip(cases, records, strict=True):
@@ -225,7 +222,7 @@ def _errors(cases: list[Case], records: list[Record | None], values: Mapping[str
 
 
 def _write_tracks(
-    run: RunDirectory, cases: list[Case], records: list[Record | None], values: Mapping[str, Array]
+    run: RunDirectory, cases: list[Case], records: list[Records | None], values: Mapping[str, Array]
 ) -> None:
     """Write the first copy of every case: recording, marker, time since the release, data, model [m]."""
     table: list[list[object]] = []

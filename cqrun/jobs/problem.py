@@ -17,13 +17,13 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.design.params import Params
+from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.jobs.cases import Case
 from cqrun.jobs.memory import least_budget, state_bytes
 from cqrun.jobs.side_by_side import Effort, side_by_side, the_value, trial
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.objectives.uncertainty import Series
-from cqrun.observers.record import Record
 from cqrun.optimizers.base import TrialFailed
 
 DIFFERENCE = 1e-4
@@ -54,7 +54,7 @@ class FitProblem:
         self.n_batches = len(self.cases)
         self.term_names: Sequence[str] = ()
         self.effort = Effort()
-        self._kept: dict[tuple[int, bytes], Record] = {}
+        self._kept: dict[tuple[int, bytes], Records] = {}
         self.interrupt: Callable[[], None] = lambda: None
         total = sum(self._weight(o) for case in self.cases for o in case.objectives)
         self.weights = [np.array([self._weight(o) / total for o in case.objectives]) for case in self.cases]
@@ -170,7 +170,7 @@ class FitProblem:
         return out
 
     def _residuals_of(
-        self, case: Case, x: Array, values: Mapping[str, Array], records: Mapping[tuple[int, bytes], Record]
+        self, case: Case, x: Array, values: Mapping[str, Array], records: Mapping[tuple[int, bytes], Records]
     ) -> list[Array]:
         record = records[self._rollout_key(case, values)]
         with trial(self.params, x):
@@ -184,7 +184,7 @@ class FitProblem:
 
     def _records_at(
         self, points: Sequence[Array], by_point: Sequence[dict[str, Array]], cases: Sequence[Case]
-    ) -> dict[tuple[int, bytes], Record]:
+    ) -> dict[tuple[int, bytes], Records]:
         """Return the records of every rollout that the points ask for, each run once; keep those of the first."""
         wanted = {
             self._rollout_key(case, values): (case, x, values)
@@ -192,8 +192,8 @@ class FitProblem:
             for case in cases
         }
 
-        def task(case: Case, x: Array, values: dict[str, Array]) -> Callable[[int], Record]:
-            def run(threads: int) -> Record:
+        def task(case: Case, x: Array, values: dict[str, Array]) -> Callable[[int], Records]:
+            def run(threads: int) -> Records:
                 self.interrupt()
                 with trial(self.params, x):
                     return case.run(values, threads)

@@ -152,21 +152,19 @@ def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads:
         stop=lambda: talk.stop.asked, progress=Progress(run, talk),
     )  # fmt: skip
     outcome = optimizer.minimise(problem, session)
-    return conclude(run, built, cases, problem, outcome, talk)
+    return conclude(run, cases, problem, outcome, talk)
 
 
-def conclude(
-    run: RunDirectory, built: Built, cases: list[Case], problem: FitProblem, outcome: Outcome, talk: Reporter
-) -> Path:
+def conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome, talk: Reporter) -> Path:
     """Write what was found and end the run as the outcome says."""
     if outcome.status == "stopped":
-        write_findings(run, built, cases, problem, outcome)
+        write_findings(run, cases, problem, outcome)
         run.finish("stopped", outcome.message)
         raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
     if outcome.status != "failed":
         talk.phase("intervals, predictions, trajectory")
     problem.interrupt = stopping(run, talk)
-    write_findings(run, built, cases, problem, outcome)
+    write_findings(run, cases, problem, outcome)
     run.finish(outcome.status, outcome.message)
     return raise_if_failed(run)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from cqrun.controllers.policy import remembered
 from cqrun.explain import listed
 from cqrun.jobs.agent import CONTROLLER, Agent
 from cqrun.jobs.bodies import point
@@ -56,7 +57,7 @@ def _controller(agent: Agent) -> Iterator[str]:
     drives = f"{_count(len(low), 'activation')} within {listed(pairs)}"
     yield line("", f"from {sees} to {drives}, every {number(scene.time.control_step)} s")
     dim, rows = agent.model.dim, agent.model.probe.shape[0] if agent.model.probe is not None else 0
-    kept = 8 * (agent.model.n_controls + 1) * (rows_of(dim)[-1] * rows + agent.n_memory)
+    kept = 8 * (agent.model.n_controls + 1) * (rows_of(dim)[-1] * rows + remembered(agent.observation, agent.limits))
     yield line("", f"beside its states an episode keeps {format_bytes(kept)} of what is seen, remembered and judged")
 
 

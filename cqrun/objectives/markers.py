@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.engine.model import Records
 from cqrun.errors import DataError
 from cqrun.objectives.hermite import interpolant
 from cqrun.observers.markers import Points
-from cqrun.observers.record import Record
 
 
 @dataclass(frozen=True)
@@ -95,17 +95,17 @@ class MarkerObjective:
                 "choose another start or length"
             )
 
-    def tracks(self, record: Record, start: float) -> Array:
+    def tracks(self, record: Records, start: float) -> Array:
         """Return the model's displacements or positions at `times`, (F, M, D) [m]."""
         y, w = self.observer.observe(record)
         model = interpolant(self.times - start, self.control_step, self.steps)(y, w)
         return model if self.absolute else model - y[0]
 
-    def residuals(self, record: Record, start: float) -> Array:
+    def residuals(self, record: Records, start: float) -> Array:
         """Return the errors of the seen markers, frame by frame, (count * D,) [m]."""
         return np.asarray((self.tracks(record, start) - self.data)[self.seen].ravel())
 
-    def residuals_vjp(self, record: Record, start: float, r_bar: Array) -> tuple[Record, float]:
+    def residuals_vjp(self, record: Records, start: float, r_bar: Array) -> tuple[Records, float]:
         """Return the cotangents of the record and of `start` from that of the residuals."""
         y, w = self.observer.observe(record)
         at = interpolant(self.times - start, self.control_step, self.steps)
@@ -116,15 +116,15 @@ class MarkerObjective:
             y_bar[0] -= out_bar.sum(axis=0)
         return self.observer.observe_vjp(record, y_bar, w_bar), -float(np.sum(out_bar * at.slope(y, w)))
 
-    def loss(self, record: Record, start: float) -> float:
+    def loss(self, record: Records, start: float) -> float:
         """Return the mean squared length of the errors [m^2]."""
         return float(np.sum(self.residuals(record, start) ** 2) / self.count)
 
-    def loss_vjp(self, record: Record, start: float, loss_bar: float = 1.0) -> tuple[Record, float]:
+    def loss_vjp(self, record: Records, start: float, loss_bar: float = 1.0) -> tuple[Records, float]:
         """Return the cotangents of the record and of `start` from that of the loss."""
         return self.residuals_vjp(record, start, (2.0 * loss_bar / self.count) * self.residuals(record, start))
 
-    def misfit(self, record: Record, start: float) -> Misfit:
+    def misfit(self, record: Records, start: float) -> Misfit:
         """Return the root mean square errors, in all and by marker."""
         squared = ((self.tracks(record, start) - self.data) ** 2).sum(axis=2) * self.seen
         frames = self.seen.sum(axis=0)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array, Spec, quantity
 from cqrun.errors import UsageError
 from cqrun.observers.matter import Matter
+from cqrun.units import LengthUnit
 
 
 class RecordedPath(Spec):
@@ -22,7 +21,7 @@ class RecordedPath(Spec):
     file: str = Field(description="C3D, CSV or trajectory file, from the scene's folder", min_length=1)
     marker: str = Field(description="Name of the marker in the file", min_length=1)
     start: float = quantity("s", "Time in the file when the run begins", default=0.0)
-    units: Literal["m", "cm", "mm"] | None = Field(description="Of the file, if it does not say", default=None)
+    units: LengthUnit | None = Field(description="Of the file, if it does not say", default=None)
     relative: bool = Field(description="Whether its movement is followed, and not its place", default=False)
 
     def course(self, matter: Matter, begins: Array) -> Array:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.engine.model import Records
 from cqrun.objectives.hermite import interpolant
 from cqrun.observers.markers import Points
-from cqrun.observers.record import Record
 
 
 class TargetObjective:
@@ -29,19 +29,19 @@ class TargetObjective:
         self.observer, self.goal = observer, np.asarray(goal, dtype=float)
         self.at = interpolant(np.array([time]), control_step, steps)
 
-    def position(self, record: Record) -> Array:
+    def position(self, record: Records) -> Array:
         """Return where the point is at the target's time, (D,) [m]."""
         return np.asarray(self.at(*self.observer.observe(record))[0, 0])
 
-    def residuals(self, record: Record) -> Array:
+    def residuals(self, record: Records) -> Array:
         """Return position less goal, (D,) [m]."""
         return self.position(record) - self.goal
 
-    def loss(self, record: Record) -> float:
+    def loss(self, record: Records) -> float:
         """Return the squared distance [m^2]."""
         return float(np.sum(self.residuals(record) ** 2))
 
-    def loss_vjp(self, record: Record, loss_bar: float = 1.0) -> Record:
+    def loss_vjp(self, record: Records, loss_bar: float = 1.0) -> Records:
         """Return the cotangent of the record from that of the loss."""
         out_bar = 2.0 * loss_bar * self.residuals(record)
         return self.observer.observe_vjp(record, *self.at.vjp(out_bar[None, None]))

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.observers.rows import single, weighted
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_matrix
+    from scipy.sparse import csr_array
 
 REACH = 1.5
 """Width of the weights, in particle spacings."""
@@ -33,7 +34,7 @@ class Binding:
         stems: (M, D) from the foot to the point, at rest [m].
     """
 
-    rows: csr_matrix
+    rows: csr_array
     stems: Array
 
 
@@ -48,21 +49,22 @@ def bind(points: Array, particles: Array, spacing: float) -> Binding:
     points, particles = np.atleast_2d(points).astype(float), np.asarray(particles, dtype=float)
     inside = 0.5 * np.sqrt(particles.shape[1]) * spacing * (1 + 1e-9)
     found = [_weights(point, particles, spacing, inside) for point in points]
-    rows = _rows([index for index, _ in found], [weight for _, weight in found], len(particles))
+    rows = weighted([index for index, _ in found], [weight for _, weight in found], len(particles))
     return Binding(rows, points - rows @ particles)
 
 
-def pick(indices: Array, count: int) -> csr_matrix:
+def pick(indices: Array, count: int) -> csr_array:
     """Return rows (len(indices), count) that pick single particles."""
     index = np.asarray(indices, dtype=int)
     if index.size and (index.min() < 0 or index.max() >= count):
         raise ValueError(f"particle indices must be from 0 to {count - 1}")
-    return _rows(list(index[:, None]), [np.ones(1)] * index.size, count)
+    return single(index, count)
 
 
-def mean(masses: Array) -> csr_matrix:
+def mean(masses: Array) -> csr_array:
     """Return one row (1, N) that gives the mean over particles weighted by `masses` [kg]."""
-    return _rows([np.arange(len(masses))], [np.asarray(masses, dtype=float)], len(masses))
+    masses = np.asarray(masses, dtype=float)
+    return weighted([np.arange(len(masses))], [masses / masses.sum()], len(masses))
 
 
 def _weights(point: Array, particles: Array, spacing: float, inside: float) -> tuple[Array, Array]:
@@ -79,13 +81,3 @@ def _weights(point: Array, particles: Array, spacing: float, inside: float) -> t
         slope = np.linalg.pinv(moment, rcond=1e-6) @ (point - weight @ particles[index])
         weight = weight * (1.0 + offset @ slope)
     return index, weight / weight.sum()
-
-
-def _rows(indices: list[Array], weights: list[Array], count: int) -> csr_matrix:
-    """Return a sparse matrix (rows, count) whose rows sum to 1."""
-    from scipy.sparse import csr_matrix
-
-    starts = np.concatenate([[0], np.cumsum([len(index) for index in indices])]).astype(int)
-    normal = [weight / weight.sum() for weight in weights]
-    data, columns = (np.concatenate(parts) if parts else np.empty(0) for parts in (normal, indices))
-    return csr_matrix((data, columns.astype(int), starts), shape=(len(indices), count))

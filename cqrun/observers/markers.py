@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.engine.model import Records
 from cqrun.observers import binding
-from cqrun.observers.record import Record
 from cqrun.observers.rotation import rotation, rotation_vjp
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_matrix
+    from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True)
@@ -30,26 +30,26 @@ class Points:
         stems: (M, D) at rest [m]; None where every stem is nought, so that F and C do not matter.
     """
 
-    rows: csr_matrix
+    rows: csr_array
     stems: Array | None = None
 
-    def observe(self, record: Record) -> tuple[Array, Array]:
+    def observe(self, record: Records) -> tuple[Array, Array]:
         """Return positions [m] and velocities [m/s] of the points, both (T+1, M, D)."""
         if self.stems is None:
             return record.x, record.v
         arm = _apply(rotation(record.F), self.stems)
         return record.x + arm, record.v + _apply(_skew(record.C), arm)
 
-    def observe_vjp(self, record: Record, y_bar: Array, w_bar: Array) -> Record:
+    def observe_vjp(self, record: Records, y_bar: Array, w_bar: Array) -> Records:
         """Return the cotangent of `record` from those of positions and velocities, both (T+1, M, D)."""
         if self.stems is None:
-            return Record(y_bar, w_bar, np.zeros(np.shape(record.C)), np.zeros(np.shape(record.F)))
+            return Records(y_bar, w_bar, np.zeros(np.shape(record.C)), np.zeros(np.shape(record.F)))
         R = rotation(record.F)
         arm, spin = _apply(R, self.stems), _skew(record.C)
         arm_bar = y_bar - _apply(spin, w_bar)  # spin^T = -spin
         C_bar = _skew(w_bar[..., :, None] * arm[..., None, :])
         R_bar = arm_bar[..., :, None] * self.stems[:, None, :]
-        return Record(y_bar, w_bar, C_bar, rotation_vjp(record.F, R, R_bar))
+        return Records(y_bar, w_bar, C_bar, rotation_vjp(record.F, R, R_bar))
 
 
 def markers(rest: Array, particles: Array, spacing: float) -> Points:

@@ -109,7 +109,7 @@ def _tried(rest: _Rest, trials: Iterable[Ends], most: int | None = None) -> Iter
 
 
 def _is_geometric(scene: Scene, path: str) -> bool:
-    return shapes_a_body(canonical(scene, path).split("."))
+    return shapes_a_body(canonical(scene, path))
 
 
 def _geometric(scene: Scene, path: str, value: float) -> dict[str, float]:

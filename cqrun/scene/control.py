@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from cqrun.contract import Spec, quantity
+from cqrun.contract import Array, Spec, quantity
 from cqrun.explain import complaint, finding
 from cqrun.scene.fields import Seed
 
@@ -32,6 +33,11 @@ class Goal(Spec):
     def drawn(self) -> bool:
         """Whether it differs from episode to episode."""
         return any(self.spread or [])
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Return the goal of one episode (n,)."""
+        middle, spread = np.array(self.position), np.array(self.spread or np.zeros(len(self.position)))
+        return np.asarray(middle + spread * rng.uniform(-1.0, 1.0, len(spread)))
 
 
 class Episodes(Spec):

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from cqrun.contract import Spec, quantity, vector
 from cqrun.explain import Loc, complaint, finding, listed
 from cqrun.scene.fields import Interval, Name, Seed, Vector
+from cqrun.units import LengthUnit
 
 
 def exactly_one(part: Spec, names: tuple[str, ...]) -> None:
@@ -36,7 +37,7 @@ class Recording(Spec):
     skip: float = quantity("s", "Time after the start that is not compared", ge=0, default=0.0)
     holdout: bool = Field(description="Predict it, but do not fit it", default=False)
     body: Name = Field(description="Body that carries the markers; may be left out where there is one body")
-    units: Literal["m", "cm", "mm"] | None = Field(description="Of the file, if it does not say", default=None)
+    units: LengthUnit | None = Field(description="Of the file, if it does not say", default=None)
     still: Interval | None = quantity("s", "Time in the file when the body rests", default=None)
     markers: dict[str, Vector] = quantity("m", "Rest position of each marker used", default_factory=dict)
     overrides: dict[str, Any] = Field(description="Key path -> value for this recording", default_factory=dict)

@@ -63,7 +63,7 @@ class Geometry:
         """Return the geometric values of each body that has any."""
         found: dict[str, dict[str, Any]] = {}
         for path, value in values.items():
-            if shapes_a_body(path.split(".")):
+            if shapes_a_body(path):
                 found.setdefault(path.split(".")[1], {})[path] = float(np.asarray(value).reshape(-1)[0])
         return found
 

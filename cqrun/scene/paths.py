@@ -23,14 +23,6 @@ from cqrun.scene.material import TERMS, Terms
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import children
 
-GEOMETRY = (".shape.", ".parts.", ".place.")
-"""In key paths of numbers that move particles of a body against each other, or all of them."""
-
-
-def is_geometry(path: str) -> bool:
-    """Say whether the number at a path, in its long spelling, is one of a body's geometry."""
-    return any(key in path for key in GEOMETRY)
-
 
 @dataclass(frozen=True)
 class LeafInfo:
@@ -68,14 +60,15 @@ def leaf(scene: Scene, path: str) -> LeafInfo:
     return LeafInfo(joined(loc), value, unit, _reached(owner, name, loc), low, high)
 
 
-def shapes_a_body(keys: Sequence[int | str]) -> bool:
-    """Say whether a key path is of what shapes or places a body: its particles follow the numbers there.
+def shapes_a_body(path: str) -> bool:
+    """Say whether a path, in its long spelling, is of what shapes or places a body: its particles follow the numbers.
 
     They follow the first shape of a difference or intersection; what cuts it stays.
     """
+    keys = path.split(".")
     if len(keys) < 4 or keys[0] != "bodies" or keys[2] not in ("shape", "parts", "place"):
         return False
-    cuts = [str(keys[k + 2]) for k in range(len(keys) - 2) if keys[k] in ("difference", "intersection")]
+    cuts = [keys[k + 2] for k in range(len(keys) - 2) if keys[k] in ("difference", "intersection")]
     return all(index == "0" for index in cuts)
 
 
@@ -83,7 +76,7 @@ def _reached(owner: type[BaseModel], name: str, loc: Sequence[int | str]) -> boo
     """Say whether gradients reach a field at a place."""
     if name not in owner.model_fields:
         return False
-    return is_differentiable(owner, name) or (is_geometric(owner, name) and shapes_a_body(loc))
+    return is_differentiable(owner, name) or (is_geometric(owner, name) and shapes_a_body(joined(loc)))
 
 
 def leaves(scene: Scene, *, differentiable: bool = False) -> Iterator[str]:

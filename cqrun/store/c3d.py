@@ -14,7 +14,8 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import DataError
-from cqrun.store.recordings import METRES, Recording, unit_of
+from cqrun.store.recordings import Recording, unit_of
+from cqrun.units import METRES
 
 BLOCK = 512
 _MAGIC = 0x50

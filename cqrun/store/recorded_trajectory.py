@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from cqrun.errors import DataError
-from cqrun.store.recordings import METRES, Recording
+from cqrun.store.recordings import Recording
+from cqrun.units import METRES
 
 
 def read_trajectory(path: Path, units: str | None, source: str) -> Recording:

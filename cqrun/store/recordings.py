@@ -14,9 +14,8 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import DataError
-
-METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-"""Length of one unit of a recording [m]."""
+from cqrun.explain import listed, suggest
+from cqrun.units import METRES
 
 _SPELLINGS = {"meter": "m", "meters": "m", "metre": "m", "metres": "m"}
 _SPELLINGS |= {
@@ -61,7 +60,9 @@ class Recording:
         for name in names:
             found = [i for i, label in enumerate(self.names) if label == name]
             if not found:
-                raise DataError(f"{self.source}: no marker '{name}'{_suggest(name, self.names)}")
+                raise DataError(
+                    f"{self.source}: no marker '{name}'{suggest(name, self.names)}; it has {listed(self.names, 12)}"
+                )
             if len(found) > 1:
                 raise DataError(
                     f"{self.source}: marker '{name}' is there {len(found)} times; "
@@ -144,14 +145,3 @@ def unit_of(text: str) -> str | None:
     word = text.strip().lower()
     word = _SPELLINGS.get(word, word)
     return word if word in METRES else None
-
-
-def _suggest(name: str, known: Sequence[str]) -> str:
-    """Return the end of a message about an unknown marker."""
-    import difflib
-
-    near = difflib.get_close_matches(name, known, n=1)
-    if near:
-        return f" (did you mean '{near[0]}'?)"
-    shown = ", ".join(f"'{label}'" for label in known[:12])
-    return f"; it has {shown}{', ...' if len(known) > 12 else ''}"

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from made_runs import plane_scene
 
 from cqrun.errors import UsageError
+from cqrun.figures.choices import Look
 from cqrun.figures.dots import Dots
 from cqrun.figures.quantities import Unit
 from cqrun.figures.scenery import frame_axes
 from cqrun.figures.style import new_figure, styled
-from cqrun.figures.views import VIEWS, view
+from cqrun.figures.views import view
 from cqrun.scene.load import load_scene
 
 LONG_X = np.array([[0.0, 0.0, 0.0], [3.0, 1.0, 2.0]])
@@ -27,7 +30,7 @@ def space(gravity):
 
 
 @pytest.mark.parametrize("gravity", [[0, 0, -9.81], [0, -9.81, 0], [0, 0, 0]])
-@pytest.mark.parametrize("name", VIEWS)
+@pytest.mark.parametrize("name", get_args(Look))
 def test_the_eye_is_where_the_name_says(gravity, name):
     up = np.array([0, 1, 0] if gravity[1] else [0, 0, 1])
     look = view(space(gravity), LONG_X, name)

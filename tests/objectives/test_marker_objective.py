@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cqrun.engine.model import Records
 from cqrun.errors import DataError
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.observers.markers import Points
-from cqrun.observers.record import Record
 
 STEP, STEPS, NAMES = 0.02, 30, ("a", "b", "c")
 
@@ -19,7 +19,7 @@ def smooth_record(rng, dim):
     size = 0.1 * rng.normal(size=(3, dim))
     F = np.eye(dim) + 0.05 * (1 - np.cos(7 * t))[..., None] * rng.normal(size=(3, dim, dim))
     C = 0.35 * np.sin(7 * t)[..., None] * rng.normal(size=(3, dim, dim))
-    return Record(0.5 + size * (1 - np.cos(7 * t)), 7 * size * np.sin(7 * t), C, F)
+    return Records(0.5 + size * (1 - np.cos(7 * t)), 7 * size * np.sin(7 * t), C, F)
 
 
 def make(rng, dim=3, *, stems=True, gaps=True, **options):
@@ -35,7 +35,7 @@ def make(rng, dim=3, *, stems=True, gaps=True, **options):
 
 
 def moved(record, direction, h):
-    return Record(*(a + h * d for a, d in zip(record, direction, strict=True)))
+    return Records(*(a + h * d for a, d in zip(record, direction, strict=True)))
 
 
 def richardson(f, h=1e-4):
@@ -51,7 +51,7 @@ def test_residuals_adjoint_by_dot_product(rng, dim, stems, absolute):
         smooth_record(rng, dim),
         0.3045,
     )  # no frame near a control step, where the interpolant has a kink in its curvature
-    direction = Record(*(rng.normal(size=part.shape) for part in record))
+    direction = Records(*(rng.normal(size=part.shape) for part in record))
     r_bar = rng.normal(size=objective.residuals(record, start).shape)
     record_bar, start_bar = objective.residuals_vjp(record, start, r_bar)
 
@@ -69,7 +69,7 @@ def test_loss_taylor_remainder_of_second_order(rng, dim):
         smooth_record(rng, dim),
         0.3045,
     )  # no frame near a control step, where the interpolant has a kink in its curvature
-    direction = Record(*(rng.normal(size=part.shape) for part in record))
+    direction = Records(*(rng.normal(size=part.shape) for part in record))
     record_bar, start_bar = objective.loss_vjp(record, start)
     slope = sum(np.sum(a * d) for a, d in zip(record_bar, direction, strict=True)) + start_bar
     base = objective.loss(record, start)

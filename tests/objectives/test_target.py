@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cqrun.engine.model import Records
 from cqrun.objectives.target import TargetObjective
 from cqrun.observers.markers import centroid
-from cqrun.observers.record import Record
 
 
 def record_of(rng, dim):
     x, v = rng.normal(size=(2, 6, 1, dim))
-    return Record(x, v, np.zeros((6, 1, dim, dim)), np.tile(np.eye(dim), (6, 1, 1, 1)))
+    return Records(x, v, np.zeros((6, 1, dim, dim)), np.tile(np.eye(dim), (6, 1, 1, 1)))
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -24,7 +24,7 @@ def test_value_and_adjoint(rng, dim, time):
     if time != 0.37:
         expected = np.sum((record.x[round(10 * time), 0] - goal) ** 2)
         assert objective.loss(record) == pytest.approx(expected)
-    moved = lambda h: objective.loss(Record(*(a + h * d for a, d in zip(record, direction, strict=True))))  # noqa: E731
+    moved = lambda h: objective.loss(Records(*(a + h * d for a, d in zip(record, direction, strict=True))))  # noqa: E731
     expected = (moved(0.5) - moved(-0.5)) / 1.0  # exact: the loss is quadratic
     found = sum(np.sum(a * d) for a, d in zip(objective.loss_vjp(record), direction, strict=True))
     assert found == pytest.approx(expected, rel=1e-9)

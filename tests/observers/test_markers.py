@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from cqrun.engine.model import Records
 from cqrun.observers.markers import Points, centroid, markers, particles
-from cqrun.observers.record import Record
 
 
 def random_record(rng, dim, steps=5, count=3, strain=0.2):
     F = np.eye(dim) + strain * rng.normal(size=(steps, count, dim, dim))
     x, v = rng.normal(size=(2, steps, count, dim))
-    return Record(x, v, rng.normal(size=F.shape), F)
+    return Records(x, v, rng.normal(size=F.shape), F)
 
 
 def observed_rows(rows, x, v, C, F):
     """Return the record of one body's particles, each (N, ...) or (T, N, ...), as the engine writes it."""
-    return Record(
+    return Records(
         *(np.stack([(rows @ a.reshape(len(a), -1)).reshape(-1, *a.shape[1:]) for a in field]) for field in (x, v, C, F))
     )
 
@@ -50,7 +50,7 @@ def test_adjoint(dim, rng, strain):
     y_bar, w_bar = rng.normal(size=(2, 5, 3, dim))
 
     def dot(h):
-        y, w = observer.observe(Record(*(a + h * d for a, d in zip(record, direction, strict=True))))
+        y, w = observer.observe(Records(*(a + h * d for a, d in zip(record, direction, strict=True))))
         return np.sum(y_bar * y) + np.sum(w_bar * w)
 
     h = 2e-4

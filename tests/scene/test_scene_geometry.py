@@ -54,7 +54,7 @@ def scene_of(name: str, **more: Any) -> Scene:
 
 def numbers_of(scene: Scene) -> dict[str, np.ndarray]:
     """Return the numbers that particles follow, at their own values."""
-    paths = [path for path in leaves(scene, differentiable=True) if shapes_a_body(path.split("."))]
+    paths = [path for path in leaves(scene, differentiable=True) if shapes_a_body(path)]
     return {path: np.array(float(leaf(scene, path).value)) for path in paths}
 
 

@@ -14,7 +14,7 @@ from benchmarks.papers.violations import DESIGNED
 from benchmarks.papers.work import Found, Work
 from cqrun.figures.colours import material_of
 from cqrun.figures.run_data import read_run
-from cqrun.figures.style import TRUTH, new_figure
+from cqrun.figures.style import GREY, TRUTH, new_figure
 from cqrun.scene.particles import sample
 
 if TYPE_CHECKING:
@@ -74,11 +74,16 @@ class Poses(Figure):
         panels = picture.subplots(1, len(poses), sharex=True, sharey=True, squeeze=False)[0]
         for axes, pose in zip(panels, poses, strict=True):
             own = table["pose"] == pose
-            E = np.nan_to_num(table["E"][own], nan=21.5)
-            dots = axes.scatter(table["x"][own], table["y"][own], c=E, s=5 if own.sum() > 600 else 16, vmin=3, vmax=40)
+            places, area = (table["x"][own], table["y"][own]), 5 if own.sum() > 600 else 16
+            if pose == AT_REST:
+                axes.scatter(*places, color=GREY, s=area)
+            else:
+                dots = axes.scatter(*places, c=table["E"][own], s=area, vmin=3, vmax=40)
+            axes.set_xlabel("x [m]")
             axes.plot(*GOAL, "+", color=TRUTH, ms=11, mew=2)
             axes.set_aspect("equal")
             axes.set_title(pose)
+        panels[0].set_ylabel("y [m]")
         bar = picture.colorbar(dots, ax=panels, shrink=0.8)
         bar.set_label("Young's modulus; the cross is the goal")
         return picture

@@ -77,9 +77,10 @@ class RealBeam(Figure):
         for colour, name in zip(COLOURS, LIMITS, strict=False):
             right.plot(table[name], place, "o", color=colour, label=f"{name}")
             right.axvline(LIMITS[name], color=colour, lw=0.8, ls=":")
+        right.axvline(PREDICTED, color=COLOURS[1], lw=0.8, ls="--")
         held = table["holdout"] == 1
         right.plot(table["loaded"][held], place[held], "o", mfc="none", mec=COLOURS[1], ms=10, label="predicted")
-        right.set_xlabel("root mean square error [mm]; dotted: what is asked of fits")
+        right.set_xlabel("root mean square error [mm]; asked: dotted of fits, dashed of predictions")
         right.set_xlim(left=0)
         right.legend()
         titled(left, self.title)
