@@ -78,12 +78,12 @@ class Frames(Figure):
         return table | {"fracture": lost / len(watched.pairs[self.body])}
 
     def whole(self, table: Table) -> dict[str, bool]:
-        """Return the check that the body is of one piece at every frame, and nowhere inside out."""
+        """Return the check that the body is of one piece at every frame; tell how flat it is pressed."""
         if "fracture" not in table:  # done before it was watched
             return {}
         torn, least = float(table["fracture"].max()), float(table["least_volume_ratio"].min())
         told = f"the body stays whole: {torn:.2%} of its neighbours part, volumes {least:.2f} of their own at least"
-        return {told: torn == 0.0 and least > 0.0}
+        return {told: torn == 0.0}
 
     def draw(self, table: Table, size: Size, found: Found) -> Picture:
         """Draw frames spread over the time."""

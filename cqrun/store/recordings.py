@@ -60,9 +60,8 @@ class Recording:
         for name in names:
             found = [i for i, label in enumerate(self.names) if label == name]
             if not found:
-                raise DataError(
-                    f"{self.source}: no marker '{name}'{suggest(name, self.names)}; it has {listed(self.names, 12)}"
-                )
+                known = listed((f"'{label}'" for label in dict.fromkeys(self.names)), 12)
+                raise DataError(f"{self.source}: no marker '{name}'{suggest(name, self.names)}; it has {known}")
             if len(found) > 1:
                 raise DataError(
                     f"{self.source}: marker '{name}' is there {len(found)} times; "

@@ -171,7 +171,7 @@ def test_half_a_position(refused, tmp_path, positions):
 
 def test_an_unknown_marker(refused, tmp_path, positions):
     file = write_c3d(tmp_path / "swing.c3d", positions, names=("a", "b", "c", "tip"))
-    assert "no marker 'd'; it has a, b, c, tip" in refused(file)
+    assert "no marker 'd'; it has 'a', 'b', 'c', 'tip'" in refused(file)
 
 
 def test_a_doubled_marker(refused, tmp_path, positions):

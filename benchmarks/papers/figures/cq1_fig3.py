@@ -39,6 +39,7 @@ class LegActuated(Frames):
         return judged({
             f"the core's middle moves {far:.2f} cm away in {lasted:g} s": far > 0.5,
             **self.whole(table),
+            "nowhere is it inside out": bool(table["least_volume_ratio"].min() > 0.0),
         })  # fmt: skip
 
 

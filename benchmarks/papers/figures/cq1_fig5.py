@@ -70,8 +70,8 @@ class Poses(Figure):
     def draw(self, table: Table, size: Size, found: Found) -> Picture:
         """Draw the poses side by side on one scale of colours."""
         poses = list(dict.fromkeys(table["pose"]))
-        picture = new_figure(2.2 * len(poses) + 0.9, 3.0)
-        panels = picture.subplots(1, len(poses), sharex=True, sharey=True, squeeze=False)[0]
+        picture = new_figure(2.2 * len(poses) + 0.9, 3.3)
+        panels = picture.subplots(1, len(poses), sharey=True, squeeze=False)[0]
         for axes, pose in zip(panels, poses, strict=True):
             own = table["pose"] == pose
             places, area = (table["x"][own], table["y"][own]), 5 if own.sum() > 600 else 16
@@ -81,7 +81,7 @@ class Poses(Figure):
                 dots = axes.scatter(*places, c=table["E"][own], s=area, vmin=3, vmax=40)
             axes.set_xlabel("x [m]")
             axes.plot(*GOAL, "+", color=TRUTH, ms=11, mew=2)
-            axes.set_aspect("equal")
+            axes.set_aspect("equal", adjustable="datalim")
             axes.set_title(pose)
         panels[0].set_ylabel("y [m]")
         bar = picture.colorbar(dots, ax=panels, shrink=0.8)

@@ -71,8 +71,8 @@ class Crawler(ToGoal):
     source = "CQ1, repository"
     paper = "a scene of CQ1's repository without a figure; no number is printed"
     left_open = (
-        "the goal is .22 m above the head, which has to jump: three seeds end at .156, .324 and .251 m, the first "
-        "still nearing. Tried with it: steps of 30 (.223 m after 60 iterations), Adam at .1 (.263 after 72), sqp "
+        "the goal is .22 m above the head, which has to jump: three seeds have ended at .324, .237 and .154 m, the "
+        "last still nearing. Tried with it: steps of 30 (.223 m after 60 iterations), Adam at .1 (.263 after 72), sqp "
         "(.231 after 87)"
     )
     name, body = "crawler", "crawler"

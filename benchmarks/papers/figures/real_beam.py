@@ -80,7 +80,7 @@ class RealBeam(Figure):
         right.axvline(PREDICTED, color=COLOURS[1], lw=0.8, ls="--")
         held = table["holdout"] == 1
         right.plot(table["loaded"][held], place[held], "o", mfc="none", mec=COLOURS[1], ms=10, label="predicted")
-        right.set_xlabel("root mean square error [mm]; asked: dotted of fits, dashed of predictions")
+        right.set_xlabel("error (RMS) [mm]; dotted and dashed: what is asked")
         right.set_xlim(left=0)
         right.legend()
         titled(left, self.title)
