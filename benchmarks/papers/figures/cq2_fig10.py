@@ -23,7 +23,10 @@ class SwingingArm(Violations):
         Size.PAPER: "the co-designed arm comes below 1e-4 with three quarters of the fixed 100 % arm's effort, or at "
         "most 10 % more than that; the fixed 133 % arm stalls",
     }
-    left_open = "the control step, strength, goal, thresholds and sizes of the links; the solver is ours"
+    left_open = (
+        "the control step, strength, goal, thresholds and sizes of the links; the solver, which is ours, and stalls "
+        "with neither fixed arm at quick size"
+    )
     scene = "codesign/arm_3d"
     modulus = "bodies.arm.material.elastic.neo_hookean.youngs_modulus"
     fixed = {"fixed 100 %": 300.0, "fixed 133 %": 400.0}
