@@ -47,8 +47,9 @@ test-rl: $(READY) ## scenes as environments, PPO, autoencoders; installs the ext
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[rl]'
 	$(PYTEST) -n0 -m rl
 
-bench: $(READY) ## ns per particle and substep, pass by pass -> benchmarks/measured/bench.json
+bench: $(READY) ## ns per particle and substep, pass by pass, and beside the peers that are installed -> benchmarks/measured
 	$(BIN)/cqrun bench --output benchmarks/measured/bench.json
+	$(BIN)/python -m benchmarks.peers
 
 profile: $(READY) ## where a run's time goes, pass by pass: make profile SCENE=path/to/scene.yaml
 	$(BIN)/cqrun bench $(SCENE)

@@ -21,6 +21,9 @@ from cqrun.store import atomic
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
+OWN = "cqrun's own"
+"""The source of what is in neither paper."""
+
 Column = np.ndarray
 Table = dict[str, Column]
 """Columns of one length by name; numbers (NaN where there is none) or words."""

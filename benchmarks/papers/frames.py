@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.papers.figure import Figure, Size, Table
 from benchmarks.papers.histories import runs_below
 from benchmarks.papers.work import Found
+from cqrun.contract import Array
 from cqrun.figures.bodies import plot_body, snapshot
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.run_data import RunData, read_run
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 WIDE = 9.0
 """Width of the picture [inch]."""
+
+GROUND = 3.0
+"""Cells below the lowest particle that are seen: a body rests about one above its floor."""
 
 
 class Frames(Figure):
@@ -85,16 +89,20 @@ class Frames(Figure):
         told = f"the body stays whole: {torn:.2%} of its neighbours part, volumes {least:.2f} of their own at least"
         return {told: torn == 0.0}
 
+    def moments(self, table: Table) -> Array:
+        """Return which of the table's frames are drawn: spread over the time, unless more is known."""
+        return np.round(np.linspace(0, len(table["time"]) - 1, self.count)).astype(int)
+
     def draw(self, table: Table, size: Size, found: Found) -> Picture:
-        """Draw frames spread over the time."""
+        """Draw the moments side by side."""
         run = self.best(found)
         assert run is not None
         trajectory = run.trajectory()
-        frames = np.round(np.linspace(0, len(trajectory.time) - 1, self.count)).astype(int)
-        shots = [snapshot(trajectory, int(frame)) for frame in frames]
+        shots = [snapshot(trajectory, int(frame)) for frame in self.moments(table)]
         x = np.stack([shot.x for shot in shots])
         look = views(run.scene, x)[0]
         (corners,) = of_equal_width([window(x, look, room_around(x, shots[0].dots.size))])
+        corners[0, 1] -= GROUND * run.scene.world.dx
         rows = -(-self.count // self.columns)
         each = WIDE / self.columns
         tall = each * float(np.clip((corners[1, 1] - corners[0, 1]) / (corners[1, 0] - corners[0, 0]), 0.2, 1.6))
@@ -108,7 +116,7 @@ class Frames(Figure):
             upto = table["time"] <= shot.time + 1e-9
             axes.plot(*(unit.factor * (path @ look.axes.T)[upto]).T, color=COLOURS[1], lw=1.0)
             axes.set_title(f"t = {shot.time:.3g} s")
-            axes.locator_params(axis="x", nbins=4 if self.columns < 5 else 2)
+            axes.locator_params(axis="x", nbins=4 if self.columns < 5 else 1, min_n_ticks=1)
             axes.set_xlabel(axes.get_xlabel().replace("(m)", f"[{self.unit}]"))
             axes.set_ylabel(axes.get_ylabel().replace("(m)", f"[{self.unit}]"))
         for axes in panels[self.count :]:

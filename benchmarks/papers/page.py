@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 
 from benchmarks.papers.catalogue import FIGURES
-from benchmarks.papers.figure import Figure, Judgement, Size
+from benchmarks.papers.figure import OWN, Figure, Judgement, Size
 from benchmarks.papers.publish import published
 from cqrun.store.atomic import make_directory, write_text
 
@@ -82,13 +82,20 @@ def _done(record: dict[str, Any], judgement: Judgement) -> str:
 
 
 def _time(minutes: float) -> str:
+    if minutes < 1 / 60:
+        return "under a second"
     return (
         f"{60 * minutes:.0f} s" if minutes < 2 else f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"
     )
 
 
 def _total(rows: list[dict[str, Any]], size: int) -> str:
-    results = [row["results"][size] for row in rows]
+    """Return how many verdicts of each kind there are, the papers' first, and how much work it was."""
+    papers, own = ([row["results"][size] for row in rows if (row["source"] == OWN) is ours] for ours in (False, True))
+    minutes = sum(result["minutes"] for result in papers + own)
+    return f"{_counted(papers)}; cqrun's own: {_counted(own)}; {_time(minutes)} of work in all"
+
+
+def _counted(results: list[dict[str, Any]]) -> str:
     counts = Counter(result["verdict"] for result in results)
-    told = ", ".join(f"{counts[name]} {name}" for name in (*(j.value for j in Judgement), NOTHING) if counts[name])
-    return f"{told}; {_time(sum(result['minutes'] for result in results))} of work in all"
+    return ", ".join(f"{counts[name]} {name}" for name in (*(j.value for j in Judgement), NOTHING) if counts[name])

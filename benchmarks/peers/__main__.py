@@ -116,6 +116,9 @@ def main() -> None:
     here = [name for name in options.names if importlib.util.find_spec(PACKAGES[name]) is not None]
     if missing := [name for name in options.names if name not in here]:
         print(f"left out: {', '.join(missing)}, not installed: pip install 'cqrun[peers]'")
+    if set(here) <= {"cqrun"}:
+        print("no peer is there to be measured beside")
+        return
     rows = []
     for size in options.sizes:
         for row in compare(size, [name for name in here if name != "cqrun"] + ["cqrun"], options.repeat, options.core):

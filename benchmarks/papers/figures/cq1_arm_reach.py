@@ -57,7 +57,7 @@ class ArmReach(Figure):
 
     def draw(self, table: Table, size: Size, found: Found) -> Picture:
         """Draw the goals with their errors from above, and all errors side by side."""
-        picture = new_figure(8.4, 3.6)
+        picture = new_figure(9.4, 3.6)
         above, side = picture.subplots(1, 2)
         for colour, (name, label) in zip((GREY, *COLOURS), SETS.items(), strict=False):
             own = table["set"] == name
@@ -73,7 +73,7 @@ class ArmReach(Figure):
         above.set_xlabel("x of the goal [m]")
         above.set_ylabel("z of the goal [m]")
         above.set_aspect("equal", adjustable="datalim")
-        above.legend(title="area: error", markerscale=0.5)
+        above.legend(title="area: error", markerscale=0.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
         side.set_xticks(range(len(SETS)), SETS.values())
         side.set_ylabel("tip to goal at the end [m]")
         side.set_ylim(bottom=0.0)

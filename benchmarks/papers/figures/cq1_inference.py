@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.histories import runs_below
 from benchmarks.papers.work import Found, Runs, Work
+from cqrun.figures.run_data import read_run
 from cqrun.figures.style import COLOURS, GREY, TRUTH, new_figure, titled, whole_ticks
 
 if TYPE_CHECKING:
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
 
 DENSITY = "bodies.a.material.density"
 PRINTED = 2.26
+GOAL = (0.68, 0.52)
+"""Where the middle of ball B is to be in the end [m], as in the scene."""
+
 SEEDS = {Size.QUICK: 3, Size.PAPER: 10}
 
 
@@ -44,33 +49,59 @@ class Inference(Figure):
         ]  # fmt: skip
 
     def table(self, found: Found, size: Size) -> Table:
-        """Return sampling, iteration, density, loss [m^2]."""
-        return stacked(
-            {"sampling": int(name.rpartition("_")[2]), "iteration": k, "density": float(density), "loss": float(loss)}
-            for name, folder in found.items()
-            for run in runs_below(folder)
+        """Return sampling, iteration, density, loss [m^2]; then sampling, time [s] and where the balls' middles are."""
+        fits = [(int(n.rpartition("_")[2]), run) for n, folder in found.items() for run in runs_below(folder)]
+        learned = (
+            {"sampling": sampling, "iteration": k, "density": float(density), "loss": float(loss)}
+            for sampling, run in fits
             for k, (density, loss) in enumerate(zip(run.history[f"value:{DENSITY}"], run.history["loss"], strict=True))
         )
+        moved = (
+            {"sampling": sampling, "time": float(time)} | {
+                f"{ball}_{axis}": float(middle)
+                for ball, own in trajectory.bodies.items()
+                for axis, middle in zip("xy", x[own].mean(axis=0), strict=True)
+            }
+            for sampling, run in fits
+            if (run.path / "trajectory.h5").exists()
+            for trajectory in [read_run(run.path).trajectory()]
+            for time, x in zip(trajectory.time, trajectory.fields["x"], strict=True)
+        )  # fmt: skip
+        return stacked(chain(learned, moved))
 
     def draw(self, table: Table, size: Size, found: Found) -> Picture:
-        """Draw the densities; the paper's as a line."""
-        picture = new_figure(5.2, 3.4)
-        axes = picture.add_subplot()
+        """Draw the densities, the paper's as a line; and the paths of both balls with the densities found."""
+        picture = new_figure(8.4, 3.4)
+        axes, plane = picture.subplots(1, 2)
+        learned = np.isfinite(table["iteration"])
         for sampling in np.unique(table["sampling"]):
-            own = table["sampling"] == sampling
+            own = (table["sampling"] == sampling) & learned
             axes.plot(table["iteration"][own], table["density"][own], color=COLOURS[0], lw=1.0, marker=".", ms=4)
+            own = (table["sampling"] == sampling) & ~learned
+            for colour, ball in zip(COLOURS[1:], "ab", strict=False):
+                path = table[f"{ball}_x"][own], table[f"{ball}_y"][own]
+                label = f"ball {ball.upper()}, with the density found" if sampling == table["sampling"][0] else None
+                plane.plot(*path, color=colour, lw=1.0, marker=".", ms=3, label=label)
         axes.axhline(PRINTED, color=TRUTH, lw=1.0, ls="--", label=f"paper: {PRINTED}")
         axes.axhline(1.0, color=GREY, lw=0.8, ls=":", label="start")
         whole_ticks(axes.xaxis)
         axes.set_xlabel("iteration")
         axes.set_ylabel("density of ball A")
-        axes.legend()
+        plane.plot(*GOAL, "P", color=TRUTH, mec="white", ms=9, ls="none", label="where B is to end")
+        plane.set_aspect("equal", adjustable="datalim")
+        plane.set_xlabel("x [m]")
+        plane.set_ylabel("y [m]")
+        for panel in (axes, plane):
+            panel.legend()
         titled(axes, self.title)
         return picture
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge the densities that were found."""
-        ends = np.array([table["density"][table["sampling"] == s][-1] for s in np.unique(table["sampling"])])
+        learned = np.isfinite(table["iteration"])
+        ends = np.array(
+            [table["density"][learned & (table["sampling"] == s)][-1] for s in np.unique(table["sampling"])]
+        )
         told = f"{ends.mean():.3f} +- {ends.std(ddof=1):.3f} ({ends.min():.3f} to {ends.max():.3f})"
         if len(ends) < SEEDS[size]:
             return judged({f"{len(ends)} of {SEEDS[size]} samplings: {told}": False})

@@ -30,15 +30,15 @@ class LengthArm(Figure):
     source = "CQ2 5.3.1"
     paper = "the tip comes within .001 of its goal in 100 steps (video only)"
     tolerance = {
-        size: "below .001 within 100 steps where the length is free; not below it where it is fixed" for size in Size
+        size: "below .001 within 100 steps where the length is free; where it is fixed, not in 200" for size in Size
     }
     left_open = "everything but that: size, material, muscles and goal are ours"
 
     def work(self, size: Size) -> Sequence[Work]:
         """Return both runs, which are small enough to be the same at both sizes."""
         return [
-            Runs("arm_length_free", 0.7, "codesign", SCENE),
-            Runs("arm_length_fixed", 0.7, "control", SCENE, ("unknowns={}",)),
+            Runs("arm_length_free", 0.5, "codesign", SCENE),
+            Runs("arm_length_fixed", 0.5, "control", SCENE, ("unknowns={}", "optimizer.adam.max_iterations=200")),
         ]
 
     def table(self, found: Found, size: Size) -> Table:
@@ -66,8 +66,8 @@ class LengthArm(Figure):
         distance.axhline(NEAR, color=GREY, lw=1.0, ls="--", label="paper: .001 by step 100")
         distance.set_yscale("log")
         distance.set_ylabel("distance of the tip [m]")
-        distance.legend()
         length.set_ylabel("length of the arm [m]")
+        length.legend(*distance.get_legend_handles_labels(), loc="center right")
         for axes in (distance, length):
             axes.set_xlabel("step")
         titled(distance, self.title)
@@ -79,5 +79,5 @@ class LengthArm(Figure):
         near = first_below(free, NEAR)
         return judged({
             f"free: below .001 at step {near}, ends at {free[-1]:.2g}": near is not None and near <= 100,
-            f"fixed: {fixed.min():.2g} at best": bool(fixed.min() > NEAR),
+            f"fixed: {fixed.min():.2g} at best in {len(fixed) - 1} steps": bool(fixed.min() > NEAR),
         })  # fmt: skip

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.figure import OWN, Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.work import ROOT, Found, Measurement, Work
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
 from cqrun.store.atomic import write_json
@@ -36,7 +36,7 @@ class RealBeam(Figure):
 
     id = "real_beam"
     title = "A real silicone beam, fitted and predicted"
-    source = "cqrun's own"
+    source = OWN
     paper = "not in the papers; recordings of the Soft Robotics Lab, ETH Zurich (MIT licence), srl-ethz/diffPD_sim2real"
     tolerance = {
         size: "fitted: .6 mm bare and 2.0 mm loaded at most; predicted: 2.5 mm; E from 230 to 360 kPa" for size in Size
