@@ -13,7 +13,7 @@ from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stack
 from benchmarks.papers.histories import curves, runs_below
 from benchmarks.papers.work import Found, Runs, Work
 from cqrun.contract import Array
-from cqrun.figures.style import COLOURS, INK, new_figure, titled
+from cqrun.figures.style import COLOURS, INK, clock_ticks, new_figure, titled
 from cqrun.jobs.ablate import ALL, CONTROL
 from cqrun.jobs.seeds import interval
 
@@ -98,7 +98,9 @@ class Ablation(Figure):
         if size is Size.PAPER:
             right.plot(range(len(ORDER)), self.printed, "D", color=INK, mec="white", ms=6, label="paper")
             right.legend()
-        left.set_xlabel("iteration")
+        timed = curves(table, labels[-1])
+        clock = clock_ticks(left.xaxis, np.arange(len(timed.seconds)), timed.seconds)
+        left.set_xlabel(f"iteration, and below it the wall time of '{labels[-1]}' [{clock}]")
         left.set_ylabel("distance travelled [m]")
         left.legend(ncols=2, fontsize=7)
         right.set_xticks(range(len(ORDER)), ORDER, rotation=35, ha="right")

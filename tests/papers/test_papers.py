@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from benchmarks.papers import __main__ as command
+from benchmarks.papers.ablations import ORDER, Ablation
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Figure, Judgement, Size, judged, read_table, stacked, write_table
 from benchmarks.papers.histories import Run, curves, first_below, settled, smooth
@@ -367,6 +368,25 @@ def test_distances_are_drawn_and_judged(figure, size):
     assert figure.judge(stood, size).judgement is Judgement.MISSED
     with styled():
         assert figure.draw(table, size, {}).axes
+
+
+@pytest.mark.parametrize("figure", [f for f in FIGURES.values() if isinstance(f, Ablation)], ids=lambda f: f.id)
+@pytest.mark.parametrize("size", Size)
+def test_ablations_are_drawn_and_judged(figure, size):
+    """Two seeds of every combination, which walk as far as the paper's; then all as far as control alone."""
+    rows = [
+        {"variant": label, "seed": seed, "iteration": k, "seconds": 9.0 * k, "value": 0.5 * far * k + 1e-3 * seed}
+        for label, far in zip(ORDER, figure.printed, strict=True) for seed in range(2) for k in range(3)
+    ]  # fmt: skip
+    table = stacked(iter(rows))
+    assert figure.judge(table, size).judgement is Judgement.MET
+    first = table["value"][table["variant"] == ORDER[0]]
+    same = {**table, "value": np.tile(first, len(ORDER))}
+    assert figure.judge(same, size).judgement is not Judgement.MET
+    with styled():
+        left, right = figure.draw(table, size, {}).axes
+    assert "wall time of 'all' [s]" in left.get_xlabel()
+    assert (right.get_legend() is not None) == (size is Size.PAPER)  # the printed values are of the paper's size
 
 
 def test_a_table_comes_back(tmp_path):
