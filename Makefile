@@ -13,7 +13,7 @@ PYTEST := NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 PARALLEL := -n 2 --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help setup lint types test test-nojit test-slow test-rl bench profile demo reproduce-figures clean-cache clean
+.PHONY: help setup lint types test test-nojit test-slow test-rl test-render bench profile demo reproduce-figures clean-cache clean
 
 help: ## list these targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-17s %s\n", $$1, $$2}'
@@ -46,6 +46,10 @@ test-slow: $(READY) ## the tests that take minutes
 test-rl: $(READY) ## scenes as environments, PPO, autoencoders; installs the extra `rl` (plain torch: several GB; install a CPU build first)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[rl]'
 	$(PYTEST) -n0 -m rl
+
+test-render: $(READY) ## pictures in 3D and films; installs the extras `viz3d` and `video`
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[viz3d,video]'
+	$(PYTEST) -n0 tests/figures/test_render.py
 
 bench: $(READY) ## ns per particle and substep, pass by pass, and beside the peers that are installed -> benchmarks/measured
 	$(BIN)/cqrun bench --output benchmarks/measured/bench.json

@@ -14,8 +14,9 @@ from cqrun.contract import Array
 from cqrun.figures.bodies import plot_body, snapshot
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.run_data import RunData, read_run
+from cqrun.figures.scenery import goals
 from cqrun.figures.style import COLOURS, new_figure
-from cqrun.figures.views import of_equal_width, room_around, views, window
+from cqrun.figures.views import room_around, views, window
 from cqrun.observers.fracture import Fracture
 from cqrun.scene.particles import sample
 
@@ -25,8 +26,11 @@ if TYPE_CHECKING:
 WIDE = 9.0
 """Width of the picture [inch]."""
 
-GROUND = 3.0
-"""Cells below the lowest particle that are seen: a body rests about one above its floor."""
+WHOLE = "the body stays whole and nowhere inside out"
+"""What `Frames.whole` asks, in words."""
+
+GROUND = 2.0
+"""Cells below the lowest particle that are seen at least: a body rests about one above its floor."""
 
 
 class Frames(Figure):
@@ -82,12 +86,14 @@ class Frames(Figure):
         return table | {"fracture": lost / len(watched.pairs[self.body])}
 
     def whole(self, table: Table) -> dict[str, bool]:
-        """Return the check that the body is of one piece at every frame; tell how flat it is pressed."""
-        if "fracture" not in table:  # done before it was watched
-            return {}
+        """Return the checks that the body is of one piece and nowhere inside out, at every frame."""
+        if "fracture" not in table:
+            return {"whether the body stays whole was not recorded": False}
         torn, least = float(table["fracture"].max()), float(table["least_volume_ratio"].min())
-        told = f"the body stays whole: {torn:.2%} of its neighbours part, volumes {least:.2f} of their own at least"
-        return {told: torn == 0.0}
+        return {
+            f"the body stays whole: {torn:.2%} of its neighbours part": torn == 0.0,
+            f"nowhere is it inside out: volumes are {least:.2f} of their own at least": least > 0.0,
+        }
 
     def moments(self, table: Table) -> Array:
         """Return which of the table's frames are drawn: spread over the time, unless more is known."""
@@ -101,12 +107,13 @@ class Frames(Figure):
         shots = [snapshot(trajectory, int(frame)) for frame in self.moments(table)]
         x = np.stack([shot.x for shot in shots])
         look = views(run.scene, x)[0]
-        (corners,) = of_equal_width([window(x, look, room_around(x, shots[0].dots.size))])
-        corners[0, 1] -= GROUND * run.scene.world.dx
+        seen = np.concatenate([x.reshape(-1, x.shape[-1]), *(goal.position[None] for goal in goals(run.scene))])
+        corners = window(seen, look, room_around(x, shots[0].dots.size))
+        corners[0, 1] = min(corners[0, 1], window(x, look, GROUND * run.scene.world.dx)[0, 1])
         rows = -(-self.count // self.columns)
         each = WIDE / self.columns
         tall = each * float(np.clip((corners[1, 1] - corners[0, 1]) / (corners[1, 0] - corners[0, 0]), 0.2, 1.6))
-        picture = new_figure(WIDE, rows * (tall + 0.55))
+        picture = new_figure(WIDE + 0.9, rows * (tall + 0.55))
         panels = picture.subplots(rows, self.columns, squeeze=False).ravel()
         largest, unit = max(float(shot.moved.max()) for shot in shots), length_unit(float(np.max(corners)))
         for axes, shot in zip(panels, shots, strict=False):
@@ -121,4 +128,7 @@ class Frames(Figure):
             axes.set_ylabel(axes.get_ylabel().replace("(m)", f"[{self.unit}]"))
         for axes in panels[self.count :]:
             axes.remove()
+        colours = picture.colorbar(dots, ax=list(panels[: self.count]), shrink=0.85, pad=0.015, aspect=28)
+        colours.set_label(f"moved by [{self.unit}]")
+        colours.outline.set_visible(False)
         return picture

@@ -9,7 +9,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
-from cqrun.figures.dots import COVER, Dots, add_dots, far_to_near
+from cqrun.figures.dots import COVER, COVER_3D, Dots, add_dots, far_to_near
 from cqrun.figures.quantities import Unit, length_unit
 from cqrun.figures.run_data import TRAJECTORY, RunData
 from cqrun.figures.scenery import frame_axes, goals, held, plot_goals, plot_held
@@ -132,12 +132,12 @@ def plot_body(
     if look.names:
         plot_held(axes, held(scene, look, corners, shot.x.mean(axis=0)), unit.factor)
     size = unit.factor * stride ** (1.0 / scene.dim) * shot.dots.size[order]
-    dots = add_dots(axes, size, edge=0.15 if scene.dim == 3 else 0.0, cover=1.0 if scene.dim == 3 else COVER)
+    dots = add_dots(axes, size, edge=0.15 if scene.dim == 3 else 0.0, cover=COVER_3D if scene.dim == 3 else COVER)
     dots.set_offsets(unit.factor * x[order] @ look.axes.T)
     dots.set_cmap(AMOUNT_MAP)
     values, low, high = shown or (unit.factor * shot.moved, 0.0, unit.factor * largest or 1.0)
     dots.set_array(values[shot.dots.source[order]])
     dots.set_clim(low, high)
-    plot_goals(axes, goals(scene, {"courses": shot.courses}), look, unit.factor)
     frame_axes(axes, look, corners, unit)
+    plot_goals(axes, goals(scene, {"courses": shot.courses}), look, unit.factor)
     return dots

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 COVER = 1.5
 """Diameter of a dot in distances between dots: the diagonal of a square lattice, and some stretch."""
 
+COVER_3D = 1.25
+"""The same in three dimensions, where dots have an edge: smaller, so that what lies behind shows its form."""
+
 AROUND = {2: 16, 3: 40}
 """Nearest particles among which those beside a particle are looked for, in every direction."""
 

@@ -22,6 +22,10 @@ PIXELS = 240
 """Samples along the longer side of the view that show where boundaries hold the grid."""
 
 
+LABELS_RIGHT = 0.7
+"""Part of a picture's width in which a goal's name stands to the right of it; beyond, to the left."""
+
+
 @dataclass(frozen=True)
 class Goal:
     """A place where something shall be.
@@ -103,16 +107,19 @@ def plot_held(axes: Axes, place: tuple[Array, Array, Array], factor: float) -> N
 
 
 def plot_goals(axes: Axes, found: Sequence[Goal], look: View, factor: float) -> None:
-    """Mark goals, the ranges that they are drawn from, and courses."""
+    """Mark goals, the ranges that they are drawn from, and courses, in axes that have their extent."""
     from matplotlib.patches import Rectangle
 
+    left, right = axes.get_xlim()
     for goal in found:
         place = factor * look.axes @ goal.position
+        side = 1 if place[0] < left + LABELS_RIGHT * (right - left) else -1
         axes.plot(
             *place, marker="P", markersize=8, color=TRUTH, markeredgecolor="white", linestyle="none", zorder=5
         )  # fmt: skip
         axes.annotate(
-            goal.name, place, xytext=(6, 6), textcoords="offset points", fontsize=7.5, color=INK, zorder=5,
+            goal.name, place, xytext=(6 * side, 6), textcoords="offset points", fontsize=7.5, color=INK, zorder=5,
+            ha="left" if side > 0 else "right",
             bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "alpha": 0.75, "linewidth": 0},
         )  # fmt: skip
         if len(goal.course):

@@ -33,7 +33,8 @@ _NOTHING = 1e-3
 """Share of its bounds that a surface with holes encloses at least."""
 
 _OPEN, _CROSSED = 0.1, 0.05
-"""Shares of what the surface encloses: undecided, and enclosed the wrong way round, above which it is refused."""
+"""Shares of what the surface encloses: undecided, and enclosed the wrong way round, above which it is refused; less
+of the second is told."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +91,8 @@ class Mesh(Place, FileShape):
 
         Only what `inside` gets wrong is refused. It asks for w > 1/2, so w = 2, where two closed surfaces overlap, is
         as good as 1, and a hole matters only where it makes w come near 1/2; there a tiny change of the mesh would
-        make other particles. Where w is -1, a part of the surface is inside out, or it crosses itself so: that part
-        would be left out without a word.
+        make other particles. Where w is -1, a part of the surface is inside out, or it crosses itself so; that part
+        is left out.
         """
         surface = self._surface()
         w = surface.winding
@@ -118,6 +119,11 @@ class Mesh(Place, FileShape):
                 "enclosed the wrong way round; mend it where it crosses, or turn the normals of those parts"
             )
         warnings = []
+        if inverted > 0.0:
+            warnings.append(
+                f"{self.path}: crosses itself, or is inside out in parts: {inverted:.1%} as much as it encloses is "
+                "enclosed the wrong way round, and is left out"
+            )
         if not surface.closed:
             warnings.append(f"{self.path}: has holes; they are closed by the winding number")
         if (w > 1.5).any():

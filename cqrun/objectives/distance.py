@@ -10,7 +10,7 @@ from pydantic import Field
 from cqrun.contract import Array
 from cqrun.objectives.axes import AlongAxis, Axis
 from cqrun.objectives.term import BoundTerm, Track, TrackBar
-from cqrun.observers.matter import Matter
+from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.registry import plugin
 
@@ -25,7 +25,7 @@ class Distance(AlongAxis):
     sense: ClassVar[Literal[1, -1]] = -1
 
     body: str = Field(description="Body that travels")
-    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    group: str | None = Field(description=A_GROUP, default=None)
     axis: Axis = Field(description="Axis of the world it travels along", default="x")
 
     def bind(self, matter: Matter) -> BoundTerm:

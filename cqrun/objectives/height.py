@@ -10,7 +10,7 @@ from pydantic import Field
 from cqrun.contract import Array
 from cqrun.objectives.axes import AlongAxis
 from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
-from cqrun.observers.matter import Matter
+from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.registry import plugin
 
@@ -22,7 +22,7 @@ class Height(AlongAxis):
     sense: ClassVar[Literal[1, -1]] = -1
 
     body: str = Field(description="Body that is measured")
-    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    group: str | None = Field(description=A_GROUP, default=None)
     over: Over = Field(description="How the values of all control steps become one", default="mean")
 
     def bind(self, matter: Matter) -> BoundTerm:

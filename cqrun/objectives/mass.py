@@ -8,7 +8,7 @@ from pydantic import Field
 
 from cqrun.objectives.design import MASS, DesignSum
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm
-from cqrun.observers.matter import Matter
+from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.registry import plugin
 
 
@@ -19,7 +19,7 @@ class Mass(ObjectiveTerm):
     least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that counts")
-    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    group: str | None = Field(description=A_GROUP, default=None)
 
     def bind(self, matter: Matter) -> BoundTerm:
         return DesignSum(matter, self.over, MASS, matter.members(self.body, self.group))

@@ -12,7 +12,7 @@ from cqrun.errors import UsageError
 from cqrun.explain import complaint, finding
 from cqrun.objectives.gaps import lengths, lengths_vjp
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
-from cqrun.observers.matter import Matter
+from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.registry import plugin
 
@@ -27,7 +27,7 @@ class Reach(ObjectiveTerm):
     least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that reaches")
-    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    group: str | None = Field(description=A_GROUP, default=None)
     goal: str | None = Field(description="Name of the goal", default=None)
     position: list[float] | None = vector("m", "Where it should be", default=None)
     target: str | None = Field(description="Body it should be at", default=None)

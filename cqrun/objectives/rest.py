@@ -9,7 +9,7 @@ from pydantic import Field
 
 from cqrun.contract import Array
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
-from cqrun.observers.matter import Matter
+from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means, single
 from cqrun.registry import plugin
 
@@ -24,7 +24,7 @@ class Rest(ObjectiveTerm):
     least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that should rest")
-    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    group: str | None = Field(description=A_GROUP, default=None)
     particles: bool = Field(description="Mean of the particles' squared speeds, not the centroid's", default=False)
 
     def bind(self, matter: Matter) -> BoundTerm:

@@ -14,7 +14,7 @@ from cqrun.objectives.gaps import lengths, lengths_vjp
 from cqrun.objectives.hermite import Interpolant, interpolant
 from cqrun.objectives.recorded import RecordedPath
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar
-from cqrun.observers.matter import Matter
+from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.registry import plugin
 
@@ -36,7 +36,7 @@ class Tracking(ObjectiveTerm):
     least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that follows")
-    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    group: str | None = Field(description=A_GROUP, default=None)
     path: list[Point] | None = quantity(_UNIT, "Points [t, x, y(, z)] of a path", min_length=1, default=None)
     keys: list[Point] | None = quantity(_UNIT, "Key frames [t, x, y(, z)]", min_length=1, default=None)
     marker: RecordedPath | None = Field(description="A marker of a recording", default=None)

@@ -11,7 +11,7 @@ from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.objectives.design import MASS, RATIO, STIFFNESS, VOLUME
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
-from cqrun.observers.matter import Matter
+from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.registry import plugin
 
@@ -29,7 +29,7 @@ class Unchanged(ObjectiveTerm):
     least: ClassVar[float] = 0.0
 
     body: str = Field(description="Body that counts")
-    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    group: str | None = Field(description=A_GROUP, default=None)
     of: Literal["stiffness", "poissons_ratio", "density", "mass", "volume"] = Field(
         description="Young's modulus, Poisson's ratio, density, or mass or volume at rest", default="stiffness"
     )

@@ -20,7 +20,8 @@ class Centroids(MotionObserver):
     """
 
     groups: list[str] | Literal["all"] = Field(
-        description="Names of groups, or all: every group in order, the whole body if it has none", default="all"
+        description="Names of groups or of the scene's regions, or all: every group in order, the body if it has none",
+        default="all",
     )
 
     def bind(self, matter: Matter) -> Motion:

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
-from cqrun.observers.matter import Matter
+from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import means
@@ -20,7 +20,7 @@ class Goal(Observer):
 
     goal: str = Field(description="Name of the goal, a position")
     body: str | None = Field(description="Body it is seen from; none: the goal's own entries", default=None)
-    group: str | None = Field(description="Group of the body; the whole body if absent", default=None)
+    group: str | None = Field(description=A_GROUP, default=None)
     range: Range = Field(
         description="[low, high] in m that becomes [-1, 1], one for each axis, auto: the world's size, or null",
         default="auto",

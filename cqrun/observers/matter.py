@@ -13,6 +13,9 @@ from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
 
+A_GROUP = "Group of the body, or region of the scene, by name; the whole body if absent"
+"""What a field `group` of observers and objectives takes."""
+
 
 def _none_recorded(file: str, units: str | None, marker: str) -> tuple[Array, Array]:
     """Stand for the recordings of a scene that has none."""

@@ -54,7 +54,7 @@ class Material(Terms):
 
 
 class OtherMaterial(Terms):
-    """Values of a body's material that are others in one of its regions; what is not named stays."""
+    """A body's material in one of its regions: density, and terms with all their values; what is not named stays."""
 
     density: float | None = quantity("kg/m^3", "Density at rest", differentiable=True, gt=0, default=None)
     elastic: Annotated[Chosen[Plugin], Choice("elastic")] | None = Field(

@@ -76,9 +76,9 @@ def opened(path):
 
 
 def near(picture, colour):
-    """Return how many pixels of a picture (h, w, 3) have nearly a colour (#rrggbb)."""
+    """Return how many pixels of a picture (h, w, 3) have nearly a colour (#rrggbb): a GIF has 255 for all of them."""
     rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
-    return int((np.abs(picture - rgb).max(axis=2) < 12).sum())
+    return int((np.abs(picture - rgb).max(axis=2) < 16).sum())
 
 
 # --- what is shown ------------------------------------------------------------------------------------------

@@ -118,6 +118,25 @@ def test_a_surface_that_crosses_itself_is_refused(sphere: Any, tmp_path: Path) -
         saved(as_given(eight, sphere.faces), tmp_path / "eight.ply").examine()
 
 
+def test_a_surface_that_hardly_crosses_itself_is_told_of(sphere: Any, tmp_path: Path) -> None:
+    pulled = sphere.vertices.copy()
+    pulled[np.linalg.norm(pulled - [0.0, 0.0, 1.0], axis=1) < 0.25] *= [1.0, 1.0, -1.5]  # through the far side
+    (told,) = saved(as_given(pulled, sphere.faces), tmp_path / "pulled.ply").examine()
+    assert "pulled.ply: crosses itself, or is inside out in parts: " in told
+    assert told.endswith(" is enclosed the wrong way round, and is left out")
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj"])
+def test_a_name_in_latin_letters_does_no_harm(suffix: str, sphere: Any, tmp_path: Path) -> None:
+    if suffix == ".stl":
+        text = sphere.export(file_type="stl_ascii").replace("solid", "solid Körper", 1)
+    else:
+        text = "# Körper\n" + sphere.export(file_type="obj")
+    path = tmp_path / f"latin{suffix}"
+    path.write_bytes(text.encode("latin-1"))
+    assert Mesh(file=str(path)).examine() == []
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [

@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.papers.figure import Size, Table, Verdict, judged
-from benchmarks.papers.frames import Frames
+from benchmarks.papers.frames import WHOLE, Frames
 from benchmarks.papers.work import Runs
 from cqrun.contract import Array
 
@@ -25,10 +25,7 @@ class LegActuated(Frames):
     title = "A pneumatic leg bends"
     source = "CQ1 Fig 3, left"
     paper = "photographs beside frames: a chamber is inflated more and more, and the leg bends away from it"
-    tolerance = {
-        size: "the middle moves away from the inflated chamber by more than .5 cm, and the leg stays whole"
-        for size in Size
-    }
+    tolerance = {size: f"the middle moves away from the inflated chamber by more than .5 cm; {WHOLE}" for size in Size}
     left_open = "which chamber, and how long; real footage cannot be reproduced"
     name, body, group, count, columns, unit = "leg_actuate", "leg", "core", 5, 5, "cm"
 
@@ -45,7 +42,6 @@ class LegActuated(Frames):
         return judged({
             f"the core's middle moves {far:.2f} cm away in {lasted:g} s": far > 0.5,
             **self.whole(table),
-            "nowhere is it inside out": bool(table["least_volume_ratio"].min() > 0.0),
         })  # fmt: skip
 
 
