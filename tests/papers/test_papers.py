@@ -389,6 +389,19 @@ def test_ablations_are_drawn_and_judged(figure, size):
     assert (right.get_legend() is not None) == (size is Size.PAPER)  # the printed values are of the paper's size
 
 
+def test_a_body_that_is_torn_or_inside_out_or_was_not_watched_is_not_whole():
+    crawler = FIGURES["cq1_crawler"]
+    path = {"time": np.arange(2.0), **dict(zip("xyz", np.array([[0.7, 1.4], [0.2, 0.4], [0.5, 0.5]]), strict=True))}
+
+    def judgement(**watched: float) -> Judgement:
+        return crawler.judge(path | {name: np.full(2, value) for name, value in watched.items()}, Size.PAPER).judgement
+
+    assert judgement(fracture=0.0, least_volume_ratio=0.1) is Judgement.MET
+    assert judgement(fracture=0.01, least_volume_ratio=0.1) is Judgement.PARTLY
+    assert judgement(fracture=0.0, least_volume_ratio=-0.04) is Judgement.PARTLY
+    assert judgement() is Judgement.PARTLY
+
+
 def test_a_table_comes_back(tmp_path):
     table = stacked(iter([{"name": "a, b", "x": 1.5}, {"name": "c", "y": 2.0}]))
     write_table(table, tmp_path / "t.csv")
