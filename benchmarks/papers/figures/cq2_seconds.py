@@ -53,8 +53,7 @@ class Seconds(Figure):
     }
     left_open = (
         "seconds are wall time over iterations, read off the figures' upper axes. Ours vary by a third with what else "
-        "the host does. The three large robots were measured after substeps of large bodies were chained "
-        "(docs/decisions/001; before, 7.9, 10.2 and 14.8 s), the others before, whose passes are the same. "
+        "the host does: another run, on a processor with AVX2, had 3.0, 11.0, 51.4, 24.0, 1.6, 5.4, 7.9 and 9.3 s. "
         "benchmarks/measured/profiles says what takes the time, pass by pass (cqrun bench SCENE -o precision=float32 "
         "-o memory=8GiB --threads 2 --output FILE). Of the hills' 20,000 substeps, .8 are run twice, for their states "
         "do not fit"
