@@ -36,7 +36,6 @@ class Ablation(Figure):
         rates: learning rates that each variant is tried with.
         printed: final distances, in the order of `ORDER` [m].
         gain: of all over control, as printed.
-        whole: whether paper size is the paper's; else its distances are not judged.
     """
 
     scene: ClassVar[str]
@@ -48,7 +47,6 @@ class Ablation(Figure):
     rates: ClassVar[Mapping[Size, tuple[float, ...]]]
     printed: ClassVar[Sequence[float]]
     gain: ClassVar[float]
-    whole: ClassVar[bool] = True
 
     tolerance: ClassVar[dict[Size, str]] = {
         Size.QUICK: "the design with everything free goes farther than control alone",
@@ -124,7 +122,7 @@ class Ablation(Figure):
         theirs = sorted(("mass", "nu", "E"), key=lambda label: -self.printed[ORDER.index(label)])
         wanted = self.printed[0]
         reached = {f"control {control.mean():.2f} m, paper {wanted:g}": bool(control.mean() >= 0.9 * wanted)}
-        return judged((reached if self.whole else {}) | {
+        return judged(reached | {
             told: float(gain["mean"] or 0.0) >= 0.5 * self.gain,
             f"order {' > '.join(order)}, paper {' > '.join(theirs)}": order == theirs,
         })  # fmt: skip

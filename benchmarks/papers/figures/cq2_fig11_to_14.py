@@ -4,22 +4,19 @@ from benchmarks.papers.ablations import Ablation
 from benchmarks.papers.figure import Size
 from benchmarks.papers.learning import SINGLE
 
-LEFT_OPEN = "30 % of the particles (eight a cell), 100 iterations and 3 seeds, so that a robot takes hours, not days"
-
-
-TOLERANCE = {
-    Size.QUICK: Ablation.tolerance[Size.QUICK],
-    Size.PAPER: "the gain of all is no less than half of the paper's, with the same order of E, nu and mass; distances "
-    "are not judged, as they are of fewer particles and iterations",
-}
+LEFT_OPEN = (
+    "30 % of the particles or fewer and 3 seeds, so that a robot takes hours, not days; which way chambers expand: "
+    "along the leg, as in CQ1's walkers (all ways the quadruped learns to come .16 far alone in 100 iterations, "
+    "not .93); gradients are clipped to a length of 1"
+)
 
 SMALL = ("world.dx=0.055", "time.duration=1.5")
 """Of the three in 3D at quick size: cells as coarse as their particles."""
 
 
-def some(body: str) -> tuple[str, ...]:
-    """Return the overrides of a robot in 3D: fewer particles and iterations than the paper's."""
-    return (f"bodies.{body}.sampling.lattice.count=10", *SINGLE, "optimizer.adam.max_iterations=100")
+def some(body: str, count: int) -> tuple[str, ...]:
+    """Return the overrides of a robot in 3D: fewer particles along the edge of a block than the paper's 15."""
+    return (f"bodies.{body}.sampling.lattice.count={count}", *SINGLE)
 
 
 class BipedAblation(Ablation):
@@ -49,9 +46,9 @@ class QuadrupedAblation(Ablation):
     left_open = LEFT_OPEN
     scene = "codesign/quadruped_codesign"
     quick = (*SMALL, "bodies.quadruped.sampling.lattice.count=5", "optimizer.adam.max_iterations=10")
-    paper_size, whole, tolerance = some("quadruped"), False, TOLERANCE
+    paper_size = some("quadruped", 10)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
-    minutes = {Size.QUICK: 4.0, Size.PAPER: 60.0}
+    minutes = {Size.QUICK: 4.0, Size.PAPER: 105.0}
     rates = {Size.QUICK: (0.005,), Size.PAPER: (0.005,)}
     printed = (0.92, 0.98, 0.99, 1.03, 1.03, 1.05, 1.07, 1.09)
     gain = 0.18
@@ -67,9 +64,9 @@ class HexapodAblation(Ablation):
     left_open = LEFT_OPEN
     scene = "codesign/hexapod_codesign"
     quick = (*SMALL, "bodies.hexapod.sampling.lattice.count=5", "optimizer.adam.max_iterations=8")
-    paper_size, whole, tolerance = some("hexapod"), False, TOLERANCE
+    paper_size = some("hexapod", 8)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
-    minutes = {Size.QUICK: 4.0, Size.PAPER: 75.0}
+    minutes = {Size.QUICK: 4.0, Size.PAPER: 150.0}
     rates = {Size.QUICK: (0.005,), Size.PAPER: (0.005,)}
     printed = (0.97, 1.02, 1.03, 1.06, 1.09, 1.11, 1.14, 1.16)
     gain = 0.19
@@ -87,9 +84,9 @@ class OctopodAblation(Ablation):
     left_open = LEFT_OPEN
     scene = "codesign/octopod_codesign"
     quick = (*SMALL, "bodies.octopod.sampling.lattice.count=5", "optimizer.adam.max_iterations=6")
-    paper_size, whole, tolerance = some("octopod"), False, TOLERANCE
+    paper_size = some("octopod", 8)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
-    minutes = {Size.QUICK: 4.0, Size.PAPER: 90.0}
+    minutes = {Size.QUICK: 4.0, Size.PAPER: 180.0}
     rates = {Size.QUICK: (0.005,), Size.PAPER: (0.005,)}
     printed = (0.85, 0.95, 0.92, 0.93, 0.91, 0.94, 0.94, 0.94)
     gain = 0.11
