@@ -1,6 +1,6 @@
 """The density that CQ1's collision task finds, over ten samplings of the balls and two substeps, beside a scan.
 
-    python benchmarks/collision_seeds.py
+    python -m benchmarks.collision_seeds
 
 The paper reports 2.26 for one sampling of unknown seed. The gradient's optimum is compared with a brute-force
 scan of the loss (41 densities, then a bracketed search between the best one's neighbours).
@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from interval_coverage import Memory
 from scipy.optimize import minimize_scalar
 
+from benchmarks.interval_coverage import Memory
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.cases import make_cases
 from cqrun.jobs.problem import FitProblem
@@ -80,7 +80,7 @@ def main() -> None:
     }  # fmt: skip
     write_json(
         OUT,
-        {"command": "python benchmarks/collision_seeds.py", "engine": engine_hash(), "summary": summary, "rows": rows},
+        {"command": "python -m benchmarks.collision_seeds", "engine": engine_hash(), "summary": summary, "rows": rows},
     )
     print(summary)
 

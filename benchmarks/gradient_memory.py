@@ -42,8 +42,8 @@ def main() -> None:
     n = len(inputs.state.x)
 
     def loss_bar(records: Records, last: State) -> LossBar:
-        still = (np.zeros_like(a) for a in (last.v, last.C, last.F))
-        return LossBar(final=State(np.full_like(last.x, 1.0 / n), *still, last.memory))
+        v, C, F = (np.zeros_like(a) for a in (last.v, last.C, last.F))
+        return LossBar(final=State(np.full_like(last.x, 1.0 / n), v, C, F, last.memory))
 
     rollout = Rollout(model, inputs, threads=options.threads, adjoint=True)
     begin = time.perf_counter()
