@@ -1,7 +1,7 @@
 """What long work needs to go on elsewhere: its folder without trajectories and pictures, packed, to be committed.
 
 A work's archive lies in results/figures/SIZE/unfinished while its figure is not complete: some hundred kB for a run
-that is not finished (its optimizer's state), a few for one that is (its history and result). Paths of this machine
+that is not finished (its optimizer's state), some ten for one that is (its history and result). Paths of this machine
 are packed as names and unpacked as the paths of the other.
 """
 
@@ -19,13 +19,12 @@ from cqrun.fingerprint import engine_hash
 from cqrun.store.atomic import make_directory, write_bytes
 from cqrun.store.run import FINISHED, read_record
 
-SMALL = (".json", ".yaml", ".csv", ".npz", ".npy")
 TEXT = (".json", ".yaml", ".csv")
 RUNS, SCENES_HERE = "@RUNS@", "@SCENES@"
 """What the folder of all runs, and that of the scenes, are called in an archive."""
 
-STATES = "evals."
-"""Files of an optimizer's state or log of evaluations, which a finished run no longer needs."""
+STATES = (".npz", ".npy", ".log")
+"""What a run goes on from (evals.*), and controllers and designs: no figure asks a finished run for them."""
 
 
 def archive_of(work: Work, folder: Path) -> Path:
@@ -55,8 +54,7 @@ def keep(work: Work, runs: Path, archive: Path) -> None:
 
 def _small(root: Path) -> Iterator[Path]:
     for path in sorted(root.rglob("*")):
-        is_state = path.name.startswith(STATES)
-        if (is_state and not _is_finished(path.parent)) or (not is_state and path.suffix in SMALL):
+        if path.suffix in TEXT or (path.suffix in STATES and not _is_finished(path.parent)):
             yield path
 
 
