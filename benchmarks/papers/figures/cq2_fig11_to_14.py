@@ -51,7 +51,7 @@ class QuadrupedAblation(Ablation):
     paper = "control alone .92 m, everything free 1.09 m: +18 %; 6 runs"
     left_open = LEFT_OPEN
     scene = "codesign/quadruped_codesign"
-    quick = (*SMALL, "bodies.quadruped.sampling.lattice.count=5", "optimizer.adam.max_iterations=10")
+    quick = (*SMALL, "bodies.quadruped.sampling.lattice.count=5", "optimizer.adam.max_iterations=25")
     paper_size = some("quadruped", 10)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
     minutes = {Size.QUICK: 4.0, Size.PAPER: 105.0}
@@ -69,7 +69,7 @@ class HexapodAblation(Ablation):
     paper = "control alone .97 m, everything free 1.16 m: +19 %; 6 runs"
     left_open = LEFT_OPEN + RATE
     scene = "codesign/hexapod_codesign"
-    quick = (*SMALL, "bodies.hexapod.sampling.lattice.count=5", "optimizer.adam.max_iterations=8")
+    quick = (*SMALL, "bodies.hexapod.sampling.lattice.count=5", "optimizer.adam.max_iterations=20")
     paper_size = some("hexapod", 8)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
     minutes = {Size.QUICK: 4.0, Size.PAPER: 150.0}
@@ -89,7 +89,7 @@ class OctopodAblation(Ablation):
     )
     left_open = LEFT_OPEN + RATE
     scene = "codesign/octopod_codesign"
-    quick = (*SMALL, "bodies.octopod.sampling.lattice.count=5", "optimizer.adam.max_iterations=6")
+    quick = (*SMALL, "bodies.octopod.sampling.lattice.count=5", "optimizer.adam.max_iterations=16")
     paper_size = some("octopod", 8)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
     minutes = {Size.QUICK: 4.0, Size.PAPER: 180.0}
