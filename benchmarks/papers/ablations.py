@@ -14,7 +14,7 @@ from benchmarks.papers.histories import curves, runs_below
 from benchmarks.papers.work import Found, Runs, Work
 from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, INK, clock_ticks, new_figure, titled
-from cqrun.jobs.ablate import ALL, CONTROL
+from cqrun.jobs.ablate import ALL, CONTROL, effects
 from cqrun.jobs.seeds import interval
 
 if TYPE_CHECKING:
@@ -118,7 +118,8 @@ class Ablation(Figure):
             told = f"{control.mean():.2f} -> {every.mean():.2f} m"
             return judged({f"all beside control: {told}": bool(every.mean() > control.mean())})
         told = f"gain {gain['mean']:+.0%} ({gain['low']:+.0%} to {gain['high']:+.0%}), paper {self.gain:+.0%}"
-        ours, theirs = effects({label: self.ends(table, label) for label in ORDER}), effects(self.published)
+        ours = effects({_free(label): self.ends(table, label) for label in ORDER})
+        theirs = effects({_free(label): np.array([far]) for label, far in zip(ORDER, self.printed, strict=True)})
         order, printed = (sorted(of, key=lambda group: -of[group].mean()) for of in (ours, theirs))
         each = " > ".join(f"{group} {_spread(ours[group])}" for group in order)
         wanted = self.printed[0]
@@ -127,20 +128,6 @@ class Ablation(Figure):
             told: float(gain["mean"] or 0.0) >= 0.5 * self.gain,
             f"what each adds: {each}; paper {' > '.join(printed)}": order == printed,
         })  # fmt: skip
-
-    @property
-    def published(self) -> dict[str, Array]:
-        """The printed distances by variant, as of one seed."""
-        return {label: np.array([distance]) for label, distance in zip(ORDER, self.printed, strict=True)}
-
-
-def effects(values: Mapping[str, Array]) -> dict[str, Array]:
-    """Return what freeing each group adds (S,), in the mean over the four variants without it (as `--ablate` does)."""
-    by_free = {_free(label): value for label, value in values.items()}
-    return {
-        group: np.mean([by_free[free | {group}] - by_free[free] for free in by_free if group not in free], axis=0)
-        for group in NAMES.values()
-    }
 
 
 def _spread(values: Array) -> str:

@@ -1,8 +1,8 @@
 """What long work needs to go on elsewhere: its folder without trajectories and pictures, packed, to be committed.
 
 A work's archive lies in results/figures/SIZE/unfinished while its figure is not complete: some hundred kB for a run
-that is not finished (its optimizer's state), some ten for one that is (its history and result). Paths of this machine
-are packed as names and unpacked as the paths of the other.
+that is not finished (its optimizer's state), a hundred at most for one that is (its history and result). Paths of
+this machine are packed as names and unpacked as the paths of the other.
 """
 
 from __future__ import annotations

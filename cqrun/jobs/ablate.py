@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.contract import Array
 from cqrun.errors import RunError, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.control import optimizer_of, prepare
@@ -274,7 +275,12 @@ def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str
             }
             for v in variants
         },
-        "effects": _effects([v for v in variants if v.name in values], values),
+        "effects": {
+            group: interval(added.tolist())
+            for group, added in effects(
+                {frozenset(v.groups): np.array(values[v.name]) for v in variants if v.name in values}
+            ).items()
+        },
     }
 
 
@@ -295,15 +301,21 @@ def _gain(
     return interval([better * (alone - value) / base for value, alone in zip(values, control, strict=True)])
 
 
-def _effects(variants: Sequence[Variant], values: dict[str, list[float]]) -> dict[str, dict[str, float | None]]:
-    """Return what freeing each group adds, in the mean over variants that differ in it alone."""
-    by_free = {frozenset(v.groups): np.array(values[v.name]) for v in variants}
-    found: dict[str, dict[str, float | None]] = {}
-    for group in dict.fromkeys(group for v in variants for group in v.groups):
+def effects(by_free: Mapping[frozenset[str], Array]) -> dict[str, Array]:
+    """Return what freeing each group adds, in the mean over variants that differ in it alone.
+
+    Args:
+        by_free: values (S,), one a seed, of variants by the groups that are free in them.
+
+    Returns:
+        By group (S,); nothing of a group without two variants that differ in it alone.
+    """
+    found = {}
+    for group in dict.fromkeys(group for free in by_free for group in sorted(free)):
         added = [by_free[free | {group}] - without for free, without in by_free.items()
                  if group not in free and free | {group} in by_free]  # fmt: skip
         if added:
-            found[group] = interval(np.mean(added, axis=0).tolist())
+            found[group] = np.asarray(np.mean(added, axis=0))
     return found
 
 

@@ -6,13 +6,14 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_beam import Listener, changed, result_of
 from small_finger import DESIGN, FINGER, written
 
 from cqrun.errors import RunError, UsageError
 from cqrun.figures.ablation import draw_ablation
-from cqrun.jobs.ablate import _effects, _gain, ablation_lines, group_of, run_ablation, variants_of
+from cqrun.jobs.ablate import _gain, ablation_lines, effects, group_of, run_ablation, variants_of
 from cqrun.jobs.fleet import Member
 from cqrun.jobs.seeds import run_seeds
 from cqrun.scene.load import load_scene
@@ -68,10 +69,9 @@ def test_effects_and_gains_of_a_known_design(tmp_path):
     variants = variants_of(load_scene(design(tmp_path, E, RHO)))
     values = {v.name: [2 + 3 * a - b + 0.5 * a * b + shift for shift in (0.0, 0.1)]
               for v in variants for a, b in [(E.split(".")[-1] in v.groups, "density" in v.groups)]}  # fmt: skip
-    effects = _effects(variants, values)
-    assert effects["youngs_modulus"]["mean"] == pytest.approx(3.25)
-    assert effects["density"]["mean"] == pytest.approx(-0.75)
-    assert effects["density"]["low"] == pytest.approx(effects["density"]["high"])  # the shift is of both sides
+    added = effects({frozenset(v.groups): np.array(values[v.name]) for v in variants})
+    assert added["youngs_modulus"] == pytest.approx([3.25, 3.25])
+    assert added["density"] == pytest.approx([-0.75, -0.75])  # the shift is of both sides
     assert _gain([3.0, 5.0], [2.0, 2.0], -1.0)["mean"] == pytest.approx(1.0)  # greater is better
     assert _gain([1.0, 1.5], [2.0, 3.0], 1.0)["mean"] == pytest.approx(0.5)  # smaller is better: still a gain
     assert _gain([1.0], [0.0], -1.0) is None
