@@ -26,6 +26,9 @@ RUNS, SCENES_HERE = "@RUNS@", "@SCENES@"
 STATES = (".npz", ".npy", ".log")
 """What a run goes on from (evals.*), and controllers and designs: no figure asks a finished run for them."""
 
+MOST_NUMBERS = 100
+"""A longer list among the unknowns of a finished run, one for every particle, is not packed: no figure asks for it."""
+
 
 def archive_of(work: Work, folder: Path) -> Path:
     """Return where a work's archive is, in the folder of a size's figures."""
@@ -43,6 +46,8 @@ def keep(work: Work, runs: Path, archive: Path) -> None:
             data = path.read_bytes()
             if path.name == "run.json":
                 data = _without_places(data)
+            if path.name == "result.json" and _is_finished(path.parent):
+                data = _without_fields(data)
             if path.suffix in TEXT:
                 data = _renamed(data, {str(runs.resolve()): RUNS})
             member = tarfile.TarInfo(path.relative_to(root).as_posix())
@@ -63,6 +68,17 @@ def _without_places(record: bytes) -> bytes:
     facts = json.loads(record)
     facts["argv"] = ["cqrun", facts["job"]]
     facts["base"] = SCENES_HERE + str(facts.get("base", "")).rpartition("scenes")[2]
+    return json.dumps(facts, indent=2).encode()
+
+
+def _without_fields(result: bytes) -> bytes:
+    """Return a run's result without what was found for every particle."""
+    facts = json.loads(result)
+    for name, entry in facts.get("unknowns", {}).items():
+        short = {
+            key: value for key, value in entry.items() if not (isinstance(value, list) and len(value) > MOST_NUMBERS)
+        }
+        facts["unknowns"][name] = short
     return json.dumps(facts, indent=2).encode()
 
 

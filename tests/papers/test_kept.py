@@ -67,6 +67,26 @@ def test_a_state_is_kept_until_the_run_is_finished(learned, tmp_path):
         assert sum("evals." in name for name in tar.getnames()) == 2
 
 
+def test_what_was_found_for_every_particle_is_not_kept_of_a_finished_run(learned, tmp_path):
+    _, archive = learned
+    restore(LEARNED, tmp_path, archive)
+    found, stopped = sorted((tmp_path / LEARNED.name).rglob("result.json"))
+    entry = {"initial": 1.0, "value": [0.1] * 5_000, "at_bounds": 3}
+    for result in (found, stopped):
+        result.write_text(json.dumps(json.loads(result.read_text()) | {"unknowns": {"stiffness": entry}}))
+    record = stopped.parent / "run.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"status": "stopped"}))
+    keep(LEARNED, tmp_path, tmp_path / "again.tar.xz")
+    with tarfile.open(tmp_path / "again.tar.xz") as tar:
+        kept_of = {
+            name.split("/")[-2]: json.loads(tar.extractfile(name).read())["unknowns"]["stiffness"]
+            for name in tar.getnames()
+            if name.endswith("result.json")
+        }
+    assert kept_of[found.parent.name] == {"initial": 1.0, "at_bounds": 3}
+    assert kept_of[stopped.parent.name] == entry
+
+
 def test_work_that_has_changed_or_is_another_engines_is_not_taken(learned, tmp_path, monkeypatch):
     runs, archive = learned
     changed = replace(LEARNED, overrides=(*SHORT, "time.substeps=2"))
