@@ -27,7 +27,8 @@ STATES = (".npz", ".npy", ".log")
 """What a run goes on from (evals.*), and controllers and designs: no figure asks a finished run for them."""
 
 MOST_NUMBERS = 100
-"""A longer list among the unknowns of a finished run, one for every particle, is not packed: no figure asks for it."""
+"""A longer list among the unknowns of a finished run, one for every particle, is not packed: figures show one only on
+bodies in motion (CQ1 Fig 5), and trajectories are not packed either."""
 
 
 def archive_of(work: Work, folder: Path) -> Path:
