@@ -46,7 +46,7 @@ def codesign(
     with plugins_allowed(allow_plugins), infeasible_shown():
         with reporting(quiet) as reporter:
             if ablate:
-                found = run_ablation(
+                found, good = run_ablation(
                     scene, overrides or [], out, seeds=1 if seeds is None else seeds, rates=rates or [], jobs=jobs,
                     fresh=fresh, threads=threads, allow_plugins=allow_plugins, reporter=reporter,
                 )  # fmt: skip
@@ -64,6 +64,8 @@ def codesign(
 
             draw_ablation(found)
             typer.echo("\n".join(ablation_lines(found)))
+            if not good:
+                raise typer.Exit(1)
         elif seeds is not None:
             print_seeds(summary, good)
         else:

@@ -7,7 +7,7 @@ gives numbers in [-1, 1], which the caller maps to the actuators' ranges; anothe
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -77,6 +77,14 @@ class Controller(Plugin):
         out: dict[str, Array],
     ) -> Array:
         """Return the cotangent of z (n_in,) from that of the result, and add those of the parameters to `out`."""
+
+    def doubts(self, control_step: float) -> Iterator[tuple[str, str]]:
+        """Yield what is likely a slip: the field's name, and what is wrong with it.
+
+        Args:
+            control_step: time between two actions [s].
+        """
+        yield from ()
 
     def require_observations(self, n_in: int) -> None:
         """Refuse to act on nothing."""

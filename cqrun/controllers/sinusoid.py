@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -43,6 +43,15 @@ class Sinusoid(Controller):
         if "frequency" in self.learn:
             found.append(ParameterBlock("frequency", np.array([self.frequency]), lower=0.0))
         return found
+
+    def doubts(self, control_step: float) -> Iterator[tuple[str, str]]:
+        highest = 0.5 / control_step
+        if self.frequency > highest:
+            told = (
+                f"{self.frequency:g} Hz is above {highest:g} Hz, half the rate of control steps of {control_step:g} s: "
+                "actuators would see a slower wave (aliasing); lower it, or shorten time.control_step"
+            )
+            yield "frequency", told
 
     def act(self, parameters: Mapping[str, Array], z: Array, control: int, time: float) -> Array:
         waves = np.sin(self._angles(parameters, time))

@@ -35,6 +35,8 @@ def _figure(result: dict[str, Any]) -> Figure:
     for place, (group, entry) in enumerate(zip(groups, result["variants"].values(), strict=True)):
         colour, found = COLOURS[place % len(COLOURS)], entry["terms"][compared]
         plot_group(by_iteration, group, colour, None)
+        if found["mean"] is None:  # every run of it has failed
+            continue
         low, high = (found["mean"] if found[end] is None else found[end] for end in ("low", "high"))
         ends.plot([low, high], [place, place], color=colour, linewidth=4, alpha=0.35, solid_capstyle="butt")
         ends.plot(found["mean"], place, marker="o", color=colour)

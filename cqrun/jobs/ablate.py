@@ -11,7 +11,7 @@ ablation-<hash>.png    the compared term against the iteration, and where it end
 
 The effect of a group is what freeing it adds to the compared term, in the mean over all variants without it, seed by
 seed (a factorial design: G. Box, J. Hunter, W. Hunter: Statistics for experimenters, 2005, chapter 5). A gain is
-positive where a variant is better. Variants that do not meet their constraints from every seed have neither.
+positive where a variant is better. Variants that fail, or do not meet their constraints, from any seed have neither.
 """
 
 from __future__ import annotations
@@ -49,6 +49,9 @@ INFEASIBLE = "infeasible"
 MOST_GROUPS = 3
 """All combinations of more are too many runs: none, each alone and all are compared instead."""
 
+NOTHING: dict[str, float | None] = {"mean": None, "low": None, "high": None}
+"""What a variant is of which every run has failed."""
+
 CONTROL, ALL = "control", "all"
 
 
@@ -78,8 +81,8 @@ def run_ablation(
     jobs: int | None = None,
     allow_plugins: bool = False,
     reporter: Reporter | None = None,
-) -> Path:
-    """Compare a scene's variants; return the file that says how.
+) -> tuple[Path, bool]:
+    """Compare a scene's variants; return the file that says how, and whether all runs went well.
 
     Args:
         seeds: how many each is learned from.
@@ -88,7 +91,7 @@ def run_ablation(
         threads: all together; every process has an equal share.
 
     Raises:
-        SceneError, UsageError: bad input. Stopped: asked to stop; the same command goes on. RunError: a run failed.
+        SceneError, UsageError: bad input. Stopped: asked to stop; the same command goes on. RunError: a run was killed.
     """
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
@@ -105,7 +108,7 @@ def run_ablation(
     if len(tried) > 1:
         trials = {(v.name, rate): make(v, rate, [0], fresh)[0] for v in variants for rate in tried}
         talk.phase(f"trying {len(tried)} learning rates with {len(variants)} variants, {at_once} at once")
-        _run(list(trials.values()), at_once, "trials", talk, may_fail=True)
+        _run(list(trials.values()), at_once, "trials", talk)
         for v in variants:
             best[v.name], searched[v.name] = _best_rate(scene, {rate: trials[v.name, rate] for rate in tried})
     runs = {}
@@ -113,7 +116,8 @@ def run_ablation(
         first = make(v, best[v.name], [0], fresh and not searched)
         runs[v.name] = first + (make(v, best[v.name], range(1, seeds), fresh) if seeds > 1 else [])
     talk.phase(f"learning {len(variants)} variants from {seeds} seeds, {at_once} at once")
-    _run([run for each in runs.values() for run in each], at_once, "runs", talk)
+    everyone = [run for each in runs.values() for run in each]
+    _run(everyone, at_once, "runs", talk)
     result = summary(source.stem, scene, variants, runs)
     for v in variants:
         result["variants"][v.name] |= {"rate": (best[v.name] or "").partition("=")[2] or None}
@@ -123,7 +127,7 @@ def run_ablation(
     make_directory(path.parent)
     write_json(path, result)
     write_table(path.with_suffix(".csv"), _table(result))
-    return path
+    return path, all(map(_has_ended, everyone))
 
 
 @dataclass(frozen=True)
@@ -207,12 +211,13 @@ def _rate_overrides(scene: Scene, rates: Sequence[float]) -> list[str | None]:
     return [f"optimizer.{scene.optimizer.name}.learning_rate={rate!r}" for rate in rates]
 
 
-def _run(members: Sequence[Member], at_once: int, what: str, talk: Reporter, *, may_fail: bool = False) -> None:
+def _run(members: Sequence[Member], at_once: int, what: str, talk: Reporter) -> None:
+    """Run all; that one of them blew up is a result, that it was killed is not."""
     run_fleet(members, at_once, what, talk)
     good = [m for m in members if _has_ended(m)]
     if talk.stop.asked and len(good) < len(members):
         raise talk.stop.stopped(f"{len(good)} of {len(members)} {what} are finished; the same command continues")
-    bad = [m for m in members if not _has_ended(m) and not (may_fail and _blew_up(m))]
+    bad = [m for m in members if not _has_ended(m) and not _blew_up(m)]
     if bad:
         raise RunError(f"{len(bad)} of {len(members)} {what} failed; {bad[0].name}: {bad[0].failure}")
 
@@ -248,14 +253,14 @@ def _rank(scene: Scene, result: dict[str, Any]) -> tuple[float, float, float]:
 
 def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str, list[Member]]) -> dict[str, Any]:
     """Return every variant's terms, gains over control alone, and effects of the groups on the first term."""
-    results = {v.name: [_result(run.run) for run in runs[v.name]] for v in variants}
+    results = {v.name: [_result(run.run) for run in runs[v.name] if _has_ended(run)] for v in variants}
     compared = next(iter(scene.objective))
     sense = scene.objective[compared].value.sense  # type: ignore[attr-defined]
     met = {name: sum(one["status"] != INFEASIBLE for one in each) for name, each in results.items()}
     values = {
         name: [one["trained"]["terms"][compared] for one in each]
         for name, each in results.items()
-        if met[name] == len(each)
+        if met[name] == len(runs[name])
     }
     return {
         "scene": stem,
@@ -266,6 +271,7 @@ def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str
             v.name: {
                 "free": list(v.groups),
                 "runs": [str(run.run) for run in runs[v.name]],
+                "failed": {run.name: run.failure for run in runs[v.name] if not _has_ended(run)},
                 "feasible": met[v.name] if scene.constraints else None,
                 "terms": _means(results[v.name], scene.objective, lambda one, name: one["trained"]["terms"][name]),
                 "constraints": _means(
@@ -287,7 +293,8 @@ def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str
 def _means(
     results: Sequence[dict[str, Any]], names: Iterable[str], value: Callable[[dict[str, Any], str], float]
 ) -> dict[str, dict[str, float | None]]:
-    return {name: interval([value(one, name) for one in results]) for name in names}
+    """Return means over the runs that have a result; of nothing, nothing."""
+    return {name: interval([value(one, name) for one in results]) if results else dict(NOTHING) for name in names}
 
 
 def _gain(
@@ -340,7 +347,7 @@ def ablation_lines(path: Path) -> list[str]:
         (
             name,
             entry["rate"] or "",
-            shown(entry["terms"][compared]),
+            "failed" if entry["terms"][compared]["mean"] is None else shown(entry["terms"][compared]),
             "" if entry["gain"] is None or name == CONTROL else f"{entry['gain']['mean']:+.1%}",
             *([] if entry["feasible"] is None else [f"{entry['feasible']} of {seeds}"]),
         )
@@ -348,14 +355,15 @@ def ablation_lines(path: Path) -> list[str]:
     ]
     head = ("free", "rate", compared, "gain", "feasible")[: len(rows[0])]
     effects = sorted(result["effects"].items(), key=lambda item: -abs(item[1]["mean"]))
-    failed = {name: [rate for rate, loss in entry.get("searched", {}).items() if loss is None]
-              for name, entry in variants.items()}  # fmt: skip
+    lost = {name: [rate for rate, loss in entry.get("searched", {}).items() if loss is None]
+            for name, entry in variants.items()}  # fmt: skip
     return [
         f"{len(variants)} variants from {seeds} seeds; mean and {result['confidence']:.0%} interval; "
         f"{result['better']} is better",
         "",
         *table(head, rows),
-        *(f"note: {name} failed with rate {listed(rates)}" for name, rates in failed.items() if rates),
+        *(f"note: {name} failed with rate {listed(rates)}" for name, rates in lost.items() if rates),
+        *(f"{name} failed: {why.partition(';')[0]}" for e in variants.values() for name, why in e["failed"].items()),
         "",
         *table(("freeing it adds", compared), [(name, shown(effect)) for name, effect in effects]),
         f"ablation: {path}",

@@ -58,7 +58,7 @@ def build(scene: Scene) -> Built:
         raise SceneError(found)
     assembly = Assembly(scene, particles)
     limits = _possible(scene, _stiffest(scene, particles, assembly))
-    warnings = [*particles.warnings, *_unused_episodes(scene), *design_warnings(scene, particles)]
+    warnings = [*particles.warnings, *_unused_episodes(scene), *_doubts(scene), *design_warnings(scene, particles)]
     if scene.time.substeps == "auto":
         bounds = [*limits, *_possible(scene, _limits_of_data(scene, particles, assembly))]
         scene = with_values(scene, {"time.substeps": auto_substeps(scene.time.control_step, bounds)})
@@ -69,7 +69,7 @@ def build(scene: Scene) -> Built:
         bounds = _possible(scene, _limits(scene, particles, assembly, starts))
         if truth := _truth(scene):
             bounds += _possible(scene, _limits(scene, particles, assembly, truth))
-        warnings += _check_substeps(scene, bounds)
+        warnings += _check_substeps(scene, bounds) or _check_corner(scene, limits)
     if found := memory_problems(scene, particles):
         raise SceneError(found)
     model = Model(
@@ -96,6 +96,16 @@ def _unused_episodes(scene: Scene) -> list[Problem]:
         return []
     message = "counts for nothing: no goal has a `spread` to draw from, so there is one episode"
     return [Problem(scene.where("episodes"), "episodes", message)]
+
+
+def _doubts(scene: Scene) -> list[Problem]:
+    """Return what the controller doubts about itself."""
+    if scene.controller is None:
+        return []
+    path = f"controller.{scene.controller.name}"
+    controller: Any = scene.controller.value
+    found = controller.doubts(scene.time.control_step)
+    return [Problem(scene.where(f"{path}.{field}"), f"{path}.{field}", message) for field, message in found]
 
 
 def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[GroupModel, ...]:
@@ -245,3 +255,17 @@ def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
     if share > REFUSE:
         raise SceneError([problem])
     return [problem]
+
+
+def _check_corner(scene: Scene, limits: list[Limit]) -> list[Problem]:
+    """Warn of a number of substeps that is right at the start, and too small for what the unknowns' bounds allow."""
+    least = min(limits, key=lambda limit: limit.dt)
+    dt = scene.time.control_step / int(scene.time.substeps)
+    if dt <= least.dt:
+        return []
+    message = (
+        f"a substep of {dt:.3g} s is stable at the start, but {dt / least.dt:.3g} of the largest stable one at the "
+        f"unknowns' bounds, {least.dt:.3g} s ({least.part}), where runs would blow up; use "
+        f"{auto_substeps(scene.time.control_step, limits)} substeps, auto, or narrower bounds"
+    )
+    return [Problem(scene.where("time.substeps"), "time.substeps", message)]

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from small_beam import Listener, changed, result_of
 from small_finger import DESIGN, FINGER, written
+from typer.testing import CliRunner
 
+from cqrun.cli.app import app
 from cqrun.errors import RunError, UsageError
 from cqrun.figures.ablation import draw_ablation
 from cqrun.jobs.ablate import _gain, ablation_lines, effects, group_of, run_ablation, variants_of
@@ -79,7 +81,8 @@ def test_effects_and_gains_of_a_known_design(tmp_path):
 
 def test_variants_are_learned_and_compared(tmp_path):
     scene, listener = design(tmp_path, E), Listener()
-    path = run_ablation(scene, [], tmp_path / "out", threads=2, seeds=2, rates=[0.1, 1e-6], reporter=listener)
+    path, good = run_ablation(scene, [], tmp_path / "out", threads=2, seeds=2, rates=[0.1, 1e-6], reporter=listener)
+    assert good
     result = json.loads(path.read_text())
     assert listener.said[-2:] == [
         "trying 2 learning rates with 2 variants, 2 at once", "learning 2 variants from 2 seeds, 2 at once",
@@ -109,7 +112,7 @@ def test_variants_are_learned_and_compared(tmp_path):
 def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     """The tip comes to .0146 with the stiffness free, and to .0158 without."""
     scene, listener = written(tmp_path, DESIGN), Listener()
-    path = run_ablation(
+    path, _ = run_ablation(
         scene, ["constraints.tip.at_most=0.0152", "controller.linear_tanh.spread=0",
                 "unknowns.bodies.finger.material.density={bounds: [0.999, 1.001]}"],
         tmp_path / "out", threads=2, seeds=2, reporter=listener,
@@ -129,6 +132,30 @@ def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     assert "0 of 2" in text
     assert "freeing it adds" in text  # the density, to the stiffness
     assert draw_ablation(path)[0].stat().st_size > 10_000
+
+
+def test_runs_that_blow_up_leave_the_comparison_of_the_others(tmp_path):
+    """With bounds of stiffness up to 10^7 Pa, no step of the least length that is tried is stable."""
+    scene = changed(design(tmp_path, E, RHO), f"{E}: {{bounds: [5, 20]", f"{E}: {{bounds: [5, 1.0e+7]")
+    told = CliRunner().invoke(app, ["codesign", str(scene), "--ablate", "--seeds", "1", "--out", str(tmp_path / "out")])
+    assert told.exit_code == 1
+    (path,) = tmp_path.glob("out/finger/ablation-*.json")
+    result = json.loads(path.read_text())
+    assert {name: len(entry["failed"]) for name, entry in result["variants"].items()} == {
+        "control": 0, "youngs_modulus": 1, "density": 0, "all": 1,
+    }  # fmt: skip
+    free = result["variants"]["youngs_modulus"]
+    assert (free["gain"], free["terms"]["tip"]["mean"]) == (None, None)
+    assert list(result["effects"]) == ["density"]
+    assert result["variants"]["density"]["gain"]["mean"] == pytest.approx(
+        -result["effects"]["density"]["mean"] / result["variants"]["control"]["terms"]["tip"]["mean"], rel=1e-9
+    )
+    lines = told.output.splitlines()
+    assert any(line.split() == ["youngs_modulus", "failed"] for line in lines)
+    assert any(line.startswith("all, seed 0 failed: ") and "left the grid" in line for line in lines)
+    assert path.with_suffix(".png").stat().st_size > 10_000
+    rows = list(csv.DictReader(path.with_suffix(".csv").read_text().splitlines()))
+    assert [row["tip:mean"] != "" for row in rows] == [True, False, True, False]
 
 
 @pytest.mark.parametrize(
@@ -156,7 +183,7 @@ def test_variants_run_with_the_time_steps_of_the_whole(tmp_path):
     """`auto` would give control alone longer ones than stiffnesses that may reach 400: the starts are the same."""
     scene = design(tmp_path, E)
     changed(scene, f"{E}: {{bounds: [5, 20]", f"{E}: {{bounds: [5, 400]")
-    path = run_ablation(scene, ["time.substeps=auto"], tmp_path / "out", threads=1, seeds=1)
+    path, _ = run_ablation(scene, ["time.substeps=auto"], tmp_path / "out", threads=1, seeds=1)
     runs = [Path(entry["runs"][0]) for entry in json.loads(path.read_text())["variants"].values()]
     steps = {load_scene(run / "scene.yaml").time.substeps for run in runs}
     assert len(steps) == 1
@@ -192,5 +219,5 @@ def test_a_trial_that_was_killed_is_no_rate_that_fails(tmp_path, monkeypatch):
     told = r"1 of 4 trials failed; control, seed 0 with optimizer.adam.learning_rate=0.1: was killed \(SIGKILL\)"
     with pytest.raises(RunError, match=told):
         run_ablation(scene, [], tmp_path / "out", threads=2, seeds=1, rates=[0.1, 1e-6])
-    path = run_ablation(scene, [], tmp_path / "out", threads=2, seeds=1, rates=[0.1, 1e-6])
+    path, _ = run_ablation(scene, [], tmp_path / "out", threads=2, seeds=1, rates=[0.1, 1e-6])
     assert all(None not in entry["searched"].values() for entry in json.loads(path.read_text())["variants"].values())

@@ -37,3 +37,26 @@ def test_episodes_that_are_all_the_same():
 def test_substeps_that_nobody_needs():
     assert "of the largest stable one" in warned(FINGER.replace("substeps: 2", "substeps: 100000"))
     assert "of the largest stable one" not in warned(FINGER.replace("substeps: 2", "substeps: 20"))
+
+
+def test_substeps_that_the_bounds_of_unknowns_outgrow():
+    stiffness = "bodies.finger.material.elastic.fixed_corotated.youngs_modulus"
+    stiffer = FINGER.replace("job: control", "job: codesign") + f"unknowns:\n  {stiffness}: {{bounds: [5, 4000]}}\n"
+    least = min(limit.dt for limit in build(load_scene(stiffer)).limits)
+    enough = int(np.ceil(load_scene(FINGER).time.control_step / least))
+    few, many = (stiffer.replace("substeps: 2", f"substeps: {n}") for n in (enough - 1, enough))
+    assert "at the unknowns' bounds" in warned(few)
+    assert "bodies.finger.material" in warned(few)
+    assert "at the unknowns' bounds" not in warned(many)
+    assert "at the unknowns' bounds" not in warned(FINGER.replace("substeps: 2", f"substeps: {enough - 1}"))
+
+
+def test_a_sinusoid_that_control_steps_cannot_follow():
+    def told(frequency: float) -> str:
+        scene = load_scene(FINGER, ["controller=null", f"controller={{sinusoid: {{frequency: {frequency}}}}}"])
+        return "\n".join(map(str, build(scene).warnings))
+
+    highest = 0.5 / load_scene(FINGER).time.control_step
+    assert "controller.sinusoid.frequency" in told(1.01 * highest)
+    assert "above" in told(1.01 * highest)
+    assert "sinusoid" not in told(0.99 * highest)
