@@ -107,18 +107,21 @@ def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> b
                 complete = False
                 break
         left -= about
-        _keep(works, runs, folder)
         verdict = publish(figure, size, runs, options.out)
         if verdict is not None:
             print(f"    {verdict}", flush=True)
+        _keep(works, runs, folder, shown=verdict is not None)
     if not complete:
         print("not all is done: the same command goes on")
     return complete
 
 
-def _keep(works: Sequence[Work], runs: Path, folder: Path) -> None:
-    """Leave what a figure needs to go on, or remove that when it is complete."""
+def _keep(works: Sequence[Work], runs: Path, folder: Path, *, shown: bool) -> None:
+    """Leave what a figure needs to go on, or remove that when it is complete and shown."""
     complete = all(work.done(runs / work.name) is not None for work in works)
+    if complete and not shown:
+        print(f"    nothing to show came of it: see {', '.join(str(runs / work.name) for work in works)}", flush=True)
+    complete = complete and shown
     for work in works:
         archive = archive_of(work, folder)
         if complete:

@@ -45,6 +45,9 @@ LOOK = 60.0
 HELD = "another process works on this run"
 """What cqrun says of such a run: one that goes on though who began it was killed, as a rule."""
 
+KILLED = "the same command goes on with it"
+"""What cqrun says of a run that was killed, for want of memory as a rule: it failed, and is not finished."""
+
 
 @dataclass(frozen=True)
 class Work(ABC):
@@ -210,6 +213,9 @@ class Runs(Work):
             code, said = _for_so_long(command, end, tell)
         if code not in (0, FAILED, STOPPED):
             raise SystemExit(f"{self.name}: `{self.command}` ended with {code}\n{said}")
+        if code == FAILED and KILLED in said:
+            print(f"    {self.name}: {said.strip()}", flush=True)
+            return False
         return code != STOPPED
 
     def progress(self, folder: Path) -> str:

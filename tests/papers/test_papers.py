@@ -255,6 +255,29 @@ def test_a_run_that_another_process_holds_is_waited_for(tmp_path, monkeypatch, c
     assert not TEAR.go_on(tmp_path / "tear", 0.0, 1)
 
 
+def test_a_run_that_was_killed_is_not_finished(tmp_path, monkeypatch, capsys):
+    answers = [(1, "1 of 2 runs failed; was killed (SIGKILL); the same command goes on with it"), (1, "it blew up")]
+    monkeypatch.setattr("benchmarks.papers.work._for_so_long", lambda *_: answers.pop(0))
+    assert not TEAR.do(tmp_path / "tear", 100.0, 1)
+    assert "was killed" in capsys.readouterr().out
+    assert TEAR.do(tmp_path / "tear", 100.0, 1)
+
+
+def test_work_of_which_nothing_can_be_shown_is_told_and_kept(tmp_path, monkeypatch, capsys):
+    figure = FIGURES["cq2_fracture"]
+    for work in figure.work(Size.QUICK):
+        folder = tmp_path / "r" / "quick" / work.name
+        folder.mkdir(parents=True)
+        (folder / DONE).write_text(json.dumps({"fingerprint": work.fingerprint(), "seeds": 0, "engine": "-"}))
+    monkeypatch.setattr(command, "publish", lambda *_: None)
+    kept = []
+    monkeypatch.setattr(command, "keep", lambda work, *_: kept.append(work.name))
+    words = ["--only", "cq2_fracture", "--minutes", "0", "--runs", str(tmp_path / "r"), "--out", str(tmp_path / "o")]
+    command.main(words)
+    assert "nothing to show came of it" in capsys.readouterr().out
+    assert len(kept) == len(figure.work(Size.QUICK))
+
+
 def test_a_run_that_is_stopped_before_it_listens_goes_on_later():
     asleep = [sys.executable, "-c", "import time; time.sleep(60)"]
     assert _for_so_long(asleep, time.monotonic(), lambda: None)[0] == STOPPED
