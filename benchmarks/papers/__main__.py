@@ -31,7 +31,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status: 0 all done, 75 out of time."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", choices=[size.value for size in Size], default=Size.QUICK.value)
-    parser.add_argument("--only", nargs="+", choices=list(FIGURES), default=list(FIGURES), metavar="ID")
+    parser.add_argument("--only", action="extend", nargs="+", choices=list(FIGURES), metavar="ID")
     parser.add_argument(
         "--minutes", type=_minutes, default=float("inf"), help="stop after so long; the rest goes on later"
     )
@@ -45,7 +45,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--page", action="store_true", help="only write index.html, from what was published")
     options = parser.parse_args(words)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(75))  # so that runs are asked to stop, too
-    chosen, size = [FIGURES[name] for name in options.only], Size(options.size)
+    chosen, size = [FIGURES[name] for name in options.only or FIGURES], Size(options.size)
     try:
         for folder in (options.out / size, options.runs / size):
             make_directory(folder)

@@ -460,6 +460,12 @@ def test_the_list_names_every_figure(capsys):
     assert all(figure.id in told and figure.title in told for figure in FIGURES.values())
 
 
+def test_figures_may_be_named_in_one_option_or_in_several(capsys):
+    assert command.main(["--list", "--only", "cq2_fig11", "cq2_fig12", "--only", "cq2_fig13"]) == 0
+    told = capsys.readouterr().out
+    assert {name for name in FIGURES if name in told} == {"cq2_fig11", "cq2_fig12", "cq2_fig13"}
+
+
 def test_no_time_is_no_work(tmp_path, capsys):
     words = ["--only", "cq2_fracture", "--minutes", "0", "--runs", str(tmp_path / "r"), "--out", str(tmp_path / "o")]
     assert command.main(words) == 75

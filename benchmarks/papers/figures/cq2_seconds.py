@@ -56,7 +56,8 @@ class Seconds(Figure):
         "the host does: another run, on a processor with AVX2, had 3.0, 11.0, 51.4, 24.0, 1.6, 5.4, 7.9 and 9.3 s. "
         "benchmarks/measured/profiles says what takes the time, pass by pass (cqrun bench SCENE -o precision=float32 "
         "-o memory=8GiB --threads 2 --output FILE). Of the hills' 20,000 substeps, .8 are run twice, for their states "
-        "do not fit"
+        "do not fit. The four co-design scenes were timed with finer cells than they have now (1/64 the biped's, 1/30 "
+        "the others')"
     )
 
     def work(self, size: Size) -> Sequence[Work]:
