@@ -103,7 +103,7 @@ class Ablation(Figure):
         left.legend(ncols=2, fontsize=7)
         right.set_xticks(range(len(ORDER)), ORDER, rotation=35, ha="right")
         titled(left, self.title)
-        titled(right, "in the end, mean and 90 % interval")
+        titled(right, "in the end, " + ("one seed" if self.seeds[size] == 1 else "mean and 90 % interval"))
         return picture
 
     def ends(self, table: Table, label: str) -> Array:
