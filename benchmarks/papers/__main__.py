@@ -19,8 +19,8 @@ from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Figure, Size
 from benchmarks.papers.kept import archive_of, keep, restore
 from benchmarks.papers.page import write_page
-from benchmarks.papers.publish import publish, publish_again
-from benchmarks.papers.work import ROOT, Work, span
+from benchmarks.papers.publish import is_complete, publish, publish_again, published
+from benchmarks.papers.work import ROOT, Work, WorkError, span
 from cqrun.errors import CqrunError
 from cqrun.store.atomic import make_directory
 
@@ -57,16 +57,16 @@ def main(words: Sequence[str] | None = None) -> int:
 def _run(chosen: Sequence[Figure], size: Size, options: argparse.Namespace) -> int:
     """Do what the options say; return the exit status."""
     if options.list:
-        _list(chosen, options.runs)
+        _list(chosen, options.runs, options.out)
         return 0
     if options.judge:
         for figure in chosen:
             if (verdict := publish_again(figure, size, options.out)) is not None:
-                print(f"{figure.id}: {verdict}")
-    finished = options.page or options.judge or _do(chosen, size, options)
+                print(f"{figure.id}, {size}: {verdict}")
+    status = 0 if options.page or options.judge else _do(chosen, size, options)
     page = write_page(options.out)
     print(f"\n{page}")
-    return 0 if finished else 75
+    return status
 
 
 def _minutes(word: str) -> float:
@@ -86,34 +86,58 @@ def _count(word: str) -> int:
 _minutes.__name__, _count.__name__ = "number of minutes", "whole number from 1 on"  # as argparse says it
 
 
-def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> bool:
-    """Do the work of figures until the time is over, and publish each; say whether all is done."""
-    runs = options.runs / size
+def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> int:
+    """Do the work of figures until the time is over, and publish each; return 0, 75 (no more time) or 1 (error)."""
+    runs, folder = options.runs / size, options.out / size
     end = time.monotonic() + 60.0 * options.minutes
-    left = sum(_left(work, runs) for figure in figures for work in figure.work(size))
+    errors = [told for figure in figures for work in figure.work(size) if (told := _restored(work, runs, folder))]
+    works = {work.name: work for figure in figures for work in figure.work(size)}
+    left = sum(_left(work, runs) for work in works.values())
     print(f"{len(figures)} figures, size {size}: about {span(left)} of work left on two cores")
-    complete, folder = True, options.out / size
+    complete = True
     for k, figure in enumerate(figures, start=1):
-        works = figure.work(size)
-        for work in works:
-            restore(work, runs, archive_of(work, folder))
-        todo = [work for work in works if work.done(runs / work.name) is None]
+        todo = [work for work in figure.work(size) if work.done(runs / work.name) is None]
         about = sum(_left(work, runs) for work in todo)
         told = f"about {span(about)}" if todo else "done"
         print(f"[{k}/{len(figures)}] {figure.id}: {figure.title} ({told}; {span(left)} left in all)", flush=True)
-        for work in todo:
-            seconds = end - time.monotonic()
-            if seconds <= 0.0 or not work.do(runs / work.name, seconds, options.jobs):
-                complete = False
-                break
         left -= about
-        verdict = publish(figure, size, runs, options.out)
-        if verdict is not None:
-            print(f"    {verdict}", flush=True)
-        _keep(works, runs, folder, shown=verdict is not None)
+        try:
+            for work in todo:
+                seconds = end - time.monotonic()
+                if seconds <= 0.0 or not work.do(runs / work.name, seconds, options.jobs):
+                    complete = False
+                    break
+            _show(figure, size, runs, options.out)
+        except WorkError as error:  # the others go on
+            print(f"    error: {error}", flush=True)
+            errors.append(str(error))
     if not complete:
         print("not all is done: the same command goes on")
-    return complete
+    if errors:
+        print(f"{len(errors)} figures or more are left out:", *dict.fromkeys(errors), sep="\n  ")
+    return 1 if errors else 0 if complete else 75
+
+
+def _restored(work: Work, runs: Path, folder: Path) -> str:
+    """Unpack work that was begun elsewhere; return why it cannot be, if it cannot."""
+    try:
+        restore(work, runs, archive_of(work, folder))
+    except WorkError as error:
+        return str(error)
+    return ""
+
+
+def _show(figure: Figure, size: Size, runs: Path, out: Path) -> None:
+    """Publish a figure, but never a part of it over the whole; keep what it needs to go on."""
+    works = figure.work(size)
+    is_whole = all(work.done(runs / work.name) is not None for work in works)
+    if not is_whole and is_complete(figure, size, published(figure, size, out)):
+        print("    what is published is complete, and stays", flush=True)
+        return
+    verdict = publish(figure, size, runs, out)
+    if verdict is not None:
+        print(f"    {size}: {verdict}", flush=True)
+    _keep(works, runs, out / size, shown=verdict is not None)
 
 
 def _keep(works: Sequence[Work], runs: Path, folder: Path, *, shown: bool) -> None:
@@ -138,14 +162,17 @@ def _left(work: Work, runs: Path) -> float:
     return max(0.1 * work.minutes, work.minutes - work.spent(folder) / 60.0)
 
 
-def _list(figures: Sequence[Figure], runs: Path) -> None:
+def _list(figures: Sequence[Figure], runs: Path, out: Path) -> None:
     for figure in figures:
         print(f"{figure.id:<24} {figure.source:<18} {figure.title}")
         for size in Size:
             works = figure.work(size)
             done = sum(work.done(runs / size / work.name) is not None for work in works)
             minutes = sum(work.minutes for work in works)
-            print(f"    {size:<6} {span(minutes):>8}, {done} of {len(works)} done: " + "; ".join(w.name for w in works))
+            record = published(figure, size, out)
+            told = f"published: {record['verdict']}" if record is not None else "not published"
+            names = "; ".join(work.name for work in works)
+            print(f"    {size:<6} {span(minutes):>8}, {told}; {done} of {len(works)} done here: {names}")
 
 
 if __name__ == "__main__":

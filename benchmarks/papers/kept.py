@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import io
 import json
+import lzma
 import tarfile
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from benchmarks.papers.work import CLOCK, DONE, SCENES, Work
+from benchmarks.papers.work import CLOCK, DONE, SCENES, Work, WorkError, check_worth
 from cqrun.fingerprint import engine_hash
 from cqrun.store.atomic import make_directory, write_bytes
 from cqrun.store.run import FINISHED, read_record
@@ -37,10 +39,18 @@ def archive_of(work: Work, folder: Path) -> Path:
 
 
 def keep(work: Work, runs: Path, archive: Path) -> None:
-    """Pack what was begun, if anything was, and not before the work changed."""
+    """Pack what was begun, if anything was, and not before the work changed.
+
+    An archive of the same work that holds more of it, from another machine or engine, stays.
+    """
     root = runs / work.name
     if not work.begun(root):
         return
+    if archive.exists():
+        there = _contents(archive)[0]
+        if there["fingerprint"] == work.fingerprint() and there["seconds"] > work.spent(root):
+            print(f"    {archive} holds more of {work.name} than {root}, and stays", flush=True)
+            return
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:xz") as tar:
         for path in _small(root):
@@ -93,26 +103,39 @@ def _renamed(data: bytes, names: dict[str, str]) -> bytes:
     return data
 
 
+def _contents(archive: Path) -> tuple[dict[str, Any], bool]:
+    """Return the clock in an archive, and whether its work is done."""
+    try:
+        with tarfile.open(archive) as tar:
+            return json.loads(tar.extractfile(CLOCK).read()), DONE in tar.getnames()  # type: ignore[union-attr]
+    except (tarfile.TarError, lzma.LZMAError, EOFError, KeyError, ValueError) as error:
+        raise WorkError(f"{archive}: cannot be read ({error}); get it once more, or delete it to start over") from None
+
+
 def restore(work: Work, runs: Path, archive: Path) -> bool:
     """Unpack a work that was begun elsewhere, if it is not here; say whether it was.
 
-    What another engine has begun is left alone, as this one could not go on with it; what it has finished is taken.
+    What another engine has begun is not taken, as this one could not go on with it; what it has finished is.
+
+    Raises:
+        WorkError: another engine has begun it and spent long on it, or the archive cannot be read.
     """
     root = runs / work.name
     if root.exists() or not archive.exists():
         return False
-    with tarfile.open(archive) as tar:
-        facts = json.loads(tar.extractfile(CLOCK).read())  # type: ignore[union-attr]
-        is_usable = facts["engine"] == engine_hash() or DONE in tar.getnames()
-        if facts["fingerprint"] != work.fingerprint() or not is_usable:
-            return False
-        make_directory(runs)
-        with tempfile.TemporaryDirectory(dir=runs) as name:
-            fresh = Path(name) / work.name
-            tar.extractall(fresh, filter="data")
-            for path in fresh.rglob("*"):
-                if path.suffix in TEXT:
-                    names = {RUNS: str(runs.resolve()), SCENES_HERE: str(SCENES)}
-                    path.write_bytes(_renamed(path.read_bytes(), names))
-            fresh.rename(root)
+    clock, is_done = _contents(archive)
+    if clock["fingerprint"] != work.fingerprint():
+        return False
+    if clock["engine"] != engine_hash() and not is_done:
+        check_worth(archive, clock)
+        return False
+    make_directory(runs)
+    with tarfile.open(archive) as tar, tempfile.TemporaryDirectory(dir=runs) as name:
+        fresh = Path(name) / work.name
+        tar.extractall(fresh, filter="data")
+        for path in fresh.rglob("*"):
+            if path.suffix in TEXT:
+                names = {RUNS: str(runs.resolve()), SCENES_HERE: str(SCENES)}
+                path.write_bytes(_renamed(path.read_bytes(), names))
+        fresh.rename(root)
     return True

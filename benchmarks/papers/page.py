@@ -11,7 +11,7 @@ from jinja2 import Environment, StrictUndefined
 
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import OWN, Figure, Judgement, Size
-from benchmarks.papers.publish import published
+from benchmarks.papers.publish import picture_of, published
 from cqrun.store.atomic import make_directory, write_text
 
 PAGE, GALLERY = (Path(__file__).with_name(name) for name in ("page.html.j2", "gallery.md.j2"))
@@ -54,22 +54,23 @@ def _row(figure: Figure, out: Path) -> dict[str, Any]:
 def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
     record = published(figure, size, out)
     if record is None:
-        return {"size": size.value, "verdict": NOTHING, "kind": "none", "picture": "", "minutes": 0.0}
-    machine = record["machine"] or {}
+        return {"size": size.value, "verdict": NOTHING, "kind": "none", "picture": "", "works": {}}
+    minutes = {name: work["minutes"] for name, work in record["works"].items()}
+    machines = {f"{machine['cores']} cores of {machine['processor']}" for machine in record["machines"]}
     judgement = Judgement(record["verdict"])
     return {
         "size": size.value,
         "verdict": judgement.value,
         "kind": KINDS[judgement],
-        "picture": base64.b64encode((out / size / f"{figure.id}.png").read_bytes()).decode(),
+        "picture": base64.b64encode(picture_of(figure, size, out)).decode(),
         "checks": record["checks"],
         "done": _done(record, judgement),
-        "tolerance": figure.tolerance[size],
-        "time": _time(record["minutes"]) if machine else "no part is finished",
-        "minutes": record["minutes"],
-        "machine": f"{machine['cores']} cores of {machine['processor']}" if machine else "",
+        "asked": record["asked"],
+        "time": _time(sum(minutes.values())) if machines else "no part is finished",
+        "works": minutes,
+        "machine": ", and ".join(sorted(machines)),
         "engine": ", ".join(record["engine"]),
-        "commands": record["commands"],
+        "commands": [work["command"] for work in record["works"].values()],
     }
 
 
@@ -92,8 +93,8 @@ def _time(minutes: float) -> str:
 def _total(rows: list[dict[str, Any]], size: int) -> str:
     """Return how many verdicts of each kind there are, the papers' first, and how much work it was."""
     papers, own = ([row["results"][size] for row in rows if (row["source"] == OWN) is ours] for ours in (False, True))
-    minutes = sum(result["minutes"] for result in papers + own)
-    return f"{_counted(papers)}; cqrun's own: {_counted(own)}; {_time(minutes)} of work in all"
+    works = {name: minutes for result in papers + own for name, minutes in result["works"].items()}  # some are shared
+    return f"{_counted(papers)}; cqrun's own: {_counted(own)}; {_time(sum(works.values()))} of work in all"
 
 
 def _counted(results: list[dict[str, Any]]) -> str:

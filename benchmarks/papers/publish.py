@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, read_table, write_table
+from benchmarks.papers.work import Work, WorkError
 from cqrun.figures.style import save, styled
 from cqrun.store.atomic import make_directory, write_json
 
@@ -41,12 +43,27 @@ def publish(figure: Figure, size: Size, runs: Path, out: Path) -> Verdict | None
     record: dict[str, Any] = {
         "done": [len(done), len(works)],
         "failed": [reason for work in works if work.name in done for reason in work.failures(runs / work.name)],
-        "commands": [work.command for work in works],
-        "minutes": sum(work.spent(runs / work.name) for work in works) / 60.0,
+        "works": {
+            name: of | {"minutes": work.spent(runs / name) / 60.0}
+            for work, (name, of) in zip(works, identity(works).items(), strict=True)
+        },
         "engine": sorted({work.engine(found[work.name]) for work in works if work.name in found}),
-        "machine": next((facts["machine"] for facts in done.values()), None),
+        "machines": [facts["machine"] for facts in done.values()],
     }
     return _judge(figure, table, size, record, folder)
+
+
+def identity(works: Sequence[Work]) -> dict[str, dict[str, Any]]:
+    """Return what work is, by its name: if that changes, what was published is of something else."""
+    return {work.name: {"command": work.command, "fingerprint": work.fingerprint()} for work in works}
+
+
+def is_complete(figure: Figure, size: Size, record: dict[str, Any] | None) -> bool:
+    """Say whether what was published is of the whole work, as that is today."""
+    if record is None or record["done"][0] < record["done"][1]:
+        return False
+    told = {name: {key: of[key] for key in ("command", "fingerprint")} for name, of in record["works"].items()}
+    return told == identity(figure.work(size))
 
 
 def so_far(do: Callable[[], T]) -> T | None:
@@ -63,8 +80,7 @@ def verdict_on(figure: Figure, table: Table, size: Size, record: dict[str, Any])
     A figure of which runs failed is reproduced in part at best. One whose work is not what it was when it was done is
     unfinished, as is one that is not done.
     """
-    complete = record["done"][0] == record["done"][1]
-    complete = complete and record["commands"] == [work.command for work in figure.work(size)]
+    complete = is_complete(figure, size, record)
     found = figure.judge(table, size) if complete else so_far(lambda: figure.judge(table, size))
     checks = dict(found.checks) if found is not None else {}
     if record["failed"]:
@@ -76,24 +92,60 @@ def verdict_on(figure: Figure, table: Table, size: Size, record: dict[str, Any])
 def _judge(figure: Figure, table: Table, size: Size, record: dict[str, Any], folder: Path) -> Verdict:
     """Write the record with the verdict, and return that."""
     verdict = verdict_on(figure, table, size, record)
-    write_json(folder / f"{figure.id}.json", {"verdict": verdict.judgement, "checks": dict(verdict.checks), **record})
+    told = {"verdict": verdict.judgement, "checks": dict(verdict.checks), "asked": figure.tolerance[size]}
+    write_json(folder / f"{figure.id}.json", told | {"data": _digest(folder / f"{figure.id}.csv")} | record)
     return verdict
 
 
+def _digest(data: Path) -> str:
+    """Return a hash of a CSV, by which another one is told."""
+    return hashlib.sha256(data.read_bytes()).hexdigest()[:12]
+
+
 def publish_again(figure: Figure, size: Size, out: Path) -> Verdict | None:
-    """Draw and judge what was published once more, from its CSV; return the verdict, or None if there is nothing."""
+    """Draw and judge what was published once more, from its CSV; return the verdict, or None if there is nothing.
+
+    Raises:
+        WorkError: the CSV is not the one that was published.
+    """
     record = published(figure, size, out)
     if record is None:
         return None
-    table = read_table(out / size / f"{figure.id}.csv")
+    data = out / size / f"{figure.id}.csv"
+    if not data.exists() or _digest(data) != record["data"]:
+        raise WorkError(f"{data}: not the numbers that were published; {_again(figure, size)}")
+    table = read_table(data)
     if not figure.needs_runs:
         with styled():
             save(figure.draw(table, size, {}), out / size / figure.id, KINDS)
-    told = {"failed": []} | {key: value for key, value in record.items() if key not in ("verdict", "checks")}
+    told = {key: value for key, value in record.items() if key not in ("verdict", "checks", "asked", "data")}
     return _judge(figure, table, size, told, out / size)
 
 
 def published(figure: Figure, size: Size, out: Path) -> dict[str, Any] | None:
-    """Return the record of a figure that was published, or None."""
+    """Return the record of a figure that was published, or None.
+
+    Raises:
+        WorkError: it is not JSON.
+    """
     file = out / size / f"{figure.id}.json"
-    return json.loads(file.read_text()) if file.exists() else None
+    try:
+        return json.loads(file.read_text()) if file.exists() else None
+    except ValueError as error:
+        raise WorkError(f"{file}: not JSON ({error}); {_again(figure, size)}") from None
+
+
+def picture_of(figure: Figure, size: Size, out: Path) -> bytes:
+    """Return the PNG of a figure that was published.
+
+    Raises:
+        WorkError: it is not there.
+    """
+    file = out / size / f"{figure.id}.png"
+    if not file.exists():
+        raise WorkError(f"{file}: is not there; {_again(figure, size)}")
+    return file.read_bytes()
+
+
+def _again(figure: Figure, size: Size) -> str:
+    return f"get it back, or run `python -m benchmarks.papers --size {size} --only {figure.id}`"

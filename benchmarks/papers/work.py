@@ -1,8 +1,8 @@
 """What takes time behind a figure: runs of cqrun and measurements. Each has a folder, and goes on where it stopped.
 
 A folder's `clock.json` says what was begun, by which engine, and how long it has taken, pauses left out; `done.json`
-is written last, and adds the machine. Work whose command or scene has changed is done anew; that which wants more seeds
-goes on.
+is written last, and adds the machine. Work whose command or scene has changed is done anew, and what it was is put
+aside if it took long; that which wants more seeds goes on.
 """
 
 from __future__ import annotations
@@ -13,15 +13,18 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from cqrun.errors import CqrunError
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine
 from cqrun.store.atomic import make_directory, write_json
@@ -42,11 +45,21 @@ GRACE = 120.0
 LOOK = 60.0
 """Seconds between two lines that say how far long work is, or two looks at a run that another process holds."""
 
+TICK = 30.0
+"""Seconds between two looks at the clock: a killed process has lost no more of its time than that."""
+
+CLOCKS = threading.Lock()
+"""Held while a clock is written."""
+
 HELD = "another process works on this run"
 """What cqrun says of such a run: one that goes on though who began it was killed, as a rule."""
 
 KILLED = "the same command goes on with it"
 """What cqrun says of a run that was killed, for want of memory as a rule: it failed, and is not finished."""
+
+
+class WorkError(CqrunError):
+    """Work that cannot go on, and what to do about it; other work can."""
 
 
 @dataclass(frozen=True)
@@ -102,20 +115,52 @@ class Work(ABC):
     def do(self, folder: Path, seconds: float, jobs: int) -> bool:
         """Do it, or go on with it; say whether it is done."""
         if not self.begun(folder):
-            shutil.rmtree(folder, ignore_errors=True)
+            _clear(folder)
             make_directory(folder)
             fresh = {"fingerprint": self.fingerprint(), "engine": engine_hash(), "seconds": 0.0}
             write_json(folder / CLOCK, fresh)
-        begun = time.monotonic()
-        try:
+        with _timed(folder):
             finished = self.go_on(folder, seconds, jobs)
-        finally:  # asked to stop, too
-            clock = _read(folder / CLOCK)
-            clock["seconds"] += time.monotonic() - begun
-            write_json(folder / CLOCK, clock)
         if finished:
-            write_json(folder / DONE, clock | self.facts() | {"machine": machine()})
+            write_json(folder / DONE, _read(folder / CLOCK) | self.facts() | {"machine": machine()})
         return finished
+
+
+def _clear(folder: Path) -> None:
+    """Remove work that has changed since; put it aside if it took long."""
+    clock = _read(folder / CLOCK)
+    if clock.get("seconds", 0.0) > WORTH:
+        aside = folder.with_name(f"{folder.name}.was-{clock['fingerprint']}-{clock['engine']}")
+        print(f"    {folder.name} has changed: {span(clock['seconds'] / 60)} of what it was are in {aside}", flush=True)
+        shutil.rmtree(aside, ignore_errors=True)
+        folder.rename(aside)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _timed(folder: Path) -> Iterator[None]:
+    """Add the time of a block to the clock of a folder, as it passes."""
+    over, last = threading.Event(), time.monotonic()
+
+    def count() -> None:
+        nonlocal last
+        with CLOCKS:
+            clock, now = _read(folder / CLOCK), time.monotonic()
+            write_json(folder / CLOCK, clock | {"seconds": clock["seconds"] + now - last})
+            last = now
+
+    def watch() -> None:
+        while not over.wait(TICK):
+            count()
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:  # asked to stop, too
+        over.set()
+        thread.join()
+        count()
 
 
 def span(minutes: float) -> str:
@@ -124,7 +169,10 @@ def span(minutes: float) -> str:
 
 
 def _read(file: Path) -> dict[str, Any]:
-    return json.loads(file.read_text()) if file.exists() else {}
+    try:
+        return json.loads(file.read_text()) if file.exists() else {}
+    except ValueError as error:
+        raise WorkError(f"{file}: not JSON ({error}); delete {file.parent} to start that over") from None
 
 
 @dataclass(frozen=True)
@@ -168,7 +216,8 @@ class Runs(Work):
         replaced = {override.partition("=")[0] for override in self.overrides}
         scene = {key: value for key, value in yaml.safe_load(self.path.read_text()).items() if key not in replaced}
         whole = [self.job, self.scene, self.overrides, self.options, scene]
-        return _hash(json.dumps(whole, sort_keys=True).encode())
+        files = sorted(_named(scene, self.path.parent))
+        return _hash(json.dumps(whole, sort_keys=True).encode(), *(file.read_bytes() for file in files))
 
     def done(self, folder: Path) -> dict[str, Any] | None:
         """Return what `done.json` says, or None where this is not done, or for fewer seeds."""
@@ -212,7 +261,7 @@ class Runs(Work):
                 return False
             code, said = _for_so_long(command, end, tell)
         if code not in (0, FAILED, STOPPED):
-            raise SystemExit(f"{self.name}: `{self.command}` ended with {code}\n{said}")
+            raise WorkError(f"{self.name}: `{self.command}` ended with {code}\n{said}")
         if code == FAILED and KILLED in said:
             print(f"    {self.name}: {said.strip()}", flush=True)
             return False
@@ -233,21 +282,39 @@ class Runs(Work):
         """Empty the folder of runs that another engine has begun, if that is soon done again.
 
         Raises:
-            SystemExit: it is not.
+            WorkError: it is not.
         """
-        clock = _read(folder / CLOCK)
-        if clock["seconds"] > WORTH:
-            raise SystemExit(
-                f"{folder}: {clock['seconds'] / 60:.0f} minutes of work by engine {clock['engine']}, and this is "
-                f"{engine_hash()}: go on with the commit that has that engine, or delete the folder to start over"
-            )
-        shutil.rmtree(folder)
-        make_directory(folder)
-        write_json(folder / CLOCK, clock | {"engine": engine_hash(), "seconds": 0.0})
+        with CLOCKS:
+            clock = _read(folder / CLOCK)
+            check_worth(folder, clock)
+            shutil.rmtree(folder)
+            make_directory(folder)
+            write_json(folder / CLOCK, clock | {"engine": engine_hash(), "seconds": 0.0})
 
     def runs(self, folder: Path) -> list[Path]:
         """Return its run directories."""
         return sorted(path.parent for path in (folder / self.path.stem).glob("*/run.json"))
+
+
+def check_worth(path: Path, clock: Mapping[str, Any]) -> None:
+    """Raise if what another engine has begun took too long to be thrown away unasked.
+
+    Raises:
+        WorkError: it did.
+    """
+    if clock["seconds"] > WORTH:
+        raise WorkError(
+            f"{path}: {clock['seconds'] / 60:.0f} minutes of work by engine {clock['engine']}, and this is "
+            f"{engine_hash()}: go on with the commit that has that engine, or delete it to start over"
+        )
+
+
+def _named(value: object, base: Path) -> Iterator[Path]:
+    """Yield the files beside a scene that it names: shapes, images."""
+    if isinstance(value, str) and Path(value).suffix and (base / value).is_file():
+        yield base / value
+    for each in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from _named(each, base)
 
 
 def _for_so_long(command: list[str], end: float, tell: Callable[[], None]) -> tuple[int, str]:
@@ -287,11 +354,13 @@ class Measurement(Work):
         measure: (folder, deadline of time.monotonic) -> whether it is finished; it keeps what it has in the folder.
         told: what a reader would type.
         sources: files whose change makes it another measurement.
+        settings: words of which the same is true.
     """
 
     measure: Callable[[Path, float], bool]
     told: str
     sources: tuple[Path, ...] = ()
+    settings: tuple[str, ...] = ()
 
     @property
     def command(self) -> str:
@@ -300,7 +369,7 @@ class Measurement(Work):
 
     def fingerprint(self) -> str:
         """Return what its result depends on besides the engine, as hex digits."""
-        return _hash(self.told.encode(), *map(_content, self.sources))
+        return _hash(*(word.encode() for word in (self.told, *self.settings)), *map(_content, self.sources))
 
     def go_on(self, folder: Path, seconds: float, jobs: int) -> bool:
         """Measure for so long at most; say whether it is finished."""

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.papers import kept, work
 from benchmarks.papers.kept import archive_of, keep, restore
-from benchmarks.papers.work import CLOCK, DONE, Runs
+from benchmarks.papers.work import CLOCK, DONE, Runs, WorkError
 
 SHORT = ("bodies.finger.sampling.lattice.count=5", "time.duration=0.05", "optimizer.sgd.max_iterations=2")
 LEARNED = Runs("finger", 0.1, "control", "control/finger", SHORT, 2)
@@ -102,6 +102,29 @@ def test_work_that_has_changed_or_is_another_engines_is_not_taken(learned, tmp_p
     assert restore(LEARNED, tmp_path, archive)  # finished
 
 
+def test_an_archive_that_holds_more_stays(learned, tmp_path, monkeypatch, capsys):
+    """Hours of another machine, by another engine, were once written over by a second of this one's."""
+    _, archive = learned
+    runs, rich = tmp_path / "runs", tmp_path / "rich.tar.xz"
+    restore(LEARNED, runs, archive)
+    clock = runs / LEARNED.name / CLOCK
+    facts = json.loads(clock.read_text())
+    clock.write_text(json.dumps(facts | {"seconds": 36_000.0}))
+    (runs / LEARNED.name / DONE).unlink()
+    keep(LEARNED, runs, rich)
+    packed = rich.read_bytes()
+    clock.write_text(json.dumps(facts | {"seconds": 1.0}))
+    keep(LEARNED, runs, rich)
+    assert "and stays" in capsys.readouterr().out
+    assert rich.read_bytes() == packed
+    monkeypatch.setattr(kept, "engine_hash", lambda: "another")
+    with pytest.raises(WorkError, match="600 minutes of work by engine"):
+        restore(LEARNED, tmp_path / "elsewhere", rich)
+    rich.write_bytes(packed[:1000])
+    with pytest.raises(WorkError, match="cannot be read"):
+        restore(LEARNED, tmp_path / "elsewhere", rich)
+
+
 def test_minutes_of_another_engine_are_not_thrown_away(learned, tmp_path):
     _, archive = learned
     restore(LEARNED, tmp_path, archive)
@@ -112,7 +135,7 @@ def test_minutes_of_another_engine_are_not_thrown_away(learned, tmp_path):
         record.write_text(json.dumps(facts | {"engine": "another", "status": "stopped"}))
     clock = json.loads((folder / CLOCK).read_text()) | {"engine": "another", "seconds": 4000.0}
     (folder / CLOCK).write_text(json.dumps(clock))
-    with pytest.raises(SystemExit, match="67 minutes of work by engine another"):
+    with pytest.raises(WorkError, match="67 minutes of work by engine another"):
         LEARNED.do(folder, 300.0, 2)
     (folder / CLOCK).write_text(json.dumps(clock | {"seconds": 4.0}))
     assert LEARNED.do(folder, 300.0, 2)

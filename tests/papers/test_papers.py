@@ -24,8 +24,8 @@ from benchmarks.papers.figure import Figure, Judgement, Size, judged, read_table
 from benchmarks.papers.histories import Run, curves, first_below, settled, smooth
 from benchmarks.papers.learning import Distances
 from benchmarks.papers.page import write_page
-from benchmarks.papers.publish import publish, publish_again, verdict_on
-from benchmarks.papers.work import CLOCK, DONE, ROOT, STOPPED, Measurement, Runs, _for_so_long
+from benchmarks.papers.publish import _digest, identity, publish, publish_again, verdict_on
+from benchmarks.papers.work import CLOCK, DONE, ROOT, STOPPED, Measurement, Runs, WorkError, _for_so_long
 from cqrun.figures.style import new_figure, styled
 from cqrun.fingerprint import engine_hash
 from cqrun.scene.build import build
@@ -137,9 +137,11 @@ def test_the_quick_set_is_quick():
 def test_what_is_committed_is_what_is_judged(record):
     """The verdict follows from the committed numbers, by today's rules."""
     told = json.loads(record.read_text())
-    table = read_table(record.with_suffix(".csv"))
-    verdict = verdict_on(FIGURES[record.stem], table, Size(record.parent.name), told)
+    assert _digest(record.with_suffix(".csv")) == told["data"]
+    table, size = read_table(record.with_suffix(".csv")), Size(record.parent.name)
+    verdict = verdict_on(FIGURES[record.stem], table, size, told)
     assert (verdict.judgement, dict(verdict.checks)) == (told["verdict"], told["checks"])
+    assert told["asked"] == FIGURES[record.stem].tolerance[size]
     for suffix in (".png", ".pdf"):
         assert record.with_suffix(suffix).stat().st_size > 1000
 
@@ -171,6 +173,39 @@ def test_work_that_is_stopped_has_its_time(tmp_path):
     assert COUNT.spent(tmp_path / "count") >= 0.02
 
 
+def test_work_that_is_killed_has_most_of_its_time(tmp_path, monkeypatch):
+    """The clock is written while work goes on, for who is killed writes nothing in the end."""
+    seen = []
+
+    def long(folder, deadline):
+        time.sleep(0.2)
+        seen.append(json.loads((folder / CLOCK).read_text())["seconds"])
+        return True
+
+    monkeypatch.setattr("benchmarks.papers.work.TICK", 0.02)
+    assert replace(COUNT, measure=long).do(tmp_path / "count", 1.0, 1)
+    assert 0.1 < seen[0] <= COUNT.spent(tmp_path / "count")
+
+
+def test_long_work_that_has_changed_is_put_aside(tmp_path, capsys):
+    folder = tmp_path / "count"
+    COUNT.do(folder, 1.0, 1)
+    clock = json.loads((folder / CLOCK).read_text())
+    write_json(folder / CLOCK, clock | {"seconds": 36_000.0})
+    replace(COUNT, told="count differently").do(folder, 1.0, 1)
+    (aside,) = tmp_path.glob("count.was-*")
+    assert str(aside) in capsys.readouterr().out
+    assert (aside / "0.txt").exists()
+
+
+def test_what_was_half_written_says_what_to_do(tmp_path):
+    folder = tmp_path / "count"
+    folder.mkdir()
+    (folder / CLOCK).write_text('{"fingerp')
+    with pytest.raises(WorkError, match=r"clock.json: not JSON .*; delete .*count to start that over"):
+        COUNT.do(folder, 1.0, 1)
+
+
 def test_work_that_has_changed_is_done_anew(tmp_path):
     folder = tmp_path / "count"
     while not COUNT.do(folder, 1.0, 1):
@@ -200,6 +235,19 @@ def test_more_seeds_go_on_and_comments_change_nothing(tmp_path, monkeypatch):
     assert three.done(tmp_path) is None
 
 
+def test_a_file_that_a_scene_names_makes_it_other_work(tmp_path, monkeypatch):
+    monkeypatch.setattr("benchmarks.papers.work.SCENES", tmp_path)
+    scene = tmp_path / "simulate" / "tear.yaml"
+    (scene.parent / "shapes").mkdir(parents=True)
+    scene.write_text("bodies: {a: {shape: {mesh: {file: shapes/a.stl}}}}\n")
+    image = scene.parent / "shapes" / "a.stl"
+    found = [TEAR.fingerprint()]
+    for said in ("solid", "solid too"):
+        image.write_text(said)
+        found.append(TEAR.fingerprint())
+    assert len(set(found)) == 3
+
+
 def test_what_an_override_replaces_may_change_in_the_scene(tmp_path, monkeypatch):
     monkeypatch.setattr("benchmarks.papers.work.SCENES", tmp_path)
     scene = tmp_path / "simulate" / "tear.yaml"
@@ -224,6 +272,7 @@ def test_comments_in_its_scene_do_not_make_it_another_measurement(tmp_path):
     data.write_text("# y\n1\n")
     assert counting.fingerprint() != first
     data.write_text("# x\n1\n")
+    assert replace(counting, settings=("coarse",)).fingerprint() != first
     scene.write_text("seed: 2\n")
     assert counting.fingerprint() != first
 
@@ -240,7 +289,7 @@ def test_a_run_is_a_command_that_a_reader_can_type(tmp_path):
 
 def test_a_run_that_cannot_be_ends_with_its_command(tmp_path):
     broken = replace(TEAR, overrides=("time.duration=-1",))
-    with pytest.raises(SystemExit, match=r"tear: `cqrun simulate .*` ended with 2\n(.|\n)*time.duration"):
+    with pytest.raises(WorkError, match=r"tear: `cqrun simulate .*` ended with 2\n(.|\n)*time.duration"):
         broken.do(tmp_path / "tear", 100.0, 1)
 
 
@@ -347,6 +396,19 @@ def test_what_was_published_is_drawn_and_judged_anew(tmp_path):
     assert before["engine"] == [engine_hash()]  # of what is begun, too
 
 
+def test_other_numbers_than_were_published_are_not_judged(tmp_path):
+    toy, out = Toy(COUNT), tmp_path / "out"
+    COUNT.do(tmp_path / "count", 1.0, 1)
+    publish(toy, Size.QUICK, tmp_path, out)
+    record, data = out / "quick" / "toy.json", out / "quick" / "toy.csv"
+    data.write_text(data.read_text()[:8])
+    with pytest.raises(WorkError, match=r"toy.csv: not the numbers that were published; get it back, or run `python"):
+        publish_again(toy, Size.QUICK, out)
+    record.write_text(record.read_text()[:50])
+    with pytest.raises(WorkError, match=r"toy.json: not JSON"):
+        publish_again(toy, Size.QUICK, out)
+
+
 def test_a_verdict_is_what_its_checks_come_to():
     assert judged({"a": True, "b": True}).judgement is Judgement.MET
     assert judged({"a": True, "b": False}).judgement is Judgement.PARTLY
@@ -356,13 +418,14 @@ def test_a_verdict_is_what_its_checks_come_to():
 
 def test_what_fails_or_has_changed_is_not_reproduced(tmp_path):
     toy, table = Toy(COUNT), {"k": np.arange(3.0)}
-    record = {"done": [1, 1], "failed": [], "commands": [COUNT.command]}
+    record = {"done": [1, 1], "failed": [], "works": identity([COUNT])}
     assert verdict_on(toy, table, Size.QUICK, record).judgement is Judgement.MET
     failed = verdict_on(toy, table, Size.QUICK, record | {"failed": ["it blew up"]})
     assert failed.judgement is Judgement.PARTLY
     assert failed.checks["no run fails (1 did: it blew up)"] is False
-    other = record | {"commands": ["count to two"]}
-    assert verdict_on(toy, table, Size.QUICK, other).judgement is Judgement.UNFINISHED
+    for changed in (replace(COUNT, told="count to two"), replace(COUNT, settings=("slowly",))):
+        other = record | {"works": identity([changed])}
+        assert verdict_on(toy, table, Size.QUICK, other).judgement is Judgement.UNFINISHED
 
 
 def test_failed_runs_are_counted(tmp_path):
@@ -470,6 +533,62 @@ def test_no_time_is_no_work(tmp_path, capsys):
     words = ["--only", "cq2_fracture", "--minutes", "0", "--runs", str(tmp_path / "r"), "--out", str(tmp_path / "o")]
     assert command.main(words) == 75
     assert "not all is done: the same command goes on" in capsys.readouterr().out
+
+
+@pytest.fixture
+def two_figures(tmp_path, monkeypatch):
+    """The command's figures are two that count, to three each, and the words that run both."""
+    toys = {}
+    for name in ("one", "two"):
+        toy = Toy(replace(COUNT, name=name, told=f"count {name}"))
+        toy.id = name
+        toys[name] = toy
+    monkeypatch.setattr(command, "FIGURES", toys)
+    monkeypatch.setattr(command, "write_page", lambda out: out)
+    return toys, ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
+
+
+def test_a_figure_that_cannot_be_does_not_end_the_others(two_figures, capsys):
+    toys, words = two_figures
+
+    def broken(folder, deadline):
+        raise WorkError("it does not count")
+
+    toys["one"].works = (replace(toys["one"].works[0], measure=broken),)
+    assert [command.main(words) for _ in range(3)] == [1, 1, 1]
+    told = capsys.readouterr().out
+    assert "error: it does not count" in told
+    assert "quick: reproduced: they grow (yes)" in told
+
+
+def test_a_part_is_not_written_over_the_whole(two_figures, tmp_path, capsys):
+    """A fresh clone has the figures that are committed, and none of their runs."""
+    _, words = two_figures
+    assert [command.main(words) for _ in range(3)] == [75, 75, 0]
+    files = sorted((tmp_path / "out" / "quick").glob("*.*"))
+    before = [file.read_bytes() for file in files]
+    shutil.rmtree(tmp_path / "runs")
+    assert command.main(words) == 75
+    assert "what is published is complete, and stays" in capsys.readouterr().out
+    assert [file.read_bytes() for file in files] == before
+
+
+def test_work_that_figures_share_is_counted_once(two_figures, capsys):
+    toys, words = two_figures
+    toys["two"].works = toys["one"].works
+    command.main([*words, "--minutes", "0"])
+    told = capsys.readouterr().out
+    assert "2 figures, size quick: about 1 min of work left" in told
+
+
+def test_committed_curves_of_ppo_are_of_the_work_that_they_are_taken_for(tmp_path, monkeypatch):
+    finger = FIGURES["cq1_fig7_fixed"]
+    monkeypatch.setattr("benchmarks.papers.learners.importlib.util.find_spec", lambda name: None)
+    *_, ppo = finger.work(Size.QUICK)
+    assert ppo.do(tmp_path / "a", 1.0, 1)
+    monkeypatch.setattr(type(finger), "squared", "")
+    *_, other = finger.work(Size.QUICK)
+    assert not other.do(tmp_path / "b", 1.0, 1)
 
 
 def test_the_gallery_is_of_what_is_committed(tmp_path):

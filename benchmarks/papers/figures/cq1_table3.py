@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
 TESTS = [ROOT / "tests", *(ROOT / "tests" / name for name in ("engine", "benchmarks", "actuators"))]
+SETUPS = ROOT / "tests" / "benchmarks" / "test_table_iii.py"
 STEPS = (1, 10, 100, 1000)
 EXACT = 1e-16
 """Errors are drawn no smaller than this."""
@@ -66,9 +67,7 @@ class Accuracy(Figure):
         """Return the measurement: quick, up to 100 steps."""
         told = f"python -m benchmarks.papers --size {size} --only {self.id}"
         minutes = 1.5 if size is Size.QUICK else 20.0
-        return [
-            Measurement("accuracy", minutes, lambda folder, end: _measure(folder, end, size), told, (Path(__file__),))
-        ]
+        return [Measurement("accuracy", minutes, lambda folder, end: _measure(folder, end, size), told, (SETUPS,))]
 
     def table(self, found: Found, size: Size) -> Table:
         """Return case, steps, precision, error, printed."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.learning import SINGLE
-from benchmarks.papers.work import ROOT, Found, Measurement, Work
+from benchmarks.papers.work import ROOT, SCENES, Found, Measurement, Work, WorkError
 from cqrun.figures.style import COLOURS, INK, log_ticks, new_figure, titled
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
@@ -32,6 +32,8 @@ PRINTED = {
     "codesign/octopod_codesign": 11.3,
 }  # fmt: skip
 """Seconds an iteration on a GTX 1080: wall time on the figures' upper axes over iterations."""
+
+SOURCES = tuple(SCENES / f"{name}.yaml" for name in PRINTED)
 
 SMALL = {
     "control/biped_cable": ("bodies.biped.spacing=0.00625", "time.duration=1"),
@@ -64,9 +66,7 @@ class Seconds(Figure):
         """Return the measurement."""
         told = f"python -m benchmarks.papers --size {size} --only {self.id}"
         minutes = 0.6 if size is Size.QUICK else 25.0
-        return [
-            Measurement("seconds", minutes, lambda folder, end: _measure(folder, end, size), told, (Path(__file__),))
-        ]
+        return [Measurement("seconds", minutes, lambda folder, end: _measure(folder, end, size), told, SOURCES, SINGLE)]
 
     def table(self, found: Found, size: Size) -> Table:
         """Return robot, particles, substeps, seconds, printed [s], ns a particle and substep, memory [GB], load."""
@@ -117,7 +117,7 @@ def _measure(folder: Path, deadline: float, size: Size) -> bool:
 
 def _timed(name: str, overrides: Sequence[str], folder: Path) -> dict[str, object]:
     """Run a few iterations of a scene alone on all cores; return what they took, the median."""
-    path = ROOT / "scenes" / f"{name}.yaml"
+    path = SCENES / f"{name}.yaml"
     scene = load_scene(path, list(overrides))
     assert scene.optimizer is not None
     words = [*overrides, f"optimizer.{scene.optimizer.name}.max_iterations={ITERATIONS}"]
@@ -132,7 +132,7 @@ def _timed(name: str, overrides: Sequence[str], folder: Path) -> dict[str, objec
         process.terminate()
         raise
     if os.waitstatus_to_exitcode(status):
-        raise SystemExit(f"{' '.join(command)} ended with {os.waitstatus_to_exitcode(status)}")
+        raise WorkError(f"{' '.join(command)} ended with {os.waitstatus_to_exitcode(status)}")
     (history,) = out.rglob("history.csv")
     with history.open(newline="") as lines:
         seconds = float(np.median(np.diff([float(row["seconds"]) for row in csv.DictReader(lines)])))
