@@ -155,12 +155,13 @@ class Learners(Figure):
         """Draw every seed; the paper's points as diamonds."""
         picture = new_figure(6.4, 3.8)
         axes = picture.add_subplot()
-        for colour, (method, seeds) in zip(COLOURS, self.smoothed(table).items(), strict=False):
+        colours = dict(zip((GRADIENT, CMA, PPO), COLOURS, strict=False))
+        for method, points in self.printed.items():  # whether or not ours were run
+            x, y = zip(*points, strict=True)
+            axes.plot(x, y, "D", color=colours[method], mec="white", ms=7, label=f"{method}, paper")
+        for method, seeds in self.smoothed(table).items():
             for k, (episode, measure) in enumerate(seeds):
-                axes.plot(episode, measure, color=colour, lw=1.2, alpha=0.8, label=None if k else method)
-            if method in self.printed:
-                x, y = zip(*self.printed[method], strict=True)
-                axes.plot(x, y, "D", color=colour, mec="white", ms=7, label=f"{method}, paper")
+                axes.plot(episode, measure, color=colours[method], lw=1.2, alpha=0.8, label=None if k else method)
         for threshold in self.thresholds:
             axes.axhline(threshold, color="0.5", lw=0.8, ls=":")
         axes.set_xscale("log")

@@ -94,7 +94,7 @@ class Distances(Figure):
         end = longest.value.shape[1] - 1
         low, high = self.interval
         printed = np.array([[self.final - low], [high - self.final]])
-        label = f"paper: {self.final:g} ({low:g} to {high:g})"
+        label = f"paper, after {self.iterations}: {self.final:g} ({low:g} to {high:g})"
         after = max(end, self.iterations) if size is Size.PAPER else end
         axes.errorbar([after], [self.final], yerr=printed, color=GREY, fmt="D", ms=4, capsize=4, lw=1.2, label=label)
         clock = clock_ticks(axes.xaxis, np.arange(end + 1), longest.seconds) if end else "s"

@@ -187,11 +187,11 @@ def plot_violation(axes: Axes, run: RunData) -> None:
     iteration, value = run.history["iteration"], run.history[VIOLATION]
     optimizer: Any = run.scene.optimizer
     met = float(optimizer.value.constraint_tolerance) if optimizer is not None else 0.0
-    there = value > 0
-    axes.plot(iteration[there], value[there], color=COLOURS[0], **_marked(len(iteration)))
+    floor = 0.1 * min(met, *value[value > 0], np.inf)  # what is not violated at all is drawn there
+    shown = np.maximum(value, floor)
+    axes.plot(iteration, shown, color=COLOURS[0], **_marked(len(iteration)))
     axes.axhline(met, color=TRUTH, linestyle="--", linewidth=1.0, label=f"met: {met:g}")
-    shown = [met, *value[there]]
-    _log_axis(axes, min(shown), max(shown))
+    _log_axis(axes, min(met, *shown), max(met, *shown))
     axes.legend(loc="best")
     whole_ticks(axes.xaxis)
     _pad_iterations(axes, iteration)

@@ -127,7 +127,7 @@ def run_ablation(
     make_directory(path.parent)
     write_json(path, result)
     write_table(path.with_suffix(".csv"), _table(result))
-    return path, all(map(_has_ended, everyone))
+    return path, all(map(_has_ended, everyone)) and not _none_is_feasible(result)
 
 
 @dataclass(frozen=True)
@@ -338,6 +338,12 @@ def _table(result: dict[str, Any]) -> Iterator[list[object]]:
         yield [name, entry["rate"], len(entry["runs"]), *([entry["feasible"]] if held else []), *ends]
 
 
+def _none_is_feasible(result: Mapping[str, Any]) -> bool:
+    """Say whether there are constraints, and no run of any variant meets them."""
+    counts = [entry["feasible"] for entry in result["variants"].values()]
+    return not any(counts) and any(count is not None for count in counts)
+
+
 def ablation_lines(path: Path) -> list[str]:
     """Return an ablation as lines for a terminal."""
     result = json.loads(path.read_text())
@@ -358,13 +364,13 @@ def ablation_lines(path: Path) -> list[str]:
     lost = {name: [rate for rate, loss in entry.get("searched", {}).items() if loss is None]
             for name, entry in variants.items()}  # fmt: skip
     return [
-        f"{len(variants)} variants from {seeds} seeds; mean and {result['confidence']:.0%} interval; "
-        f"{result['better']} is better",
+        f"{len(variants)} variants from {seeds} seed{'s' if seeds > 1 else ''}; mean and "
+        f"{result['confidence']:.0%} interval; {result['better']} is better",
         "",
         *table(head, rows),
         *(f"note: {name} failed with rate {listed(rates)}" for name, rates in lost.items() if rates),
         *(f"{name} failed: {why.partition(';')[0]}" for e in variants.values() for name, why in e["failed"].items()),
-        "",
-        *table(("freeing it adds", compared), [(name, shown(effect)) for name, effect in effects]),
+        *(["no run of any variant meets the constraints"] if _none_is_feasible(result) else []),
+        *(["", *table(("freeing it adds", compared), [(name, shown(of)) for name, of in effects])] if effects else []),
         f"ablation: {path}",
     ]

@@ -63,7 +63,10 @@ def designed(run: Path) -> tuple[Built, dict[str, Array]]:
     record = read_record(run)
     result = run / "result.json"
     if not result.is_file():
-        raise UsageError(f"{run}: has no result yet ({record['status']}): a design is exported when the run has ended")
+        raise UsageError(
+            f"{run}: has no result yet ({record['status']}): a design is exported when the run has ended; the command "
+            "that began it goes on with it"
+        )
     scene = load_scene(run / "scene.yaml", (), Path(str(record.get("base", ""))))
     if not scene.unknowns:
         raise UsageError(f"{run}: its scene has no `unknowns`: nothing was designed")

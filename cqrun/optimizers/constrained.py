@@ -281,7 +281,10 @@ class ReplayedConstrained(ConstrainedOptimizer, Replayed):
 
 
 def infeasible(problem: ConstrainedProblem, outcome: Outcome, c: Array, tolerance: float) -> Outcome:
-    """Return an outcome whose c (m,) violate constraints, with the verdict; a limit of iterations is no last word."""
-    limited = "not met yet, more iterations may do: " if outcome.status == "iteration_limit" else ""
-    message = f"{limited}{verdict(problem, outcome.x, c, tolerance)} ({outcome.message})"
+    """Return an outcome whose c (m,) violate constraints, with the verdict; a limit or a stall is no last word."""
+    hint = {
+        "iteration_limit": "not met yet, more iterations may do: ",
+        "stalled": "not met, and the search got stuck; another start or solver may do: ",
+    }.get(outcome.status, "")
+    message = f"{hint}{verdict(problem, outcome.x, c, tolerance)} ({outcome.message})"
     return replace(outcome, status="infeasible", message=message)

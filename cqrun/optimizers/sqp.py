@@ -4,10 +4,11 @@ An iteration solves, with rollouts linearised at x and B the Hessian of the Lagr
 
     minimise g.d + d.B d / 2   over   c_low <= c + J d <= c_high,   the box,   |d| <= radius
 
-and takes the step if the merit f + rho sum |violation| falls by enough of what that promised; else the radius shrinks,
-as it does where a trial blows up.
+and takes the step if the merit f + rho sum |violation| falls by enough of what that promised. Where it falls little, a
+second step reckons with how the constraints bend along the first: without it steps along curved constraints stay short
+and end outside (the Maratos effect). Else the radius shrinks, as it does where a trial blows up.
 Quadratic programs cost nothing beside a rollout. J. Nocedal, S. Wright: Numerical optimization (2006), sections 7.2
-(compact L-BFGS, eq 7.24), 18.2 (damping) and 18.5 (S l1 QP).
+(compact L-BFGS, eq 7.24), 15.5 and 15.6 (second-order correction), 18.2 (damping) and 18.5 (S l1 QP).
 """
 
 from __future__ import annotations
@@ -91,6 +92,12 @@ class Sqp(TwoSearches):
                 continue
             last = ""
             fallen = here.merit(rho, low, high) - there.merit(rho, low, high)
+            if fallen < POOR * promised and not feasibility and violation(there.c, low, high).any():
+                other = _corrected(trials, B, here, there, room, radius, rho)
+                if other is not there:
+                    curvature.learn(d, there.g - here.g, there.J - here.J)
+                    there, d = other, other.x - x
+                    fallen = here.merit(rho, low, high) - there.merit(rho, low, high)
             if fallen < POOR * promised:
                 radius = 0.5 * length
             elif fallen > GOOD * promised:
@@ -147,6 +154,21 @@ def _steered(
         return found, rho
     enough = max(tolerance, least + (1.0 - ENOUGH) * (found.left - least))
     return next((step, weight) for step, weight in tried if step.left <= enough)
+
+
+def _corrected(
+    trials: ConstrainedTrials, B: LowRank, here: _Point, there: _Point, room: tuple[Array, Array], radius: float,
+    rho: float,
+) -> _Point:  # fmt: skip
+    """Return where a step ends that meets what the constraints were found to be at `there`, or that if it is better."""
+    low, high = trials.problem.c_low, trials.problem.c_high
+    constant = there.c - here.J @ (there.x - here.x)
+    x = here.x + _step(B, here, (low - constant, high - constant), room, radius, rho).d
+    try:
+        other = _Point.of(x, trials.gradients(x), feasibility=False)
+    except TrialFailed:
+        return there
+    return other if other.merit(rho, low, high) < there.merit(rho, low, high) else there
 
 
 class _Point(NamedTuple):

@@ -134,6 +134,16 @@ def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     assert draw_ablation(path)[0].stat().st_size > 10_000
 
 
+def test_that_no_run_meets_the_constraints_is_a_failure(tmp_path):
+    scene = written(tmp_path, DESIGN)
+    given = ["constraints.tip.at_most=0.001", "unknowns.bodies.finger.material.density={bounds: [0.999, 1.001]}"]
+    path, good = run_ablation(scene, given, tmp_path / "out", threads=2, seeds=1)
+    assert not good
+    text = "\n".join(ablation_lines(path))
+    assert "variants from 1 seed;" in text
+    assert "no run of any variant meets the constraints" in text
+
+
 def test_runs_that_blow_up_leave_the_comparison_of_the_others(tmp_path):
     """With bounds of stiffness up to 10^7 Pa, no step of the least length that is tried is stable."""
     scene = changed(design(tmp_path, E, RHO), f"{E}: {{bounds: [5, 20]", f"{E}: {{bounds: [5, 1.0e+7]")

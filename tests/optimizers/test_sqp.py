@@ -159,3 +159,32 @@ def test_a_minimum_is_not_called_stalled(n, tmp_path):
     outcome, _ = solve(tmp_path, Sqp(max_iterations=300), Free(n))
     assert outcome.status == "converged", outcome.message
     np.testing.assert_allclose(outcome.x, 1.0, atol=1e-2)
+
+
+class OnACircle(Confined):
+    """Maratos' example in 12 dimensions: 2 (x.x - 1) - x_1 where x.x is 1 (Nocedal and Wright, example 15.4)."""
+
+    constraint_names = ("circle",)
+
+    def __init__(self):
+        super().__init__(12)
+        self.start = np.full(12, 12.0**-0.5) * np.where(np.arange(12) % 2, 1.0, -1.0)
+        self.c_low = self.c_high = np.array([1.0])
+
+    def values_and_constraints(self, x):
+        return 2.0 * (x @ x - 1.0) - x[0], np.array([x @ x])
+
+    def gradients_and_constraints(self, x):
+        f, c = self.values_and_constraints(x)
+        return f, 4.0 * x - np.eye(len(x))[0], c, 2.0 * x[None]
+
+
+def test_steps_along_a_curved_constraint_are_corrected(tmp_path, monkeypatch):
+    """Without it they stay short, and end outside: an arm once kept the design of iteration 10 of 100."""
+    optimizer = Sqp(max_iterations=100, constraint_tolerance=1e-8)
+    outcome, _ = solve(tmp_path / "with", optimizer, OnACircle())
+    assert outcome.status == "converged", outcome.message
+    np.testing.assert_allclose(outcome.x, np.eye(12)[0], atol=1e-3)
+    monkeypatch.setattr("cqrun.optimizers.sqp._corrected", lambda trials, B, here, there, *_: there)
+    without, _ = solve(tmp_path / "without", optimizer, OnACircle())
+    assert outcome.iterations < 0.7 * without.iterations

@@ -456,6 +456,17 @@ def test_distances_are_drawn_and_judged(figure, size):
         assert figure.draw(table, size, {}).axes
 
 
+def test_what_ties_in_print_has_no_order():
+    """The octopod's printed distances say that each of E, nu and mass adds as much, to what can be read off a plot."""
+    octopod = FIGURES["cq2_fig14"]
+    for last in (0.0, 1e-3, -1e-3):
+        far = dict(zip(ORDER, octopod.printed, strict=True)) | {"E": octopod.printed[ORDER.index("E")] + last}
+        rows = [
+            {"variant": v, "seed": s, "iteration": 0, "value": far[v], "seconds": 0.0} for v in ORDER for s in (0, 1)
+        ]
+        assert octopod.judge(stacked(iter(rows)), Size.PAPER).judgement is Judgement.MET
+
+
 @pytest.mark.parametrize("figure", [f for f in FIGURES.values() if isinstance(f, Ablation)], ids=lambda f: f.id)
 @pytest.mark.parametrize("size", Size)
 def test_ablations_are_drawn_and_judged(figure, size):
@@ -471,6 +482,16 @@ def test_ablations_are_drawn_and_judged(figure, size):
     assert figure.judge(same, size).judgement is not Judgement.MET
     with styled():
         left, right = figure.draw(table, size, {}).axes
+    far = {**table, "value": np.where(table["variant"] == ORDER[0], 1.0, 1.3) * table["value"]}
+    short = {**table, "value": 0.1 * table["value"]}
+    if size is Size.PAPER:
+        assert figure.judge(far, size).judgement is Judgement.EXCEEDED
+        # a gain counts only where control alone comes as far as the paper's
+        assert figure.judge(short, size).judgement is Judgement.MISSED
+    lacking = {name: column[(table["variant"] != ORDER[-1]) | (table["seed"] == 0)] for name, column in table.items()}
+    assert figure.judge(lacking, size).judgement is Judgement.MET  # of a seed that blew up, none is compared
+    none = {name: column[table["variant"] != ORDER[-1]] for name, column in table.items()}
+    assert figure.judge(none, size).judgement is Judgement.MISSED
     assert "wall time of 'all' [s]" in left.get_xlabel()
     assert (right.get_legend() is not None) == (size is Size.PAPER)  # the printed values are of the paper's size
 

@@ -16,14 +16,19 @@ class TwoLinkArm(Violations):
     source = "CQ1 Fig 8"
     paper = "co-design .063 -> 1e-6 in 31 iterations; fixed 100 % 8.6e-4 after 45; fixed 300 % stalls at .018"
     tolerance = {
-        Size.QUICK: "co-design meets the constraints (1e-6) within 31 iterations, no fixed arm sooner; 300 % stalls",
-        Size.PAPER: "as quick, and co-design has .955 of the effort of 100 %, or at most 10 % more than that",
+        Size.QUICK: "co-design meets the constraints (1e-6), no fixed arm sooner, and none violates them less after as "
+        "many iterations; 300 % does not meet them",
+        Size.PAPER: "co-design meets the constraints (1e-6) within 31 iterations, no fixed arm sooner, and none "
+        "violates them less after as many; 300 % stalls at .018, or 10 % less; co-design has .955 of the effort of "
+        "100 %, or at most 10 % more than that",
     }
     scene = "codesign/arm_two_link"
     modulus = MODULUS
     fixed = {"fixed 100 %": 10.0, "fixed 300 %": 30.0}
     left_open = (
-        "the solver, which is ours (CQ1's is SLSQP): with it the arms that stall in the paper come to the goal too"
+        "the solver, which is ours (CQ1's is SLSQP): with it the arms that stall in the paper come to the goal too. "
+        "When the constraints are met it goes on to lower the effort, at violations of up to 5e-6; the best design "
+        "that meets them is kept"
     )
     quick = QUICK
     minutes = {Size.QUICK: 0.7, Size.PAPER: 4.0}
@@ -36,9 +41,9 @@ class TwoLinkArm(Violations):
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge who meets the constraints, when, and with what effort."""
-        when = first_below(self.violation(table, DESIGNED), self.tolerated)
-        checks = {f"co-design there after {when} iterations, paper 31": when is not None and when <= 31}
-        checks |= self.compared(table) | self.stalls(table, "fixed 300 %")
+        checks = self.compared(table) | self.stalls(table, "fixed 300 %", size)
         if size is Size.PAPER:
+            when = first_below(self.violation(table, DESIGNED), self.tolerated)
+            checks[f"co-design there after {when} iterations, paper 31"] = when is not None and when <= 31
             checks |= effort_ratio(self, table, "fixed 100 %", 0.955)
         return judged(checks)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,7 +54,7 @@ class Accuracy(Figure):
     source = "CQ1 Table III"
     paper = "relative errors of 5e-8 to 3e-5 (float32, analytic) and 2e-8 to 6e-6 (float64, by differences)"
     tolerance = {
-        Size.QUICK: "up to 100 steps, no error larger than the paper's: in float64, and for the ball in float32 too",
+        Size.QUICK: "up to 100 steps, no error above 1e-8 in float64, and for the ball none above 1e-4 in float32",
         Size.PAPER: "no error larger than the paper's at any column: in float64, and for the ball in float32 too",
     }
     left_open = (
@@ -96,6 +96,8 @@ class Accuracy(Figure):
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge every case in float64, and in float32 where that is the paper's, at the steps nearest to missing."""
+        if size is Size.QUICK:
+            return judged(dict(_near_truth(table)))
         checks = {}
         for case in PRINTED:
             for precision in ("float64", *(("float32",) if case in SINGLE_IN_PRINT else ())):
@@ -108,6 +110,13 @@ class Accuracy(Figure):
                     )
                     checks[told] = bool(ours[worst] <= theirs[worst])
         return judged(checks)
+
+
+def _near_truth(table: Table) -> Iterator[tuple[str, bool]]:
+    """Yield the checks that errors are those of the precision, whatever the paper's are."""
+    for precision, greatest in (("float64", 1e-8), ("float32", 1e-4)):
+        worst = float(table["error"][table["precision"] == precision].max())
+        yield f"{precision}: {worst:.1e} at most, asked {greatest:g}", worst <= greatest
 
 
 def _measure(folder: Path, deadline: float, size: Size) -> bool:

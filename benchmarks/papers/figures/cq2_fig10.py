@@ -4,9 +4,6 @@ from benchmarks.papers.figure import Size, Table, Verdict, judged
 from benchmarks.papers.learning import SINGLE
 from benchmarks.papers.violations import DESIGNED, Violations, effort_ratio
 
-STOPPED_AT = 1.7e-3
-"""Violation at which CQ2's co-design stopped."""
-
 
 class SwingingArm(Violations):
     """Violation against the iteration for three arms."""
@@ -19,9 +16,9 @@ class SwingingArm(Violations):
         "effort below 75 % of the fixed arm's"
     )
     tolerance = {
-        Size.QUICK: f"the co-designed arm comes below CQ2's {STOPPED_AT:g}; the fixed 133 % arm stalls",
+        Size.QUICK: "the co-designed arm meets the constraints (1e-4); the fixed 133 % arm does not",
         Size.PAPER: "the co-designed arm comes below 1e-4 with three quarters of the fixed 100 % arm's effort, or at "
-        "most 10 % more than that; the fixed 133 % arm stalls",
+        "most 10 % more than that; the fixed 133 % arm stalls at .047, or 10 % less",
     }
     left_open = (
         "the control step, strength, goal, thresholds and sizes of the links; the solver, which is ours, and stalls "
@@ -46,9 +43,8 @@ class SwingingArm(Violations):
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge the least violation, and at the paper's size the effort."""
         least = float(self.violation(table, DESIGNED).min())
-        wanted = STOPPED_AT if size is Size.QUICK else self.tolerated
-        checks = {f"co-design comes to {least:.2g}, wanted {wanted:g}": least <= wanted}
-        checks |= self.stalls(table, "fixed 133 %")
+        checks = {f"co-design comes to {least:.2g}, wanted {self.tolerated:g}": least <= self.tolerated}
+        checks |= self.stalls(table, "fixed 133 %", size)
         if size is Size.PAPER:
             checks |= effort_ratio(self, table, "fixed 100 %", 0.75)
         return judged(checks)

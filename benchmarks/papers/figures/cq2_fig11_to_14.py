@@ -10,7 +10,7 @@ LEFT_OPEN = (
     "100 iterations, not .93); cells of 1/24 m (at the 1/30 of CQ1's walker the stiffest, lightest design allowed has "
     "1.2 times the stable substep, and three of three quadrupeds with everything free learned to go there and blew "
     "up); gravity 2, and the start a cell above the floor, from which the quadruped learned faster alone than from .4 "
-    "of a cell; gradients are clipped to a length of 1"
+    "of a cell; gradients are clipped to a length of 1; one learning rate for all variants, not searched"
 )
 
 SMALL = ("world.dx=0.055", "time.duration=1.5")
@@ -33,7 +33,7 @@ class BipedAblation(Ablation):
         "two chambers a leg that lengthen along it; cells of 1/40 m (at the listing's 1/64 the stiffest, lightest "
         "design allowed is beyond the stable substep); gravity 6 and the start a cell above the floor, of a few that "
         "were tried with the first five seeds, for control alone to come as far as the paper's; gradients are clipped "
-        "to a length of 1"
+        "to a length of 1; one learning rate for all variants, not searched"
     )
     scene = "codesign/biped_codesign"
     quick = ("bodies.biped.sampling.lattice.count=11", "time.duration=2", "optimizer.adam.max_iterations=20")

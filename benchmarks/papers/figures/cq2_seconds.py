@@ -81,12 +81,12 @@ class Seconds(Figure):
         axes.bar(at, table["seconds"], 0.6, color=COLOURS[0], label="cqrun, two cores, float32")
         if size is Size.PAPER:
             axes.plot(at, table["printed"], "D", color=INK, mec="white", ms=7, label="paper, GTX 1080")
-        for x, seconds in zip(at, table["seconds"], strict=True):
-            label, inside = f"{seconds:.3g}", (0, -3)
-            axes.annotate(label, (x, seconds), inside, textcoords="offset points", ha="center", va="top", color="white")
         axes.set_xticks(at, [str(robot).replace("_", "\n") for robot in table["robot"]], fontsize=8)
         axes.set_yscale("log")
         axes.set_ylim(bottom=0.5 * min(table["seconds"]))
+        foot = axes.get_ylim()[0]
+        for x, seconds in zip(at, table["seconds"], strict=True):  # where no diamond covers them
+            axes.annotate(f"{seconds:.3g}", (x, foot), (0, 3), textcoords="offset points", ha="center", color="white")
         log_ticks(axes.yaxis, *axes.get_ylim())
         axes.set_ylabel("seconds an iteration")
         axes.legend()
