@@ -51,7 +51,10 @@ class QuadrupedAblation(Ablation):
     id = "cq2_fig12"
     title = "A quadruped and its material"
     source = "CQ2 Fig 12"
-    paper = "control alone .92 m, everything free 1.09 m: +18 %; 6 runs"
+    paper = (
+        "control alone .92 m, everything free 1.09 m: +18 %; its text says that E counts most, then density, then nu, "
+        "its plot has nu before density; 6 runs"
+    )
     left_open = LEFT_OPEN
     scene = "codesign/quadruped_codesign"
     quick = (*SMALL, "bodies.quadruped.sampling.lattice.count=5", "optimizer.adam.max_iterations=25")
@@ -69,7 +72,10 @@ class HexapodAblation(Ablation):
     id = "cq2_fig13"
     title = "A hexapod and its material"
     source = "CQ2 Fig 13"
-    paper = "control alone .97 m, everything free 1.16 m: +19 %; 6 runs"
+    paper = (
+        "control alone .97 m, everything free 1.16 m: +19 %; its text says that E counts most, then density, then nu, "
+        "its plot has nu before density or beside it; 6 runs"
+    )
     left_open = LEFT_OPEN
     scene = "codesign/hexapod_codesign"
     quick = (*SMALL, "bodies.hexapod.sampling.lattice.count=5", "optimizer.adam.max_iterations=20")
