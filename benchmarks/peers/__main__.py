@@ -12,6 +12,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -39,8 +40,10 @@ class Worker:
 
     def __init__(self, name: str, size: str, core: int) -> None:
         words = [sys.executable, "-m", "benchmarks.peers.worker", name, size, str(core)]
-        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        self.process = subprocess.Popen(words, cwd=ROOT, text=True, **pipes)
+        self.said = tempfile.TemporaryFile("w+")  # noqa: SIM115  (closed by `end`; compilers talk a lot: shown if it ends badly)
+        self.process = subprocess.Popen(
+            words, cwd=ROOT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.said
+        )
         self.first = self.read()["first"]
 
     def read(self) -> dict[str, Any]:
@@ -49,7 +52,11 @@ class Worker:
         line = self.process.stdout.readline()
         if not line:
             self.process.communicate()
-            raise SystemExit(f"{' '.join(self.process.args)} ended with {self.process.returncode}")  # type: ignore[arg-type]
+            with self.said:
+                self.said.seek(0)
+                last_words = self.said.read()[-2000:]
+            command = " ".join(self.process.args)  # type: ignore[arg-type]
+            raise SystemExit(f"{command} ended with {self.process.returncode}\n{last_words}")
         answer: dict[str, Any] = json.loads(line)
         return answer
 
@@ -63,6 +70,7 @@ class Worker:
     def end(self) -> None:
         """End the process."""
         self.process.communicate()
+        self.said.close()
 
 
 def compare(size: str, names: Sequence[str], repeat: int, core: int) -> list[dict[str, Any]]:
