@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+import yaml
 
 from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.histories import curves, runs_below
 from benchmarks.papers.work import Found, Runs, Work
 from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, INK, clock_ticks, new_figure, titled, whole_ticks
-from cqrun.jobs.ablate import ALL, CONTROL, effects
+from cqrun.jobs.ablate import ALL, CONTROL, effects, group_of
 from cqrun.jobs.seeds import interval
-from cqrun.store.run import read_record
+from cqrun.store.run import FINISHED, read_record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
 NAMES = {"youngs_modulus": "E", "poissons_ratio": "nu", "density": "mass"}
+"""Of what is free, in the order of a variant's label."""
+
 ORDER = ("control", "mass", "nu", "nu + mass", "E", "E + mass", "E + nu", "all")
 """The paper's."""
 
@@ -39,7 +41,7 @@ class Ablation(Figure):
         term: of the objective that is the distance [m].
         quick, paper_size: overrides of the scene.
         seeds, minutes: by size.
-        rates: learning rates that each variant is tried with.
+        rate: of learning, of all variants.
         printed: final distances, in the order of `ORDER` [m].
         gain: of all over control, as printed.
     """
@@ -50,7 +52,7 @@ class Ablation(Figure):
     paper_size: ClassVar[tuple[str, ...]] = ()
     seeds: ClassVar[Mapping[Size, int]]
     minutes: ClassVar[Mapping[Size, float]]
-    rates: ClassVar[Mapping[Size, tuple[float, ...]]]
+    rate: ClassVar[Mapping[Size, float]]
     printed: ClassVar[Sequence[float]]
     gain: ClassVar[float]
 
@@ -70,27 +72,18 @@ class Ablation(Figure):
     def work(self, size: Size) -> Sequence[Work]:
         """Return the ablation."""
         small = self.quick if size is Size.QUICK else self.paper_size
-        rates = tuple(word for rate in self.rates[size] for word in ("--rate", f"{rate:g}"))
-        options = ("--ablate", *rates)
+        options = ("--ablate", "--rate", f"{self.rate[size]:g}")
         return [Runs(self.stem, self.minutes[size], "codesign", self.scene, small, self.seeds[size], options)]
 
     def table(self, found: Found, size: Size) -> Table:
         """Return variant, seed, iteration, seconds, value [m]."""
-        files = sorted(Path(found[self.stem]).rglob("ablation-*.json"))
-        if not files:
-            return {}
-        variants: dict[str, Any] = json.loads(files[-1].read_text())["variants"]
         parts: list[dict[str, object]] = []
-        for name, entry in variants.items():
-            label = _label(name, entry["free"])
-            for path in map(Path, entry["runs"]):
-                if read_record(path)["status"] == "failed":
-                    continue
-                (run,) = runs_below(path)
-                parts += (
-                    {"variant": label, "seed": run.seed, "iteration": k, "seconds": float(s), "value": float(value)}
-                    for k, (s, value) in enumerate(zip(run.seconds, run.history[self.term], strict=True))
-                )
+        for label, path in _ended(found[self.stem]):
+            (run,) = runs_below(path)
+            parts += (
+                {"variant": label, "seed": run.seed, "iteration": k, "seconds": float(s), "value": float(value)}
+                for k, (s, value) in enumerate(zip(run.seconds, run.history[self.term], strict=True))
+            )
         return stacked(iter(parts))
 
     def draw(self, table: Table, size: Size, found: Found) -> Picture:
@@ -114,7 +107,8 @@ class Ablation(Figure):
         left.legend(ncols=2, fontsize=7)
         right.set_xticks(range(len(ORDER)), ORDER, rotation=35, ha="right")
         titled(left, self.title)
-        titled(right, "in the end, " + ("one seed" if self.seeds[size] == 1 else "mean and 90 % interval"))
+        few = len(np.unique(table["seed"]))
+        titled(right, "in the end, " + ("one seed" if few == 1 else f"mean of {few} seeds and 90 % interval"))
         return picture
 
     def ends(self, table: Table, label: str) -> Array:
@@ -161,6 +155,14 @@ class Ablation(Figure):
         return f"what each adds: {each}; paper {printed}", agrees
 
 
+def _ended(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Yield the runs below a folder that ended well, with what their variants are called; at first, few."""
+    for record in sorted(folder.rglob("run.json")):
+        if read_record(record.parent)["status"] in set(FINISHED) - {"failed"}:
+            free = yaml.safe_load((record.parent / "scene.yaml").read_text()).get("unknowns") or {}
+            yield _label({group_of(path) for path in free}), record.parent
+
+
 def _of_shared_seeds(table: Table) -> Table:
     """Return a table without the seeds that one of its variants lacks, so that they can be compared in pairs."""
     seeds = [set(table["seed"][table["variant"] == variant]) for variant in np.unique(table["variant"])]
@@ -181,8 +183,7 @@ def _free(label: str) -> frozenset[str]:
     return frozenset(label.split(" + "))
 
 
-def _label(name: str, free: Sequence[str]) -> str:
-    if name in (CONTROL, ALL):
-        return name
-    short = [NAMES[group] for group in free]
-    return " + ".join(label for label in ("E", "nu", "mass") if label in short)
+def _label(free: Set[str]) -> str:
+    if len(free) in (0, len(NAMES)):
+        return ALL if free else CONTROL
+    return " + ".join(short for group, short in NAMES.items() if group in free)

@@ -242,7 +242,8 @@ class Runs(Work):
             str(folder),
         ]
         if self.seeds:
-            command += ["--jobs", str(min(jobs, self.seeds))]
+            several = "--ablate" in self.options  # variants run side by side, too
+            command += ["--jobs", str(jobs if several else min(jobs, self.seeds))]
         end, begun = time.monotonic() + seconds, self.spent(folder) - time.monotonic()
 
         def tell() -> None:

@@ -116,7 +116,7 @@ def run_ablation(
         first = make(v, best[v.name], [0], fresh and not searched)
         runs[v.name] = first + (make(v, best[v.name], range(1, seeds), fresh) if seeds > 1 else [])
     talk.phase(f"learning {len(variants)} variants from {seeds} seeds, {at_once} at once")
-    everyone = [run for each in runs.values() for run in each]
+    everyone = [run for of_seed in zip(*runs.values(), strict=True) for run in of_seed]  # stopped, most can be compared
     _run(everyone, at_once, "runs", talk)
     result = summary(source.stem, scene, variants, runs)
     for v in variants:

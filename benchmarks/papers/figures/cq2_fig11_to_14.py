@@ -40,7 +40,7 @@ class BipedAblation(Ablation):
     paper_size = SINGLE
     seeds = {Size.QUICK: 3, Size.PAPER: 10}  # after 20 iterations one seed says nothing: they differ by half
     minutes = {Size.QUICK: 3.0, Size.PAPER: 220.0}
-    rates = {Size.QUICK: (0.003,), Size.PAPER: (0.001,)}
+    rate = {Size.QUICK: 0.003, Size.PAPER: 0.001}
     printed = (1.66, 1.95, 1.93, 2.04, 2.06, 2.14, 2.18, 2.22)
     gain = 0.34
 
@@ -61,7 +61,7 @@ class QuadrupedAblation(Ablation):
     paper_size = some("quadruped", 10)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
     minutes = {Size.QUICK: 4.0, Size.PAPER: 200.0}
-    rates = {Size.QUICK: (0.005,), Size.PAPER: (0.005,)}
+    rate = {Size.QUICK: 0.005, Size.PAPER: 0.005}
     printed = (0.92, 0.98, 0.99, 1.03, 1.03, 1.05, 1.07, 1.09)
     gain = 0.18
 
@@ -82,7 +82,7 @@ class HexapodAblation(Ablation):
     paper_size = some("hexapod", 8)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
     minutes = {Size.QUICK: 4.0, Size.PAPER: 270.0}
-    rates = {Size.QUICK: (0.005,), Size.PAPER: (0.005,)}
+    rate = {Size.QUICK: 0.005, Size.PAPER: 0.005}
     printed = (0.97, 1.02, 1.03, 1.06, 1.09, 1.11, 1.14, 1.16)
     gain = 0.19
 
@@ -102,6 +102,6 @@ class OctopodAblation(Ablation):
     paper_size = some("octopod", 8)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
     minutes = {Size.QUICK: 4.0, Size.PAPER: 330.0}
-    rates = {Size.QUICK: (0.005,), Size.PAPER: (0.005,)}
+    rate = {Size.QUICK: 0.005, Size.PAPER: 0.005}
     printed = (0.85, 0.95, 0.92, 0.93, 0.91, 0.94, 0.94, 0.94)
     gain = 0.11
