@@ -1,0 +1,141 @@
+"""Figures of one kind: what they draw and judge, of walkers and of their materials, and the curves behind them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from benchmarks.papers.ablations import ORDER, Ablation
+from benchmarks.papers.catalogue import FIGURES
+from benchmarks.papers.figure import Judgement, Size, read_table, stacked, write_table
+from benchmarks.papers.histories import Run, curves, first_below, settled, smooth
+from benchmarks.papers.learning import Distances
+from cqrun.figures.style import styled
+from cqrun.store.atomic import write_json
+
+
+@pytest.mark.parametrize("figure", [f for f in FIGURES.values() if isinstance(f, Distances)], ids=lambda f: f.id)
+@pytest.mark.parametrize("size", Size)
+def test_distances_are_drawn_and_judged(figure, size):
+    """Two seeds of every variant that the size has, which walk as far as the paper's."""
+    labels = [variant.label for variant in figure.variants if size in variant.seeds]
+    far = 0.5 * figure.final
+    rows = [
+        {"variant": label, "seed": seed, "iteration": k, "seconds": 9.0 * k, "value": far * k + 0.01 * seed}
+        for label in labels for seed in range(2) for k in range(3)
+    ]  # fmt: skip
+    table = stacked(iter(rows))
+    assert figure.judge(table, size).judgement is Judgement.MET
+    if size is Size.PAPER:
+        flew = {**table, "value": 9.0 * table["value"]}
+        assert figure.judge(flew, size).judgement is Judgement.EXCEEDED
+    stood = {**table, "value": 0.0 * table["value"]}
+    assert figure.judge(stood, size).judgement is Judgement.MISSED
+    with styled():
+        assert figure.draw(table, size, {}).axes
+
+
+def test_what_ties_in_print_has_no_order():
+    """The octopod's printed distances say that each of E, nu and mass adds as much, to what can be read off a plot."""
+    octopod = FIGURES["cq2_fig14"]
+    for last in (0.0, 1e-3, -1e-3):
+        far = dict(zip(ORDER, octopod.printed, strict=True)) | {"E": octopod.printed[ORDER.index("E")] + last}
+        rows = [
+            {"variant": v, "seed": s, "iteration": 0, "value": far[v], "seconds": 0.0} for v in ORDER for s in (0, 1)
+        ]
+        assert octopod.judge(stacked(iter(rows)), Size.PAPER).judgement is Judgement.MET
+
+
+@pytest.mark.parametrize("figure", [f for f in FIGURES.values() if isinstance(f, Ablation)], ids=lambda f: f.id)
+@pytest.mark.parametrize("size", Size)
+def test_ablations_are_drawn_and_judged(figure, size):
+    """Two seeds of every combination, which walk as far as the paper's; then all as far as control alone."""
+    rows = [
+        {"variant": label, "seed": seed, "iteration": k, "seconds": 9.0 * k, "value": 0.5 * far * k + 1e-3 * seed}
+        for label, far in zip(ORDER, figure.printed, strict=True) for seed in range(2) for k in range(3)
+    ]  # fmt: skip
+    table = stacked(iter(rows))
+    assert figure.judge(table, size).judgement is Judgement.MET
+    first = table["value"][table["variant"] == ORDER[0]]
+    same = {**table, "value": np.tile(first, len(ORDER))}
+    assert figure.judge(same, size).judgement is not Judgement.MET
+    with styled():
+        left, right = figure.draw(table, size, {}).axes
+    far = {**table, "value": np.where(table["variant"] == ORDER[0], 1.0, 1.3) * table["value"]}
+    short = {**table, "value": 0.1 * table["value"]}
+    if size is Size.PAPER:
+        assert figure.judge(far, size).judgement is Judgement.EXCEEDED
+        # a gain counts only where control alone comes as far as the paper's
+        assert figure.judge(short, size).judgement is Judgement.MISSED
+    lacking = {name: column[(table["variant"] != ORDER[-1]) | (table["seed"] == 0)] for name, column in table.items()}
+    assert figure.judge(lacking, size).judgement is Judgement.MET  # of a seed that blew up, none is compared
+    none = {name: column[table["variant"] != ORDER[-1]] for name, column in table.items()}
+    assert figure.judge(none, size).judgement is Judgement.MISSED
+    assert "wall time of 'all' [s]" in left.get_xlabel()
+    assert (right.get_legend() is not None) == (size is Size.PAPER)  # the printed values are of the paper's size
+
+
+def test_a_part_of_an_ablation_is_of_the_runs_that_ended(tmp_path):
+    """An ablation takes hours, and its own table is written in the end."""
+    E, nu = (f"bodies.biped.material.elastic.neo_hookean.{name}" for name in ("youngs_modulus", "poissons_ratio"))
+    mass = "bodies.biped.material.density"
+    begun = ((), "done"), ((nu, E), "iteration_limit"), ((E, nu, mass), "stalled"), ((E,), "stopped"), ((nu,), "failed")
+    for k, (free, status) in enumerate(begun):
+        run = tmp_path / "biped_codesign" / str(k)
+        run.mkdir(parents=True)
+        write_json(run / "run.json", {"status": status, "seconds": 5.0, "seed": 3})
+        (run / "scene.yaml").write_text(yaml.safe_dump({"unknowns": {path: {} for path in free}}))
+        (run / "history.csv").write_text(f"iteration,far,seconds\n0,0.5,2\n1,{k},5\n")
+    table = FIGURES["cq2_fig11"].table({"biped_codesign": tmp_path}, Size.PAPER)
+    assert list(dict.fromkeys(table["variant"])) == ["control", "E + nu", "all"]
+    assert {*table["seed"]} == {3}
+    np.testing.assert_array_equal(table["value"], [0.5, 0, 0.5, 1, 0.5, 2])
+    np.testing.assert_array_equal(table["seconds"], [0, 3] * 3)
+
+
+def test_a_body_that_is_torn_or_inside_out_or_was_not_watched_is_not_whole():
+    crawler = FIGURES["cq1_crawler"]
+    path = {"time": np.arange(2.0), **dict(zip("xyz", np.array([[0.7, 1.4], [0.2, 0.4], [0.5, 0.5]]), strict=True))}
+
+    def judgement(**watched: float) -> Judgement:
+        return crawler.judge(path | {name: np.full(2, value) for name, value in watched.items()}, Size.PAPER).judgement
+
+    assert judgement(fracture=0.0, least_volume_ratio=0.1) is Judgement.MET
+    assert judgement(fracture=0.01, least_volume_ratio=0.1) is Judgement.PARTLY
+    assert judgement(fracture=0.0, least_volume_ratio=-0.04) is Judgement.PARTLY
+    assert judgement() is Judgement.PARTLY
+
+
+def test_a_table_comes_back(tmp_path):
+    table = stacked(iter([{"name": "a, b", "x": 1.5}, {"name": "c", "y": 2.0}]))
+    write_table(table, tmp_path / "t.csv")
+    again = read_table(tmp_path / "t.csv")
+    assert list(again["name"]) == ["a, b", "c"]
+    np.testing.assert_array_equal(again["x"], [1.5, np.nan])
+    np.testing.assert_array_equal(again["y"], [np.nan, 2.0])
+
+
+def test_a_seed_that_has_ended_stays_where_it_ended():
+    rows = [(0, 0, 1.0), (0, 1, 2.0), (1, 0, 3.0)]
+    table = stacked(
+        {"variant": "a", "seed": seed, "iteration": k, "seconds": float(k), "value": v} for seed, k, v in rows
+    )
+    found = curves(table, "a")
+    np.testing.assert_array_equal(found.value, [[1.0, 2.0], [3.0, 3.0]])
+    np.testing.assert_array_equal(found.mean, [2.0, 2.5])
+    assert found.half[0] > 0
+
+
+def test_means_over_a_window():
+    np.testing.assert_allclose(smooth(np.array([1.0, 3.0, 5.0]), 2), [1.0, 2.0, 4.0])
+    assert first_below(np.array([3.0, 1.0, 0.5]), 1.0) == 2
+    assert first_below(np.array([3.0]), 1.0) is None
+
+
+def test_a_seed_that_goes_on_is_left_out_beside_one_that_is_done():
+    runs = [Run(Path(), seed, {}, finished) for seed, finished in ((0, True), (1, False))]
+    assert [run.seed for run in settled(runs)] == [0]
+    assert settled(runs[1:]) == runs[1:]

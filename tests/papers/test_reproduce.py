@@ -1,0 +1,136 @@
+"""`make reproduce-figures`: the command, killed or not, and the page."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+
+import pytest
+from toys import COUNT, Toy
+
+from benchmarks.papers import __main__ as command
+from benchmarks.papers.catalogue import FIGURES
+from benchmarks.papers.figure import Size
+from benchmarks.papers.page import write_page
+from benchmarks.papers.work import ROOT, WorkError
+
+PUBLISHED = ROOT / "results" / "figures"
+
+
+def test_the_list_names_every_figure(capsys):
+    assert command.main(["--list"]) == 0
+    told = capsys.readouterr().out
+    assert all(figure.id in told and figure.title in told for figure in FIGURES.values())
+
+
+def test_figures_may_be_named_in_one_option_or_in_several(capsys):
+    assert command.main(["--list", "--only", "cq2_fig11", "cq2_fig12", "--only", "cq2_fig13"]) == 0
+    told = capsys.readouterr().out
+    assert {name for name in FIGURES if name in told} == {"cq2_fig11", "cq2_fig12", "cq2_fig13"}
+
+
+def test_no_time_is_no_work(tmp_path, capsys):
+    words = ["--only", "cq2_fracture", "--minutes", "0", "--runs", str(tmp_path / "r"), "--out", str(tmp_path / "o")]
+    assert command.main(words) == 75
+    assert "not all is done: the same command goes on" in capsys.readouterr().out
+
+
+@pytest.fixture
+def two_figures(tmp_path, monkeypatch):
+    """The command's figures are two that count, to three each, and the words that run both."""
+    toys = {}
+    for name in ("one", "two"):
+        toy = Toy(replace(COUNT, name=name, told=f"count {name}"))
+        toy.id = name
+        toys[name] = toy
+    monkeypatch.setattr(command, "FIGURES", toys)
+    monkeypatch.setattr(command, "write_page", lambda out: out)
+    return toys, ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
+
+
+def test_a_figure_that_cannot_be_does_not_end_the_others(two_figures, capsys):
+    toys, words = two_figures
+
+    def broken(folder, deadline):
+        raise WorkError("it does not count")
+
+    toys["one"].works = (replace(toys["one"].works[0], measure=broken),)
+    assert [command.main(words) for _ in range(3)] == [1, 1, 1]
+    told = capsys.readouterr().out
+    assert "error: it does not count" in told
+    assert "quick: reproduced: they grow (yes)" in told
+
+
+def test_a_part_is_not_written_over_the_whole(two_figures, tmp_path, capsys):
+    """A fresh clone has the figures that are committed, and none of their runs."""
+    _, words = two_figures
+    assert [command.main(words) for _ in range(3)] == [75, 75, 0]
+    files = sorted((tmp_path / "out" / "quick").glob("*.*"))
+    before = [file.read_bytes() for file in files]
+    shutil.rmtree(tmp_path / "runs")
+    assert command.main(words) == 75
+    assert "what is published is complete, and stays" in capsys.readouterr().out
+    assert [file.read_bytes() for file in files] == before
+
+
+def test_work_that_figures_share_is_counted_once(two_figures, capsys):
+    toys, words = two_figures
+    toys["two"].works = toys["one"].works
+    command.main([*words, "--minutes", "0"])
+    told = capsys.readouterr().out
+    assert "2 figures, size quick: about 1 min of work left" in told
+
+
+def test_committed_curves_of_ppo_are_of_the_work_that_they_are_taken_for(tmp_path, monkeypatch):
+    finger = FIGURES["cq1_fig7_fixed"]
+    monkeypatch.setattr("benchmarks.papers.learners.importlib.util.find_spec", lambda name: None)
+    *_, ppo = finger.work(Size.QUICK)
+    assert ppo.do(tmp_path / "a", 1.0, 1)
+    monkeypatch.setattr(type(finger), "squared", "")
+    *_, other = finger.work(Size.QUICK)
+    assert not other.do(tmp_path / "b", 1.0, 1)
+
+
+def test_the_gallery_is_of_what_is_committed(tmp_path):
+    """`python -m benchmarks.papers --page` was run after what is committed was published."""
+    shutil.copytree(PUBLISHED, tmp_path / "figures")
+    write_page(tmp_path / "figures")
+    assert (tmp_path / "figures" / "README.md").read_text() == (PUBLISHED / "README.md").read_text()
+
+
+def test_the_page_stands_alone(tmp_path):
+    page = write_page(tmp_path).read_text()
+    assert all(f'id="{figure.id}"' in page for figure in FIGURES.values())
+    assert not re.findall(r'(?:src|href)="(?:https?:)?//', page)
+    assert "Not run yet: <code>python -m benchmarks.papers --only cq1_table2</code>" in page
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="Debian's package chromium is absent")
+def test_the_page_in_a_browser(tmp_path, width):
+    """Every picture is loaded, and nothing is wider than the window or than where it stands."""
+    page = write_page(PUBLISHED if list(PUBLISHED.glob("quick/*.json")) else tmp_path).read_text()
+    script = """<script>addEventListener("load", () => {
+      const shown = i => i.naturalWidth > 0 && i.getBoundingClientRect().width > 0;
+      parent.document.title = JSON.stringify({width: innerWidth,
+        broken: [...document.images].filter(i => !shown(i)).length,
+        wide: document.documentElement.scrollWidth - innerWidth,
+        cut: [...document.querySelectorAll(".scroll")].map(box => box.scrollWidth - box.clientWidth),
+        sections: document.querySelectorAll("section").length}) })</script>"""
+    (tmp_path / "page.html").write_text(page.replace(' loading="lazy"', "").replace("</body>", script + "</body>"))
+    probe = tmp_path / "probe.html"  # a window of Chromium's own is no narrower than 500
+    probe.write_text(f'<title></title><iframe src="page.html" style="border: 0; width: {width}px; height: 900px">')
+    words = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+    words += ["--allow-file-access-from-files", "--dump-dom", "--virtual-time-budget=20000"]
+    words += [f"--user-data-dir={tmp_path / 'profile'}", probe.as_uri()]
+    seen = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True).stdout
+    (title,) = re.findall(r"<title>(\{.*?\})</title>", seen)
+    told = json.loads(title)
+    assert told["width"] == width
+    assert told["broken"] == 0
+    assert told["wide"] <= 0
+    assert max(told["cut"]) <= 0
+    assert told["sections"] == len(FIGURES)
