@@ -117,7 +117,7 @@ def run_ablation(
         runs[v.name] = first + (make(v, best[v.name], range(1, seeds), fresh) if seeds > 1 else [])
     talk.phase(f"learning {len(variants)} variants from {seeds} seeds, {at_once} at once")
     everyone = [run for of_seed in zip(*runs.values(), strict=True) for run in of_seed]  # stopped, most can be compared
-    _run(everyone, at_once, "runs", talk)
+    _run(everyone, at_once, "runs", talk, len(variants))
     result = summary(source.stem, scene, variants, runs)
     for v in variants:
         result["variants"][v.name] |= {"rate": (best[v.name] or "").partition("=")[2] or None}
@@ -211,12 +211,19 @@ def _rate_overrides(scene: Scene, rates: Sequence[float]) -> list[str | None]:
     return [f"optimizer.{scene.optimizer.name}.learning_rate={rate!r}" for rate in rates]
 
 
-def _run(members: Sequence[Member], at_once: int, what: str, talk: Reporter) -> None:
-    """Run all; that one of them blew up is a result, that it was killed is not."""
+def _run(members: Sequence[Member], at_once: int, what: str, talk: Reporter, of_seed: int = 0) -> None:
+    """Run all; that one of them blew up is a result, that it was killed is not.
+
+    Args:
+        of_seed: how many of them in turn are of one seed; 0 if that is not so.
+    """
     run_fleet(members, at_once, what, talk)
     good = [m for m in members if _has_ended(m)]
     if talk.stop.asked and len(good) < len(members):
-        raise talk.stop.stopped(f"{len(good)} of {len(members)} {what} are finished; the same command continues")
+        whole = list(itertools.takewhile(lambda m: _has_ended(m) or _blew_up(m), members))
+        seeds = len(whole) // of_seed if of_seed else 0
+        now = f"; with --seeds {seeds} it compares what there is" if seeds else ""
+        raise talk.stop.stopped(f"{len(good)} of {len(members)} {what} are finished; the same command continues{now}")
     bad = [m for m in members if not _has_ended(m) and not _blew_up(m)]
     if bad:
         raise RunError(f"{len(bad)} of {len(members)} {what} failed; {bad[0].name}: {bad[0].failure}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ from small_finger import DESIGN, FINGER, written
 from typer.testing import CliRunner
 
 from cqrun.cli.app import app
-from cqrun.errors import RunError, UsageError
+from cqrun.errors import RunError, Stopped, UsageError
 from cqrun.figures.ablation import draw_ablation
+from cqrun.jobs import ablate
 from cqrun.jobs.ablate import _gain, ablation_lines, effects, group_of, run_ablation, variants_of
 from cqrun.jobs.fleet import Member
 from cqrun.jobs.seeds import run_seeds
@@ -212,6 +214,23 @@ def test_a_start_that_is_another_body_is_refused(tmp_path):
         variants_of(scene)
     same = ["bodies.finger.place.offset.0=0.22", "unknowns.bodies.finger.place.offset.0={bounds: [0.19, 0.25]}"]
     assert len(variants_of(load_scene(tmp_path / "finger.yaml", same))) == 4
+
+
+def test_stopped_it_says_of_how_many_seeds_it_can_compare_all(tmp_path, monkeypatch):
+    """Variants are learned seed by seed: of two variants five runs are two seeds of each, and one more."""
+    ended = 0
+
+    def stopped(runs, at_once, what, talk):
+        assert [run.name for run in runs[:3]] == ["control, seed 0", "youngs_modulus, seed 0", "control, seed 1"]
+        for run in runs[ended:]:
+            run.failure = "not begun"
+        talk.stop.ask(signal.SIGINT)
+
+    monkeypatch.setattr(ablate, "run_fleet", stopped)
+    for ended, now in ((1, ""), (5, "; with --seeds 2 it compares what there is")):
+        told = rf"^{ended} of 6 runs are finished; the same command continues{now}$"
+        with pytest.raises(Stopped, match=told):
+            run_ablation(design(tmp_path, E), [], tmp_path / "out", threads=2, seeds=3)
 
 
 def test_a_trial_that_was_killed_is_no_rate_that_fails(tmp_path, monkeypatch):
