@@ -38,7 +38,7 @@ class BipedAblation(Ablation):
     scene = "codesign/biped_codesign"
     quick = ("bodies.biped.sampling.lattice.count=11", "time.duration=2", "optimizer.adam.max_iterations=20")
     paper_size = SINGLE
-    seeds = {Size.QUICK: 3, Size.PAPER: 10}  # 20 iterations of one say nothing: seed 0 went .54 m with its mass free, .28 with all
+    seeds = {Size.QUICK: 3, Size.PAPER: 10}  # of 20 iterations: seed 0 went .54 m with mass free, .28 with all
     minutes = {Size.QUICK: 3.0, Size.PAPER: 220.0}
     rate = {Size.QUICK: 0.003, Size.PAPER: 0.001}
     printed = (1.66, 1.95, 1.93, 2.04, 2.06, 2.14, 2.18, 2.22)
