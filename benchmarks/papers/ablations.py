@@ -12,13 +12,13 @@ import numpy as np
 import yaml
 
 from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.histories import curves, runs_below
+from benchmarks.papers.histories import Run, curves, runs_below
 from benchmarks.papers.work import Found, Runs, Work
 from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, INK, clock_ticks, new_figure, titled, whole_ticks
 from cqrun.jobs.ablate import ALL, CONTROL, effects, group_of
 from cqrun.jobs.seeds import interval
-from cqrun.store.run import FINISHED, read_record
+from cqrun.store.run import read_record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
@@ -78,8 +78,7 @@ class Ablation(Figure):
     def table(self, found: Found, size: Size) -> Table:
         """Return variant, seed, iteration, seconds, value [m]."""
         parts: list[dict[str, object]] = []
-        for label, path in _ended(found[self.stem]):
-            (run,) = runs_below(path)
+        for label, run in sorted(_ended(found[self.stem]), key=lambda each: (ORDER.index(each[0]), each[1].seed)):
             parts += (
                 {"variant": label, "seed": run.seed, "iteration": k, "seconds": float(s), "value": float(value)}
                 for k, (s, value) in enumerate(zip(run.seconds, run.history[self.term], strict=True))
@@ -107,8 +106,9 @@ class Ablation(Figure):
         left.legend(ncols=2, fontsize=7)
         right.set_xticks(range(len(ORDER)), ORDER, rotation=35, ha="right")
         titled(left, self.title)
-        few = len(np.unique(table["seed"]))
-        titled(right, "in the end, " + ("one seed" if few == 1 else f"mean of {few} seeds and 90 % interval"))
+        few, many = (end(len(self.ends(table, label)) for label in labels) for end in (min, max))
+        seeds = f"{many} seeds" if few == many else f"{few} to {many} seeds"
+        titled(right, "in the end, " + ("one seed" if many == 1 else f"mean of {seeds} and 90 % interval"))
         return picture
 
     def ends(self, table: Table, label: str) -> Array:
@@ -155,12 +155,12 @@ class Ablation(Figure):
         return f"what each adds: {each}; paper {printed}", agrees
 
 
-def _ended(folder: Path) -> Iterator[tuple[str, Path]]:
+def _ended(folder: Path) -> Iterator[tuple[str, Run]]:
     """Yield the runs below a folder that ended well, with what their variants are called; at first, few."""
-    for record in sorted(folder.rglob("run.json")):
-        if read_record(record.parent)["status"] in set(FINISHED) - {"failed"}:
-            free = yaml.safe_load((record.parent / "scene.yaml").read_text()).get("unknowns") or {}
-            yield _label({group_of(path) for path in free}), record.parent
+    for run in runs_below(folder):
+        if run.finished and read_record(run.path)["status"] != "failed":
+            free = yaml.safe_load((run.path / "scene.yaml").read_text()).get("unknowns") or {}
+            yield _label({group_of(path) for path in free}), run
 
 
 def _of_shared_seeds(table: Table) -> Table:
