@@ -108,7 +108,7 @@ class Ablation(Figure):
         titled(left, self.title)
         few, many = (end(len(self.ends(table, label)) for label in labels) for end in (min, max))
         seeds = f"{many} seeds" if few == many else f"{few} to {many} seeds"
-        titled(right, "in the end, " + ("one seed" if many == 1 else f"mean of {seeds} and 90 % interval"))
+        titled(right, "in the end, " + ("one seed" if many == 1 else f"{seeds}, mean and 90 %"))
         return picture
 
     def ends(self, table: Table, label: str) -> Array:
