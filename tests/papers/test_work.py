@@ -152,6 +152,14 @@ def test_a_run_is_a_command_that_a_reader_can_type(tmp_path):
     assert (tmp_path / "tear" / DONE).exists()
 
 
+def test_seeds_and_variants_run_side_by_side(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr("benchmarks.papers.work._for_so_long", lambda words, *_: asked.append(words) or (0, ""))
+    for seeds, options in ((0, ()), (1, ()), (3, ()), (1, ("--ablate",))):
+        replace(TEAR, seeds=seeds, options=options).go_on(tmp_path, 1.0, 2)
+    assert [words[words.index("--jobs") + 1] if "--jobs" in words else "" for words in asked] == ["", "1", "2", "2"]
+
+
 def test_a_run_that_cannot_be_ends_with_its_command(tmp_path):
     broken = replace(TEAR, overrides=("time.duration=-1",))
     with pytest.raises(WorkError, match=r"tear: `cqrun simulate .*` ended with 2\n(.|\n)*time.duration"):
