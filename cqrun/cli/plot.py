@@ -20,7 +20,11 @@ def plot(
     ] = FIGURES,
     show: Annotated[
         str | None,
-        typer.Option("--show", metavar="TERM", help="A term of the objective to compare; the loss if not given."),
+        typer.Option(
+            "--show",
+            metavar="TERM",
+            help="What is compared, the loss if not given: a term of the objective, a constraint, violation, kkt.",
+        ),
     ] = None,
     allow_plugins: AllowPlugins = False,
 ) -> None:

@@ -132,11 +132,8 @@ class Spread(Block):
         return int(self.spread.shape[1])
 
     def pack(self, value: Array) -> Array:
-        """Return x (size,) that comes nearest to a value (n,)."""
-        scaled = self.to_scaled(value)
-        if np.ptp(scaled) == 0.0:
-            return np.full(self.size, scaled[0])
-        return np.clip(np.linalg.lstsq(self.spread.toarray(), scaled, rcond=None)[0], 0.0, 1.0)
+        """Return x (size,) of a value (n,) that is the same everywhere, as a start is."""
+        return np.full(self.size, self.to_scaled(value)[0])
 
     def unpack(self, x: Array) -> Array:
         """Return the value (n,) of x."""
@@ -249,7 +246,8 @@ class Params:
             sides = []
             for side, held, bound in (("lower", below[own], block.lower), ("upper", above[own], block.upper)):
                 if held.any():
-                    some = f"{int(held.sum())} of {held.size} " if held.size > 1 else ""
+                    what = f"{held.size} numbers" if isinstance(block, Spread) else str(held.size)
+                    some = f"{int(held.sum())} of {what} " if held.size > 1 else ""
                     value = f", {float(bound):g}" if np.ndim(bound) == 0 else ""
                     sides.append(f"{some}at the {side}{value}")
             if sides:

@@ -7,18 +7,23 @@ grid); a mirrored body has one number for each pair of particles, or a field tha
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
+from cqrun.explain import listed
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 NEAR = 0.3
 """Distance of a mirrored point from its partner, in distances to the nearest neighbour, that is still a match."""
+
+ALIKE = 0.9
+"""Part of the particles of two groups that are one another's mirror images where the groups are."""
 
 
 def field(x: Array, resolution: int) -> csr_array:
@@ -63,17 +68,15 @@ def mirrored_field(x: Array, resolution: int, axis: int) -> csr_array:
     return csr_array(0.5 * (both[: len(x)] + both[len(x) :]))
 
 
-def pairs(x: Array, axis: int, what: str) -> csr_array:
-    """Return a map (n, k) from one number for each pair of mirrored points; one on the middle plane is its own pair.
+def partners(x: Array, axis: int, what: str) -> Array:
+    """Return the mirror image (n,) of each of points x (n, D), at least two, among them.
 
     Args:
-        x: points (n, D), at least two.
         what: the points are called in an error.
 
     Raises:
         UsageError: a point has no mirror image among the others.
     """
-    from scipy.sparse import csr_array
     from scipy.spatial import cKDTree
 
     tree, image = cKDTree(x), mirrored(x, axis)
@@ -87,8 +90,40 @@ def pairs(x: Array, axis: int, what: str) -> csr_array:
             f"{len(lone)} of {len(x)} {what} have no mirror image across {'xyz'[axis]}, the first at ({place}) m: "
             "symmetry needs a body that is its own mirror image; leave out `mirror`, or use a field"
         )
-    _, column = np.unique(np.minimum(np.arange(len(x)), partner), return_inverse=True)
-    return csr_array((np.ones(len(x)), column, np.arange(len(x) + 1)), shape=(len(x), int(column.max()) + 1))
+    return np.asarray(partner)
+
+
+def pairs(partner: Array) -> csr_array:
+    """Return a map (n, k) from one number for each pair; one on the middle plane is its own partner (n,)."""
+    from scipy.sparse import csr_array
+
+    n = len(partner)
+    _, column = np.unique(np.minimum(np.arange(n), partner), return_inverse=True)
+    return csr_array((np.ones(n), column, np.arange(n + 1)), shape=(n, int(column.max()) + 1))
+
+
+def group_partners(groups: Mapping[str, Array], partner: Array, axis: int, what: str) -> Array:
+    """Return which of a body's groups (G,) is the mirror image of each.
+
+    Args:
+        groups: which particles (n,) each holds, by name.
+        partner: mirror image of each particle (n,).
+        what: the body is called in an error.
+
+    Raises:
+        UsageError: a group has no mirror image among the others.
+    """
+    held = np.array(list(groups.values()), dtype=float)  # (G, n)
+    both = held @ held[:, partner].T
+    alike = both / np.maximum(1.0, held.sum(axis=1)[:, None] + held.sum(axis=1) - both)
+    found = np.argmax(alike, axis=1)
+    lone = [name for k, name in enumerate(groups) if alike[k, found[k]] < ALIKE or found[found[k]] != k]
+    if lone:
+        raise UsageError(
+            f"{len(lone)} of {len(groups)} groups of {what} have no mirror image across {'xyz'[axis]}: {listed(lone)}; "
+            "symmetry needs groups of mirrored particles; leave out `mirror`, or use a field"
+        )
+    return np.asarray(found)
 
 
 def shifted(x: Array, y: Array, what: str, of_what: str) -> Array:

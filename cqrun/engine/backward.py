@@ -79,11 +79,14 @@ class Backward:
             record_vjp(r.probe, self.q_bar, self.records_bar[0])
 
     @property
-    def growth_at(self) -> int:
-        """The control step across which |q_bar| grows most on the way back; -1 without a policy."""
+    def growth(self) -> tuple[float, int]:
+        """The factor by which |q_bar| grows most across a control step on the way back, and which step that is.
+
+        (0, -1) without a policy, or where the loss does not depend on the motion.
+        """
         steps = sorted(self.sizes, reverse=True)
-        growth = {b: self.sizes[b] / self.sizes[a] for a, b in itertools.pairwise(steps) if self.sizes[a] > 0}
-        return max(growth, key=lambda control: growth[control], default=-1)
+        grown = [(self.sizes[b] / self.sizes[a], b) for a, b in itertools.pairwise(steps) if self.sizes[a] > 0]
+        return max(grown, key=lambda each: each[0], default=(0.0, -1))
 
     def _blame(self, control: int, q: Array) -> None:
         """Carry the cotangent of a control step's activations back through the policy."""

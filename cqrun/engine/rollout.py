@@ -54,7 +54,7 @@ class Rollout:
     Attributes:
         activation: (T, A) as the policy decided, or as in the inputs.
         memory: (T + 1, M) of the policy at every control step.
-        growth_at: after a gradient under a policy, the control step where it grew most; -1 without a policy.
+        growth_at: after gradients under a policy, the control step where one grew most; -1 if none hangs on the motion.
 
     Raises:
         RolloutError: (from `run`) a particle left the grid or is not finite.
@@ -303,7 +303,7 @@ class Rollout:
         plan = self.plan = make_plan(n_steps, self.state_bytes, model.memory_budget)
         with borrowed(model.spare, (plan.states, *self.start.shape), model.real) as states:
             records, sweeps = self._sweep(plan, states, loss_bars)
-        self.growth_at = sweeps[0].growth_at if sweeps else -1
+        self.growth_at = max((sweep.growth for sweep in sweeps), default=(0.0, -1))[1]
         return records, sweeps
 
     def _sweep(

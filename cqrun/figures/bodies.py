@@ -13,7 +13,7 @@ from cqrun.figures.dots import COVER, COVER_3D, Dots, add_dots, far_to_near
 from cqrun.figures.quantities import Unit, length_unit
 from cqrun.figures.run_data import TRAJECTORY, RunData
 from cqrun.figures.scenery import frame_axes, goals, held, plot_goals, plot_held
-from cqrun.figures.style import AMOUNT_MAP, GREY, new_figure
+from cqrun.figures.style import AMOUNT_MAP, GREY, PALE, new_figure
 from cqrun.figures.views import View, of_equal_width, room_around, views, window
 from cqrun.scene.schema import Scene
 from cqrun.store.trajectory import Trajectory
@@ -124,8 +124,10 @@ def plot_body(
     Args:
         corners: what to show (2, 2) [m].
         largest: displacement at the end of the colours [m].
-        shown: what colours particles (N,) instead of their displacement, and both ends of the colours.
+        shown: what colours particles (N,) instead of their displacement, pale where it is no number, and both ends.
     """
+    from matplotlib import colormaps
+
     x = shot.dots.positions(shot.x)
     stride = -(-len(x) // MOST_DOTS)
     order = far_to_near(x, look)[::stride]
@@ -134,7 +136,7 @@ def plot_body(
     size = unit.factor * stride ** (1.0 / scene.dim) * shot.dots.size[order]
     dots = add_dots(axes, size, edge=0.15 if scene.dim == 3 else 0.0, cover=COVER_3D if scene.dim == 3 else COVER)
     dots.set_offsets(unit.factor * x[order] @ look.axes.T)
-    dots.set_cmap(AMOUNT_MAP)
+    dots.set_cmap(colormaps[AMOUNT_MAP].with_extremes(bad=PALE))
     values, low, high = shown or (unit.factor * shot.moved, 0.0, unit.factor * largest or 1.0)
     dots.set_array(values[shot.dots.source[order]])
     dots.set_clim(low, high)

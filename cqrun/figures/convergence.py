@@ -189,7 +189,8 @@ def plot_violation(axes: Axes, run: RunData) -> None:
     met = float(optimizer.value.constraint_tolerance) if optimizer is not None else 0.0
     floor = 0.1 * min(met, *value[value > 0], np.inf)  # what is not violated at all is drawn there
     shown = np.maximum(value, floor)
-    axes.plot(iteration, shown, color=COLOURS[0], **_marked(len(iteration)))
+    none = f"none, drawn at {floor:.0e}" if not value.all() else None
+    axes.plot(iteration, shown, color=COLOURS[0], label=none, **_marked(len(iteration)))
     axes.axhline(met, color=TRUTH, linestyle="--", linewidth=1.0, label=f"met: {met:g}")
     _log_axis(axes, min(met, *shown), max(met, *shown))
     axes.legend(loc="best")

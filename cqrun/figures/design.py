@@ -21,21 +21,30 @@ from cqrun.figures.views import of_equal_width, room_around, views, window
 from cqrun.scene.geometry import Geometry
 from cqrun.scene.particles import sample
 from cqrun.scene.paths import canonical, shapes_a_body
-from cqrun.scene.unknowns import start, tied
+from cqrun.scene.unknowns import body_of, start, tied
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 def designed_quantities(run: RunData) -> dict[str, Array]:
-    """Return what of MATERIAL the unknowns of a codesign run change from particle to particle, (N,) each."""
+    """Return what of MATERIAL the unknowns of a codesign run change from particle to particle, (N,) each.
+
+    It is not a number in bodies whose own is as the scene says.
+    """
     if run.job != "codesign" or not (run.result or {}).get("unknowns"):
         return {}
     particles = sample(run.scene)
     paths = [path for unknown, spec in run.scene.unknowns.items() for path in (unknown, *spec.also)]
-    asked = [name for name, (key, *_) in MATERIAL.items() if any(path.endswith(f".{key}") for path in paths)]
-    found = {name: material_of(run, particles, name) for name in asked}
-    return {name: values for name, values in found.items() if np.ptp(values) > 0}
+    found = {}
+    for name, (key, *_) in MATERIAL.items():
+        bodies = {body_of(run.scene, canonical(run.scene, path)) for path in paths if path.endswith(f".{key}")}
+        if bodies:
+            found[name] = np.full(len(particles.x), np.nan)
+            values = material_of(run, particles, name)
+            for body in bodies:
+                found[name][particles.of(body)] = values[particles.of(body)]
+    return {name: values for name, values in found.items() if np.nanmin(values) < np.nanmax(values)}
 
 
 def has_new_shape(run: RunData) -> bool:
@@ -92,8 +101,8 @@ def draw_design(run: RunData, shown: dict[str, Array]) -> Figure:
         axes.set_title(title)
     for row, (name, values) in zip(panels, shown.items(), strict=True):
         label, unit_name = MATERIAL[name][1:]
-        scale = shown_unit(unit_name, float(values.max()))
-        ends = scale.factor * float(values.min()), scale.factor * float(values.max())
+        scale = shown_unit(unit_name, float(np.nanmax(values)))
+        ends = scale.factor * float(np.nanmin(values)), scale.factor * float(np.nanmax(values))
         for axes, shot in zip(row, shots, strict=True):
             colours = (scale.factor * values, *ends)
             dots = plot_body(axes, run.scene, shot, look, corners, unit, 1.0, colours)

@@ -12,6 +12,7 @@ from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
 from cqrun.figures.quantities import MILLI, Unit, capitalised
 from cqrun.figures.run_data import HISTORY, RunData
+from cqrun.optimizers.constrained import CONSTRAINT, KKT, VIOLATION
 
 SPAN = 30.0
 """A positive loss that falls by this factor is drawn on a logarithmic axis."""
@@ -68,18 +69,23 @@ def term_names(run: RunData) -> list[str]:
 
 
 def term_curve(run: RunData, name: str) -> LossCurve:
-    """Return a term of the objective over a run, in its own unit.
+    """Return a term of the objective over a run, or what is known of its constraints, in its own unit.
+
+    Those are the constraints by name, `violation`, the largest in their scales, and `kkt`, the residual.
 
     Raises:
         UsageError: the history has no rows yet, or no such term.
     """
     require_rows(run)
-    names = term_names(run)
-    if name not in names:
+    rows, judged = run.history, [column for column in (VIOLATION, KKT) if column in run.history]
+    columns = {each: each for each in (*term_names(run), *judged)}
+    columns |= {each: CONSTRAINT + each for each in run.scene.constraints if CONSTRAINT + each in rows}
+    if name not in columns:
+        names = list(columns)
         known = f"; there are: {listed(names)}" if names else ""
-        raise UsageError(f"{run.path}: its objective has no term '{name}'{suggest(name, names)}{known}")
-    rows = run.history
-    return LossCurve(name, rows["iteration"], rows["seconds"], rows[name], unit="", log=False, kept=_kept(run))
+        raise UsageError(f"{run.path}: it has no term or constraint '{name}'{suggest(name, names)}{known}")
+    value, log = rows[columns[name]], name in judged
+    return LossCurve(name, rows["iteration"], rows["seconds"], value, unit="", log=log, kept=_kept(run))
 
 
 def _kept(run: RunData) -> int | None:

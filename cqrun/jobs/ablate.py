@@ -366,13 +366,13 @@ def ablation_lines(path: Path) -> list[str]:
         )
         for name, entry in variants.items()
     ]
-    head = ("free", "rate", compared, "gain", "feasible")[: len(rows[0])]
+    head, sure = ("free", "rate", compared, "gain", "feasible")[: len(rows[0])], f"{result['confidence']:.0%}"
     effects = sorted(result["effects"].items(), key=lambda item: -abs(item[1]["mean"]))
     lost = {name: [rate for rate, loss in entry.get("searched", {}).items() if loss is None]
             for name, entry in variants.items()}  # fmt: skip
     return [
-        f"{len(variants)} variants from {seeds} seed{'s' if seeds > 1 else ''}; mean and "
-        f"{result['confidence']:.0%} interval; {result['better']} is better",
+        f"{len(variants)} variants from {'one seed' if seeds == 1 else f'{seeds} seeds; mean and {sure} interval'}; "
+        f"{result['better']} is better",
         "",
         *table(head, rows),
         *(f"note: {name} failed with rate {listed(rates)}" for name, rates in lost.items() if rates),

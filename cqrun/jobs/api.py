@@ -109,8 +109,8 @@ class Experiment:
         Returns:
             The loss; its derivative by every unknown, every parameter of the controller and every number in `params`,
             of the shape of its value; and {"losses": part of the loss by recording or sequence, or the loss of each
-            episode, "gradient": {"recompute_factor", "peak_bytes"}}, with "terms" (mean of each term over the
-            episodes, by name) and "goals" (of each episode) where there are episodes.
+            episode, "gradient": {"recompute_factor", "peak_bytes"}}, with "terms" and "constraints" (the mean of
+            each over the episodes, by name) and "goals" (of each episode) where there are episodes.
 
         Raises:
             UsageError: a path or a shape that cannot be, or a scene with neither data nor a controller's objective.
@@ -141,7 +141,8 @@ class Experiment:
         found, (gradient,) = agent.attempts_with_gradients(values, goals)
         aux = {
             "losses": {f"episode {k}": float(attempt.loss) for k, attempt in enumerate(found)},
-            "terms": {name: float(np.mean([a.terms[name] for a in found])) for name in self.scene.objective},
+            "terms": {name: float(np.mean([a.terms[name] for a in found])) for name in agent.summands},
+            "constraints": {name: float(np.mean([a.held[name] for a in found])) for name in agent.constraint_names},
             "goals": [{name: goal.copy() for name, goal in drawn.items()} for drawn in goals],
             "gradient": {"recompute_factor": agent.effort.recompute, "peak_bytes": agent.effort.peak},
         }

@@ -35,7 +35,7 @@ from cqrun.jobs.runs import (
     stopping,
 )
 from cqrun.optimizers.base import Optimizer
-from cqrun.optimizers.constrained import ConstrainedOptimizer, excess_told, ranked, report_names
+from cqrun.optimizers.constrained import VIOLATION, ConstrainedOptimizer, excess_told, ranked, report_names
 from cqrun.registry import plugins
 from cqrun.scene.build import Built
 from cqrun.scene.load import dump, load_scene, resolve
@@ -106,6 +106,11 @@ def prepare(scene: Scene, threads: int, talk: Reporter, job: str = "control") ->
         scene = scene.with_plugin("optimizer", usual())
     if scene.data is not None:
         talk.warn(f"{scene.where('data')}: data: {job} reads no recordings; `cqrun sysid` does")
+    if job == "control" and scene.unknowns:
+        talk.warn(
+            f"{scene.where('unknowns')}: unknowns: {listed(list(scene.unknowns))} learned beside the controller; "
+            "`-o unknowns={}` holds the design as it is"
+        )
     built = build_and_warn(scene, talk)
     optimizer = optimizer_of(built)
     if optimizer.gradients:
@@ -182,6 +187,8 @@ def _able() -> list[str]:
 def _flat(run: RunDirectory) -> bool:
     """Say whether the gradient was nought at every iteration."""
     history = read_history(run.path / "history.csv")
+    if np.any(history.get(VIOLATION, 0.0)):
+        return False  # without an objective there is but the way to the constraints
     norms = [column for name, column in history.items() if name.startswith("grad:")]
     greatest = max((np.nanmax(np.abs(column), initial=0.0) for column in norms), default=np.inf)
     return bool(greatest <= NOUGHT * max(1.0, np.nanmax(np.abs(history["loss"]), initial=0.0)))

@@ -255,7 +255,8 @@ class EpisodeProblem(Agent):
     def _note(self, attempts: Sequence[Attempt]) -> None:
         """Keep the means of the terms, where the first episode's gradient grew fastest [s], what controllers saw."""
         means = [float(np.mean([a.terms[name] for a in attempts])) for name in self.summands]
-        self._terms = np.array([*means, attempts[0].rollout.growth_at * self.matter.control_step])
+        control = attempts[0].rollout.growth_at
+        self._terms = np.array([*means, control * self.matter.control_step if control >= 0 else np.nan])
         policies: list[Any] = [a.rollout.policy for a in attempts]
         self.saw = [np.array(policy.saw) for policy in policies]
 

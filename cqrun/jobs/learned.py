@@ -25,6 +25,7 @@ from cqrun.jobs.trajectories import write_activation, write_trajectory
 from cqrun.optimizers.base import Outcome
 from cqrun.optimizers.constrained import AT_BOUND
 from cqrun.scene.constraint import ENDS
+from cqrun.scene.schema import Scene
 from cqrun.store.run import RunDirectory
 
 STAGES = {"start": "before", "trained": "learned", "unseen": "on unseen goals"}
@@ -70,7 +71,7 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         tried |= {"trained": learned[: len(goals)], "unseen": learned[len(goals) :]}
         result |= {stage: _summary(problem, _done(attempts)) for stage, attempts in tried.items()}
         result["blew_up"] = {stage: lost for stage, attempts in tried.items() if (lost := _lost(attempts))}
-        result["constraints"] = _constraints(problem, _done(tried["start"]), _done(tried["trained"]))
+        result["constraints"] = _before_and_after(problem, _done(tried["start"]), _done(tried["trained"]))
         shown = next((a for a in learned if isinstance(a, Attempt)), None)
         if shown is None:
             raise next(a.error for a in learned if isinstance(a, Lost))
@@ -126,19 +127,22 @@ def _plain(goals: Goals) -> dict[str, Any]:
     return {name: goal.tolist() for name, goal in goals.items()}
 
 
-def _constraints(
-    problem: EpisodeProblem, before: Sequence[Attempt], after: Sequence[Attempt]
-) -> dict[str, dict[str, Any]]:
-    """Return every constraint's ends, its mean over episodes at the start and at the end, and its violation there."""
-    found: dict[str, dict[str, Any]] = {}
-    if not (before and after):
-        return found
-    for name, held in problem.built.scene.constraints.items():
-        start, value = (float(np.mean([a.held[name] for a in attempts])) for attempts in (before, after))
+def constraints_of(scene: Scene, attempts: Sequence[Attempt]) -> dict[str, dict[str, float]]:
+    """Return every constraint's ends, its mean over episodes, and by how much that violates it."""
+    found = {}
+    for name, held in scene.constraints.items() if attempts else ():
+        value = float(np.mean([a.held[name] for a in attempts]))
         ends = {end: getattr(held, end) for end in ENDS if getattr(held, end) is not None}
-        excess = max(0.0, held.low - value, value - held.high)
-        found[name] = ends | {"start": start, "value": value, "violation": excess}
+        found[name] = ends | {"value": value, "violation": max(0.0, held.low - value, value - held.high)}
     return found
+
+
+def _before_and_after(
+    problem: EpisodeProblem, before: Sequence[Attempt], after: Sequence[Attempt]
+) -> dict[str, dict[str, float]]:
+    """Return `constraints_of` the end, with the value at the start."""
+    start, end = (constraints_of(problem.built.scene, attempts) for attempts in (before, after))
+    return {name: end[name] | {"start": start[name]["value"]} for name in start if name in end}
 
 
 def _summary(problem: EpisodeProblem, attempts: Sequence[Attempt]) -> dict[str, Any] | None:

@@ -131,7 +131,7 @@ def _control(result: dict[str, Any]) -> Iterator[str]:
 def _held(entry: dict[str, Any]) -> tuple[str, ...]:
     words = {"at_least": "at least", "at_most": "at most", "equals": ""}
     wanted = ", ".join(f"{word} {number(entry[end])}".strip() for end, word in words.items() if end in entry)
-    return wanted, number(entry["start"]), number(entry["value"]), number(entry["violation"])
+    return wanted, *(number(entry[stage]) for stage in ("start", "value", "violation") if stage in entry)
 
 
 def _ends(entry: dict[str, Any]) -> str:
@@ -171,6 +171,10 @@ def _simulate(result: dict[str, Any]) -> Iterator[str]:
         values = {**result["terms"], "loss": result["loss"]}
         yield ""
         yield from table(("term", "value"), [(name, number(value)) for name, value in values.items()])
+    if result.get("constraints"):
+        held = [(name, *_held(entry)) for name, entry in result["constraints"].items()]
+        yield ""
+        yield from table(("constraint", "wanted", "value", "violated by"), held)
     yield from (f"note: {sentence}" for sentence in result["findings"])
 
 

@@ -21,6 +21,7 @@ from cqrun.jobs.agent import FILE, Agent, learned_values
 from cqrun.jobs.bodies import tell_bodies
 from cqrun.jobs.control import JOBS
 from cqrun.jobs.kernels import compile_kernels
+from cqrun.jobs.learned import constraints_of
 from cqrun.jobs.observables import Observables
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import (
@@ -219,14 +220,14 @@ def simulate(run: RunDirectory, built: Built, agent: Agent | None, threads: int,
 
 
 def _acted(run: RunDirectory, agent: Agent, rollout: Rollout, records: Records) -> dict[str, Any]:
-    """Write what drove the actuators; return what a result says of an agent: its goals, and the objective's terms."""
+    """Write what drove the actuators; return what a result says of an agent: goals, terms, constraints."""
     write_activation(run.path / "activation.csv", agent.built, rollout.activation)
     goals = agent.goals_in_the_middle
     found = agent.judged(rollout, records, goals)
     said: dict[str, Any] = {"goals": {name: goal.tolist() for name, goal in goals.items()}}
     if found.terms:
         said |= {"loss": float(found.loss), "terms": {name: float(value) for name, value in found.terms.items()}}
-    return said
+    return said | {"constraints": constraints_of(agent.built.scene, [found])}
 
 
 def _result(built: Built, watch: Observables, status: str, message: str, time: float) -> dict[str, Any]:

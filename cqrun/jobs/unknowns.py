@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -52,29 +52,23 @@ def _block(scene: Scene, particles: Particles, path: str, unknown: Unknown) -> B
     beside: Any = {"followers": followers, "regulariser": unknown.regulariser}
     if unknown.per == "body":
         return Block(name, low, high, log, np.array(initial), **beside)
-    x, what = particles.x[particles.of(body)], "particles"
-    if unknown.per == "group":
-        x, what = _middles(particles, body, scene.bodies[body].group_names), "groups"
-    values, axis = np.full(len(x), initial), -1 if unknown.mirror is None else "xyz".index(unknown.mirror)
+    x = particles.x[particles.of(body)]
+    values = np.full(len(scene.bodies[body].group_names) if unknown.per == "group" else len(x), initial)
+    axis = -1 if unknown.mirror is None else "xyz".index(unknown.mirror)
     if unknown.per != "field" and unknown.mirror is None:
         return Block(name, low, high, log, values, **beside)
     if unknown.per != "field":
         try:
-            over = spread.pairs(x, axis, f"{what} of '{body}'")
-            return Spread(name, low, high, log, values, over, **beside)
+            partner = spread.partners(x, axis, f"particles of '{body}'")
+            if unknown.per == "group":
+                partner = spread.group_partners(particles.points[body].groups, partner, axis, f"'{body}'")
+            return Spread(name, low, high, log, values, spread.pairs(partner), **beside)
         except UsageError as error:
             place = f"unknowns.{path}.mirror"
             raise SceneError([Problem(scene.where(place), place, str(error))]) from error
     cells = unknown.resolution or RESOLUTION
     over = spread.field(x, cells) if unknown.mirror is None else spread.mirrored_field(x, cells, axis)
     return Spread(name, low, high, log, values, over, **beside)
-
-
-def _middles(particles: Particles, body: str, names: Sequence[str]) -> Array:
-    """Return the middle of each of a body's groups (G, D) [m]: of the box around it."""
-    held = particles.groups(body)
-    ends = [(particles.x[held[name]].min(axis=0), particles.x[held[name]].max(axis=0)) for name in names]
-    return np.array([0.5 * (low + high) for low, high in ends])
 
 
 def _followers(scene: Scene, particles: Particles, path: str, unknown: Unknown) -> Iterator[Follower]:

@@ -176,7 +176,8 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         return terms_of(problem, answer["terms"]) | columns_of(_with_constraints(problem), answer["c"], found)
 
     def _converged(self, state: DescentState, problem: Problem) -> bool:
-        return float(state.memory["best"][0]) == 0.0 and super()._converged(state, problem)
+        """Say whether the last point, not only the best so far, meets the constraints, and the gradient vanishes."""
+        return float(state.memory["last"]) <= self.constraint_tolerance and super()._converged(state, problem)
 
 
 def _with_constraints(problem: Problem) -> ConstrainedProblem:

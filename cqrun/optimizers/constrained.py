@@ -4,8 +4,11 @@
 
 A constraint with equal ends is an equality. Its multiplier y is positive where c_high holds c back, negative where
 c_low does, and nought where neither does. At a minimum the gradient of f + y.c vanishes but for what the box holds
-(Karush, Kuhn and Tucker; J. Nocedal, S. Wright: Numerical optimization, 2006, section 12.3). The KKT residual is its
-largest component, with the multipliers that make its Euclidean norm least.
+(Karush, Kuhn and Tucker; J. Nocedal, S. Wright: Numerical optimization, 2006, section 12.3), and each y times the
+distance s of its constraint from its end. The KKT residual is the largest component of both, with the multipliers that
+make their Euclidean norm least, or with a solver's own. Only a constraint near an end has one: closer than the root of
+the tolerance, which tells those that hold from others well before the end is reached (F. Facchinei, A. Fischer,
+C. Kanzow: On the accurate identification of active constraints, SIAM J. Optim. 9, 1998).
 """
 
 from __future__ import annotations
@@ -104,21 +107,24 @@ class Kkt:
 
 
 def kkt(problem: ConstrainedProblem, x: Array, g: Array, c: Array, J: Array, tolerance: float) -> Kkt:
-    """Return the multipliers at x and how far the Lagrangian's gradient is from nought.
+    """Return the multipliers at x and how far it is from a minimum.
 
     Args:
         g, c, J: gradient (n,), constraints (m,) and their Jacobian (m, n) at x.
-        tolerance: a constraint this near to an end counts as held there.
+        tolerance: a constraint that is violated by no more is met.
     """
-    at_low, at_high = c <= problem.c_low + tolerance, c >= problem.c_high - tolerance
-    held = np.flatnonzero(at_low | at_high)
+    inside = np.maximum(0.0, np.stack([c - problem.c_low, problem.c_high - c]))  # (2, m), from either end
+    near = inside <= np.sqrt(tolerance)
+    held = np.flatnonzero(near.any(axis=0))
     below, above = held_by_box(problem, x)
     free = ~below & ~above
-    y = np.zeros(len(c))
+    y, s = np.zeros(len(c)), inside.min(axis=0)
     if len(held) and free.any():
-        ends = np.where(at_low[held], -np.inf, 0.0), np.where(at_high[held], np.inf, 0.0)
-        y[held] = _of_one_sign(J[held][:, free].T, -g[free], ends)
-    return Kkt(y, projected(problem, x, g + y @ J))
+        ends = np.where(near[0, held], -np.inf, 0.0), np.where(near[1, held], np.inf, 0.0)
+        A = np.concatenate([J[held][:, free].T, np.diag(s[held])])
+        y[held] = _of_one_sign(A, np.concatenate([-g[free], np.zeros(len(held))]), ends)
+    loose = np.max(np.abs(y[held] * s[held]), initial=0.0)
+    return Kkt(y, max(float(loose), projected(problem, x, g + y @ J)))
 
 
 def _of_one_sign(A: Array, b: Array, ends: tuple[Array, Array]) -> Array:
@@ -171,9 +177,12 @@ def verdict(problem: ConstrainedProblem, x: Array, c: Array, tolerance: float) -
     scaled = "" if unit == 1.0 else f" ({excess[k]:.3g} of its scale)"
     others = [name for i, name in enumerate(problem.constraint_names) if i != k and excess[i] > tolerance]
     too = f"; {listed(others)} {'is' if len(others) == 1 else 'are'} violated less" if others else ""
+    J = problem.gradients_and_constraints(x)[3]
+    still = [name for i, name in enumerate(problem.constraint_names) if excess[i] > tolerance and not np.any(J[i])]
+    stuck = f"; no unknown has a bearing on {listed(still)}" if still else ""
     return (
         f"constraint '{problem.constraint_names[k]}' is {value:.6g}, wanted {wanted}: violated by "
-        f"{unit * excess[k]:.3g}{scaled}, the least that was found{too}; "
+        f"{unit * excess[k]:.3g}{scaled}, the least that was found{too}{stuck}; "
         f"{problem.bounds_in_words(*held_by_box(problem, x))}"
     )
 
@@ -235,11 +244,11 @@ class ConstrainedTrials(Trials):
         """Return the largest violation at x."""
         return most_violated(self.values(x)[1], self.problem.c_low, self.problem.c_high)
 
-    def accept(self, x: Array) -> None:
-        """Count an iteration that ended at x."""
+    def accept(self, x: Array, found: Kkt | None = None) -> None:
+        """Count an iteration that ended at x, with the solver's own multipliers and residual if it has any."""
         answer = self.gradients(x.copy())
         self.iteration += 1
-        self._tell(x, answer)
+        self._tell(x, answer, found)
         self._values = {x.tobytes(): self._values[x.tobytes()]}
         self._at_limit()
 
@@ -250,8 +259,8 @@ class ConstrainedTrials(Trials):
         if rank < self._best_rank:
             self._best_rank, self.best_x, self.best_loss, self.best_c = rank, x.copy(), loss, c
 
-    def _tell(self, x: Array, answer: dict[str, Array]) -> None:
-        found = kkt(self.problem, x, answer["g"], answer["c"], answer["J"], self.tolerance)
+    def _tell(self, x: Array, answer: dict[str, Array], found: Kkt | None = None) -> None:
+        found = found or kkt(self.problem, x, answer["g"], answer["c"], answer["J"], self.tolerance)
         terms = terms_of(self.problem, answer["terms"]) | columns_of(self.problem, answer["c"], found)
         slope = answer["g"] + found.multipliers @ answer["J"]  # the Lagrangian's gradient: what has yet to vanish
         self.session.report(self.iteration, x.copy(), float(answer["f"]), slope, terms)

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from cqrun.contract import Array
 from cqrun.optimizers.base import Problem, Status
-from cqrun.optimizers.constrained import ConstrainedTrials, ReplayedConstrained
+from cqrun.optimizers.constrained import ConstrainedTrials, Kkt, ReplayedConstrained
 from cqrun.optimizers.slsqp import require_size
 from cqrun.registry import plugin
 
@@ -49,7 +49,9 @@ class TrustConstr(ReplayedConstrained):
         ] * bool(len(low))
 
         def accept(x: Array, state: Any) -> None:
-            trials.accept(np.asarray(x))
+            # a barrier keeps x off all ends, so which constraints hold is known from its multipliers alone
+            y = np.asarray(state.v[0]) if len(low) else np.zeros(0)
+            trials.accept(np.asarray(x), Kkt(y, max(state.optimality, getattr(state, "barrier_parameter", 0.0))))
 
         with warnings.catch_warnings():  # of a linear constraint, and of one that the box holds already
             warnings.filterwarnings("ignore", message="delta_grad == 0.0|Singular Jacobian matrix")

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.errors import Problem, SceneError
+from cqrun.design.spread import mirrored
+from cqrun.errors import MissingExtra, Problem, SceneError, UsageError
 from cqrun.scene.check import outside_world, overlapping_bodies, overlapping_parts
 from cqrun.scene.geometry import Geometry
 from cqrun.scene.particles import Particles
@@ -30,6 +31,12 @@ TURN = 30.0
 CRUSHED = 1e-4
 """Part of its volume at the start below which nothing is left of a particle."""
 
+STRIDES = 64
+"""Values between its bounds at most of an unknown that carries a body past others: it might meet them in between."""
+
+LOPSIDED = 0.1
+"""Part of a body whose mirror image lies outside it, from which on a mirrored field is not what one thinks."""
+
 NEIGHBOURS = 6
 """Of a particle, whose distances tell how far apart a body's particles have come."""
 
@@ -39,14 +46,22 @@ Ends = Mapping[str, float]
 def design_problems(scene: Scene, particles: Particles) -> list[Problem]:
     """Return what is wrong with geometric unknowns and their bounds.
 
-    Each bound is tried alone, angles between them too, and then bounds together.
+    Each bound is tried alone, then values between them, where a body turns or might meet another, then bounds together.
     """
     unknowns = {path: unknown for path, unknown in scene.unknowns.items() if _geometric(scene, path, 0.0)}
     if not unknowns:
         return []
     starts = {p: v for path in unknowns for p, v in _geometric(scene, path, start(scene, path)).items()}
-    rest = _Rest(scene, particles, starts)
-    found = list(_tried(rest, [{path: value} for path in unknowns for value in _alone(scene, path)]))
+    try:
+        rest = _Rest(scene, particles, starts)
+    except MissingExtra:
+        raise
+    except UsageError as error:
+        path = next(path for path in unknowns if not _starts(scene, particles, path))
+        return [Problem(scene.where(f"unknowns.{path}"), f"unknowns.{path}", str(error))]
+    found = list(_tried(rest, [{path: end} for path, unknown in unknowns.items() for end in unknown.bounds]))
+    for path in unknowns if not found else ():
+        found += _tried(rest, [{path: value} for value in _between(rest, path)], most=1)
     return found or list(_tried(rest, _together(scene, list(unknowns)), most=1))
 
 
@@ -57,12 +72,25 @@ def design_warnings(scene: Scene, particles: Particles) -> list[Problem]:
         told = f"unknowns.{path}"
         if unknown.per == "group":
             found += [Problem(scene.where(told), told, message) for message in _ungrouped(scene, particles, path)]
+        if unknown.per == "field" and unknown.mirror is not None:
+            messages = _lopsided(scene, particles, path, unknown.mirror)
+            found += [Problem(scene.where(told), f"{told}.mirror", message) for message in messages]
         for other, value in list(tied(scene, path, start(scene, path)).items())[1:]:
             own = leaf(scene, other).value
             if abs(value - own) > ROUNDING * max(abs(value), abs(own)):
                 message = f"{other} starts at {value:g}, by `also`, and not at the {own:g} that the scene has there"
                 found.append(Problem(scene.where(told), told, message))
     return found
+
+
+def _starts(scene: Scene, particles: Particles, path: str) -> bool:
+    """Say whether particles can follow an unknown of geometry from its start."""
+    values = {canonical(scene, p): np.array(v) for p, v in _geometric(scene, path, start(scene, path)).items()}
+    try:
+        Geometry(scene, particles).at_rest(values)
+    except UsageError:
+        return False
+    return True
 
 
 def _ungrouped(scene: Scene, particles: Particles, path: str) -> Iterator[str]:
@@ -74,11 +102,22 @@ def _ungrouped(scene: Scene, particles: Particles, path: str) -> Iterator[str]:
         yield f"{(held > 1).sum():,} particles of '{body}' are in several groups, and have the value of the last"
 
 
-def _alone(scene: Scene, path: str) -> Array:
-    """Return the values of an unknown that are tried while the others are at their starts."""
-    lower, upper = scene.unknowns[path].bounds
-    between = int(np.ceil((upper - lower) / TURN)) if leaf(scene, path).unit == "deg" else 1
-    return np.linspace(lower, upper, 1 + max(1, between))
+def _lopsided(scene: Scene, particles: Particles, path: str, mirror: str) -> Iterator[str]:
+    body = body_of(scene, canonical(scene, path))
+    image = mirrored(particles.points[body].world, "xyz".index(mirror))
+    outside = np.mean(~scene.bodies[body].whole().inside(image))
+    if outside > LOPSIDED:
+        yield (
+            f"'{body}' is not its own mirror image across {mirror}, in {outside:.0%} of its particles: their values "
+            "follow those of places where it is not"
+        )
+
+
+def _between(rest: _Rest, path: str) -> Array:
+    """Return the values between its bounds of an unknown that are tried while the others are at their starts."""
+    lower, upper = rest.scene.unknowns[path].bounds
+    turns = int(np.ceil((upper - lower) / TURN)) if leaf(rest.scene, path).unit == "deg" else 1
+    return np.linspace(lower, upper, 1 + max(turns, rest.strides(path)))[1:-1]
 
 
 def _together(scene: Scene, paths: Sequence[str]) -> Iterator[Ends]:
@@ -158,6 +197,16 @@ class _Rest:
         problems = [*outside_world(changed, points), *overlapping_bodies(changed, points), *overlapping_parts(changed)]
         yield from (f"{problem.path} {problem.message}" for problem in problems)
         yield from (message for name in particles.names for message in self._sparse(name, x))
+
+    def strides(self, path: str) -> int:
+        """Return in how many steps an unknown goes from bound to bound so that none passes over a body or a part."""
+        boxes = [shape.bounds() for body in self.scene.bodies.values() for shape in body.pieces.values()]
+        if len(boxes) == 1:
+            return 1
+        bounds = self.scene.unknowns[path].bounds
+        x, there = (self._at({**self.starts, **_geometric(self.scene, path, end)})[0] for end in bounds)
+        far, thin = np.linalg.norm(there - x, axis=1).max(), min((upper - lower).min() for lower, upper in boxes)
+        return int(np.clip(np.ceil(2.0 * far / thin), 1, STRIDES))
 
     def _at(self, values: Ends) -> tuple[Array, Array]:
         return self._geometry.at_rest({canonical(self.scene, path): np.array(v) for path, v in values.items()})

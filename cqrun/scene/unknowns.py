@@ -98,8 +98,9 @@ def _bounds(scene: Scene, path: str, unknown: Unknown, info: LeafInfo) -> Iterat
         try:
             with_values(scene, tied(scene, path, bound))
         except SceneError as error:
-            legal = error.problems[0].message
-            yield finding(f"the bounds reach {bound:g}, but the value {legal}", (*place, "bounds", i))
+            wrong = error.problems[0]
+            whose = f"by `also`, {wrong.path}" if wrong.path in unknown.also else "the value"
+            yield finding(f"the bounds reach {bound:g}, but {whose} {wrong.message}", (*place, "bounds", i))
     lower, upper = unknown.bounds
     value = start(scene, path)
     if not lower <= value <= upper:

@@ -136,4 +136,4 @@ def test_a_term_that_is_none_is_told(cqrun, beam_run):
     write_text(beam_run / "history.csv", "iteration,loss,seconds\n0,1.0,0.5\n")
     code, _, err = cqrun("plot", beam_run, "--show", "far")
     assert code == 2
-    assert f"error: {beam_run}: its objective has no term 'far'" in err
+    assert f"error: {beam_run}: it has no term or constraint 'far'" in err

@@ -155,7 +155,7 @@ def test_several_functions_share_one_forward_run(states):
         own_work = count_substeps(alone)
         own_records, own_bar = alone.gradient(lambda records, state: robot_alone.loss_bar)  # noqa: B023
         assert sum(work) == sum(own_work) >= 60
-        both.parameters_bar, both.growth_at = sweep.parameters_bar, sweep.growth_at
+        both.parameters_bar, both.growth_at = sweep.parameters_bar, sweep.growth[1]
         same_bits((both, records, sweep.inputs_bar()), (alone, own_records, own_bar))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cqrun.design.spread import field, mirrored, mirrored_field, pairs
+from cqrun.design.spread import field, group_partners, mirrored, mirrored_field, pairs, partners
 from cqrun.errors import UsageError
 
 
@@ -55,7 +55,7 @@ def test_a_mirrored_field_has_the_same_value_on_either_side(points, rng):
 
 def test_pairs_of_a_lattice():
     x = np.stack(np.meshgrid([0.0, 1.0, 2.0], [0.0, 1.0], indexing="ij"), axis=-1).reshape(-1, 2)
-    P = pairs(x, 0, "particles").toarray()
+    P = pairs(partners(x, 0, "particles")).toarray()
     assert P.shape == (6, 4)  # two pairs, and two points on the middle plane
     np.testing.assert_array_equal(P.sum(axis=1), 1.0)
     for k, place in enumerate(x):
@@ -67,4 +67,16 @@ def test_a_body_that_is_not_its_own_image_is_told():
     x = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0]])
     told = r"1 of 4 particles of 'arm' have no mirror image across x, the first at \(2, 1\) m: symmetry needs"
     with pytest.raises(UsageError, match=told):
-        pairs(x, 0, "particles of 'arm'")
+        partners(x, 0, "particles of 'arm'")
+
+
+def test_groups_are_mirrored_by_their_particles():
+    x = np.stack(np.meshgrid(np.arange(8.0), np.arange(3.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    partner, column = partners(x, 0, "particles"), x[:, 0]
+    groups = {"left": column < 3, "right": column > 4, "middle": (column == 3) | (column == 4)}
+    np.testing.assert_array_equal(group_partners(groups, partner, 0, "'arm'"), [1, 0, 2])
+    beside = {"left": column < 3, "next": (column > 2) & (column < 6)}
+    with pytest.raises(UsageError, match="2 of 2 groups of 'arm' have no mirror image across x: left, next; "):
+        group_partners(beside, partner, 0, "'arm'")
+    with pytest.raises(UsageError, match="2 of 2 groups of 'arm' have no mirror image across x"):
+        group_partners({"left": column < 3, "right": column > 5}, partner, 0, "'arm'")

@@ -99,8 +99,18 @@ def test_a_term_of_the_objective_is_compared_in_its_own_unit(tmp_path):
     assert by_time.get_xlabel() == "wall time since the first evaluation (min)"
     assert by_time.lines[-1].get_xdata()[-1] == pytest.approx(10)
     assert figure.legends[0].get_texts()[0].get_text() == "biped: mean of 4 seeds and its 90 % interval"
-    with pytest.raises(UsageError, match=r"no term 'fat' \(did you mean 'far'\?\); there are: far"):
+    with pytest.raises(UsageError, match=r"no term or constraint 'fat' \(did you mean 'far'\?\); there are: far"):
         draw_comparison(runs, "fat")
+
+
+def test_violations_are_compared_on_a_logarithmic_axis(tmp_path):
+    runs = [learned(tmp_path, f"{k}" * 12, seed=k, far=np.zeros(3)) for k in range(2)]
+    for run in runs:
+        run.history["violation"] = np.array([0.5, 1e-3, 0.0])
+    with styled():
+        figure = draw_comparison(runs, "violation")
+        figure.draw_without_rendering()
+    assert (figure.axes[0].get_title(loc="left"), figure.axes[0].get_yscale()) == ("Violation", "log")
 
 
 def test_two_seeds_are_lines_and_the_same_run_again_is_no_seed(tmp_path):

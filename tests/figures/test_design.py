@@ -38,6 +38,21 @@ def test_what_differs_from_particle_to_particle_is_shown(run):
     np.testing.assert_array_equal(shown["stiffness"], result_of(run)["unknowns"][E]["value"])
 
 
+def test_a_body_that_is_not_designed_takes_no_colour(run, tmp_path):
+    """One of another stiffness would stretch the scale until the designed one looks the same everywhere."""
+    ball = "{shape: {box: {corner: [0.7, 0.2], size: [0.1, 0.1]}}, particles_per_cell: 4, material: {density: 1, "
+    ball += "elastic: {fixed_corotated: {youngs_modulus: 100, poissons_ratio: 0.3}}}}"
+    both = run_control(
+        run / "scene.yaml", [f"bodies.ball={ball}", "optimizer.adam.max_iterations=1"], tmp_path, threads=1,
+        job="codesign",
+    )  # fmt: skip
+    data = read_run(both)
+    values = designed_quantities(data)["stiffness"]
+    assert np.isnan(values).sum() == 4
+    dots = next(c for c in draw_design(data, {"stiffness": values}).axes[0].collections if c.get_array() is not None)
+    assert dots.get_clim()[1] < 21
+
+
 def test_the_body_is_drawn_at_rest_and_moved(run):
     data = read_run(run)
     figure = draw_design(data, designed_quantities(data))

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from small_beam import result_of
+from small_beam import Listener, result_of
 from small_finger import DESIGN, STIFFNESS, written
 
 from cqrun.cli.results import infeasible_shown
@@ -17,6 +17,7 @@ from cqrun.jobs.control import prepare, run_control
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.reporter import Silent
 from cqrun.jobs.resume import run_resume
+from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.validate import validate
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
@@ -114,6 +115,35 @@ def test_it_meets_its_constraints(finger, tmp_path, method):
     assert re.search(r"constraint +wanted +before +learned +violated by", text)
     assert "at least 0.3, at most 0.9" in text
     assert f"{STIFFNESS}  10" in text
+    assert min(rows["growth_at"]) >= 0.0, "the effort does not hang on the motion, the constraints do"
+
+
+def test_a_replay_tells_what_becomes_of_the_constraints(finger, tmp_path):
+    learned = learn(finger, tmp_path, "optimizer={sqp: {max_iterations: 3}}", "goals.target.spread=null")
+    same, longer = (
+        run_simulate(learned, more, tmp_path / "replay", threads=1) for more in ([], ["time.duration=0.12"])
+    )
+    tip = result_of(learned)["constraints"]["tip"]
+    del tip["start"]
+    assert result_of(same)["constraints"]["tip"] == tip
+    assert result_of(longer)["constraints"]["tip"]["value"] != tip["value"]
+    assert re.search(r"constraint +wanted +value +violated by\ntip +at most 0.018", "\n".join(report_lines(longer)))
+
+
+def test_constraints_alone_are_something_to_learn(finger, tmp_path):
+    listener = Listener()
+    none = "objective=null"
+    run = run_control(finger, [none], tmp_path, threads=1, job="codesign", reporter=listener)
+    assert result_of(run)["constraints"]["tip"]["violation"] <= 1e-8
+    assert not [line for line in listener.said if "nothing was learned" in line]
+
+
+def test_to_control_a_scene_with_a_design_says_that_it_learns_both(finger, tmp_path):
+    listener = Listener()
+    fewer = "optimizer={sqp: {max_iterations: 1}}"
+    with pytest.raises(RunError):
+        run_control(finger, [fewer], tmp_path, threads=1, reporter=listener)
+    assert [line for line in listener.said if f"unknowns: {STIFFNESS} learned beside the controller" in line]
 
 
 def test_a_design_that_cannot_be_had_ends_infeasible_and_is_kept(finger, tmp_path, capsys):
@@ -192,7 +222,7 @@ def test_groups_are_the_same_on_either_side(finger, tmp_path):
     result = result_of(learn(finger, tmp_path, both, "optimizer={adam: {max_iterations: 2}}", "constraints={}"))
     left, right, tip = result["unknowns"][STIFFNESS]["value"]
     assert left == right != tip
-    with pytest.raises(SceneError, match=r"2 of 3 groups of 'finger' have no mirror image across y"):
+    with pytest.raises(SceneError, match=r"particles of 'finger' have no mirror image across y"):
         learn(finger, tmp_path, both.replace("mirror: x", "mirror: y"))
 
 

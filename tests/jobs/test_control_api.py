@@ -42,6 +42,7 @@ def test_the_loss_is_that_of_control(problem, tmp_path):
     assert list(aux["losses"].values()) == pytest.approx([e["loss"] for e in episodes], rel=1e-12)
     assert [goals["target"].tolist() for goals in aux["goals"]] == [e["goals"]["target"] for e in episodes]
     assert aux["terms"]["tip"] == pytest.approx(history["tip"][0], rel=1e-12)
+    assert aux["constraints"] == {}
     assert aux["gradient"]["recompute_factor"] == 1.0
 
 

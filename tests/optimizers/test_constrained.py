@@ -73,9 +73,9 @@ def test_violation_counts_from_the_nearer_end():
     assert most_violated(np.zeros(0), np.zeros(0), np.zeros(0)) == 0.0
 
 
-def at(problem, x) -> Kkt:
+def at(problem, x, tolerance=1e-9) -> Kkt:
     _, g, c, J = problem.gradients_and_constraints(x)
-    return kkt(problem, x, g, c, J, 1e-9)
+    return kkt(problem, x, g, c, J, tolerance)
 
 
 def test_multipliers_at_a_projection_are_those_of_the_formula():
@@ -90,6 +90,28 @@ def test_a_constraint_that_does_not_hold_has_no_multiplier():
     found = at(Nearest(AIM, W, 10.0), AIM)
     assert found.multipliers == pytest.approx([0.0])
     assert found.residual == 0.0
+
+
+def test_a_constraint_that_is_met_with_a_little_room_has_its_multiplier():
+    """A minimum is known as one before the last digit of its constraint is; one with much room counts for nothing."""
+    problem = Nearest(AIM, W, -1.0)
+    y, away = (W @ AIM + 1.0) / (W @ W), W / (W @ W)
+    at_minimum = AIM - y * W
+    near = at(problem, at_minimum - 4e-6 * away, 1e-6)
+    assert near.multipliers == pytest.approx([y], rel=1e-5)
+    assert near.residual == pytest.approx(4e-6 * y, rel=0.1)
+    far = at(problem, at_minimum - 0.01 * away, 1e-6)
+    assert far.multipliers == [0.0]
+    assert far.residual == pytest.approx(2.0 * y, rel=0.01)
+
+
+def test_trust_constr_tells_its_own_multipliers(tmp_path):
+    """Its points keep off all ends by more than the tolerance."""
+    problem = Nearest(AIM, W, -1.0)
+    solve(tmp_path, METHODS["trust_constr"], problem)
+    rows = read_history(run_folder(tmp_path) / "history.csv")
+    assert rows["multiplier:plane"][-1] == pytest.approx((W @ AIM + 1.0) / (W @ W), rel=1e-3)
+    assert rows["kkt"][-1] < 1e-4
 
 
 def test_a_multiplier_never_pulls_out_of_what_is_allowed():
@@ -204,6 +226,7 @@ def test_a_constraint_that_nothing_moves_hides_no_other(tmp_path, method):
     outcome, _ = solve(tmp_path, method, problem)
     assert outcome.status == "infeasible"
     assert "constraint 'stuck' is 70, wanted at most 0" in outcome.message
+    assert "no unknown has a bearing on stuck" in outcome.message
     rows = read_history(run_folder(tmp_path) / "history.csv")
     assert set(rows["constraint:stuck"]) == {70.0}
     _, c = problem.values_and_constraints(outcome.x)
@@ -230,6 +253,16 @@ def test_the_verdict_is_in_the_constraints_own_unit_and_names_the_others():
         "constraint 'ball' is 8.5, wanted at most 2: violated by 6.5 (3.25 of its scale), the least that was found; "
         "sum is violated less; at bounds: [] below, [0] above"
     )
+
+
+def test_an_augmented_lagrangian_converges_where_the_last_point_meets_the_constraints(tmp_path):
+    """Its slope is small, and it was feasible, on its way over the edge too."""
+    problem = Nearest([1.0, 0.0], [1.0, 0.0], 0.0)
+    problem.start = np.array([-0.1, 1.5])
+    method = AugmentedLagrangian(max_iterations=900, learning_rate=0.1, gradient_tolerance=0.1)
+    outcome, _ = solve(tmp_path, method, problem)
+    assert outcome.status == "converged"
+    assert outcome.x == pytest.approx([0.0, 0.0], abs=0.11)
 
 
 def test_sqp_shortens_its_step_where_a_trial_blows_up(tmp_path):

@@ -91,7 +91,7 @@ BAD = {
     ),
     "a follower's bound": (
         {f"bodies.a.{E}": {"bounds": [5, 20], "also": {f"bodies.b.{E}": {"offset": -5}}}},
-        "the bounds reach 5, but the value must be greater than 0, is 0",
+        f"the bounds reach 5, but by `also`, bodies.b.{E} must be greater than 0, is 0",
     ),
     "a factor of nothing": (
         {f"bodies.a.{E}": {"bounds": [5, 20], "also": {f"bodies.b.{E}": {"factor": 0}}}},
@@ -116,8 +116,12 @@ BAD_TOGETHER = {
         f"with {CORNER} at 0.3 and {SIZE} at 0.4 bodies.b.shape overlaps the body",
     ),
     "an angle between its bounds": (
-        {"bodies.a.place.angle": [0, 180]},
+        {"bodies.a.place.angle": [0, 360]},
         "at 30 bodies.a.place reaches x = -0.",
+    ),
+    "past another body": (
+        {CORNER: [0.02, 0.72]},
+        f"unknowns.{CORNER}.bounds: at 0.253333 bodies.b.shape overlaps the body 'a'",
     ),
     "next to nothing": (
         {SIZE: [1e-9, 0.3]},
@@ -136,8 +140,20 @@ def test_bounds_that_only_together_or_between_them_cannot_be(name):
     bodies = {"a": box(0.125, per_cell=3 if "sparse" in name else 16), "b": box(0.625)}
     if "angle" in name:
         bodies["a"] |= {"place": {"angle": 0.0}}
+    if "past" in name:
+        bodies["b"] = box(0.45)
     with pytest.raises(SceneError, match=re.escape(message)):
         build(load_scene(data({path: {"bounds": ends} for path, ends in bounds.items()}, bodies=bodies)))
+
+
+def test_a_mirrored_field_of_a_lopsided_body_is_told():
+    scene = data({f"bodies.a.{E}": {"bounds": [5, 20], "per": "field", "mirror": "x"}})
+    assert not [problem for problem in build(load_scene(scene)).warnings if "mirror" in str(problem)]
+    foot = {"box": {"corner": [0.125, 0.125], "size": [0.125, 0.125]}}
+    scene["bodies"]["a"] = {**scene["bodies"]["a"], "parts": {"body": box(0.125)["shape"], "foot": foot}}
+    del scene["bodies"]["a"]["shape"]
+    (told,) = [str(problem) for problem in build(load_scene(scene)).warnings if "mirror" in str(problem)]
+    assert "'a' is not its own mirror image across x, in 11% of its particles" in told
 
 
 @pytest.mark.parametrize("name", BAD)
