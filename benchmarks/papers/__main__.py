@@ -12,7 +12,9 @@ import argparse
 import signal
 import sys
 import time
-from collections.abc import Sequence
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from benchmarks.papers.catalogue import FIGURES
@@ -47,8 +49,9 @@ def main(words: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(75))  # so that runs are asked to stop, too
     chosen, size = [FIGURES[name] for name in options.only or FIGURES], Size(options.size)
     try:
-        for folder in (options.out / size, options.runs / size):
-            make_directory(folder)
+        if not options.list:
+            for folder in (options.out / size, options.runs / size):
+                make_directory(folder)
         return _run(chosen, size, options)
     except CqrunError as error:
         parser.exit(2, f"error: {error}\n")
@@ -90,7 +93,10 @@ def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> i
     """Do the work of figures until the time is over, and publish each; return 0, 75 (no more time) or 1 (error)."""
     runs, folder = options.runs / size, options.out / size
     end = time.monotonic() + 60.0 * options.minutes
-    errors = [told for figure in figures for work in figure.work(size) if (told := _restored(work, runs, folder))]
+    elsewhere = {
+        figure.id: told for figure in figures for work in figure.work(size) if (told := _restored(work, runs, folder))
+    }
+    errors = list(elsewhere.values())
     works = {work.name: work for figure in figures for work in figure.work(size)}
     left = sum(_left(work, runs) for work in works.values())
     print(f"{len(figures)} figures, size {size}: about {span(left)} of work left on two cores")
@@ -101,21 +107,39 @@ def _do(figures: Sequence[Figure], size: Size, options: argparse.Namespace) -> i
         told = f"about {span(about)}" if todo else "done"
         print(f"[{k}/{len(figures)}] {figure.id}: {figure.title} ({told}; {span(left)} left in all)", flush=True)
         left -= about
-        try:
-            for work in todo:
-                seconds = end - time.monotonic()
-                if seconds <= 0.0 or not work.do(runs / work.name, seconds, options.jobs):
-                    complete = False
-                    break
+        if figure.id in elsewhere:
+            print(f"    left out: {elsewhere[figure.id]}", flush=True)
+            continue
+        for work in todo:
+            with _told(figure, errors):
+                complete &= (seconds := end - time.monotonic()) > 0.0 and work.do(
+                    runs / work.name, seconds, options.jobs
+                )
+        with _told(figure, errors):
             _show(figure, size, runs, options.out)
-        except WorkError as error:  # the others go on
-            print(f"    error: {error}", flush=True)
-            errors.append(str(error))
     if not complete:
         print("not all is done: the same command goes on")
     if errors:
-        print(f"{len(errors)} figures or more are left out:", *dict.fromkeys(errors), sep="\n  ")
+        print("what could not be done or shown:", *dict.fromkeys(errors), sep="\n  ")
     return 1 if errors else 0 if complete else 75
+
+
+@contextmanager
+def _told(figure: Figure, errors: list[str]) -> Iterator[None]:
+    """Tell and keep what goes wrong with a figure, be it a fault of ours: the others go on."""
+    try:
+        yield
+    except Exception as error:
+        place = "" if isinstance(error, CqrunError) else f" ({_line(error)})"
+        told = f"{figure.id}: {'' if place == '' else f'{type(error).__name__}: '}{error}{place}"
+        print(f"    error: {told}", flush=True)
+        errors.append(told)
+
+
+def _line(error: Exception) -> str:
+    """Return where an error arose."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{last.filename}:{last.lineno}"
 
 
 def _restored(work: Work, runs: Path, folder: Path) -> str:

@@ -47,8 +47,9 @@ def keep(work: Work, runs: Path, archive: Path) -> None:
     if not work.begun(root):
         return
     if archive.exists():
-        there = _contents(archive)[0]
-        if there["fingerprint"] == work.fingerprint() and there["seconds"] > work.spent(root):
+        there, is_done = _contents(archive)
+        mine = work.done(root) is not None, work.spent(root)
+        if there["fingerprint"] == work.fingerprint() and (is_done, there["seconds"]) > mine:
             print(f"    {archive} holds more of {work.name} than {root}, and stays", flush=True)
             return
     packed = io.BytesIO()

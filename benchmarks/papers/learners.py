@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.histories import first_below, runs_below, smooth
-from benchmarks.papers.work import SCENES, Found, Measurement, Runs, Work
+from benchmarks.papers.work import SCENES, Found, Measurement, Runs, Work, WorkError
 from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, new_figure, titled
 from cqrun.store.atomic import write_text
@@ -113,8 +113,7 @@ class Learners(Figure):
                 print("    PPO: stable_baselines3 is absent, and the curve that is committed is taken")
                 write_text(file, kept.read_text())
             elif not has_extra:
-                print("    PPO is left out: it needs stable_baselines3, which is absent: pip install 'cqrun[rl]'")
-                return False
+                raise WorkError("PPO is left out: it needs stable_baselines3, which is absent: pip install 'cqrun[rl]'")
             elif time.monotonic() > deadline:
                 return False
             else:

@@ -28,7 +28,7 @@ from cqrun.errors import CqrunError
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine
 from cqrun.store.atomic import make_directory, write_json
-from cqrun.store.run import read_record
+from cqrun.store.run import FINISHED, read_record
 
 ROOT = Path(__file__).parents[2]
 SCENES = ROOT / "scenes"
@@ -107,6 +107,19 @@ class Work(ABC):
     def engine(self, folder: Path) -> str:
         """Return the hash of the engine that did it, or goes on with it."""
         return str((_read(folder / DONE) or _read(folder / CLOCK))["engine"])
+
+    def start_over(self, folder: Path) -> None:
+        """Empty the folder of what another engine has begun, if that is soon done again.
+
+        Raises:
+            WorkError: it is not.
+        """
+        with CLOCKS:
+            clock = _read(folder / CLOCK)
+            check_worth(folder, clock)
+            shutil.rmtree(folder)
+            make_directory(folder)
+            write_json(folder / CLOCK, clock | {"engine": engine_hash(), "seconds": 0.0})
 
     def spent(self, folder: Path) -> float:
         """Return the seconds that were spent on it so far."""
@@ -230,17 +243,8 @@ class Runs(Work):
 
     def go_on(self, folder: Path, seconds: float, jobs: int) -> bool:
         """Run cqrun for so long at most; say whether it is finished."""
-        command = [
-            sys.executable,
-            "-m",
-            "cqrun",
-            self.job,
-            str(self.path),
-            *self.words,
-            "--quiet",
-            "--out",
-            str(folder),
-        ]
+        command = [sys.executable, "-m", "cqrun", self.job, str(self.path), *self.words]
+        command += ["--quiet", "--out", str(folder)]
         if self.seeds:
             several = "--ablate" in self.options  # variants run side by side, too
             command += ["--jobs", str(jobs if several else min(jobs, self.seeds))]
@@ -253,7 +257,7 @@ class Runs(Work):
 
         code, said = _for_so_long(command, end, tell)
         if code in (FAILED, USAGE) and "made by another engine" in said:
-            self._start_over(folder)
+            self.start_over(folder)
             code, said = _for_so_long(command, end, tell)
         while code in (FAILED, USAGE) and HELD in said:
             print(f"    {self.name}: {said.strip()}\n    waiting for it", flush=True)
@@ -266,7 +270,14 @@ class Runs(Work):
         if code == FAILED and KILLED in said:
             print(f"    {self.name}: {said.strip()}", flush=True)
             return False
+        if code == FAILED and not self._ended(folder):
+            raise WorkError(f"{self.name}: `{self.command}` ended with {code} before it was done\n{said}")
         return code != STOPPED
+
+    def _ended(self, folder: Path) -> bool:
+        """Say whether all its runs came to an end: a full disk or a fault of ours is no result."""
+        runs = self.runs(folder)
+        return bool(runs) and all(read_record(run)["status"] in FINISHED for run in runs)
 
     def progress(self, folder: Path) -> str:
         """Return how far its runs are."""
@@ -278,19 +289,6 @@ class Runs(Work):
         """Return why runs of it failed, which is a result too."""
         records = [read_record(run) for run in self.runs(folder)]
         return [str(record["reason"]) for record in records if record["status"] == "failed"]
-
-    def _start_over(self, folder: Path) -> None:
-        """Empty the folder of runs that another engine has begun, if that is soon done again.
-
-        Raises:
-            WorkError: it is not.
-        """
-        with CLOCKS:
-            clock = _read(folder / CLOCK)
-            check_worth(folder, clock)
-            shutil.rmtree(folder)
-            make_directory(folder)
-            write_json(folder / CLOCK, clock | {"engine": engine_hash(), "seconds": 0.0})
 
     def runs(self, folder: Path) -> list[Path]:
         """Return its run directories."""
@@ -373,7 +371,9 @@ class Measurement(Work):
         return _hash(*(word.encode() for word in (self.told, *self.settings)), *map(_content, self.sources))
 
     def go_on(self, folder: Path, seconds: float, jobs: int) -> bool:
-        """Measure for so long at most; say whether it is finished."""
+        """Measure for so long at most; say whether it is finished. Rows of two engines are not mixed."""
+        if self.engine(folder) != engine_hash():
+            self.start_over(folder)
         return self.measure(folder, time.monotonic() + seconds)
 
 

@@ -117,6 +117,13 @@ def test_an_archive_that_holds_more_stays(learned, tmp_path, monkeypatch, capsys
     keep(LEARNED, runs, rich)
     assert "and stays" in capsys.readouterr().out
     assert rich.read_bytes() == packed
+    (runs / LEARNED.name / DONE).write_text(json.dumps(facts | {"seeds": LEARNED.seeds}))  # all is more than much
+    keep(LEARNED, runs, tmp_path / "whole.tar.xz")
+    whole = (tmp_path / "whole.tar.xz").read_bytes()
+    (runs / LEARNED.name / DONE).unlink()
+    clock.write_text(json.dumps(facts | {"seconds": 36_000.0}))
+    keep(LEARNED, runs, tmp_path / "whole.tar.xz")
+    assert (tmp_path / "whole.tar.xz").read_bytes() == whole
     monkeypatch.setattr(kept, "engine_hash", lambda: "another")
     with pytest.raises(WorkError, match="600 minutes of work by engine"):
         restore(LEARNED, tmp_path / "elsewhere", rich)

@@ -60,8 +60,32 @@ def test_a_figure_that_cannot_be_does_not_end_the_others(two_figures, capsys):
     toys["one"].works = (replace(toys["one"].works[0], measure=broken),)
     assert [command.main(words) for _ in range(3)] == [1, 1, 1]
     told = capsys.readouterr().out
-    assert "error: it does not count" in told
+    assert "error: one: it does not count" in told
     assert "quick: reproduced: they grow (yes)" in told
+
+
+def test_a_fault_in_a_figure_does_not_end_the_others(two_figures, capsys):
+    toys, words = two_figures
+    toys["one"].table = lambda found, size: 1 / 0
+    assert [command.main(words) for _ in range(4)][-1] == 1
+    told = capsys.readouterr().out
+    assert f"error: one: ZeroDivisionError: division by zero ({__file__}:" in told
+    assert "quick: reproduced: they grow (yes)" in told
+
+
+def test_what_another_engine_has_begun_is_left_alone(two_figures, tmp_path, capsys, monkeypatch):
+    """It was started over, and that it was only told in the end."""
+    _, words = two_figures
+
+    def refused(work, runs, archive):
+        if work.name == "one":
+            raise WorkError("600 minutes of work by another engine")
+
+    monkeypatch.setattr(command, "restore", refused)
+    assert [command.main(words) for _ in range(3)] == [1, 1, 1]
+    assert "    left out: 600 minutes of work by another engine" in capsys.readouterr().out
+    assert not (tmp_path / "runs" / "quick" / "one").exists()
+    assert (tmp_path / "out" / "quick" / "two.png").exists()
 
 
 def test_a_part_is_not_written_over_the_whole(two_figures, tmp_path, capsys):
@@ -91,7 +115,8 @@ def test_committed_curves_of_ppo_are_of_the_work_that_they_are_taken_for(tmp_pat
     assert ppo.do(tmp_path / "a", 1.0, 1)
     monkeypatch.setattr(type(finger), "squared", "")
     *_, other = finger.work(Size.QUICK)
-    assert not other.do(tmp_path / "b", 1.0, 1)
+    with pytest.raises(WorkError, match="PPO is left out: it needs stable_baselines3"):
+        other.do(tmp_path / "b", 1.0, 1)
 
 
 def test_the_gallery_is_of_what_is_committed(tmp_path):

@@ -182,7 +182,33 @@ def test_a_run_that_was_killed_is_not_finished(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("benchmarks.papers.work._for_so_long", lambda *_: answers.pop(0))
     assert not TEAR.do(tmp_path / "tear", 100.0, 1)
     assert "was killed" in capsys.readouterr().out
+    ended(tmp_path / "tear", "failed")
     assert TEAR.do(tmp_path / "tear", 100.0, 1)
+
+
+def ended(folder, status):
+    """Leave a run that ended so."""
+    run = folder / "tear" / "0123456789ab" / "run.json"
+    run.parent.mkdir(parents=True, exist_ok=True)
+    run.write_text(json.dumps({"job": "simulate", "status": status, "reason": "", "seconds": 0.0, "files": {}}))
+
+
+@pytest.mark.parametrize("status", ["", "new", "running", "stopped"])
+def test_a_run_that_ends_before_it_is_done_is_no_result(tmp_path, monkeypatch, status):
+    """As where the disk is full: cqrun ends with 1 there, too."""
+    monkeypatch.setattr("benchmarks.papers.work._for_so_long", lambda *_: (1, "no space left"))
+    if status:
+        ended(tmp_path / "tear", status)
+    with pytest.raises(WorkError, match=r"ended with 1 before it was done\nno space left"):
+        TEAR.go_on(tmp_path / "tear", 100.0, 1)
+
+
+def test_rows_of_two_engines_are_not_mixed(tmp_path, monkeypatch):
+    assert not COUNT.do(tmp_path / "count", 9.0, 1)
+    monkeypatch.setattr("benchmarks.papers.work.engine_hash", lambda: "another")
+    assert not COUNT.do(tmp_path / "count", 9.0, 1)
+    assert [file.name for file in (tmp_path / "count").glob("*.txt")] == ["0.txt"]
+    assert COUNT.engine(tmp_path / "count") == "another"
 
 
 def test_work_of_which_nothing_can_be_shown_is_told_and_kept(tmp_path, monkeypatch, capsys):

@@ -15,7 +15,7 @@ class BipedAgainstPPO(Learners):
     left_open = (
         "time is counted in episodes: they cost the gradient about three times a plain rollout. Losses are means over "
         "ten episodes; of CMA-ES every sixteen the best one counts, and after 2,400 it is lower (-.71 to -.86) than "
-        "the gradient after its 100 (-.26 to -.63)"
+        "the gradient after its 100 (-.26 to -.63 without the mean)"
     )
     scene, label, optimizer = "control/biped", "loss: -x + v^2 of the head", "sgd"
     small = ("bodies.biped.sampling.lattice.count=10", "world.dx=0.04")

@@ -52,7 +52,9 @@ class LegDropped(Frames):
     title = "A pneumatic leg falls 15 cm"
     source = "CQ1 Fig 3, right"
     paper = "photographs beside frames: the leg falls 15 cm, is squeezed and springs back"
-    tolerance = {size: "it falls as a free body until it lands, is squeezed, and springs back" for size in Size}
+    tolerance = {
+        size: f"it falls as a free body until it lands, is squeezed, and springs back; {WHOLE}" for size in Size
+    }
     left_open = "how long; real footage cannot be reproduced"
     name, body, group, count, columns, unit = "leg_drop", "leg", "core", 6, 6, "cm"
 
@@ -75,8 +77,11 @@ class LegDropped(Frames):
         error = float(abs((y[0] - G / 2 * time[falling] ** 2) - y[falling]).max())
         lowest = int(y.argmin())
         back = float(y[lowest:].max() - y[lowest])
+        pressed = float(table["least_volume_ratio"][~falling].min())
         return judged({
             f"falls freely within {error:.2g} cm for .1 s": error < 0.05,
             f"is lowest after {time[lowest]:.3f} s, {y[0] - y[lowest]:.1f} cm lower": y[0] - y[lowest] > 14.0,
+            f"is squeezed, to {pressed:.2f} of its volume where most": pressed < 0.95,
             f"springs back by {back:.2f} cm": back > 0.1,
+            **self.whole(table),
         })  # fmt: skip

@@ -27,8 +27,8 @@ class TwoLinkArm(Violations):
     fixed = {"fixed 100 %": 10.0, "fixed 300 %": 30.0}
     left_open = (
         "the solver, which is ours (CQ1's is SLSQP): with it the arms that stall in the paper come to the goal too. "
-        "When the constraints are met it goes on to lower the effort, at violations of up to 5e-6; the best design "
-        "that meets them is kept"
+        "When the constraints are met it goes on to lower the effort, on steps that leave them by 1e-4 and come back; "
+        "the best design that meets them is kept"
     )
     quick = QUICK
     minutes = {Size.QUICK: 0.7, Size.PAPER: 4.0}

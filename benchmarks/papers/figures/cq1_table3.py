@@ -91,7 +91,7 @@ class Accuracy(Figure):
             axes.set_xlabel("steps")
             titled(axes, f"{case}: {TOLD[case]}")
         picture.axes[0].set_ylabel("relative error")
-        picture.axes[0].legend()
+        picture.legend(*picture.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
         return picture
 
     def judge(self, table: Table, size: Size) -> Verdict:

@@ -72,7 +72,7 @@ class Fracture(Figure):
             left.plot(table["pull"][own], 100 * table["lost"][own], color=colour, label=f"{n:g} a cell")
         left.set_xlabel("pull on the bar's end [m/s$^2$]")
         left.set_ylabel("lost neighbours [% of the most]")
-        left.legend(loc="lower right")
+        picture.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=4)
         tears = self.tears(table)
         right.plot(list(tears), list(tears.values()), "o-", color=COLOURS[0])
         right.set_xlabel("particles a cell")

@@ -76,8 +76,8 @@ class LengthArm(Figure):
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge when the tip came near."""
         free, fixed = (table["distance"][table["variant"] == name] for name in ("free", "fixed"))
-        near = first_below(free, NEAR)
+        near, enough = first_below(free, NEAR), len(fixed) > 200
         return judged({
             f"free: below .001 at step {near}, ends at {free[-1]:.2g}": near is not None and near <= 100,
-            f"fixed: {fixed.min():.2g} at best in {len(fixed) - 1} steps": bool(fixed.min() > NEAR),
+            f"fixed: {fixed.min():.2g} at best in {len(fixed) - 1} steps": enough and bool(fixed.min() > NEAR),
         })  # fmt: skip
