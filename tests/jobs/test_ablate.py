@@ -142,7 +142,7 @@ def test_that_no_run_meets_the_constraints_is_a_failure(tmp_path):
     path, good = run_ablation(scene, given, tmp_path / "out", threads=2, seeds=1)
     assert not good
     text = "\n".join(ablation_lines(path))
-    assert "variants from 1 seed;" in text
+    assert "variants from one seed;" in text
     assert "no run of any variant meets the constraints" in text
 
 
