@@ -34,8 +34,8 @@ class BipedAblation(Ablation):
         "design allowed is beyond the stable substep); gravity 6 and the start a cell above the floor, of a few that "
         "were tried with the first five seeds, for control alone to come as far as the paper's; gradients are clipped "
         "to a length of 1; one learning rate for all variants, not searched. Judged where learning ends: of what runs "
-        "keep, their best, seven seeds have 1.68 m with control alone and 1.94 m with all (one came 2.20 m, and ended at "
-        ".28)"
+        "keep, their best, seven seeds have 1.68 m with control alone and 1.94 m with all (one came 2.20 m, and ended "
+        "at .28)"
     )
     scene = "codesign/biped_codesign"
     quick = ("bodies.biped.sampling.lattice.count=11", "time.duration=2", "optimizer.adam.max_iterations=20")
