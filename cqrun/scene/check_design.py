@@ -57,7 +57,7 @@ def design_problems(scene: Scene, particles: Particles) -> list[Problem]:
     except MissingExtra:
         raise
     except UsageError as error:
-        path = next(path for path in unknowns if not _starts(scene, particles, path))
+        path = next((path for path in unknowns if not _starts(scene, particles, path)), next(iter(unknowns)))
         return [Problem(scene.where(f"unknowns.{path}"), f"unknowns.{path}", str(error))]
     found = list(_tried(rest, [{path: end} for path, unknown in unknowns.items() for end in unknown.bounds]))
     for path in unknowns if not found else ():

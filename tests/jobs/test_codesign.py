@@ -132,8 +132,7 @@ def test_a_replay_tells_what_becomes_of_the_constraints(finger, tmp_path):
 
 def test_constraints_alone_are_something_to_learn(finger, tmp_path):
     listener = Listener()
-    none = "objective=null"
-    run = run_control(finger, [none], tmp_path, threads=1, job="codesign", reporter=listener)
+    run = run_control(finger, ["objective=null"], tmp_path, threads=1, job="codesign", reporter=listener)
     assert result_of(run)["constraints"]["tip"]["violation"] <= 1e-8
     assert not [line for line in listener.said if "nothing was learned" in line]
 

@@ -152,7 +152,7 @@ def test_learning_killed_twenty_times(tmp_path, rng, name):
 @pytest.mark.parametrize("name", DESIGNERS)
 def test_a_design_killed_twenty_times(tmp_path, rng, name):
     if name.startswith("nlopt"):
-        pytest.importorskip("nlopt")
+        pytest.importorskip("nlopt", reason="the extra nlopt is absent")
     scene = written(tmp_path, DESIGN)
     changed(scene, "at_most: 0.018, scale: 0.01", "at_most: 0.03, scale: 0.01")
     killed_and_resumed(scene, tmp_path, DESIGNERS[name], 20, rng, "codesign")

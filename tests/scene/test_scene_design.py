@@ -146,6 +146,14 @@ def test_bounds_that_only_together_or_between_them_cannot_be(name):
         build(load_scene(data({path: {"bounds": ends} for path, ends in bounds.items()}, bodies=bodies)))
 
 
+def test_a_polygon_that_crosses_itself_is_told_where_its_corners_are_unknowns():
+    corner = "bodies.a.shape.polygon.points.2.0"
+    scene = data({corner: {"bounds": [0.1, 0.2]}})
+    scene["bodies"]["a"]["shape"] = {"polygon": {"points": [[0.1, 0.25], [0.4, 0.75], [0.15, 0.75], [0.4, 0.25]]}}
+    with pytest.raises(SceneError, match=rf"unknowns.{corner}: a polygon whose corners are unknowns must not cross"):
+        build(load_scene(scene))
+
+
 def test_a_mirrored_field_of_a_lopsided_body_is_told():
     scene = data({f"bodies.a.{E}": {"bounds": [5, 20], "per": "field", "mirror": "x"}})
     assert not [problem for problem in build(load_scene(scene)).warnings if "mirror" in str(problem)]
