@@ -2,6 +2,8 @@
 
 figure.py    what a figure is: its work, its table, its picture, its verdict
 work.py      what takes time: runs of cqrun, and measurements; each goes on where it stopped
+turns.py     which of it runs when, side by side or alone; process.py runs a command for so long
+rebuild.py   what `make` does: the work in turn, each figure when its own has ended
 figures/     one module a figure; families share a module whose name says what they draw
 catalogue.py all of them, in the papers' order
 page.py      index.html

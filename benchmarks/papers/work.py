@@ -10,8 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-import signal
-import subprocess
 import sys
 import threading
 import time
@@ -24,26 +22,18 @@ from typing import Any
 
 import yaml
 
+from benchmarks.papers.process import FAILED, LOOK, OVER, ROOT, STOPPED, USAGE, for_so_long
 from cqrun.errors import CqrunError
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine
+from cqrun.jobs.runs import cores
 from cqrun.store.atomic import make_directory, write_json
 from cqrun.store.run import FINISHED, read_record
 
-ROOT = Path(__file__).parents[2]
 SCENES = ROOT / "scenes"
 DONE, CLOCK = "done.json", "clock.json"
-FAILED, USAGE, STOPPED = 1, 2, 75
-"""How cqrun ends: runs failed or no design will do, which is a result too; bad input; it was asked to stop."""
-
 WORTH = 600.0
 """Seconds of work that are not thrown away unasked."""
-
-GRACE = 120.0
-"""Seconds that a run has to finish its iteration when its time is over."""
-
-LOOK = 60.0
-"""Seconds between two lines that say how far long work is, or two looks at a run that another process holds."""
 
 TICK = 30.0
 """Seconds between two looks at the clock: a killed process has lost no more of its time than that."""
@@ -68,7 +58,7 @@ class Work(ABC):
 
     Attributes:
         name: its folder.
-        minutes: that it takes on two cores, as measured.
+        minutes: of two cores that it takes, as measured: a run on one of them counts half of its time.
     """
 
     name: str
@@ -83,9 +73,14 @@ class Work(ABC):
     def fingerprint(self) -> str:
         """Return what its result depends on besides the engine, as hex digits."""
 
+    @property
     @abstractmethod
-    def go_on(self, folder: Path, seconds: float, jobs: int) -> bool:
-        """Work for so long at most; say whether all is done."""
+    def is_alone(self) -> bool:
+        """Say whether it wants the whole machine: other work would slow it, or what it measures."""
+
+    @abstractmethod
+    def go_on(self, folder: Path, seconds: float, jobs: int, share: float) -> bool:
+        """Work for so long at most, with so much of the machine; say whether all is done."""
 
     def done(self, folder: Path) -> dict[str, Any] | None:
         """Return what `done.json` says, or None where the work is not done or is not this any more."""
@@ -125,15 +120,22 @@ class Work(ABC):
         """Return the seconds that were spent on it so far."""
         return float(_read(folder / CLOCK)["seconds"]) if self.begun(folder) else 0.0
 
-    def do(self, folder: Path, seconds: float, jobs: int) -> bool:
-        """Do it, or go on with it; say whether it is done."""
+    def do(self, folder: Path, seconds: float, jobs: int, share: float = 1.0) -> bool:
+        """Do it, or go on with it; say whether it is done.
+
+        Args:
+            folder: holds it.
+            seconds: that it has.
+            jobs: runs side by side, where it has several.
+            share: of the machine that is its own.
+        """
         if not self.begun(folder):
             _clear(folder)
             make_directory(folder)
             fresh = {"fingerprint": self.fingerprint(), "engine": engine_hash(), "seconds": 0.0}
             write_json(folder / CLOCK, fresh)
-        with _timed(folder):
-            finished = self.go_on(folder, seconds, jobs)
+        with _timed(folder, share):
+            finished = self.go_on(folder, seconds, jobs, share)
         if finished:
             write_json(folder / DONE, _read(folder / CLOCK) | self.facts() | {"machine": machine()})
         return finished
@@ -151,15 +153,15 @@ def _clear(folder: Path) -> None:
 
 
 @contextmanager
-def _timed(folder: Path) -> Iterator[None]:
-    """Add the time of a block to the clock of a folder, as it passes."""
+def _timed(folder: Path, share: float) -> Iterator[None]:
+    """Add the time of a block, of its share of the machine, to the clock of a folder, as it passes."""
     over, last = threading.Event(), time.monotonic()
 
     def count() -> None:
         nonlocal last
         with CLOCKS:
             clock, now = _read(folder / CLOCK), time.monotonic()
-            write_json(folder / CLOCK, clock | {"seconds": clock["seconds"] + now - last})
+            write_json(folder / CLOCK, clock | {"seconds": clock["seconds"] + share * (now - last)})
             last = now
 
     def watch() -> None:
@@ -241,30 +243,35 @@ class Runs(Work):
         """Return the command and its seeds."""
         return super().facts() | {"seeds": self.seeds}
 
-    def go_on(self, folder: Path, seconds: float, jobs: int) -> bool:
+    @property
+    def is_alone(self) -> bool:
+        """Say whether it has runs enough for the whole machine: seeds, or variants."""
+        return self.seeds > 1 or "--ablate" in self.options
+
+    def go_on(self, folder: Path, seconds: float, jobs: int, share: float) -> bool:
         """Run cqrun for so long at most; say whether it is finished."""
         command = [sys.executable, "-m", "cqrun", self.job, str(self.path), *self.words]
         command += ["--quiet", "--out", str(folder)]
         if self.seeds:
-            several = "--ablate" in self.options  # variants run side by side, too
-            command += ["--jobs", str(jobs if several else min(jobs, self.seeds))]
-        end, begun = time.monotonic() + seconds, self.spent(folder) - time.monotonic()
+            command += ["--jobs", str(jobs if "--ablate" in self.options else min(jobs, self.seeds))]
+        if share < 1.0:
+            command += ["--threads", str(max(1, int(share * cores(None))))]
+        end, begun, before = time.monotonic() + seconds, time.monotonic(), self.spent(folder)
 
         def tell() -> None:
-            minutes = (begun + time.monotonic()) / 60.0
-            left = max(0.1 * self.minutes, self.minutes - minutes)
+            minutes = (before / share + time.monotonic() - begun) / 60.0
+            left = max(0.1 * self.minutes / share, self.minutes / share - minutes)
             print(f"    {self.name}: {self.progress(folder)}, {minutes:.0f} min; about {span(left)} left", flush=True)
 
-        code, said = _for_so_long(command, end, tell)
+        code, said = for_so_long(command, end, tell)
         if code in (FAILED, USAGE) and "made by another engine" in said:
             self.start_over(folder)
-            code, said = _for_so_long(command, end, tell)
+            code, said = for_so_long(command, end, tell)
         while code in (FAILED, USAGE) and HELD in said:
             print(f"    {self.name}: {said.strip()}\n    waiting for it", flush=True)
-            time.sleep(min(LOOK, max(0.0, end - time.monotonic())))
-            if time.monotonic() >= end:
+            if OVER.wait(min(LOOK, max(0.0, end - time.monotonic()))) or time.monotonic() >= end:
                 return False
-            code, said = _for_so_long(command, end, tell)
+            code, said = for_so_long(command, end, tell)
         if code not in (0, FAILED, STOPPED):
             raise WorkError(f"{self.name}: `{self.command}` ended with {code}\n{said}")
         if code == FAILED and KILLED in said:
@@ -316,35 +323,6 @@ def _named(value: object, base: Path) -> Iterator[Path]:
         yield from _named(each, base)
 
 
-def _for_so_long(command: list[str], end: float, tell: Callable[[], None]) -> tuple[int, str]:
-    """Run a command, telling how far it is; ask it to stop when its time is over.
-
-    Return its exit status, STOPPED if it ended because it was asked to, and what it said.
-    """
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    end = max(end, time.monotonic() + 1.0)
-    try:
-        while (left := end - time.monotonic()) > 0.0:
-            try:
-                said, _ = process.communicate(timeout=min(left, LOOK))
-                return process.returncode, said
-            except subprocess.TimeoutExpired:
-                if left > LOOK:
-                    tell()
-        process.send_signal(signal.SIGTERM)
-        try:
-            said, _ = process.communicate(timeout=GRACE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            said, _ = process.communicate()
-        # it may have been asked before it could listen, and then ends by the signal itself
-        return STOPPED if process.returncode < 0 else process.returncode, said
-    except BaseException:
-        process.send_signal(signal.SIGTERM)
-        process.wait()
-        raise
-
-
 @dataclass(frozen=True)
 class Measurement(Work):
     """A function of ours that measures something.
@@ -352,6 +330,7 @@ class Measurement(Work):
     Attributes:
         measure: (folder, deadline of time.monotonic) -> whether it is finished; it keeps what it has in the folder.
         told: what a reader would type.
+        alone: whether the whole machine is wanted, as where seconds are what is measured.
         sources: files whose change makes it another measurement.
         settings: words of which the same is true.
     """
@@ -360,6 +339,12 @@ class Measurement(Work):
     told: str
     sources: tuple[Path, ...] = ()
     settings: tuple[str, ...] = ()
+    alone: bool = False
+
+    @property
+    def is_alone(self) -> bool:
+        """Say whether the whole machine is wanted."""
+        return self.alone
 
     @property
     def command(self) -> str:
@@ -370,7 +355,7 @@ class Measurement(Work):
         """Return what its result depends on besides the engine, as hex digits."""
         return _hash(*(word.encode() for word in (self.told, *self.settings)), *map(_content, self.sources))
 
-    def go_on(self, folder: Path, seconds: float, jobs: int) -> bool:
+    def go_on(self, folder: Path, seconds: float, jobs: int, share: float) -> bool:
         """Measure for so long at most; say whether it is finished. Rows of two engines are not mixed."""
         if self.engine(folder) != engine_hash():
             self.start_over(folder)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import typer
+
+
+PICTURES = "CQRUN_PICTURES"
+"""Environment variable: 0 draws nothing when a run is finished, as of hundreds that nobody looks at one by one."""
 
 
 def print_run(run: Path) -> None:
@@ -28,7 +33,7 @@ def draw_and_print_run(run: Path) -> None:
     from cqrun.figures.draw import draw_run, has_pictures
 
     try:
-        if has_pictures(run):
+        if os.environ.get(PICTURES) != "0" and has_pictures(run):
             draw_run(run)
     except CqrunError:
         raise

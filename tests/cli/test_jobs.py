@@ -48,6 +48,16 @@ def test_a_picture_that_cannot_be_drawn_makes_no_run_fail(cqrun, scene, monkeypa
     assert err.startswith("warning: no pictures: ValueError: no such axis; `cqrun plot results")
 
 
+def test_pictures_can_be_left_out(cqrun, scene, monkeypatch, tmp_path):
+    """As of the hundreds of runs that a comparison makes."""
+    monkeypatch.setenv("CQRUN_PICTURES", "0")
+    assert cqrun("simulate", scene, "--quiet", "-o", "time.duration=0.02")[0] == 0
+    assert not list((tmp_path / "results").rglob("*.png"))
+    monkeypatch.setenv("CQRUN_PICTURES", "1")
+    assert cqrun("simulate", scene, "--quiet", "-o", "time.duration=0.02")[0] == 0
+    assert list((tmp_path / "results").rglob("*.png"))
+
+
 def test_gradcheck_ends_with_0_or_1(cqrun, scene, monkeypatch):
     code, out, _ = cqrun("gradcheck", scene, "--quiet")
     assert code == 0

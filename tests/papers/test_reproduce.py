@@ -12,10 +12,12 @@ import pytest
 from toys import COUNT, Toy
 
 from benchmarks.papers import __main__ as command
+from benchmarks.papers import rebuild
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Size
 from benchmarks.papers.page import write_page
-from benchmarks.papers.work import ROOT, WorkError
+from benchmarks.papers.process import ROOT
+from benchmarks.papers.work import WorkError
 
 PUBLISHED = ROOT / "results" / "figures"
 
@@ -81,7 +83,7 @@ def test_what_another_engine_has_begun_is_left_alone(two_figures, tmp_path, caps
         if work.name == "one":
             raise WorkError("600 minutes of work by another engine")
 
-    monkeypatch.setattr(command, "restore", refused)
+    monkeypatch.setattr(rebuild, "restore", refused)
     assert [command.main(words) for _ in range(3)] == [1, 1, 1]
     assert "    left out: 600 minutes of work by another engine" in capsys.readouterr().out
     assert not (tmp_path / "runs" / "quick" / "one").exists()

@@ -13,10 +13,11 @@ from dataclasses import replace
 import pytest
 from toys import COUNT, TEAR
 
-from benchmarks.papers import __main__ as command
+from benchmarks.papers import rebuild
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Size
-from benchmarks.papers.work import CLOCK, DONE, ROOT, STOPPED, WorkError, _for_so_long
+from benchmarks.papers.process import ROOT, STOPPED, for_so_long
+from benchmarks.papers.work import CLOCK, DONE, WorkError
 from cqrun.store.atomic import write_json
 
 
@@ -154,10 +155,12 @@ def test_a_run_is_a_command_that_a_reader_can_type(tmp_path):
 
 def test_seeds_and_variants_run_side_by_side(tmp_path, monkeypatch):
     asked = []
-    monkeypatch.setattr("benchmarks.papers.work._for_so_long", lambda words, *_: asked.append(words) or (0, ""))
-    for seeds, options in ((0, ()), (1, ()), (3, ()), (1, ("--ablate",))):
-        replace(TEAR, seeds=seeds, options=options).go_on(tmp_path, 1.0, 2)
-    assert [words[words.index("--jobs") + 1] if "--jobs" in words else "" for words in asked] == ["", "1", "2", "2"]
+    monkeypatch.setattr("benchmarks.papers.work.for_so_long", lambda words, *_: asked.append(words) or (0, ""))
+    monkeypatch.setattr("benchmarks.papers.work.cores", lambda threads: 4)
+    for seeds, options, share in ((0, (), 1.0), (1, (), 0.5), (3, (), 1.0), (1, ("--ablate",), 1.0)):
+        replace(TEAR, seeds=seeds, options=options).go_on(tmp_path, 1.0, 2, share)
+    for option, given in (("--jobs", ["", "1", "2", "2"]), ("--threads", ["", "2", "", ""])):
+        assert [words[words.index(option) + 1] if option in words else "" for words in asked] == given
 
 
 def test_a_run_that_cannot_be_ends_with_its_command(tmp_path):
@@ -169,17 +172,17 @@ def test_a_run_that_cannot_be_ends_with_its_command(tmp_path):
 def test_a_run_that_another_process_holds_is_waited_for(tmp_path, monkeypatch, capsys):
     """Whoever began it was killed, and it goes on alone."""
     answers = [(1, "tear: another process works on this run (pid 7)"), (0, "")]
-    monkeypatch.setattr("benchmarks.papers.work._for_so_long", lambda *_: answers.pop(0))
+    monkeypatch.setattr("benchmarks.papers.work.for_so_long", lambda *_: answers.pop(0))
     monkeypatch.setattr("benchmarks.papers.work.LOOK", 0.0)
     assert TEAR.do(tmp_path / "tear", 100.0, 1)
     assert "waiting for it" in capsys.readouterr().out
     answers.append((1, "tear: another process works on this run (pid 7)"))
-    assert not TEAR.go_on(tmp_path / "tear", 0.0, 1)
+    assert not TEAR.go_on(tmp_path / "tear", 0.0, 1, 1.0)
 
 
 def test_a_run_that_was_killed_is_not_finished(tmp_path, monkeypatch, capsys):
     answers = [(1, "1 of 2 runs failed; was killed (SIGKILL); the same command goes on with it"), (1, "it blew up")]
-    monkeypatch.setattr("benchmarks.papers.work._for_so_long", lambda *_: answers.pop(0))
+    monkeypatch.setattr("benchmarks.papers.work.for_so_long", lambda *_: answers.pop(0))
     assert not TEAR.do(tmp_path / "tear", 100.0, 1)
     assert "was killed" in capsys.readouterr().out
     ended(tmp_path / "tear", "failed")
@@ -196,11 +199,11 @@ def ended(folder, status):
 @pytest.mark.parametrize("status", ["", "new", "running", "stopped"])
 def test_a_run_that_ends_before_it_is_done_is_no_result(tmp_path, monkeypatch, status):
     """As where the disk is full: cqrun ends with 1 there, too."""
-    monkeypatch.setattr("benchmarks.papers.work._for_so_long", lambda *_: (1, "no space left"))
+    monkeypatch.setattr("benchmarks.papers.work.for_so_long", lambda *_: (1, "no space left"))
     if status:
         ended(tmp_path / "tear", status)
     with pytest.raises(WorkError, match=r"ended with 1 before it was done\nno space left"):
-        TEAR.go_on(tmp_path / "tear", 100.0, 1)
+        TEAR.go_on(tmp_path / "tear", 100.0, 1, 1.0)
 
 
 def test_rows_of_two_engines_are_not_mixed(tmp_path, monkeypatch):
@@ -217,25 +220,25 @@ def test_work_of_which_nothing_can_be_shown_is_told_and_kept(tmp_path, monkeypat
         folder = tmp_path / "r" / "quick" / work.name
         folder.mkdir(parents=True)
         (folder / DONE).write_text(json.dumps({"fingerprint": work.fingerprint(), "seeds": 0, "engine": "-"}))
-    monkeypatch.setattr(command, "publish", lambda *_: None)
+    monkeypatch.setattr(rebuild, "publish", lambda *_: None)
     kept = []
-    monkeypatch.setattr(command, "keep", lambda work, *_: kept.append(work.name))
-    words = ["--only", "cq2_fracture", "--minutes", "0", "--runs", str(tmp_path / "r"), "--out", str(tmp_path / "o")]
-    command.main(words)
+    monkeypatch.setattr(rebuild, "keep", lambda work, *_: kept.append(work.name))
+    rebuild.show(figure, Size.QUICK, tmp_path / "r" / "quick", tmp_path / "o")
     assert "nothing to show came of it" in capsys.readouterr().out
     assert len(kept) == len(figure.work(Size.QUICK))
 
 
 def test_a_run_that_is_stopped_before_it_listens_goes_on_later():
     asleep = [sys.executable, "-c", "import time; time.sleep(60)"]
-    assert _for_so_long(asleep, time.monotonic(), lambda: None)[0] == STOPPED
+    assert for_so_long(asleep, time.monotonic(), lambda: None)[0] == STOPPED
 
 
 def test_long_work_says_how_far_it_is(tmp_path, monkeypatch):
     said = []
-    monkeypatch.setattr("benchmarks.papers.work.LOOK", 0.1)
+    monkeypatch.setattr("benchmarks.papers.process.LOOK", 0.1)
+    monkeypatch.setattr("benchmarks.papers.process.BEAT", 0.1)
     busy = [sys.executable, "-c", "import time; time.sleep(0.5)"]
-    assert _for_so_long(busy, time.monotonic() + 60.0, lambda: said.append(1))[0] == 0
+    assert for_so_long(busy, time.monotonic() + 60.0, lambda: said.append(1))[0] == 0
     assert said
     run = tmp_path / "tear" / "abc"
     run.mkdir(parents=True)

@@ -56,7 +56,7 @@ class Speed(Figure):
         """Return the measurement: quick, without 512,000 particles."""
         told = f"python -m benchmarks.papers --size {size} --only {self.id}"
         minutes = 1.0 if size is Size.QUICK else 4.0
-        return [Measurement("speed", minutes, lambda folder, end: _measure(folder, end, size), told)]
+        return [Measurement("speed", minutes, lambda folder, end: _measure(folder, end, size), told, alone=True)]
 
     def table(self, found: Found, size: Size) -> Table:
         """Return case, particles, implementation, precision, threads, forward and backward [ms a frame], load."""

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.work import ROOT, Found, Measurement, Work
+from benchmarks.papers.process import ROOT
+from benchmarks.papers.work import Found, Measurement, Work
 from cqrun.figures.style import COLOURS, new_figure, titled
 from cqrun.store.atomic import write_json
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.learning import SINGLE
-from benchmarks.papers.work import ROOT, SCENES, Found, Measurement, Work, WorkError
+from benchmarks.papers.process import ROOT
+from benchmarks.papers.work import SCENES, Found, Measurement, Work, WorkError
 from cqrun.figures.style import COLOURS, INK, log_ticks, new_figure, titled
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
@@ -66,7 +67,11 @@ class Seconds(Figure):
         """Return the measurement."""
         told = f"python -m benchmarks.papers --size {size} --only {self.id}"
         minutes = 0.6 if size is Size.QUICK else 25.0
-        return [Measurement("seconds", minutes, lambda folder, end: _measure(folder, end, size), told, SOURCES, SINGLE)]
+        return [
+            Measurement(
+                "seconds", minutes, lambda folder, end: _measure(folder, end, size), told, SOURCES, SINGLE, alone=True
+            )
+        ]
 
     def table(self, found: Found, size: Size) -> Table:
         """Return robot, particles, substeps, seconds, printed [s], ns a particle and substep, memory [GB], load."""

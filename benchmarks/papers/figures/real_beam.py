@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.papers.figure import OWN, Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.work import ROOT, Found, Measurement, Work
+from benchmarks.papers.process import ROOT
+from benchmarks.papers.work import Found, Measurement, Work
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
 from cqrun.store.atomic import write_json
 

@@ -1,0 +1,149 @@
+"""Do the work behind figures, and publish each figure when its work has ended."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from benchmarks.papers.figure import Figure, Size
+from benchmarks.papers.kept import archive_of, keep, restore
+from benchmarks.papers.process import FAILED, STOPPED
+from benchmarks.papers.publish import is_complete, publish, published
+from benchmarks.papers.turns import in_turn
+from benchmarks.papers.work import Work, WorkError, span
+from cqrun.errors import CqrunError
+
+
+class Rebuild:
+    """What is missing of figures, done in turn.
+
+    Attributes:
+        figures: in the order in which they are begun.
+        size: of their work.
+        runs: holds the folders of the work of this size.
+        out: results/figures.
+        minutes: that there are; what is left goes on later.
+        jobs: runs side by side.
+    """
+
+    def __init__(self, figures: Sequence[Figure], size: Size, runs: Path, out: Path, minutes: float, jobs: int) -> None:
+        self.figures, self.size, self.runs, self.out, self.jobs = figures, size, runs, out, jobs
+        self.begun = time.monotonic()
+        self.end = self.begun + 60.0 * minutes
+        self.errors: list[str] = []
+        self._works: dict[str, Work] = {}
+        """What is to be done, by its name: figures may share it."""
+        self._awaited: dict[str, set[str]] = {}
+        """The names of work that figures, by their id, wait for."""
+
+    def run(self) -> int:
+        """Do it; return 0, 75 (no more time) or 1 (errors, which end no other figure)."""
+        self._prepare()
+        complete = True
+        self._show_ended()
+        for work, outcome in in_turn(list(self._works.values()), self.jobs, self._do):
+            if isinstance(outcome, Exception):
+                self._tell(next(name for name, works in self._awaited.items() if work.name in works), outcome)
+            complete &= outcome is True
+            for works in self._awaited.values():
+                works.discard(work.name)
+            self._show_ended()
+        if not complete:
+            print("not all is done: the same command goes on")
+        if self.errors:
+            print("what could not be done or shown:", *dict.fromkeys(self.errors), sep="\n  ")
+        print(f"that took {span((time.monotonic() - self.begun) / 60.0)}")
+        return FAILED if self.errors else 0 if complete else STOPPED
+
+    def _prepare(self) -> None:
+        """Find what is to be done; unpack what was begun elsewhere, and tell what another engine has to go on with."""
+        self._elsewhere: dict[str, str] = {}
+        for figure in self.figures:
+            works = figure.work(self.size)
+            for work in works:
+                if told := self._restored(work):
+                    self._elsewhere[figure.id] = told
+            todo = [work for work in works if figure.id not in self._elsewhere and not self._is_done(work)]
+            self._awaited[figure.id] = {work.name for work in todo}
+            self._works |= {work.name: work for work in todo if work.name not in self._works}
+        self.errors += self._elsewhere.values()
+        print(f"{len(self.figures)} figures, size {self.size}: about {span(self._left())} of work left on two cores")
+
+    def _restored(self, work: Work) -> str:
+        """Unpack work that was begun elsewhere; return why it cannot be, if it cannot."""
+        try:
+            restore(work, self.runs, archive_of(work, self.out / self.size))
+        except WorkError as error:
+            return str(error)
+        return ""
+
+    def _do(self, work: Work, share: float) -> bool:
+        """Do some work, if there is time; say whether it is finished."""
+        seconds = self.end - time.monotonic()
+        if seconds <= 0.0:
+            return False
+        print(f"    {work.name}: begins (about {span(self._left([work]) / share)})", flush=True)
+        return work.do(self.runs / work.name, seconds, self.jobs, share)
+
+    def _show_ended(self) -> None:
+        """Publish the figures of which no work is awaited any more."""
+        for figure in self.figures:
+            if self._awaited.get(figure.id) != set():
+                continue
+            del self._awaited[figure.id]
+            k = len(self.figures) - len(self._awaited)
+            left = span(self._left())
+            print(f"[{k}/{len(self.figures)}] {figure.id}: {figure.title} ({left} left in all)", flush=True)
+            if figure.id in self._elsewhere:
+                print(f"    left out: {self._elsewhere[figure.id]}", flush=True)
+                continue
+            try:
+                show(figure, self.size, self.runs, self.out)
+            except Exception as error:
+                self._tell(figure.id, error)
+
+    def _tell(self, name: str, error: Exception) -> None:
+        """Tell and keep what goes wrong with a figure, be it a fault of ours: the others go on."""
+        place = "" if isinstance(error, CqrunError) else f" ({_line(error)})"
+        told = f"{name}: {'' if place == '' else f'{type(error).__name__}: '}{error}{place}"
+        print(f"    error: {told}", flush=True)
+        self.errors.append(told)
+
+    def _is_done(self, work: Work) -> bool:
+        return work.done(self.runs / work.name) is not None
+
+    def _left(self, works: Iterable[Work] | None = None) -> float:
+        """Return the minutes that work still takes, at least a tenth of all while it is not done."""
+        return sum(
+            max(0.1 * work.minutes, work.minutes - work.spent(self.runs / work.name) / 60.0)
+            for work in (self._works.values() if works is None else works)
+            if not self._is_done(work)
+        )
+
+
+def show(figure: Figure, size: Size, runs: Path, out: Path) -> None:
+    """Publish a figure, but never a part of it over the whole; keep what it needs to go on."""
+    works = figure.work(size)
+    is_whole = all(work.done(runs / work.name) is not None for work in works)
+    if not is_whole and is_complete(figure, size, published(figure, size, out)):
+        print("    what is published is complete, and stays", flush=True)
+        return
+    verdict = publish(figure, size, runs, out)
+    if verdict is not None:
+        print(f"    {size}: {verdict}", flush=True)
+    elif is_whole:
+        print(f"    nothing to show came of it: see {', '.join(str(runs / work.name) for work in works)}", flush=True)
+    for work in works:
+        archive = archive_of(work, out / size)
+        if is_whole and verdict is not None:
+            archive.unlink(missing_ok=True)
+        else:
+            keep(work, runs, archive)
+
+
+def _line(error: Exception) -> str:
+    """Return where an error arose."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{last.filename}:{last.lineno}"
