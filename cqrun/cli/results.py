@@ -9,7 +9,6 @@ from pathlib import Path
 
 import typer
 
-
 PICTURES = "CQRUN_PICTURES"
 """Environment variable: 0 draws nothing when a run is finished, as of hundreds that nobody looks at one by one."""
 
