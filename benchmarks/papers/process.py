@@ -62,3 +62,16 @@ def for_so_long(command: list[str], end: float, tell: Callable[[], None]) -> tup
         process.send_signal(signal.SIGTERM)
         process.wait()
         raise
+
+
+def with_memory(command: list[str]) -> tuple[int, float]:
+    """Run a command that prints nothing; return its exit status and the most memory it had [GB]."""
+    process = subprocess.Popen(command, cwd=ROOT, env=ENVIRONMENT, stdout=subprocess.DEVNULL)
+    ended = 0
+    while not ended:
+        if OVER.is_set():
+            os.kill(process.pid, signal.SIGTERM)
+        time.sleep(BEAT)
+        ended, status, usage = os.wait4(process.pid, os.WNOHANG)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return process.returncode, 1.024e-6 * usage.ru_maxrss

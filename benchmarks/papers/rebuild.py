@@ -37,6 +37,8 @@ class Rebuild:
         """What is to be done, by its name: figures may share it."""
         self._awaited: dict[str, set[str]] = {}
         """The names of work that figures, by their id, wait for."""
+        self._elsewhere: dict[str, str] = {}
+        """Why figures, by their id, are left out: another engine has to go on with them."""
 
     def run(self) -> int:
         """Do it; return 0, 75 (no more time) or 1 (errors, which end no other figure)."""
@@ -58,8 +60,7 @@ class Rebuild:
         return FAILED if self.errors else 0 if complete else STOPPED
 
     def _prepare(self) -> None:
-        """Find what is to be done; unpack what was begun elsewhere, and tell what another engine has to go on with."""
-        self._elsewhere: dict[str, str] = {}
+        """Find what is to be done; unpack what was begun elsewhere."""
         for figure in self.figures:
             works = figure.work(self.size)
             for work in works:

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from queue import SimpleQueue
 
-from benchmarks.papers.process import GRACE, OVER
+from benchmarks.papers.process import BEAT, GRACE, OVER
 from benchmarks.papers.work import Runs, Work
 
 Outcome = bool | Exception
@@ -46,8 +46,7 @@ def in_turn(works: Sequence[Work], at_once: int, do: Callable[[Work, float], boo
     except BaseException:
         OVER.set()
         for work, thread in running.items():
-            if isinstance(work, Runs):  # a measurement keeps what it has, and listens to no one
-                thread.join(GRACE)
+            thread.join(GRACE if isinstance(work, Runs) else 4.0 * BEAT)  # most measurements listen to no one
         raise
 
 

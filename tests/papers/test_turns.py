@@ -15,7 +15,7 @@ import pytest
 from toys import COUNT, TEAR
 
 from benchmarks.papers import process
-from benchmarks.papers.process import OVER, ROOT, STOPPED, for_so_long
+from benchmarks.papers.process import OVER, ROOT, STOPPED, for_so_long, with_memory
 from benchmarks.papers.turns import in_turn
 
 ALONE, FIRST, SECOND, THIRD = (
@@ -94,6 +94,18 @@ def test_who_is_interrupted_leaves_no_run_behind(monkeypatch):
     assert codes == [STOPPED]
     assert time.monotonic() - begun < 30.0
     forever.set()
+    OVER.clear()
+
+
+def test_the_memory_of_a_command_is_its_own_and_it_is_stopped_with_everything(monkeypatch):
+    monkeypatch.setattr(process, "BEAT", 0.02)
+    code, memory = with_memory(
+        [sys.executable, "-c", "import sys; print(1); b = bytes(b'1') * 300_000_000; sys.exit(3)"]
+    )
+    assert code == 3
+    assert 0.3 < memory < 0.4
+    OVER.set()
+    assert with_memory([sys.executable, "-c", "import time; time.sleep(60)"])[0] == -signal.SIGTERM
     OVER.clear()
 
 

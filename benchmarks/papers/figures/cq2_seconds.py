@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Sequence
@@ -16,7 +15,7 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.learning import SINGLE
-from benchmarks.papers.process import ROOT
+from benchmarks.papers.process import with_memory
 from benchmarks.papers.work import SCENES, Found, Measurement, Work, WorkError
 from cqrun.figures.style import COLOURS, INK, log_ticks, new_figure, titled
 from cqrun.scene.build import build
@@ -130,14 +129,9 @@ def _timed(name: str, overrides: Sequence[str], folder: Path) -> dict[str, objec
     assert scene.job is not None
     command = [sys.executable, "-m", "cqrun", scene.job, str(path), "--quiet", "--fresh", "--out", str(out)]
     load = os.getloadavg()[0]
-    process = subprocess.Popen(command + [word for override in words for word in ("-o", override)], cwd=ROOT)
-    try:
-        _, status, usage = os.wait4(process.pid, 0)
-    except BaseException:  # asked to stop
-        process.terminate()
-        raise
-    if os.waitstatus_to_exitcode(status):
-        raise WorkError(f"{' '.join(command)} ended with {os.waitstatus_to_exitcode(status)}")
+    code, memory = with_memory(command + [word for override in words for word in ("-o", override)])
+    if code:
+        raise WorkError(f"{' '.join(command)} ended with {code}")
     (history,) = out.rglob("history.csv")
     with history.open(newline="") as lines:
         seconds = float(np.median(np.diff([float(row["seconds"]) for row in csv.DictReader(lines)])))
@@ -145,5 +139,5 @@ def _timed(name: str, overrides: Sequence[str], folder: Path) -> dict[str, objec
     steps = model.layout.n_particles * model.n_steps
     return {
         "particles": model.layout.n_particles, "substeps": model.n_steps, "seconds": seconds,
-        "ns": seconds / steps * 1e9, "memory": 1.024e-6 * usage.ru_maxrss, "load": load,
+        "ns": seconds / steps * 1e9, "memory": memory, "load": load,
     }  # fmt: skip
