@@ -48,7 +48,7 @@ class ArmReach(Figure):
     def work(self, size: Size) -> Sequence[Work]:
         """Return the seeds."""
         if size is Size.QUICK:
-            return [Runs("arm_reach_3d", 1.8, "control", "control/arm_reach_3d", QUICK, 1)]
+            return [Runs("arm_reach_3d", 0.8, "control", "control/arm_reach_3d", QUICK, 1)]
         return [Runs("arm_reach_3d", 240.0, "control", "control/arm_reach_3d", SINGLE, 1)]
 
     def table(self, found: Found, size: Size) -> Table:

@@ -28,7 +28,7 @@ class Biped(Frames):
     def work(self, size: Size) -> list[Runs]:
         """Return the seeds."""
         if size is Size.QUICK:
-            return [Runs(self.name, 1.0, "control", "control/biped", QUICK, 4)]
+            return [Runs(self.name, 2.0, "control", "control/biped", QUICK, 4)]
         return [Runs(self.name, 12.0, "control", "control/biped", (), 10)]
 
     def judge(self, table: Table, size: Size) -> Verdict:

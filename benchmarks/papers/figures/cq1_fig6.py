@@ -35,7 +35,7 @@ class ToGoal(Frames):
         """Return the seeds: one of few particles, or several of all."""
         scene = f"control/{self.body}"
         if size is Size.QUICK:
-            return [Runs(self.name, 1.0, "control", scene, self.small, 1)]
+            return [Runs(self.name, 0.8, "control", scene, self.small, 1)]
         return [Runs(self.name, self.minutes, "control", scene, SINGLE, self.seeds)]
 
     def judge(self, table: Table, size: Size) -> Verdict:

@@ -55,7 +55,7 @@ class Speed(Figure):
     def work(self, size: Size) -> Sequence[Work]:
         """Return the measurement: quick, without 512,000 particles."""
         told = f"python -m benchmarks.papers --size {size} --only {self.id}"
-        minutes = 1.0 if size is Size.QUICK else 4.0
+        minutes = 3.5 if size is Size.QUICK else 4.0
         return [Measurement("speed", minutes, lambda folder, end: _measure(folder, end, size), told, alone=True)]
 
     def table(self, found: Found, size: Size) -> Table:
@@ -86,7 +86,7 @@ class Speed(Figure):
         picture.axes[0].set_ylabel("ms a frame of 3 substeps")
         handles = {label: handle for axes in picture.axes for handle, label in zip(
             *axes.get_legend_handles_labels(), strict=True)}  # fmt: skip
-        picture.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=6)
+        picture.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3)
         return picture
 
     def _of(self, table: Table, case: tuple[str, int], name: str) -> Any:

@@ -67,7 +67,7 @@ class Accuracy(Figure):
     def work(self, size: Size) -> Sequence[Work]:
         """Return the measurement: quick, up to 100 steps."""
         told = f"python -m benchmarks.papers --size {size} --only {self.id}"
-        minutes = 1.5 if size is Size.QUICK else 20.0
+        minutes = 2.4 if size is Size.QUICK else 20.0
         return [Measurement("accuracy", minutes, lambda folder, end: _measure(folder, end, size), told, (SETUPS,))]
 
     def table(self, found: Found, size: Size) -> Table:

@@ -41,7 +41,7 @@ class BipedAblation(Ablation):
     quick = ("bodies.biped.sampling.lattice.count=11", "time.duration=2", "optimizer.adam.max_iterations=20")
     paper_size = SINGLE
     seeds = {Size.QUICK: 3, Size.PAPER: 10}  # of 20 iterations: seed 0 went .54 m with mass free, .28 with all
-    minutes = {Size.QUICK: 3.0, Size.PAPER: 300.0}
+    minutes = {Size.QUICK: 2.5, Size.PAPER: 300.0}
     rate = {Size.QUICK: 0.003, Size.PAPER: 0.001}
     printed = (1.66, 1.95, 1.93, 2.04, 2.06, 2.14, 2.18, 2.22)
     gain = 0.34
@@ -66,7 +66,7 @@ class QuadrupedAblation(Ablation):
     quick = (*SMALL, "bodies.quadruped.sampling.lattice.count=5", "optimizer.adam.max_iterations=25")
     paper_size = some("quadruped", 10)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
-    minutes = {Size.QUICK: 4.0, Size.PAPER: 200.0}
+    minutes = {Size.QUICK: 1.5, Size.PAPER: 200.0}
     rate = {Size.QUICK: 0.005, Size.PAPER: 0.005}
     printed = (0.92, 0.98, 0.99, 1.03, 1.03, 1.05, 1.07, 1.09)
     gain = 0.18
@@ -88,7 +88,7 @@ class HexapodAblation(Ablation):
     quick = (*SMALL, "bodies.hexapod.sampling.lattice.count=5", "optimizer.adam.max_iterations=20")
     paper_size = some("hexapod", 8)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
-    minutes = {Size.QUICK: 4.0, Size.PAPER: 270.0}
+    minutes = {Size.QUICK: 1.6, Size.PAPER: 270.0}
     rate = {Size.QUICK: 0.005, Size.PAPER: 0.005}
     printed = (0.97, 1.02, 1.03, 1.06, 1.09, 1.11, 1.14, 1.16)
     gain = 0.19
@@ -109,7 +109,7 @@ class OctopodAblation(Ablation):
     quick = (*SMALL, "bodies.octopod.sampling.lattice.count=5", "optimizer.adam.max_iterations=16")
     paper_size = some("octopod", 8)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
-    minutes = {Size.QUICK: 4.0, Size.PAPER: 330.0}
+    minutes = {Size.QUICK: 1.6, Size.PAPER: 330.0}
     rate = {Size.QUICK: 0.005, Size.PAPER: 0.005}
     printed = (0.85, 0.95, 0.92, 0.93, 0.91, 0.94, 0.94, 0.94)
     gain = 0.11

@@ -46,7 +46,7 @@ class FingerMaterial(Figure):
     def work(self, size: Size) -> Sequence[Work]:
         """Return the fit: at quick size of fewer copies and frames."""
         small = ("data.synthetic.copies=2", "data.synthetic.key_frames=50", "optimizer.adam.max_iterations=120")
-        return [Runs("finger_material", 3.0, "sysid", SCENE, small if size is Size.QUICK else ())]
+        return [Runs("finger_material", 1.0, "sysid", SCENE, small if size is Size.QUICK else ())]
 
     def table(self, found: Found, size: Size) -> Table:
         """Return epoch, loss [m^2], youngs_modulus, density, poissons_ratio, seconds."""

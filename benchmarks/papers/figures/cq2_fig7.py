@@ -27,6 +27,6 @@ class Rhino(Distances):
     final, interval, seconds = 0.85, (0.64, 1.07), 21.0
     variants = (
         Variant("pressure 2", {Size.QUICK: QUICK, Size.PAPER: SINGLE}, {Size.QUICK: 2, Size.PAPER: 3},
-                {Size.QUICK: 2, Size.PAPER: 50}),
+                {Size.QUICK: 1.8, Size.PAPER: 50}),
         Variant("half", {Size.PAPER: (*SINGLE, *_pressure(1))}, {Size.PAPER: 1}, {Size.PAPER: 17}),
     )  # fmt: skip

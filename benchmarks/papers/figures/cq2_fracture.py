@@ -39,7 +39,7 @@ class Fracture(Figure):
     def work(self, size: Size) -> Sequence[Work]:
         """Return a run for each number, the same at both sizes."""
         return [
-            Runs(f"tear_{n}", 0.3, "simulate", "simulate/tear", (f"bodies.bar.particles_per_cell={n}",)) for n in COUNTS
+            Runs(f"tear_{n}", 0.1, "simulate", "simulate/tear", (f"bodies.bar.particles_per_cell={n}",)) for n in COUNTS
         ]
 
     def table(self, found: Found, size: Size) -> Table:

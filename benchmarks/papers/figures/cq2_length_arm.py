@@ -37,8 +37,8 @@ class LengthArm(Figure):
     def work(self, size: Size) -> Sequence[Work]:
         """Return both runs, which are small enough to be the same at both sizes."""
         return [
-            Runs("arm_length_free", 0.5, "codesign", SCENE),
-            Runs("arm_length_fixed", 0.5, "control", SCENE, ("unknowns={}", "optimizer.adam.max_iterations=200")),
+            Runs("arm_length_free", 0.4, "codesign", SCENE),
+            Runs("arm_length_fixed", 0.2, "control", SCENE, ("unknowns={}", "optimizer.adam.max_iterations=200")),
         ]
 
     def table(self, found: Found, size: Size) -> Table:

@@ -40,7 +40,7 @@ class Oscillator(Figure):
         """Return a run for each law, the same at both sizes."""
         parameters = "{youngs_modulus: 10, poissons_ratio: 0.48}"
         return [
-            Runs(f"oscillator_{law}", 0.3, "simulate", "simulate/oscillator", (f"{PATH}={{{law}: {parameters}}}",))
+            Runs(f"oscillator_{law}", 0.1, "simulate", "simulate/oscillator", (f"{PATH}={{{law}: {parameters}}}",))
             for law in LAWS
         ]
 

@@ -65,7 +65,7 @@ class Seconds(Figure):
     def work(self, size: Size) -> Sequence[Work]:
         """Return the measurement."""
         told = f"python -m benchmarks.papers --size {size} --only {self.id}"
-        minutes = 0.6 if size is Size.QUICK else 25.0
+        minutes = 1.3 if size is Size.QUICK else 25.0
         return [
             Measurement(
                 "seconds", minutes, lambda folder, end: _measure(folder, end, size), told, SOURCES, SINGLE, alone=True
