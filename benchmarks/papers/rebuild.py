@@ -43,8 +43,22 @@ class Rebuild:
     def run(self) -> int:
         """Do it; return 0, 75 (no more time) or 1 (errors, which end no other figure)."""
         self._prepare()
-        complete = True
         self._show_ended()
+        try:
+            complete = self._work()
+        except SystemExit:
+            print("stopped: the same command goes on", flush=True)
+            raise
+        if not complete:
+            print("not all is done: the same command goes on")
+        if self.errors:
+            print("what could not be done or shown:", *dict.fromkeys(self.errors), sep="\n  ")
+        print(f"that took {span((time.monotonic() - self.begun) / 60.0)}")
+        return FAILED if self.errors else 0 if complete else STOPPED
+
+    def _work(self) -> bool:
+        """Do the work in turn, and show what has ended; say whether all is finished."""
+        complete = True
         for work, outcome in in_turn(list(self._works.values()), self.jobs, self._do):
             if isinstance(outcome, Exception):
                 self._tell(next(name for name, works in self._awaited.items() if work.name in works), outcome)
@@ -52,12 +66,7 @@ class Rebuild:
             for works in self._awaited.values():
                 works.discard(work.name)
             self._show_ended()
-        if not complete:
-            print("not all is done: the same command goes on")
-        if self.errors:
-            print("what could not be done or shown:", *dict.fromkeys(self.errors), sep="\n  ")
-        print(f"that took {span((time.monotonic() - self.begun) / 60.0)}")
-        return FAILED if self.errors else 0 if complete else STOPPED
+        return complete
 
     def _prepare(self) -> None:
         """Find what is to be done; unpack what was begun elsewhere."""

@@ -117,7 +117,8 @@ def test_asked_to_stop_the_command_asks_its_runs_and_goes_on_later(tmp_path):
     while not list((tmp_path / "runs").rglob("run.json")) and child.poll() is None and time.monotonic() < deadline:
         time.sleep(0.01)
     os.kill(child.pid, signal.SIGTERM)
-    child.communicate(timeout=300.0)
+    said, _ = child.communicate(timeout=300.0)
+    assert said.endswith("stopped: the same command goes on\n")
     assert child.returncode == STOPPED
     records = [json.loads(file.read_text()) for file in (tmp_path / "runs").rglob("run.json")]
     assert records
