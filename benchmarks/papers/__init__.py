@@ -6,5 +6,6 @@ turns.py     which of it runs when, side by side or alone; process.py runs a com
 rebuild.py   what `make` does: the work in turn, each figure when its own has ended
 figures/     one module a figure; families share a module whose name says what they draw
 catalogue.py all of them, in the papers' order
+train_ppo.py the learner that needs torch, in a process of its own
 page.py      index.html
 """

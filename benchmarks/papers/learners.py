@@ -8,6 +8,7 @@ the scene's own controller. PPO needs the extra `rl`; where that is absent, the 
 from __future__ import annotations
 
 import importlib.util
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.histories import first_below, runs_below, smooth
+from benchmarks.papers.process import STOPPED, for_so_long
 from benchmarks.papers.work import SCENES, Found, Measurement, Runs, Work, WorkError
 from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, new_figure, titled
@@ -114,14 +116,18 @@ class Learners(Figure):
                 write_text(file, kept.read_text())
             elif not has_extra:
                 raise WorkError("PPO is left out: it needs stable_baselines3, which is absent: pip install 'cqrun[rl]'")
-            elif time.monotonic() > deadline:
+            elif time.monotonic() > deadline or not self._train(file, head, seed, deadline, size):
                 return False
-            else:
-                losses = train_ppo(
-                    SCENES / f"{self.scene}.yaml", self._ppo_overrides(size), self.episodes[PPO][size], seed
-                )
-                write_text(file, "\n".join([head, *(f"{loss:.6g}" for loss in losses.tolist())]) + "\n")
         return True
+
+    def _train(self, file: Path, head: str, seed: int, deadline: float, size: Size) -> bool:
+        """Train PPO from one seed; say whether there was time enough."""
+        words = [SCENES / f"{self.scene}.yaml", self.episodes[PPO][size], seed, file, head, *self._ppo_overrides(size)]
+        command = [sys.executable, "-m", "benchmarks.papers.train_ppo", *map(str, words)]
+        code, said = for_so_long(command, deadline, lambda: None)
+        if code not in (0, STOPPED):
+            raise WorkError(f"PPO of seed {seed} ended with {code}\n{said}")
+        return code == 0
 
     def table(self, found: Found, size: Size) -> Table:
         """Return method, seed, episode, measure."""
@@ -215,26 +221,3 @@ def _rows(method: str, seed: int, episode: Array, measure: Array) -> list[dict[s
         {"method": method, "seed": seed, "episode": int(k), "measure": float(value)}
         for k, value in zip(episode, measure, strict=True)
     ]
-
-
-def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int) -> Array:
-    """Return the loss at the end of every episode of PPO, as it explores."""
-    from stable_baselines3 import PPO as Algorithm
-    from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
-    import cqrun
-
-    losses: list[float] = []
-
-    class Keep(BaseCallback):
-        def _on_step(self) -> bool:
-            over = zip(self.locals["dones"], self.locals["infos"], strict=True)
-            losses.extend(facts["loss"] for done, facts in over if done)
-            return len(losses) < episodes
-
-    env = VecNormalize(DummyVecEnv([lambda: cqrun.environment(scene, list(overrides), threads=1)]))
-    steps = env.envs[0].agent.model.n_controls
-    model = Algorithm("MlpPolicy", env, n_steps=10 * steps, batch_size=5 * steps // 2, device="cpu", seed=seed)
-    model.learn(episodes * steps, callback=Keep())
-    return np.array(losses)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -92,3 +95,18 @@ def test_ppo_learns_on_it(env):
     model.learn(80)
     action, _ = model.predict(env.reset(seed=0)[0])
     assert env.action_space.contains(action)
+
+
+def test_ppo_of_the_figures_learns_the_same_whatever_runs_beside_it(tmp_path):
+    """Two in one process shared torch's random numbers; each has a process of its own."""
+    files = [tmp_path / f"{k}.csv" for k in range(3)]
+    words = [sys.executable, "-m", "benchmarks.papers.train_ppo", FINGER, "25"]
+    children = [
+        subprocess.Popen([*words, seed, str(file), "head", *SMALL, "objective.tip.reach.squared=false"])
+        for seed, file in zip("770", files, strict=True)
+    ]
+    assert [child.wait(timeout=300) for child in children] == [0, 0, 0]
+    first, again, other = (file.read_text() for file in files)
+    assert first == again != other
+    assert first.startswith("head\n")
+    assert first.count("\n") == 26
