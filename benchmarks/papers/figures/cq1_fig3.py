@@ -33,7 +33,7 @@ class LegActuated(Frames):
         """Return the simulation."""
         quick = size is Size.QUICK
         small = (*COARSE, STICKY[self.name]) if quick else ()
-        return [Runs(self.name, 0.4 if quick else 6.0, "simulate", "simulate/leg_actuate", small)]
+        return [Runs(self.name, 0.4 if quick else 3.5, "simulate", "simulate/leg_actuate", small)]
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge how far the core bends: to the right, as the left chamber grows."""
@@ -62,7 +62,7 @@ class LegDropped(Frames):
         """Return the simulation."""
         quick = size is Size.QUICK
         small = (*COARSE, STICKY[self.name]) if quick else ()
-        return [Runs(self.name, 0.4 if quick else 6.0, "simulate", "simulate/leg_drop", small)]
+        return [Runs(self.name, 0.4 if quick else 3.5, "simulate", "simulate/leg_drop", small)]
 
     def moments(self, table: Table) -> Array:
         """Return the start, half the fall, just before it is lowest, that, the highest after, and the end."""

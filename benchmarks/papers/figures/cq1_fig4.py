@@ -29,7 +29,7 @@ class Biped(Frames):
         """Return the seeds."""
         if size is Size.QUICK:
             return [Runs(self.name, 2.0, "control", "control/biped", QUICK, 4)]
-        return [Runs(self.name, 12.0, "control", "control/biped", (), 10)]
+        return [Runs(self.name, 7.0, "control", "control/biped", (), 10)]
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge how far the head came, and in how many pieces."""

@@ -42,7 +42,7 @@ class Inference(Figure):
         """Return a fit for each sampling."""
         return [
             Runs(
-                f"collision_{seed}", 0.1, "sysid", "sysid/collision",
+                f"collision_{seed}", 0.2, "sysid", "sysid/collision",
                 (f"bodies.a.sampling.random.seed={2 * seed}", f"bodies.b.sampling.random.seed={2 * seed + 1}"),
             )
             for seed in range(SEEDS[size])
