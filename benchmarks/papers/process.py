@@ -65,13 +65,24 @@ def for_so_long(command: list[str], end: float, tell: Callable[[], None]) -> tup
 
 
 def with_memory(command: list[str]) -> tuple[int, float]:
-    """Run a command that prints nothing; return its exit status and the most memory it had [GB]."""
+    """Run a command that prints nothing; return its exit status and the most memory it had [GB], 0 if not told."""
     process = subprocess.Popen(command, cwd=ROOT, env=ENVIRONMENT, stdout=subprocess.DEVNULL)
-    ended = 0
-    while not ended:
+    memory = 0.0
+    while process.poll() is None:
         if OVER.is_set():
-            os.kill(process.pid, signal.SIGTERM)
+            process.terminate()
+        memory = _peak(process.pid, memory)
         time.sleep(BEAT)
-        ended, status, usage = os.wait4(process.pid, os.WNOHANG)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    return process.returncode, 1.024e-6 * usage.ru_maxrss
+    return process.returncode, memory
+
+
+def _peak(pid: int, before: float) -> float:
+    """Return the most memory that a process had so far [GB], or what was known before (Linux).
+
+    wait4 tells more than its own: a child begins with what its parent had.
+    """
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return before
+    return next((1.024e-6 * float(line.split()[1]) for line in lines if line.startswith("VmHWM:")), before)

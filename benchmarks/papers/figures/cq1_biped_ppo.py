@@ -28,7 +28,7 @@ class BipedAgainstPPO(Learners):
     minutes = {
         GRADIENT: {Size.QUICK: 1, Size.PAPER: 6},
         CMA: {Size.QUICK: 1.7, Size.PAPER: 40},
-        PPO: {Size.QUICK: 4, Size.PAPER: 60},
+        PPO: {Size.QUICK: 3.3, Size.PAPER: 60},
     }
     seeds, trials = {Size.QUICK: 2, Size.PAPER: 10}, {Size.QUICK: 2, Size.PAPER: 3}
     thresholds = (-0.1, -0.2)

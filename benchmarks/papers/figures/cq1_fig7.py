@@ -35,7 +35,7 @@ class FixedGoal(Learners):
     minutes = {
         GRADIENT: {Size.QUICK: 0.3, Size.PAPER: 1},
         CMA: {Size.QUICK: 0.3, Size.PAPER: 10},
-        PPO: {Size.QUICK: 1.8, Size.PAPER: 25},
+        PPO: {Size.QUICK: 0.8, Size.PAPER: 25},
     }
     thresholds = (0.02, 0.01)
     windows = {GRADIENT: 10, PPO: 10}
@@ -60,7 +60,7 @@ class RandomGoal(Learners):
     )
     scene, label, optimizer, small = "control/finger_random", "distance of the tip [m]", "adam", SMALL
     episodes = {GRADIENT: {Size.QUICK: 200, Size.PAPER: 300}, PPO: {Size.QUICK: 600, Size.PAPER: 1500}}
-    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 6}, PPO: {Size.QUICK: 3.7, Size.PAPER: 25}}
+    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 6}, PPO: {Size.QUICK: 1.6, Size.PAPER: 25}}
     thresholds = (0.01, 0.005)
     windows = {GRADIENT: 100, PPO: 100}
     printed = {GRADIENT: [(132, 0.01), (203, 0.005)], PPO: [(656, 0.01), (1384, 0.005)]}
@@ -83,7 +83,7 @@ class WideGoal(Learners):
     )
     scene, label, optimizer, small = "control/finger_wide", "distance of the tip [m]", "adam", SMALL
     episodes = {GRADIENT: {Size.QUICK: 200, Size.PAPER: 600}, PPO: {Size.QUICK: 600, Size.PAPER: 3500}}
-    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 12}, PPO: {Size.QUICK: 4.2, Size.PAPER: 60}}
+    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 12}, PPO: {Size.QUICK: 1.5, Size.PAPER: 60}}
     thresholds = (0.015, 0.01)
     windows = {GRADIENT: 100, PPO: 100}
     printed = {GRADIENT: [(282, 0.015), (438, 0.01)], PPO: [(1322, 0.015)]}
