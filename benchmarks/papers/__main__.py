@@ -9,6 +9,7 @@ that it was begun with, which the figure's JSON names.
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -54,6 +55,9 @@ def main(words: Sequence[str] | None = None) -> int:
         return _run(chosen, size, options)
     except CqrunError as error:
         parser.exit(2, f"error: {error}\n")
+    except BrokenPipeError:  # `--list | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
 
 
 def _run(chosen: Sequence[Figure], size: Size, options: argparse.Namespace) -> int:

@@ -10,10 +10,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from cqrun.cli.results import PICTURES
+
 ROOT = Path(__file__).parents[2]
 
-ENVIRONMENT = os.environ | {"CQRUN_PICTURES": "0"}
-"""Of a command: its runs are drawn when their figure is, and not before."""
+UNDRAWN = {PICTURES: "0"}
+"""In a command's environment: its runs are drawn when their figure is, and not before."""
 
 FAILED, USAGE, STOPPED = 1, 2, 75
 """How cqrun ends: runs failed or no design will do, which is a result too; bad input; it was asked to stop."""
@@ -37,7 +39,7 @@ def for_so_long(command: list[str], end: float, tell: Callable[[], None]) -> tup
     Return its exit status, STOPPED if it ended because it was asked to, and what it said.
     """
     process = subprocess.Popen(
-        command, cwd=ROOT, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        command, cwd=ROOT, env=os.environ | UNDRAWN, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
     end, told = max(end, time.monotonic() + 1.0), time.monotonic()
     try:
@@ -66,7 +68,7 @@ def for_so_long(command: list[str], end: float, tell: Callable[[], None]) -> tup
 
 def with_memory(command: list[str]) -> tuple[int, float]:
     """Run a command that prints nothing; return its exit status and the most memory it had [GB], 0 if not told."""
-    process = subprocess.Popen(command, cwd=ROOT, env=ENVIRONMENT, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(command, cwd=ROOT, env=os.environ | UNDRAWN, stdout=subprocess.DEVNULL)
     memory = 0.0
     while process.poll() is None:
         if OVER.is_set():

@@ -19,7 +19,7 @@ from cqrun.errors import CqrunError
 class Rebuild:
     """What is missing of figures, done in turn.
 
-    Attributes:
+    Args:
         figures: in the order in which they are begun.
         size: of their work.
         runs: holds the folders of the work of this size.

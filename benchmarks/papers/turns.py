@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from queue import SimpleQueue
 
 from benchmarks.papers.process import BEAT, GRACE, OVER
@@ -29,7 +29,7 @@ def in_turn(works: Sequence[Work], at_once: int, do: Callable[[Work, float], boo
 
     def run(work: Work) -> None:
         try:
-            ended.put((work, do(work, _share(work, at_once))))
+            ended.put((work, do(work, 1.0 if work.is_alone else 1.0 / at_once)))
         except Exception as error:
             ended.put((work, error))
 
@@ -50,11 +50,7 @@ def in_turn(works: Sequence[Work], at_once: int, do: Callable[[Work, float], boo
         raise
 
 
-def _share(work: Work, at_once: int) -> float:
-    return 1.0 if work.is_alone or at_once < 2 else 1.0 / at_once
-
-
-def _next(waiting: Sequence[Work], running: Sequence[Work] | dict[Work, threading.Thread], at_once: int) -> Work | None:
+def _next(waiting: Sequence[Work], running: Collection[Work], at_once: int) -> Work | None:
     """Return the first work that there is room for: what wants to be alone waits for the others to end."""
     if len(running) >= at_once or any(work.is_alone for work in running):
         return None

@@ -330,9 +330,9 @@ class Measurement(Work):
     Attributes:
         measure: (folder, deadline of time.monotonic) -> whether it is finished; it keeps what it has in the folder.
         told: what a reader would type.
-        alone: whether the whole machine is wanted, as where seconds are what is measured.
         sources: files whose change makes it another measurement.
         settings: words of which the same is true.
+        alone: whether the whole machine is wanted, as where seconds are what is measured.
     """
 
     measure: Callable[[Path, float], bool]

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -26,6 +27,14 @@ def test_the_list_names_every_figure(capsys):
     assert command.main(["--list"]) == 0
     told = capsys.readouterr().out
     assert all(figure.id in told and figure.title in told for figure in FIGURES.values())
+
+
+def test_a_reader_of_the_list_may_stop_reading():
+    words = [sys.executable, "-u", "-m", "benchmarks.papers", "--list"]
+    with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stdout.readline().startswith("cq1_table2")
+        child.stdout.close()
+        assert child.stderr.read() == ""
 
 
 def test_figures_may_be_named_in_one_option_or_in_several(capsys):

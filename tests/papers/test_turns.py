@@ -87,7 +87,7 @@ def test_who_is_interrupted_leaves_no_run_behind(monkeypatch):
         codes.append(for_so_long(asleep, time.monotonic() + 60.0, lambda: None)[0])
         return False
 
-    turns = in_turn([TEAR, SECOND, FIRST], 2, do)
+    turns = in_turn([TEAR, SECOND, FIRST], 3, do)
     assert next(turns) == (SECOND, True)
     begun = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
@@ -98,7 +98,7 @@ def test_who_is_interrupted_leaves_no_run_behind(monkeypatch):
     OVER.clear()
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="not Linux")
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux tells how much memory another had")
 def test_the_memory_of_a_command_is_its_own_and_it_is_stopped_with_everything(monkeypatch):
     monkeypatch.setattr(process, "BEAT", 0.02)
     ours = bytearray(b"1") * 600_000_000  # which a child does not count
