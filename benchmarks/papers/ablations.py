@@ -75,7 +75,8 @@ class Ablation(Figure):
         """Return the ablation."""
         small = self.quick if size is Size.QUICK else self.paper_size
         options = ("--ablate", "--rate", f"{self.rate[size]:g}")
-        return [Runs(self.stem, self.minutes[size], "codesign", self.scene, small, self.seeds[size], options)]
+        minutes, seeds = self.minutes[size], self.seeds[size]
+        return [Runs(self.stem, minutes, "codesign", self.scene, small, seeds, options, variants=len(ORDER))]
 
     def table(self, found: Found, size: Size) -> Table:
         """Return variant, seed, iteration, seconds, value [m]."""

@@ -125,9 +125,9 @@ class Rebuild:
         return work.done(self.runs / work.name) is not None
 
     def _left(self, works: Iterable[Work] | None = None) -> float:
-        """Return the minutes that work still takes, at least a tenth of all while it is not done."""
+        """Return the minutes that work still takes."""
         return sum(
-            max(0.1 * work.minutes, work.minutes - work.spent(self.runs / work.name) / 60.0)
+            work.left(self.runs / work.name)
             for work in (self._works.values() if works is None else works)
             if not self._is_done(work)
         )

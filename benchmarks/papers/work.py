@@ -120,6 +120,10 @@ class Work(ABC):
         """Return the seconds that were spent on it so far."""
         return float(_read(folder / CLOCK)["seconds"]) if self.begun(folder) else 0.0
 
+    def left(self, folder: Path) -> float:
+        """Return the minutes that it still takes, at least a tenth of all."""
+        return max(0.1 * self.minutes, self.minutes - self.spent(folder) / 60.0)
+
     def do(self, folder: Path, seconds: float, jobs: int, share: float = 1.0) -> bool:
         """Do it, or go on with it; say whether it is done.
 
@@ -200,6 +204,7 @@ class Runs(Work):
         overrides: of the scene.
         seeds: 0 for the scene's own alone.
         options: further words of the command.
+        variants: of the scene that the options ask for, each with all seeds.
     """
 
     job: str
@@ -207,6 +212,7 @@ class Runs(Work):
     overrides: tuple[str, ...] = ()
     seeds: int = 0
     options: tuple[str, ...] = ()
+    variants: int = 1
 
     @property
     def path(self) -> Path:
@@ -260,8 +266,8 @@ class Runs(Work):
 
         def tell() -> None:
             minutes = (before / share + time.monotonic() - begun) / 60.0
-            left = max(0.1 * self.minutes / share, self.minutes / share - minutes)
-            print(f"    {self.name}: {self.progress(folder)}, {minutes:.0f} min; about {span(left)} left", flush=True)
+            left = span(self.left(folder) / share)
+            print(f"    {self.name}: {self.progress(folder)}, {minutes:.0f} min; about {left} left", flush=True)
 
         code, said = for_so_long(command, end, tell)
         if code in (FAILED, USAGE) and "made by another engine" in said:
@@ -285,6 +291,17 @@ class Runs(Work):
         """Say whether all its runs came to an end: a full disk or a fault of ours is no result."""
         runs = self.runs(folder)
         return bool(runs) and all(read_record(run)["status"] in FINISHED for run in runs)
+
+    def left(self, folder: Path) -> float:
+        """Return the minutes that it still takes: at its own pace, once a fifth of several runs has ended."""
+        count = max(1, self.seeds) * self.variants
+        try:
+            ended = sum(read_record(run)["status"] in FINISHED for run in self.runs(folder))
+        except CqrunError:  # a damaged record is told of by the run itself
+            ended = 0
+        if not self.begun(folder) or ended < max(2.0, count / 5):
+            return super().left(folder)
+        return self.spent(folder) / 60.0 * max(0, count - ended) / ended
 
     def progress(self, folder: Path) -> str:
         """Return how far its runs are."""

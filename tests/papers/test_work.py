@@ -189,9 +189,9 @@ def test_a_run_that_was_killed_is_not_finished(tmp_path, monkeypatch, capsys):
     assert TEAR.do(tmp_path / "tear", 100.0, 1)
 
 
-def ended(folder, status):
+def ended(folder, status, name="0123456789ab"):
     """Leave a run that ended so."""
-    run = folder / "tear" / "0123456789ab" / "run.json"
+    run = folder / "tear" / name / "run.json"
     run.parent.mkdir(parents=True, exist_ok=True)
     run.write_text(json.dumps({"job": "simulate", "status": status, "reason": "", "seconds": 0.0, "files": {}}))
 
@@ -246,6 +246,19 @@ def test_long_work_says_how_far_it_is(tmp_path, monkeypatch):
     assert TEAR.progress(tmp_path) == "1 run begun"
     (run / "history.csv").write_text("iteration\n0\n1\n2\n")
     assert TEAR.progress(tmp_path) == "1 run begun, 2 iterations"
+
+
+def test_several_runs_tell_the_time_left_by_their_own_pace(tmp_path):
+    """Ten runs of 30 minutes as declared: two that ended in 40 leave eight of 20 each."""
+    work = replace(TEAR, seeds=5, variants=2, minutes=300.0)
+    write_json(tmp_path / CLOCK, {"fingerprint": work.fingerprint(), "engine": "e", "seconds": 2400.0})
+    for k, status in enumerate(("iteration_limit", "running", "failed")):
+        assert work.left(tmp_path) == pytest.approx(260.0)
+        ended(tmp_path, status, str(k))
+    assert work.left(tmp_path) == pytest.approx(160.0)
+    assert replace(work, seeds=1).left(tmp_path) == 0.0
+    (tmp_path / "tear" / "0" / "run.json").write_text('{"sta')
+    assert work.left(tmp_path) == pytest.approx(260.0)
 
 
 def test_killed_half_way_it_goes_on(tmp_path):
