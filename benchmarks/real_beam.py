@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -62,9 +63,9 @@ def fit(name: str, recordings: Sequence[str], runs: Path) -> dict[str, Any]:
     run = run_sysid(scene, [*recordings, *overrides], runs / name)
     found = json.loads((run / "result.json").read_text())
     facts = json.loads((run / "run.json").read_text())
-    told = " ".join(f"-o {override}" for override in overrides)
+    told = [word for override in overrides for word in ("-o", override)]
     return {
-        "command": f"cqrun sysid scenes/sysid/{scene.name} {told}".strip(),
+        "command": shlex.join(["cqrun", "sysid", f"scenes/sysid/{scene.name}", *told]),
         "engine": facts["engine"],
         **{key: found[key] for key in ("status", "iterations", "unknowns", "recordings", "findings")},
     }

@@ -66,7 +66,7 @@ def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
         "checks": record["checks"],
         "done": _done(record, judgement),
         "asked": record["asked"],
-        "time": _time(sum(minutes.values())) if machines else "no part is finished",
+        "time": _time(sum(minutes.values())) if machines else "shown is what there is so far",
         "works": minutes,
         "machine": ", and ".join(sorted(machines)),
         "engine": ", ".join(record["engine"]),

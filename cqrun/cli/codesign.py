@@ -32,9 +32,15 @@ def codesign(
     The same command again continues the run, or says that it is finished.
     """
     from cqrun.cli.progress import reporting
-    from cqrun.cli.results import draw_and_print_run, infeasible_shown, print_seeds, require_seeds_for_jobs
+    from cqrun.cli.results import (
+        draw_and_print_ablation,
+        draw_and_print_run,
+        infeasible_shown,
+        print_seeds,
+        require_seeds_for_jobs,
+    )
     from cqrun.errors import UsageError
-    from cqrun.jobs.ablate import ablation_lines, run_ablation
+    from cqrun.jobs.ablate import run_ablation
     from cqrun.jobs.control import run_control
     from cqrun.jobs.seeds import run_seeds
     from cqrun.scene.plugin_files import plugins_allowed
@@ -60,12 +66,7 @@ def codesign(
                     scene, overrides or [], out, fresh=fresh, threads=threads, job="codesign", reporter=reporter
                 )
         if ablate:
-            from cqrun.figures.ablation import draw_ablation
-
-            draw_ablation(found)
-            typer.echo("\n".join(ablation_lines(found)))
-            if not good:
-                raise typer.Exit(1)
+            draw_and_print_ablation(found, good)
         elif seeds is not None:
             print_seeds(summary, good)
         else:

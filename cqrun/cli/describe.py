@@ -127,7 +127,7 @@ def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
         yield f"{indent}  no fields"
     for name, info in cls.model_fields.items():
         unit = field_unit(cls, name)
-        facts = [f"[{unit}]" if unit else "", _what(info), _range(info), _default(info)]
+        facts = [f"[{unit}]" if unit else "", _what(info), _range(info), _default(cls, name, info)]
         facts.append("differentiable" if is_differentiable(cls, name) else "")
         facts.append("differentiable in a body" if is_geometric(cls, name) else "")
         yield f"{indent}  {name}: " + ", ".join(fact for fact in facts if fact)
@@ -179,7 +179,17 @@ def _what(info: FieldInfo) -> str:
 
     if MinLen(2) in info.metadata and MaxLen(3) in info.metadata:
         return "a number for each dimension"
-    return ("name -> " if dict in kinds else "list of " if several else "") + " | ".join(words or ["its fields"])
+    none = "its fields" if _specs(info.annotation) else "value"
+    lists = "list of " * _depth(info.annotation)
+    return ("name -> " if dict in kinds else "") + lists + " | ".join(words or [none])
+
+
+def _depth(annotation: Any) -> int:
+    """Return how many lists an annotation has one inside the other, those by name left out."""
+    parts, origin = typing.get_args(annotation), typing.get_origin(annotation)
+    if origin is typing.Literal:
+        return 0
+    return (origin is list) + max(map(_depth, parts), default=0)
 
 
 def _range(info: FieldInfo) -> str:
@@ -187,8 +197,10 @@ def _range(info: FieldInfo) -> str:
     return " and ".join(f"{sign} {limit}" for sign, limit in limits if limit is not None)
 
 
-def _default(info: FieldInfo) -> str:
-    if info.is_required() and "if absent" not in (info.description or ""):
+def _default(cls: type[BaseModel], name: str, info: FieldInfo) -> str:
+    from cqrun.scene.defaults import FILLED
+
+    if info.is_required() and name not in FILLED.get(cls.__name__, ()):
         return "required"
     if info.is_required():
         return "optional"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -28,18 +28,40 @@ def draw_and_print_run(run: Path) -> None:
     Raises:
         UsageError, RunError: the pictures cannot be written.
     """
-    from cqrun.errors import CqrunError
     from cqrun.figures.draw import draw_run, has_pictures
 
     try:
-        if os.environ.get(PICTURES) != "0" and has_pictures(run):
-            draw_run(run)
-    except CqrunError:
-        raise
-    except Exception as error:  # ours: what was found is worth more than how it looks
-        typer.echo(f"warning: no pictures: {type(error).__name__}: {error}; `cqrun plot {run}` tells more", err=True)
+        _draw(lambda: has_pictures(run) and draw_run(run), f"`cqrun plot {run}` tells more")
     finally:
         print_run(run)
+
+
+def draw_and_print_ablation(found: Path, good: bool) -> None:
+    """Draw how variants compare, then print it; exit with 1 where a run failed. Raises as `draw_and_print_run`."""
+    from cqrun.figures.ablation import draw_ablation
+    from cqrun.jobs.ablate import ablation_lines
+
+    try:
+        _draw(lambda: draw_ablation(found), f"the numbers are in {found}")
+    finally:
+        for line in ablation_lines(found):
+            typer.echo(line)
+    if not good:
+        raise typer.Exit(1)
+
+
+def _draw(draw: Callable[[], object], advice: str) -> None:
+    """Draw, where pictures are wanted; a fault of ours is told: what was found is worth more than how it looks."""
+    from cqrun.errors import CqrunError
+
+    if os.environ.get(PICTURES) == "0":
+        return
+    try:
+        draw()
+    except CqrunError:
+        raise
+    except Exception as error:
+        typer.echo(f"warning: no pictures: {type(error).__name__}: {error}; {advice}", err=True)
 
 
 @contextmanager

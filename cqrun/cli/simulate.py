@@ -27,9 +27,10 @@ def simulate(
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run a scene forward and keep its trajectory (HDF5; ParaView opens it).
+    """Run a scene forward and keep its trajectory (HDF5; ParaView reads it).
 
-    A run of `cqrun control` in the place of a scene is replayed: with -o longer, elsewhere, or with another goal.
+    A run of `cqrun control` or `codesign` in the place of a scene is replayed: with -o longer, elsewhere, or with
+    another goal.
     """
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import draw_and_print_run

@@ -25,16 +25,14 @@ def draw_ablation(path: Path, kinds: tuple[str, ...] = ("png",)) -> list[Path]:
 
 
 def _figure(result: dict[str, Any]) -> Figure:
-    compared = result["compared"]
-    groups = [
-        Group(name, tuple(term_curve(read_run(Path(run)), compared) for run in entry["runs"]))
-        for name, entry in result["variants"].items()
-    ]
-    figure = new_figure(9.0, 1.6 + 0.3 * len(groups) + 1.2)
+    compared, variants = result["compared"], result["variants"]
+    figure = new_figure(9.0, 1.6 + 0.3 * len(variants) + 1.2)
     by_iteration, ends = figure.subplots(1, 2)
-    for place, (group, entry) in enumerate(zip(groups, result["variants"].values(), strict=True)):
+    for place, (name, entry) in enumerate(variants.items()):
         colour, found = COLOURS[place % len(COLOURS)], entry["terms"][compared]
-        plot_group(by_iteration, group, colour, None)
+        runs = [run for run in map(read_run, map(Path, entry["runs"])) if run.history]  # some fail at their very start
+        if runs:
+            plot_group(by_iteration, Group(name, tuple(term_curve(run, compared) for run in runs)), colour, None)
         if found["mean"] is None:  # every run of it has failed
             continue
         low, high = (found["mean"] if found[end] is None else found[end] for end in ("low", "high"))
@@ -44,7 +42,7 @@ def _figure(result: dict[str, Any]) -> Figure:
             ends.annotate(
                 f"{entry['gain']['mean']:+.0%}", (high, place), (5, 0), textcoords="offset points", va="center"
             )
-    ends.set_yticks(range(len(groups)), [group.label for group in groups])
+    ends.set_yticks(range(len(variants)), list(variants))
     for tick, colour in zip(ends.get_yticklabels(), itertools.cycle(COLOURS)):
         tick.set_color(colour)  # so that they name the curves, too
     ends.invert_yaxis()

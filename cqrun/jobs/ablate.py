@@ -36,6 +36,7 @@ from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import cores
 from cqrun.jobs.seeds import CONFIDENCE, command_of, inputs_of, interval, member, require_seeds, shown, warn_if_alike
 from cqrun.optimizers.constrained import ranked
+from cqrun.scene.check_design import differ
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, leaf, shapes_a_body
 from cqrun.scene.schema import Scene
@@ -101,7 +102,7 @@ def run_ablation(
     warn_if_alike(whole, seeds, talk)
     # `auto` follows from the bounds of what is free: variants of other time steps would not be comparable
     same_step = [f"time.substeps={whole.built.model.substeps}"] if scene.time.substeps == "auto" else []
-    at_once = n_threads if jobs is None else jobs
+    at_once = min(n_threads if jobs is None else jobs, len(variants) * max(seeds, len(tried)))
     make = _Members(source, [*overrides, *same_step], out, max(1, n_threads // at_once), allow_plugins, talk)
     best: dict[str, str | None] = {v.name: tried[0] for v in variants}
     searched: dict[str, dict[str, float | None]] = {}
@@ -186,7 +187,7 @@ def variants_of(scene: Scene) -> list[Variant]:
         fixed = [path for path in paths if group_of(canonical(scene, path)) not in free]
         name = CONTROL if not free else ALL if len(free) == len(groups) > 1 else " + ".join(free)
         starts = [f"{p}={value!r}" for path in fixed for p, value in tied(scene, path, start(scene, path)).items()
-                  if value != leaf(scene, p).value]  # fmt: skip
+                  if differ(value, leaf(scene, p).value)]  # fmt: skip
         found.append(Variant(name, free, (*(f"unknowns.{path}=null" for path in fixed), *starts)))
     return found
 
@@ -195,7 +196,7 @@ def _require_same_particles(scene: Scene, path: str) -> None:
     """Refuse an unknown whose start is another body than the scene's: kept fixed, it would be sampled anew."""
     for other, value in tied(scene, path, start(scene, path)).items():
         own = leaf(scene, other).value
-        if shapes_a_body(other) and value != own:
+        if shapes_a_body(other) and differ(value, own):
             raise UsageError(
                 f"--ablate: '{other}' starts at {value:g}, but the scene has {own:g}; variants that keep it would be "
                 f"of other particles: give it that value in the scene, -o {other}={value:g}"

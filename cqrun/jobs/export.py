@@ -70,8 +70,11 @@ def designed(run: Path) -> tuple[Built, dict[str, Array]]:
     scene = load_scene(run / "scene.yaml", (), Path(str(record.get("base", ""))))
     if not scene.unknowns:
         raise UsageError(f"{run}: its scene has no `unknowns`: nothing was designed")
+    found = json.loads(result.read_text()).get("unknowns")
+    if found is None:
+        raise UsageError(f"{run}: is a run of {record['job']}, which designs nothing: export the run that it replays")
     built = build(scene)
-    return built, values_found(scene, built.particles, json.loads(result.read_text())["unknowns"])
+    return built, values_found(scene, built.particles, found)
 
 
 def table(built: Built, values: Mapping[str, Array]) -> dict[str, Array]:

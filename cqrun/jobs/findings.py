@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.design.params import Block
+from cqrun.design.params import Block, Spread
 from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError
@@ -123,6 +123,9 @@ def _add_intervals(result: dict[str, Any], problem: FitProblem, outcome: Outcome
     for block in problem.params.blocks:
         names = _names(block)
         entry = result["unknowns"][block.path]
+        if isinstance(block, Spread):
+            entry["reason"] = "its values follow from fewer numbers, of a field or of mirrored pairs, and have no own"
+            continue
         entry["interval"] = (
             [_pair(found.intervals[n]) for n in names] if block.initial.ndim else _pair(found.intervals[names[0]])
         )
@@ -147,11 +150,11 @@ def _names(block: Block) -> list[str]:
 
 def list_unknowns(problem: FitProblem, x: Array) -> list[Unknown]:
     """Return every fitted number at x, as the statistics take it."""
-    values = problem.params.unpack(x)
+    params = problem.params
     return [
         Unknown(name, float(value), block.lower, block.upper, block.log)
-        for block in problem.params.blocks
-        for name, value in zip(_names(block), np.reshape(values[block.path], -1), strict=True)
+        for block, part in zip(params.blocks, params.slices.values(), strict=True)
+        for name, value in zip(_names(block), block.numbers(x[part]), strict=True)
     ]
 
 

@@ -97,7 +97,16 @@ def data_files(scene: Scene) -> dict[str, Path]:
 
 
 def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
-    """Return the scene that a run directory keeps, which names its files from where the run began."""
+    """Return the scene that a run directory keeps, which names its files from where the run began.
+
+    Raises:
+        UsageError: it, or a file that one of its parts is read from, has changed since.
+    """
+    if not run.is_as_begun():
+        raise UsageError(
+            f"{run.path}: its folder is not named after its scene: the folder was renamed, or its scene.yaml has "
+            "changed since the run began; give it its name back, or run the scene again"
+        )
     scene = load_scene(run.path / "scene.yaml", overrides, Path(run.record["base"]))
     for name, path in part_files(scene).items():
         began_with = run.record["files"].get(name)
@@ -113,23 +122,9 @@ def require_same_data(run: RunDirectory) -> None:
         UsageError: they have. SceneError: one is missing.
     """
     scene = saved_scene(run)
-    saved = RunScene(
-        run.path.parent.name,
-        run.resolved,
-        "",
-        part_files(scene) | data_files(scene),
-        job=run.record["job"],
-        plugins=scene.plugin_paths(),
-    )
-    if saved.contents() != run.record["files"]:
+    read = RunScene("", run.resolved, "", part_files(scene) | data_files(scene), plugins=scene.plugin_paths())
+    if read.contents() != run.record["files"]:
         raise UsageError(f"{run.path}: a recording that it names has changed since the run began; run the scene again")
-    # an extended run keeps the name of the scene it began with
-    same = run.is_as_extended() if run.record.get("extended") else saved.digest() == run.path.name
-    if not same:
-        raise UsageError(
-            f"{run.path}: its folder is not named after its scene: the folder was renamed, or its scene.yaml has "
-            "changed since the run began; give it its name back, or run the scene again"
-        )
 
 
 def finished_already(run: RunDirectory, talk: Reporter, *, asked_by_scene: bool = True) -> bool:

@@ -19,11 +19,19 @@ Quantity = Literal["position", "velocity", "acceleration"]
 
 
 class MotionRanges(Spec):
-    """What becomes [-1, 1]; auto: the world's size, the same per second, and per second squared."""
+    """What becomes [-1, 1]."""
 
-    position: Range = Field(description="[low, high] in m, one for each axis, auto, or null", default="auto")
-    velocity: Range = Field(description="[low, high] in m/s, one for each axis, auto, or null", default="auto")
-    acceleration: Range = Field(description="[low, high] in m/s^2, one for each axis, auto, or null", default="auto")
+    position: Range = Field(
+        description="[low, high] in m, one for each axis; auto: the world's size; or null: as it is", default="auto"
+    )
+    velocity: Range = Field(
+        description="[low, high] in m/s, one for each axis; auto: the world's size a s; or null: as it is",
+        default="auto",
+    )
+    acceleration: Range = Field(
+        description="[low, high] in m/s^2, one for each axis; auto: the world's size a s^2; or null: as it is",
+        default="auto",
+    )
 
 
 _ALL_RAW = MotionRanges(position=RAW, velocity=RAW, acceleration=RAW)

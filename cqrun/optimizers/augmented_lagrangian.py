@@ -133,9 +133,9 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         d, _ = quadratic_program(LowRank(1.0), np.zeros(len(x)), J, ends, box, HEAVY)
         return np.asarray(d * min(1.0, LONGEST / max(float(np.max(np.abs(d), initial=0.0)), LONGEST)))
 
-    def stride(self, iteration: int, direction: Array, answer: dict[str, Array]) -> Array:
-        """Return the step of Adam, or minus the one straight to the constraints."""
-        return -answer["normal"] if "normal" in answer else super().stride(iteration, direction, answer)
+    def stride(self, iteration: int, direction: Array, answer: dict[str, Array], scale: float) -> Array:
+        """Return the step of Adam, or minus the one straight to the constraints: whole, or it would never help."""
+        return -answer["normal"] if "normal" in answer else super().stride(iteration, direction, answer, scale)
 
     def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
         """Return Adam's direction, and all that is remembered."""

@@ -233,7 +233,8 @@ class ConstrainedTrials(Trials):
                 return {"f": np.array(f), "g": g, "c": c, "J": J, "terms": np.array(self.problem.term_values(), float)}
 
             answer = self._ask("gradients", x, compute)
-            self._gradients = {key: answer}
+            # with the last one: a corrected trial that is no better goes back to it
+            self._gradients = dict([*self._gradients.items()][-1:]) | {key: answer}
             self._keep(x, answer)
             if not self._started:
                 self._started = True

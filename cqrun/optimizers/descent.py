@@ -133,9 +133,9 @@ class Descent(Optimizer):
         """Return f (), the gradient g (n,) that steps follow, and the terms at x; TrialFailed where it blows up."""
         return checked_value_and_grad(problem, x, batch)
 
-    def stride(self, iteration: int, direction: Array, answer: dict[str, Array]) -> Array:
-        """Return what to subtract from x (n,) after an iteration's evaluation."""
-        return self.learning_rate / (1.0 + self.decay * iteration) * direction
+    def stride(self, iteration: int, direction: Array, answer: dict[str, Array], scale: float) -> Array:
+        """Return what to subtract from x (n,) after an iteration's evaluation; failed trials lower `scale` from 1."""
+        return scale * (self.learning_rate / (1.0 + self.decay * iteration) * direction)
 
     def learn(self, iteration: int, answer: dict[str, Array], memory: dict[str, Array]) -> dict[str, Array]:
         """Return the memory after an iteration's evaluation."""
@@ -219,7 +219,7 @@ class Descent(Optimizer):
         loss, grad, iteration = float(answer["f"]), answer["g"], state.iteration + 1
         direction, memory = self.direction(iteration, self._tamed(grad, rng), state.memory)
         memory = self.learn(iteration, answer, memory)
-        wanted = state.scale * self.stride(iteration, direction, answer)
+        wanted = self.stride(iteration, direction, answer, state.scale)
         better = self._changes(problem) or self.better(state, answer)  # losses of other data do not compare
         advanced = replace(
             state,

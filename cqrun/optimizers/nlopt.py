@@ -49,7 +49,7 @@ class Nlopt(TwoSearches):
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
     ) -> tuple[Status, str]:
         """Run NLopt once; in search of feasibility f counts as 0, and `Feasible` is raised on success."""
-        nlopt, start, raised = library(), x.tobytes(), list[BaseException]()
+        nlopt, begun, raised = library(), list[bool](), list[BaseException]()
 
         def keeping(function: Callable[..., Any]) -> Callable[..., Any]:
             """Keep what a function raises: a method inside a method loses it."""
@@ -67,8 +67,9 @@ class Nlopt(TwoSearches):
             here = x.copy()  # NLopt's own memory, which changes
             if grad.size:
                 grad[:] = 0.0 if feasibility else trials.gradients(here)["g"]
-                if here.tobytes() != start:
+                if begun:  # the first is where the search begins; that it stays there counts, or no limit would end it
                     trials.accept(here)
+                begun.append(True)
                 if feasibility and trials.violated(here) <= self.constraint_tolerance:
                     raise Feasible
             return 0.0 if feasibility else trials.values(here)[0]

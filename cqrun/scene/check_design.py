@@ -77,10 +77,15 @@ def design_warnings(scene: Scene, particles: Particles) -> list[Problem]:
             found += [Problem(scene.where(told), f"{told}.mirror", message) for message in messages]
         for other, value in list(tied(scene, path, start(scene, path)).items())[1:]:
             own = leaf(scene, other).value
-            if abs(value - own) > ROUNDING * max(abs(value), abs(own)):
+            if differ(value, own):
                 message = f"{other} starts at {value:g}, by `also`, and not at the {own:g} that the scene has there"
                 found.append(Problem(scene.where(told), told, message))
     return found
+
+
+def differ(value: float, own: float) -> bool:
+    """Say whether two values differ by more than rounding, as of a sum of two numbers."""
+    return abs(value - own) > ROUNDING * max(abs(value), abs(own))
 
 
 def _starts(scene: Scene, particles: Particles, path: str) -> bool:

@@ -36,7 +36,7 @@ class Recording(Spec):
     length: float | None = quantity("s", "How long to compare; the scene's duration if absent", gt=0, default=None)
     skip: float = quantity("s", "Time after the start that is not compared", ge=0, default=0.0)
     holdout: bool = Field(description="Predict it, but do not fit it", default=False)
-    body: Name = Field(description="Body that carries the markers; may be left out where there is one body")
+    body: Name = Field(description="Body that carries the markers; the only one if absent")
     units: LengthUnit | None = Field(description="Of the file, if it does not say", default=None)
     still: Interval | None = quantity("s", "Time in the file when the body rests", default=None)
     markers: dict[str, Vector] = quantity("m", "Rest position of each marker used", default_factory=dict)
@@ -64,7 +64,7 @@ class Recording(Spec):
 class Target(Spec):
     """Where a body's centroid shall be at a time."""
 
-    body: Name = Field(description="Body whose centroid counts")
+    body: Name = Field(description="Body whose centroid counts; the only one if absent")
     position: list[float] = vector("m", "Wanted position")
     time: float = quantity("s", "When; the end of the run if absent", gt=0)
 
@@ -76,7 +76,7 @@ class Synthetic(Spec):
     noise: float = quantity("m", "Standard deviation of each coordinate", ge=0, default=0.0)
     copies: int = Field(description="Noisy copies of each sequence", ge=1, default=1)
     seed: Seed = Field(description="Seed of the noise and of tracked particles", default=0)
-    body: Name = Field(description="Body that carries the markers; may be left out where there is one body")
+    body: Name = Field(description="Body that carries the markers; the only one if absent")
     markers: dict[str, Vector] | None = quantity("m", "Rest position of each marker", default=None)
     tracked: int | None = Field(description="How many random particles to track", ge=1, default=None)
     every: int | None = Field(description="Control steps between two frames", ge=1, default=None)

@@ -57,6 +57,16 @@ def locate(data: Any, path: str) -> Loc:
     return tuple(loc)
 
 
+def found(data: Any, loc: Loc) -> Any:
+    """Return what is at a place in plain data, None where nothing is."""
+    for key in loc:
+        if isinstance(data, dict):
+            data = data.get(key)
+        else:
+            data = data[key] if isinstance(data, list) and isinstance(key, int) and key < len(data) else None
+    return data
+
+
 def replaced(data: Any, loc: Loc, value: Any) -> Any:
     """Return plain data with one place replaced; mappings on the way are made where there are none.
 

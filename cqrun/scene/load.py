@@ -10,8 +10,9 @@ from pydantic import ValidationError
 
 from cqrun.errors import Problem, SceneError
 from cqrun.explain import complaint
+from cqrun.scene.defaults import with_defaults
 from cqrun.scene.document import Document, read, write
-from cqrun.scene.keypath import is_named, locate, removed, replaced
+from cqrun.scene.keypath import found, is_named, locate, removed, replaced
 from cqrun.scene.origin import Origin, Override
 from cqrun.scene.paths import plain
 from cqrun.scene.plugin_files import findings_of_plugins
@@ -88,6 +89,7 @@ def _overridden(data: Any, overrides: Sequence[str]) -> tuple[Any, list[Override
             problems.append(Problem(where, path, "must be key.path=value"))
             continue
         try:
+            data = _with_vector(data, path)
             loc, new = locate(data, path), read(value).data
             is_part = is_named(loc) or (len(loc) == 1 and loc[0] in data)  # or a section of the scene
             data = removed(data, loc) if new is None and is_part else replaced(data, loc, new)
@@ -99,3 +101,14 @@ def _overridden(data: Any, overrides: Sequence[str]) -> tuple[Any, list[Override
     if problems:
         raise SceneError(problems)
     return data, applied
+
+
+def _with_vector(data: Any, path: str) -> Any:
+    """Return scene data with the vector that a path counts in, if the scene leaves it to its default: `velocity.0`."""
+    parent, _, last = path.rpartition(".")
+    if not last.isdigit():
+        return data
+    filled = with_defaults(data)
+    loc = locate(filled, parent)
+    vector = found(filled, loc)
+    return replaced(data, loc, vector) if isinstance(vector, list) and found(data, loc) is None else data

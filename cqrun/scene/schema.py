@@ -59,7 +59,7 @@ class Body(Spec):
     velocity: list[float] = vector("m/s", "Velocity at the start; zero if absent", differentiable=True)
     spin: list[float] = quantity(
         "rad/s",
-        "Rate of rotation about the centroid at the start (2D: one entry)",
+        "Rate of rotation about the centroid at the start (2D: one entry); zero if absent",
         differentiable=True, min_length=1, max_length=3,
     )  # fmt: skip
     unit_mass: bool = Field(description="Every particle has mass = density and volume 1", default=False)
@@ -201,7 +201,9 @@ class Scene(Spec):
     )
     world: World = Field(description="Box and grid")
     precision: Literal["float64", "float32"] = Field(description="Of the engine", default="float64")
-    memory: Memory = Field(description="Budget for states kept for gradients", default=2 * 2**30)
+    memory: Memory = Field(
+        description="Budget for states kept for gradients: bytes, or with a unit, such as 8GiB", default=2 * 2**30
+    )
     seed: Seed = Field(description="Seed of whatever names none of its own", default=0)
     bodies: dict[Name, Body] = Field(description="Name -> body", min_length=1)
     regions: dict[Name, ChosenRegion] = Field(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from pydantic_core import InitErrorDetails
 
@@ -90,6 +90,8 @@ def _followers(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorD
         elif unknown.per != "body" and same[:1] + same[2:] != keys[:1] + keys[2:]:
             message = f"`per: {unknown.per}` can be tied to the same value of another body only"
             yield finding(message, place, kind=KEY)
+        elif unknown.per != "body" and (message := _held_by_parts(scene, same)):
+            yield finding(message, place, kind=KEY)
 
 
 def _bounds(scene: Scene, path: str, unknown: Unknown, info: LeafInfo) -> Iterator[InitErrorDetails]:
@@ -131,12 +133,17 @@ def _per(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails
         yield finding(f"only a body's material, and an actuator's `weight`, can {how}; {advice}", place)
     elif unknown.per == "group" and not scene.bodies[body].group_names:
         yield finding(f"the body '{body}' has no groups; name some or use `per: body`", place)
-    elif not is_weight:
-        others = scene.bodies[keys[1]].material_of
-        own = [name for name, other in others.items() if other.value(".".join(keys[3:])) is not None]
-        if own:
-            message = f"by material_of, {listed(own)} have a value of their own: remove it, or use `per: body`"
-            yield finding(message, place)
+    elif not is_weight and (message := _held_by_parts(scene, keys)):
+        yield finding(message, place)
+
+
+def _held_by_parts(scene: Scene, keys: Sequence[str]) -> str:
+    """Return what is wrong with values a particle of a body's material where parts have their own, or nothing."""
+    if keys[0] != "bodies" or keys[2:3] != ["material"]:
+        return ""
+    others = scene.bodies[keys[1]].material_of
+    own = [name for name, other in others.items() if other.value(".".join(keys[3:])) is not None]
+    return f"by material_of, {listed(own)} have a value of their own: remove it, or use `per: body`" if own else ""
 
 
 def _twice(scene: Scene) -> Iterator[InitErrorDetails]:

@@ -5,7 +5,9 @@ results/<scene's stem>/<12 hex>/
   scene.original.yaml   as typed                 history.csv    one row an iteration
   run.json              status, provenance       result.json    what was found
   log.txt               what happened, by phase  figures/       lock
-  plugins/              copies of plug-in files
+  plugins/              copies of plug-in files  trajectory.h5  the motion
+and what jobs add: controller.npz, activation.csv, observables.csv (learned.py, simulate.py), tracks.csv
+(findings.py), design/ (export.py).
 """
 
 from __future__ import annotations
@@ -63,10 +65,7 @@ class RunScene:
         Raises:
             UsageError: a file cannot be read.
         """
-        digest = hashlib.sha256(f"{self.job}\0{self.resolved}".encode())
-        for name, content in self.contents().items():
-            digest.update(name.encode() + b"\0" + bytes.fromhex(content))
-        return digest.hexdigest()[:12]
+        return _digest(self.job, self.resolved, self.contents())
 
     def contents(self) -> dict[str, str]:
         """Return the sha256 of every file, by name.
@@ -199,9 +198,11 @@ class RunDirectory:
         self.begin()  # first: a run that is killed here goes on with the scene it had
         write_text(self.path / "scene.yaml", resolved)
 
-    def is_as_extended(self) -> bool:
-        """Say whether scene.yaml is still what `extend` wrote."""
-        return _hash_of(self.resolved) in self.record["scenes"]
+    def is_as_begun(self) -> bool:
+        """Say whether scene.yaml is still what the run began with, which names its folder, or what `extend` wrote."""
+        if self.record.get("extended"):
+            return _hash_of(self.resolved) in self.record["scenes"]
+        return _digest(self.record["job"], self.resolved, self.record["files"]) == self.path.name
 
     def write_result(self, result: Mapping[str, Any]) -> None:
         """Write result.json."""
@@ -339,6 +340,14 @@ def read_record(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise UsageError(f"{file}: unreadable ({error}); run the scene again with --fresh") from error
     return record
+
+
+def _digest(job: str, resolved: str, contents: Mapping[str, str]) -> str:
+    """Return 12 hex digits over a job, a resolved scene and the sha256 of every file that it names."""
+    digest = hashlib.sha256(f"{job}\0{resolved}".encode())
+    for name, content in contents.items():
+        digest.update(name.encode() + b"\0" + bytes.fromhex(content))
+    return digest.hexdigest()[:12]
 
 
 def _hash_of(text: str) -> str:

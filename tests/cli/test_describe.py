@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib.util import find_spec
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from cqrun.cli.describe import _lines
 from cqrun.errors import UsageError
 from cqrun.registry import FOLDERS, plugins
+from cqrun.scene.defaults import FILLED
 
 KINDS = [kind for kind, folder in FOLDERS.items() if find_spec(folder)]
 PAGES = [(kind, name) for kind in KINDS for name in plugins(kind)]
@@ -39,6 +41,26 @@ def test_a_page_shows_units_ranges_and_defaults():
     text = page("shape", "union")
     assert "scale: [1], number, > 0, default 1.0" in text
     assert "shapes: several of shape (cqrun describe shape), required" in text
+
+
+def test_what_may_be_left_out_is_optional():
+    pages = {
+        "World": "world",
+        "Body": "bodies",
+        "Recording": "recordings",
+        "Target": "target",
+        "Synthetic": "synthetic",
+    }
+    for part, fields in FILLED.items():
+        for name in fields:
+            assert re.search(rf"^  {name}: .*, optional", page(pages[part]), re.M), (part, name)
+    assert re.search(r"^  size: .*, required", page("world"), re.M)
+
+
+def test_lists_in_lists_are_told():
+    assert "route: [m], list of list of number, required" in page("actuator", "cable")
+    assert re.search(r"markers: \[m\], name -> list of number, optional", page("recordings"))
+    assert "overrides: name -> value, optional" in page("recordings")
 
 
 def test_a_name_alone_is_enough():

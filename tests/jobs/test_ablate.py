@@ -14,7 +14,7 @@ from small_finger import DESIGN, FINGER, written
 from typer.testing import CliRunner
 
 from cqrun.cli.app import app
-from cqrun.errors import RunError, Stopped, UsageError
+from cqrun.errors import RunError, SceneError, Stopped, UsageError
 from cqrun.figures.ablation import draw_ablation
 from cqrun.jobs import ablate
 from cqrun.jobs.ablate import _gain, ablation_lines, effects, group_of, run_ablation, variants_of
@@ -22,6 +22,7 @@ from cqrun.jobs.fleet import Member
 from cqrun.jobs.seeds import run_seeds
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import get
+from cqrun.scene.unknowns import tied
 from cqrun.store.history import read_history
 from cqrun.store.run import read_record
 
@@ -166,6 +167,9 @@ def test_runs_that_blow_up_leave_the_comparison_of_the_others(tmp_path):
     assert any(line.split() == ["youngs_modulus", "failed"] for line in lines)
     assert any(line.startswith("all, seed 0 failed: ") and "left the grid" in line for line in lines)
     assert path.with_suffix(".png").stat().st_size > 10_000
+    (run,) = map(Path, free["runs"])  # as where the start itself blows up
+    (run / "history.csv").write_text((run / "history.csv").read_text().partition("\n")[0] + "\n")
+    assert draw_ablation(path)
     rows = list(csv.DictReader(path.with_suffix(".csv").read_text().splitlines()))
     assert [row["tip:mean"] != "" for row in rows] == [True, False, True, False]
 
@@ -201,6 +205,27 @@ def test_variants_run_with_the_time_steps_of_the_whole(tmp_path):
     assert len(steps) == 1
     assert steps.pop() > 1
     assert len({read_history(run / "history.csv")["tip"][0] for run in runs}) == 1
+
+
+@pytest.mark.parametrize(
+    ("path", "vector"),
+    [("bodies.finger.velocity.0", [0.1, 0.0]), ("bodies.finger.spin.0", [0.1]), ("world.gravity.1", [0.0, 0.1])],
+)
+def test_a_vector_that_the_scene_leaves_out_stays_where_it_starts(tmp_path, path, vector):
+    scene, free = design(tmp_path, E), [f"unknowns.{path}={{bounds: [-1, 1], initial: 0.1}}"]
+    control = variants_of(load_scene(scene, free))[0]
+    assert get(load_scene(scene, [*free, *control.overrides]), path.rpartition(".")[0]) == vector
+    with pytest.raises(SceneError, match="there is no entry '7' in a list of"):
+        load_scene(scene, [f"{path[:-1]}7=1"])
+
+
+def test_what_follows_may_differ_from_the_scene_by_rounding(tmp_path):
+    """Its particles stay those of the scene, to the bit."""
+    height, over = (f"bodies.finger.parts.{part}" for part in ("left.box.size.1", "tip.box.corner.1"))
+    tie = f"unknowns.{height}={{bounds: [1.95, 2.05], also: {{{over}: {{factor: 1.4, offset: -0.8}}}}}}"
+    scene = load_scene(design(tmp_path, E), [tie])
+    assert tied(scene, height, 2.0)[over] != get(scene, over)
+    assert not any(override.startswith("bodies") for v in variants_of(scene) for override in v.overrides)
 
 
 def test_a_start_that_is_another_body_is_refused(tmp_path):

@@ -12,7 +12,7 @@ from small_finger import DESIGN, STIFFNESS, written
 
 from cqrun.cli.results import infeasible_shown
 from cqrun.design.spread import mirrored
-from cqrun.errors import InfeasibleError, RunError, SceneError
+from cqrun.errors import InfeasibleError, RunError, SceneError, UsageError
 from cqrun.jobs.control import prepare, run_control
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.reporter import Silent
@@ -280,7 +280,38 @@ def test_validate_tells_the_constraints(finger):
     assert "constraint up (height): at least 0.3, at most 0.9" in text
 
 
+def test_a_run_whose_scene_was_edited_is_not_continued(finger, tmp_path):
+    """Its log has answers for the body that it began with."""
+    overrides = ["constraints={}", "optimizer={adam: {max_iterations: 1}}"]
+    run = learn(finger, tmp_path, *overrides)
+    file, told = run / "scene.yaml", "scene.yaml has changed since the run began"
+    for limit in (2, 3):  # one that was extended is known by another mark
+        text = file.read_text()
+        file.write_text(text.replace("density: 1", "density: 2"))
+        assert file.read_text() != text
+        with pytest.raises(UsageError, match=told):
+            run_resume(run, [f"optimizer.adam.max_iterations={limit}"], threads=1)
+        file.write_text(text)
+        run_resume(run, [f"optimizer.adam.max_iterations={limit}"], threads=1)
+    assert result_of(run)["iterations"] == 3
+
+
 # --- refusals -------------------------------------------------------------------------------------------------------
+
+
+def test_what_follows_has_no_values_of_its_own_in_parts(finger):
+    elastic = "elastic: {fixed_corotated: {youngs_modulus: 10, poissons_ratio: 0.3}}"
+    other = (
+        "bodies.other={shape: {box: {corner: [0.7, 0.2], size: [0.1, 0.1]}}, spacing: 0.05, "
+        "groups: {tip: {box: {corner: [0.7, 0.25], size: [0.1, 0.05]}}}, material: {density: 1, " + elastic + "}, "
+        "material_of: {tip: {elastic: {fixed_corotated: {youngs_modulus: 99, poissons_ratio: 0.3}}}}}"
+    )
+    follower = STIFFNESS.replace("finger", "other")
+    unknown = f"unknowns.{STIFFNESS}={{bounds: [5, 20], per: particle, also: [{follower}]}}"
+    told = rf"also.{follower}: by material_of, tip have a value of their own: remove it"
+    with pytest.raises(SceneError, match=told):
+        load_scene(finger, [other, unknown])
+    load_scene(finger, [other, "bodies.other.material_of={}", unknown])
 
 
 @pytest.mark.parametrize(

@@ -153,6 +153,8 @@ def test_a_design_is_replayed_with_its_geometry(run, tmp_path):
     assert values[TALL] == result_of(run)["unknowns"][TALL]["value"]
     (first, last) = (h5py.File(path / "trajectory.h5")["particles/x"][-1] for path in (run, again))
     np.testing.assert_array_equal(first, last)
+    with pytest.raises(UsageError, match="is a run of simulate, which designs nothing: export the run that it replays"):
+        export_design(again, tmp_path / "design")
     with pytest.raises(UsageError, match="holds the body's geometry, which was learned"):
         run_simulate(run, [f"{TALL}=1.2"], tmp_path, threads=1)
 

@@ -7,6 +7,7 @@ import re
 import pytest
 from small_beam import E_PATH, SHEAR_PATH, Listener, record, recorded, result_of
 
+from cqrun.cli.results import draw_and_print_run
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.sysid import run_sysid, with_optimizer
@@ -108,6 +109,24 @@ def test_single_precision_has_no_intervals(two, tmp_path):
     entry = result_of(run)["unknowns"][SHEAR_PATH]
     assert entry["interval"] is None
     assert "too coarse for the differences" in entry["reason"]
+
+
+@pytest.mark.parametrize("spread", ["per: field, resolution: 2", "per: particle, mirror: y"])
+def test_values_that_follow_from_fewer_numbers(two, tmp_path, spread):
+    """Each value is told, without an interval; what is fitted beside them has its own, or the reason of its own."""
+    overrides = [f"unknowns.{E_PATH}={{bounds: [1.0e4, 1.0e5], {spread}}}", "optimizer={lbfgs: {max_iterations: 2}}"]
+    run = find(two, tmp_path, *overrides)
+    found = result_of(run)["unknowns"]
+    assert len(found[E_PATH]["value"]) == 40
+    assert found[E_PATH]["interval"] is None
+    assert "its values follow from fewer numbers" in found[E_PATH]["reason"]
+    shear = found[SHEAR_PATH]
+    if "field" in spread:
+        assert shear["interval"][0] < shear["value"] < shear["interval"][1]
+    else:
+        assert "cannot be told apart" in shear["reason"]
+    draw_and_print_run(run)
+    assert (run / "figures" / "convergence.png").exists()
 
 
 def test_what_a_recordings_own_scene_warns_of_is_told(two, tmp_path):

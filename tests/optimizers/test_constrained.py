@@ -10,6 +10,7 @@ from toy_problems import Confined, Nearest, Rosenbrock, run_folder, solve
 
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.optimizers.augmented_lagrangian import AugmentedLagrangian
+from cqrun.optimizers.base import TrialFailed
 from cqrun.optimizers.constrained import Kkt, _of_one_sign, kkt, most_violated, ranked, verdict, violation
 from cqrun.optimizers.nlopt import Nlopt
 from cqrun.optimizers.slsqp import MOST_UNKNOWNS, Slsqp
@@ -265,6 +266,28 @@ def test_an_augmented_lagrangian_converges_where_the_last_point_meets_the_constr
     assert outcome.x == pytest.approx([0.0, 0.0], abs=0.11)
 
 
+class Blowing(Confined):
+    """The valley, some evaluations of which blow up."""
+
+    def __init__(self, blown):
+        super().__init__()
+        self.blown = blown
+
+    def _evaluate(self, x):
+        answer = super()._evaluate(x)
+        if self.evaluations in self.blown:
+            raise TrialFailed("left the grid", body="beam", particle=7, time=0.25, values="")
+        return answer
+
+
+@pytest.mark.parametrize("blown", [(), (5,), (5, 9), (5, 9, 13)])
+def test_steps_to_the_constraints_are_whole_whatever_has_failed(tmp_path, blown):
+    """Of a quarter of one, a quarter of the violation at the most would go, and none would count as one that helps."""
+    outcome, _ = solve(tmp_path, AugmentedLagrangian(max_iterations=300, learning_rate=0.05), Blowing(blown))
+    assert outcome.status == "iteration_limit"
+    assert outcome.x.sum() == pytest.approx(1.0, abs=1e-6)
+
+
 def test_sqp_shortens_its_step_where_a_trial_blows_up(tmp_path):
     """Every fourth trial does, and it comes to the same minimum without a restart, of which there are but three."""
 
@@ -322,6 +345,16 @@ def test_mma_looks_for_what_is_feasible_first(tmp_path):
 def test_mma_ends_at_the_projection(tmp_path):
     outcome, _ = solve(tmp_path, Nlopt(algorithm="mma", max_iterations=300), Nearest(AIM, W, -1.0))
     assert outcome.x == pytest.approx(AIM - W * (W @ AIM + 1.0) / (W @ W), abs=3e-3)
+
+
+@pytest.mark.parametrize("algorithm", ["slsqp", "mma", "auglag"])
+def test_a_search_that_never_leaves_its_start_ends(tmp_path, algorithm):
+    """Nothing below the start, where the bounds are, meets the constraint: that it stays there counts, too."""
+    problem = Nearest(AIM, W, -1.0)
+    problem.lower = problem.start.copy()
+    outcome, _ = solve(tmp_path, Nlopt(algorithm=algorithm, max_iterations=30), problem)
+    assert outcome.status == "infeasible"
+    assert "constraint 'plane' is 0, wanted at most -1" in outcome.message
 
 
 def test_a_missing_nlopt_is_named(tmp_path, monkeypatch):

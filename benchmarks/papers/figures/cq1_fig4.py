@@ -17,7 +17,7 @@ class Biped(Frames):
     source = "CQ1 Fig 4"
     paper = "onion-skin frames of 600 steps: a walk to the right; no number is printed"
     tolerance = {
-        Size.QUICK: f"the head of the best seed comes farther than a third of the body's length, .6 m; {WHOLE}",
+        Size.QUICK: f"the head of the best seed comes farther than .2 m, a third of the body's length; {WHOLE}",
         Size.PAPER: f"the head of the best seed comes farther than the body's length, .6 m; {WHOLE}",
     }
     left_open = (
