@@ -39,6 +39,9 @@ class Actuator(Plugin):
     scale: ClassVar[str] = ""
     """The differentiable field that an activation is multiplied by."""
 
+    neutral: ClassVar[float] = 0.0
+    """The activation that does nothing: of a part that nothing drives."""
+
     kernel: ClassVar[type]
     """The class of the kernels' view: of a term of the stress, or of a force."""
 

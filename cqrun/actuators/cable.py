@@ -50,6 +50,7 @@ class Cable(Actuator):
     stiffness: float = quantity("N/m", "Tension over stretch", differentiable=True, ge=0)
 
     scale = "stiffness"
+    neutral = 1.0
     kernel = Kernel
 
     @property

@@ -62,13 +62,21 @@ class BoundaryCondition(Plugin):
             raise ValueError("give exactly one of `face` and `region`")
         if self.face is not None and self.normal is not None:
             raise ValueError("`normal` belongs to a region; a face has its own")
-        if self.region is not None and self.needs_normal and self._region_normal() is None:
-            raise ValueError(
-                f"a region other than half_space and height_field needs `normal`, a unit vector, for {self.name}"
-            )
+        if self.lacks_normal and not getattr(self.region.value, "is_name", False):  # the scene knows what it stands for
+            raise ValueError(self.lack)
         if self.normal is not None and not np.isclose(np.linalg.norm(self.normal), 1.0, atol=1e-6):
             raise ValueError("`normal` must have length 1")
         return self
+
+    @property
+    def lacks_normal(self) -> bool:
+        """Whether it is in a region that has no normal, where it needs one."""
+        return self.region is not None and self.needs_normal and self._region_normal() is None
+
+    @property
+    def lack(self) -> str:
+        """What is wrong where one lacks."""
+        return f"a region other than half_space and height_field needs `normal`, a unit vector, for {self.name}"
 
     def _region_normal(self) -> Any:
         if self.normal is not None:

@@ -35,7 +35,7 @@ def field(x: Array, resolution: int) -> csr_array:
     from scipy.sparse import csr_array
 
     low, high = x.min(axis=0), x.max(axis=0)
-    cell = float((high - low).max()) / resolution
+    cell = float((high - low).max()) / resolution or 1.0  # of one point any will do
     cells = np.maximum(1, np.ceil((high - low) / cell - 1e-9).astype(int))
     place = np.clip((x - low) / cell, 0.0, cells - 1e-9)
     first = np.floor(place).astype(int)

@@ -80,7 +80,7 @@ def unknown_curves(run: RunData) -> list[UnknownCurve]:
         curves.append(
             UnknownCurve(
                 path, label, unit, unknown.scale == "log", (unit.factor * lower, unit.factor * upper),
-                unit.factor * values, _names(run, path, unknown.per, values.shape[1]),
+                unit.factor * values, _names(run, path, unknown.per, values.shape[1], final),
                 run.history[f"grad:{path}"], final, intervals, truth,
             )
         )  # fmt: skip
@@ -92,11 +92,18 @@ def _values(run: RunData, path: str) -> Array:
     return np.array([run.history[name] for name in columns]).reshape(len(columns), len(run.history["iteration"])).T
 
 
-def _names(run: RunData, path: str, per: str, count: int) -> tuple[str, ...]:
+def _names(run: RunData, path: str, per: str, count: int, final: Array | None) -> tuple[str, ...]:
+    """Return what numbers are called: groups, those that share a mirrored one together, or else by number."""
     if count < 2:
         return ()
-    if per == "group":
-        return groups_of(run.scene, path)
+    groups = groups_of(run.scene, path) if per == "group" else ()
+    if len(groups) == count:
+        return groups
+    together: dict[float, list[str]] = {}
+    for name, value in zip(groups, () if final is None else final, strict=False):
+        together.setdefault(float(value), []).append(name)
+    if len(together) == count:
+        return tuple(", ".join(names) for names in together.values())
     return tuple(str(i) for i in range(count))
 
 

@@ -52,7 +52,7 @@ def loss_curve(run: RunData) -> LossCurve:
     require_rows(run)
     data, loss = run.scene.data, run.history["loss"]
     iteration, seconds = run.history["iteration"], run.history["seconds"]
-    if data is None:
+    if data is None or run.job != "sysid":  # other jobs read none
         known = loss[np.isfinite(loss)]
         falls = bool(known.size) and float(known.min()) > 0 and float(known.max() / known.min()) >= SPAN
         return LossCurve("loss", iteration, seconds, loss, unit="", log=falls, kept=_kept(run))

@@ -116,7 +116,7 @@ class RunData:
             UsageError: there is no tracks.csv, or it cannot be read.
         """
         self.require(TRACKS, "so there are no markers to draw")
-        holdouts = {n for n, entry in ((self.result or {}).get("recordings") or {}).items() if entry["holdout"]}
+        holdouts = {name for name, recording in self.scene.recordings.items() if recording.holdout}
         return read_tracks(self.path / TRACKS, holdouts)
 
     def has_trajectory(self) -> bool:

@@ -169,6 +169,11 @@ def note(axes: Axes, text: str) -> None:
     line.set_in_layout(False)  # a long line must not squeeze the axes
 
 
+def plain(name: str) -> str:
+    """Return a user's name as text that is drawn as it stands: between two dollars it would be a formula."""
+    return name.replace("$", r"\$")
+
+
 def titled(axes: Axes, title: str, text: str = "") -> None:
     """Give an axes a title and, below it, a small grey line."""
     size = None if len(title) <= LONG_TITLE else 7.5

@@ -10,7 +10,7 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.figures.quantities import MILLI, Unit, length_unit, millimetres
 from cqrun.figures.run_data import Tracks
-from cqrun.figures.style import COLOURS, GREY, INK, new_figure, titled
+from cqrun.figures.style import COLOURS, GREY, INK, new_figure, plain, titled
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -87,7 +87,7 @@ def draw_recording(tracks: Tracks, scene: str) -> Figure:
     few = len(tracks.markers) <= FEW_MARKERS
     figure = _draw_markers(tracks) if few else _draw_paths(tracks)
     kind = "held out" if tracks.holdout else "fitted"
-    title = f"{scene}, {tracks.recording} ({kind}): RMSE {millimetres(MILLI * tracks.rmse())} mm"
+    title = f"{plain(scene)}, {plain(tracks.recording)} ({kind}): RMSE {millimetres(MILLI * tracks.rmse())} mm"
     figure.suptitle(title, fontsize=10, fontweight="bold", color=INK, x=0.01, ha="left")
     return figure
 
@@ -103,7 +103,7 @@ def _draw_markers(tracks: Tracks) -> Figure:
     _plot_errors(panels[-1], tracks)
     panels[-1].set_xlabel("time (s)")
     named = zip(tracks.markers, tracks.rmse_by_marker(), strict=True)
-    texts = [f"{name}  {millimetres(MILLI * rmse)}" for name, rmse in named]
+    texts = [f"{plain(name)}  {millimetres(MILLI * rmse)}" for name, rmse in named]
     figure.legend(lines, texts, title="RMSE (mm)", loc="outside right upper", alignment="left")
     return figure
 

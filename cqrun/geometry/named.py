@@ -17,6 +17,7 @@ class Named(Region):
 
     shorthand: ClassVar[str] = "region"
     stands_alone: ClassVar[bool] = True
+    is_name: ClassVar[bool] = True
 
     region: str = Field(description="Name of a group, a part or a colour of the body, or of a region of the scene")
 

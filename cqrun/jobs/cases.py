@@ -24,8 +24,8 @@ from cqrun.observers.markers import Points, centroid, markers, particles
 from cqrun.scene.build import Built, build
 from cqrun.scene.data import Recording as RecordingSpec
 from cqrun.scene.paths import canonical, with_values
-from cqrun.scene.schema import ON_CONTROL_STEP
-from cqrun.scene.unknowns import body_of, bounds_of
+from cqrun.scene.schema import ON_CONTROL_STEP, Scene
+from cqrun.scene.unknowns import body_of, bounds_of, starts
 from cqrun.state import State
 from cqrun.store.alignment import Measured, measure
 from cqrun.store.atomic import disk_errors, make_directory
@@ -49,7 +49,7 @@ class Case:
         built: the scene with this case's overrides; its model records the probe.
         objectives: one a recording; copies of one sequence share the rollout.
         start_path: key path of the recording's start, or None.
-        start: its value in the scene [s].
+        start: where it begins [s].
         holdout: predicted, never fitted.
         measured: the recordings in the scene's frame, for plots.
     """
@@ -218,7 +218,7 @@ def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
             f"`length`, {length:.10g} s, is no multiple of the control step {step:.10g} s; the nearest is "
             f"{max(1, steps) * step:.10g} s"
         )
-    own = build(with_values(scene, {**spec.overrides, "time.duration": steps * step}))
+    own = build(with_values(scene, {**_signals(scene), **spec.overrides, "time.duration": steps * step}))
     _require_same_particles(built, own)
     recording = read_recording(scene.resolve_path(spec.file), units=spec.units)
     measured = measure(recording, {k: np.array(v) for k, v in spec.markers.items()}, _still(spec))
@@ -226,14 +226,19 @@ def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
     if measured.absolute:
         _require_near(own, spec.body, measured)
     start_path = f"{path}.start"
+    begins = starts(scene).get(start_path, spec.start)  # an unknown's own start, or one that it follows
     objective = MarkerObjective(
         observer, measured.names, measured.time, measured.values, control_step=step, steps=steps,
-        start=spec.start, start_bounds=bounds_of(scene, start_path),
+        start=begins, start_bounds=bounds_of(scene, start_path),
         skip=spec.skip, absolute=measured.absolute, weight=spec.weight, source=measured.source,
     )  # fmt: skip
-    return Case(
-        name, _probed(own, spec.body, observer), (objective,), start_path, spec.start, spec.holdout, (measured,)
-    )
+    return Case(name, _probed(own, spec.body, observer), (objective,), start_path, begins, spec.holdout, (measured,))
+
+
+def _signals(scene: Scene) -> dict[str, float]:
+    """Return what keeps the scene's signals as they are in a recording of another length."""
+    signals = scene.activation
+    return {} if signals is None or signals.over is not None else {"activation.over": scene.time.duration}
 
 
 def _require_same_particles(built: Built, own: Built) -> None:

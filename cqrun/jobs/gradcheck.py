@@ -39,6 +39,7 @@ from cqrun.jobs.runs import (
     open_run,
     raise_if_failed,
     refuse_overrides,
+    require_same_data,
     saved_scene,
 )
 from cqrun.optimizers.base import TrialFailed
@@ -129,6 +130,8 @@ def resume_gradcheck(run: RunDirectory, overrides: Sequence[str], threads: int, 
     refuse_overrides(run, overrides)
     if not run.finished:
         built = build_and_warn(saved_scene(run), talk)
+        if has_data(built):
+            require_same_data(run)
         cases = given_cases(built) if has_data(built) else None
         check_gradient(run, built, cases, _episodes(built, threads), threads, talk)
     return raise_if_failed(run)
@@ -136,7 +139,8 @@ def resume_gradcheck(run: RunDirectory, overrides: Sequence[str], threads: int, 
 
 def has_data(built: Built) -> bool:
     """Say whether a scene has a fit to differentiate."""
-    return built.scene.data is not None and bool(built.scene.unknowns) and not has_episodes(built.scene)
+    scene = built.scene
+    return scene.data is not None and bool(scene.unknowns) and not has_episodes(scene) and scene.controller is None
 
 
 def _episodes(built: Built, threads: int) -> EpisodeProblem | None:

@@ -74,6 +74,12 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
     if missing:
         told = {"unknowns": "name what shall be found, by key path, with bounds", "data": "say what it is fitted to"}
         raise SceneError([Problem(scene.where(key), key, f"sysid needs it: {told[key]}") for key in missing])
+    if scene.controller is not None:
+        message = (
+            "sysid drives actuators by `activation` alone, and this would not act: take it out, `-o controller=null`, "
+            "and give what it did as signals (a run's activation.csv has it)"
+        )
+        raise SceneError([Problem(scene.where("controller"), "controller", message)])
     for name in (name for name, unknown in scene.unknowns.items() if unknown.regulariser):
         path = f"unknowns.{name}.regulariser"
         message = "sysid takes none: it would pull the value towards the start, and intervals would not say so"

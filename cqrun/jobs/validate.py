@@ -16,6 +16,7 @@ from cqrun.jobs.cases import Case, given_cases, own_warnings
 from cqrun.jobs.control import JOBS, optimizer_of
 from cqrun.jobs.control import prepare as prepare_control
 from cqrun.jobs.episodes import EpisodeProblem, has_episodes
+from cqrun.jobs.gradcheck import has_data
 from cqrun.jobs.memory import gradient_plan, state_bytes
 from cqrun.jobs.report import number
 from cqrun.jobs.reporter import Silent
@@ -46,7 +47,8 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
         SceneError, UsageError: everything that a run would be refused for.
     """
     built, agent = _prepared(load_scene(scene_path, overrides))
-    scene, cases = built.scene, given_cases(built)
+    scene = built.scene
+    cases = given_cases(built) if _fits(scene) or (scene.job == "gradcheck" and has_data(built)) else None
     yield f"{scene_path}: a valid scene" + (f": {scene.title}" if scene.title else "")
     yield from _world(built)
     for name in built.particles.names:
@@ -68,9 +70,13 @@ def _prepared(scene: Scene) -> tuple[Built, Agent | None]:
     if scene.job in JOBS or has_episodes(scene):
         problem = prepare_control(scene, 1, Silent(), scene.job if scene.job in JOBS else "control")
         return problem.built, problem
-    fits = scene.job == "sysid" or (scene.job is None and bool(scene.unknowns) and scene.data is not None)
-    built = prepare(scene, Silent()) if fits else build(scene)
+    built = prepare(scene, Silent()) if _fits(scene) else build(scene)
     return built, None if scene.controller is None else Agent(built)
+
+
+def _fits(scene: Scene) -> bool:
+    """Say whether a scene is one of sysid; other jobs, but the check of its gradient, read no recordings."""
+    return scene.job == "sysid" or (scene.job is None and bool(scene.unknowns) and scene.data is not None)
 
 
 # --- the world and what is in it ----------------------------------------------------------------------------

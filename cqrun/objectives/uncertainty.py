@@ -17,7 +17,6 @@ that err together count as S^2 / sum rho_st^2 of them.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -202,16 +201,11 @@ def _sandwich(J: Array, r: Array, series: Sequence[Series], directions: Directio
     sigma = [_deviation(J[s.where], r[s.where], t, inverse) for s, t in zip(series, tau, strict=True)]
     for recording in dict.fromkeys(s.recording for s in series):
         own = [k for k, s in enumerate(series) if s.recording == recording]
-        squares = float(len(own))
         for k in own:
             apart += sigma[k] ** 2 * tau[k] * J[series[k].where].T @ J[series[k].where]
-        for k, m in itertools.combinations(own, 2):
-            _, at_k, at_m = np.intersect1d(series[k].frames, series[m].frames, return_indices=True)
-            one, other = series[k].where[at_k], series[m].where[at_m]
-            rho = _correlation(r[one], r[other], np.sqrt(tau[k] * tau[m]))
-            cross = J[one].T @ J[other]
-            together += rho * sigma[k] * sigma[m] * np.sqrt(tau[k] * tau[m]) * (cross + cross.T)
-            squares += 2 * rho**2
+        times, sizes = np.array([tau[k] for k in own]), np.array([sigma[k] for k in own])
+        shared, squares = _shared(J, r, [series[k] for k in own], times, sizes)
+        together += shared
         independent = sum(len(series[k].where) / tau[k] for k in own)
         samples += independent * len(own) / squares
     covariance, more = inverse @ apart @ inverse, inverse @ together @ inverse
@@ -226,13 +220,25 @@ def _deviation(J: Array, errors: Array, tau: float, inverse: Array) -> float:
     return float(np.sqrt(errors @ errors / max(len(errors) - tau * fitted, 0.2 * len(errors))))
 
 
-def _correlation(one: Array, other: Array, tau: float) -> float:
-    """Return the correlation of two series of errors, nought where chance alone gives as much."""
-    power = float(one @ one) * float(other @ other)
-    if len(one) < _SHORTEST or power == 0.0:
-        return 0.0
-    rho = float(one @ other) / np.sqrt(power)
-    return rho if abs(rho) * np.sqrt(len(one) / tau) > _CHANCE else 0.0
+def _shared(J: Array, r: Array, own: Sequence[Series], tau: Array, sigma: Array) -> tuple[Array, float]:
+    """Return what errors that series of a recording share add to the covariance of J^T r, and the sum of rho^2.
+
+    rho is the correlation of two series over the frames that both have, nought where chance alone gives as much; the
+    sum is over all pairs, each series with itself among them. On the frames of all, a series is 0 where it has none.
+    """
+    frames = np.unique(np.concatenate([s.frames for s in own]))
+    errors, seen = np.zeros((2, len(own), len(frames)))
+    slopes = np.zeros((*errors.shape, J.shape[1]))
+    for k, s in enumerate(own):
+        at = np.searchsorted(frames, s.frames)
+        errors[k, at], seen[k, at], slopes[k, at] = r[s.where], 1.0, J[s.where]
+    power, common, time = errors**2 @ seen.T, seen @ seen.T, np.sqrt(np.outer(tau, tau))
+    power = np.sqrt(power * power.T)
+    rho = np.divide(errors @ errors.T, power, out=np.zeros_like(power), where=power > 0.0)
+    rho[(common < _SHORTEST) | (np.abs(rho) * np.sqrt(common / time) <= _CHANCE)] = 0.0
+    np.fill_diagonal(rho, 0.0)
+    weighted = np.tensordot(rho * np.outer(sigma, sigma) * time, slopes, axes=1)
+    return np.tensordot(slopes, weighted, axes=([0, 1], [0, 1])), len(own) + float(np.sum(rho**2))
 
 
 def _interval(u: Unknown, variance: float, degrees: float, confidence: float) -> tuple[float, float] | None:

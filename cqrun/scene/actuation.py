@@ -1,8 +1,8 @@
 """What drives a scene's actuators: their parts, limits and strengths, and open-loop signals.
 
 Every part of an actuator has one activation a control step. Open-loop signals are knots: held ones each last an equal
-part of the run; linear ones stand at equal distances from its beginning to its end, and a control step takes the value
-at its middle. What they ask for is held to each actuator's limits and rate.
+part of the run, or of the time that they are spread `over`; linear ones stand at equal distances from its beginning to
+its end, and a control step takes the value at its middle. What they ask for is held to each actuator's limits and rate.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cqrun.contract import Array
 from cqrun.engine.model import ActuatorModel
 from cqrun.errors import Problem, SceneError
 from cqrun.scene.particles import Particles
-from cqrun.scene.schema import Scene
+from cqrun.scene.schema import Activation, Scene
 
 Values = Mapping[str, Array]
 
@@ -151,22 +151,30 @@ class Actuation:
     # --- open-loop signals ----------------------------------------------------------------------------------------
 
     def _wanted(self, sequence: int, values: Values) -> Array:
-        """Return what the signals ask for (T, A); 0, or the nearest limit, for a part without a signal."""
+        """Return what the signals ask for (T, A); a part without one is to do nothing, or as little as it may."""
         steps, spec = self.scene.time.control_steps, self.scene.activation
-        wanted = np.tile(np.clip(0.0, self.low, self.high), (steps, 1))
+        neutral = np.array([part.spec.neutral for part in self.parts])
+        wanted = np.tile(np.clip(neutral, self.low, self.high), (steps, 1))
         if spec is None:
             return wanted
+        span = self._span(spec)
         if spec.random is not None:
             r = spec.random
             rng = np.random.default_rng([r.seed, sequence])
-            return weights(steps, r.knots, spec.interpolate) @ rng.uniform(r.low, r.high, (r.knots, len(self.parts)))
+            drawn = rng.uniform(r.low, r.high, (r.knots, len(self.parts)))
+            return np.asarray(weights(steps, r.knots, spec.interpolate, span) @ drawn)
         for k, part in enumerate(self.parts):
             own = (spec.signals or {}).get(part.actuator)
             if own is not None:
                 path = f"activation.signals.{part.actuator}"
                 knots = [float(np.asarray(values.get(f"{path}.{j}", a)).reshape(-1)[0]) for j, a in enumerate(own)]
-                wanted[:, k] = weights(steps, len(own), spec.interpolate) @ np.array(knots)
+                wanted[:, k] = weights(steps, len(own), spec.interpolate, span) @ np.array(knots)
         return wanted
+
+    def _span(self, spec: Activation) -> float:
+        """Return how many control steps the knots are spread over."""
+        time = self.scene.time
+        return float(time.control_steps) if spec.over is None else spec.over / time.control_step
 
     def activations(self, sequence: int, values: Values) -> Array:
         """Return every part's activation at every control step (T, A), for one of the scene's random sequences."""
@@ -190,12 +198,13 @@ class Actuation:
             return
         _, by_wanted, by_previous = self._held(self._wanted(sequence, values))
         wanted_bar, following = np.zeros_like(activation_bar), np.zeros(len(self.parts))
+        steps, span = len(activation_bar), self._span(spec)
         for t in reversed(range(len(activation_bar))):
             total = activation_bar[t] + following
             wanted_bar[t], following = by_wanted[t] * total, by_previous[t] * total
         for k, part in enumerate(self.parts):
             own = spec.signals.get(part.actuator, [])
-            matrix = weights(len(wanted_bar), len(own), spec.interpolate) if own else np.zeros((len(wanted_bar), 0))
+            matrix = weights(steps, len(own), spec.interpolate, span) if own else np.zeros((steps, 0))
             for j, bar in enumerate(matrix.T @ wanted_bar[:, k]):
                 path = f"activation.signals.{part.actuator}.{j}"
                 if path in out:
@@ -220,10 +229,10 @@ class Actuation:
         return out
 
 
-def weights(n_controls: int, n_knots: int, interpolate: str) -> Array:
-    """Return the matrix (T, K) from knots to activations."""
+def weights(n_controls: int, n_knots: int, interpolate: str, span: float) -> Array:
+    """Return the matrix (T, K) from knots, spread over `span` control steps, to activations."""
     matrix = np.zeros((n_controls, n_knots))
-    middle = (np.arange(n_controls) + 0.5) / n_controls
+    middle = np.minimum((np.arange(n_controls) + 0.5) / span, 1.0)
     if interpolate == "hold" or n_knots == 1:
         matrix[np.arange(n_controls), np.minimum((middle * n_knots).astype(int), n_knots - 1)] = 1.0
         return matrix

@@ -195,16 +195,31 @@ def _spring_limits(
 def _stiffest(scene: Scene, particles: Particles, assembly: Assembly) -> list[Limit]:
     """Return the bounds at the corner of the unknowns' bounds with the least one.
 
-    Every bound is monotone in every unknown, so each is put where the bound is least, the others at their start.
+    Every bound is monotone in every unknown, so each is put where the least of the bounds that it changes is less, the
+    others where they were put before it. One that changes none, as a strength while its signal is nought, is put at the
+    end farther from nought, and asked again when all have been.
     """
     corner: dict[str, Array] = {}
-    for path, unknown in scene.unknowns.items():
-        if assembly.reaches(path):
-            ends = [tied(scene, path, bound) for bound in unknown.bounds]
-            trials = [{p: np.array(value) for p, value in end.items()} for end in ends]
-            least = [min(limit.dt for limit in _limits(scene, particles, assembly, trial)) for trial in trials]
-            corner |= trials[int(np.argmin(least))]
+    waiting = [path for path in scene.unknowns if assembly.reaches(path)]
+    for _ in range(2):
+        asked, waiting = waiting, []
+        for path in asked:
+            ends = sorted(scene.unknowns[path].bounds, key=abs, reverse=True)
+            trials = [corner | {p: np.array(v) for p, v in tied(scene, path, end).items()} for end in ends]
+            far, near = (_by_part(_limits(scene, particles, assembly, trial)) for trial in trials)
+            changed = [part for part in far | near if far.get(part) != near.get(part)]
+            least = [min((end.get(part, np.inf) for part in changed), default=0.0) for end in (far, near)]
+            corner = trials[int(np.argmin(least))]
+            waiting += [] if changed else [path]
     return _limits(scene, particles, assembly, corner)
+
+
+def _by_part(limits: list[Limit]) -> dict[str, float]:
+    """Return the least bound [s] of every part that has one."""
+    least: dict[str, float] = {}
+    for limit in limits:
+        least[limit.part] = min(limit.dt, least.get(limit.part, np.inf))
+    return least
 
 
 def _limits_of_data(scene: Scene, particles: Particles, assembly: Assembly) -> list[Limit]:

@@ -77,7 +77,7 @@ class Synthetic(Spec):
     copies: int = Field(description="Noisy copies of each sequence", ge=1, default=1)
     seed: Seed = Field(description="Seed of the noise and of tracked particles", default=0)
     body: Name = Field(description="Body that carries the markers; the only one if absent")
-    markers: dict[str, Vector] | None = quantity("m", "Rest position of each marker", default=None)
+    markers: dict[str, Vector] | None = quantity("m", "Rest position of each marker", min_length=1, default=None)
     tracked: int | None = Field(description="How many random particles to track", ge=1, default=None)
     every: int | None = Field(description="Control steps between two frames", ge=1, default=None)
     key_frames: int | None = Field(description="Frames, spread evenly from start to end of the run", ge=2, default=None)

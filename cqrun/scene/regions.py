@@ -9,7 +9,8 @@ import numpy as np
 
 from cqrun.choice import Chosen
 from cqrun.contract import Array, Plugin
-from cqrun.errors import UsageError
+from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.geometry.named import Named
 from cqrun.geometry.region import Region
 from cqrun.geometry.shape import Shape
 from cqrun.scene.schema import Scene
@@ -107,10 +108,27 @@ class _NodeRegion:
 
 
 def boundary(scene: Scene, name: str) -> Plugin:
-    """Return a boundary whose region, if any, can be asked for nodes: a name in it means what the scene says."""
+    """Return a boundary whose region, if any, can be asked for nodes: a name in it means what the scene says.
+
+    Raises:
+        SceneError: it needs a normal, and what the name stands for has none.
+    """
     spec: Any = scene.boundaries[name].value
     region = getattr(spec, "region", None)
     if region is None or isinstance(region.value, Shape):
         return spec
-    held: Any = _NodeRegion(scene, region.value)
-    return spec.model_copy(update={"region": Chosen(region.name, held)})
+    meant = _meant(scene, region)
+    held: Any = meant.value if isinstance(meant.value, Shape) else _NodeRegion(scene, meant.value)
+    spec = spec.model_copy(update={"region": Chosen(meant.name, held)})
+    if getattr(spec, "lacks_normal", False):
+        path = f"boundaries.{name}.{spec.name}"
+        raise SceneError([Problem(scene.where(path), path, spec.lack)])
+    return spec
+
+
+def _meant(scene: Scene, region: Chosen[Region]) -> Chosen[Region]:
+    """Return what a name, if it is one of the scene's regions, stands for: terrain has normals under its name, too."""
+    for _ in scene.regions:  # names of names end, or are refused elsewhere
+        if isinstance(region.value, Named) and region.value.region in scene.regions:
+            region = scene.regions[region.value.region]
+    return region

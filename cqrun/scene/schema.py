@@ -152,10 +152,16 @@ class Activation(Spec):
     """Open-loop signals of the actuators: given knots, or random ones."""
 
     signals: dict[Name, Knots] | None = quantity(
-        "1", "Actuator -> knots, spread evenly over the run", differentiable=True, default=None
+        "1", "Actuator -> knots, spread evenly over time", differentiable=True, default=None
     )
     random: RandomActivation | None = Field(description="Random sequences", default=None)
     interpolate: Literal["hold", "linear"] = Field(description="Between knots", default="hold")
+    over: float | None = quantity(
+        "s",
+        "Time that the knots are spread over, and after it the last; the run's duration if absent",
+        gt=0,
+        default=None,
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

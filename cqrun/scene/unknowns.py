@@ -26,6 +26,11 @@ def tied(scene: Scene, path: str, value: float) -> dict[str, float]:
     return {canonical(scene, path): value, **{p: tie.factor * value + tie.offset for p, tie in others.items()}}
 
 
+def starts(scene: Scene) -> dict[str, float]:
+    """Return where every unknown, and what follows it, starts, by path in its long spelling."""
+    return {p: value for path in scene.unknowns for p, value in tied(scene, path, start(scene, path)).items()}
+
+
 def bounds_of(scene: Scene, path: str) -> tuple[float, float] | None:
     """Return the bounds of a value that is an unknown, or follows one; None if it does neither."""
     name = canonical(scene, path)

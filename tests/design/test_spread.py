@@ -45,6 +45,10 @@ def test_a_field_is_smooth():
     assert np.ptp(slopes) > 1.0
 
 
+def test_a_field_over_one_point_is_one_value():
+    np.testing.assert_allclose(field(np.array([[0.3, 0.4]]), 4).sum(axis=1), 1.0)
+
+
 def test_a_mirrored_field_has_the_same_value_on_either_side(points, rng):
     whole = np.concatenate([points, mirrored(points, 0)])
     S = mirrored_field(whole, 5, 0)

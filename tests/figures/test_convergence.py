@@ -71,6 +71,31 @@ def test_groups_have_their_names_and_intervals(tmp_path):
     assert curve.intervals == (None, pytest.approx((140, 160)))
 
 
+def test_groups_that_share_a_mirrored_value_are_named_together(tmp_path):
+    """Of left, right and middle one number is of the first two."""
+    scene = plane_scene({E: {"bounds": [1e5, 5e5], "per": "group", "mirror": "x"}})
+    middle = {"box": {"corner": [0.04, 0.05], "size": [0.01, 0.02]}}
+    scene["bodies"]["a"]["groups"] |= {"middle": middle}
+    result = {E: {"initial": [2e5] * 3, "value": [3e5, 3e5, 1.5e5], "interval": None}}
+    values = np.array([[2e5, 2e5], [3e5, 1.5e5]])
+    for found, names in ((result, ("left, right", "middle")), (None, ("0", "1"))):
+        run = tmp_path / str(found is None)
+        path = write_run(run, scene, status="iteration_limit")
+        write_history(path, history(2, {E: values}))
+        if found is not None:
+            write_result(path, found, None)
+        (curve,) = unknown_curves(read_run(path))
+        assert curve.names == names
+
+
+def test_the_loss_of_learning_is_no_distance_though_the_scene_has_data(tmp_path):
+    path = write_run(tmp_path, plane_scene({E: {"bounds": [1e5, 5e5]}}), job="control", status="iteration_limit")
+    write_history(path, history(2, {E: np.array([2e5, 3e5])}) | {"loss": np.array([-0.1, -0.4])})
+    curve = loss_curve(read_run(path))
+    assert (curve.label, curve.unit) == ("loss", "")
+    np.testing.assert_array_equal(curve.value, [-0.1, -0.4])
+
+
 def test_a_large_block_is_told_by_its_gradient(tmp_path):
     unknowns = {E: {"bounds": [1e5, 5e5]}, DENSITY: {"bounds": [900, 1300], "per": "particle"}}
     result = {

@@ -87,6 +87,14 @@ def test_few_markers_have_a_line_and_dots_each(rng):
     assert figure.get_suptitle() == f"twin, bare (fitted): RMSE {1e3 * tracks.rmse():#.3g} mm"
 
 
+@pytest.mark.parametrize("name", ["a$x_$", r"$\bad$", "$", r"50\%"])
+def test_names_are_drawn_as_they_stand(rng, tmp_path, name):
+    with styled():
+        figure = draw_recording(Tracks(name, (name,), *swing(rng, 1, 2)), name)
+        figure.savefig(tmp_path / "names.png")
+    assert name in figure.legends[0].get_texts()[0].get_text().replace("\\$", "$")
+
+
 def test_a_held_out_recording_says_so(rng):
     tracks = made(rng)
     with styled():

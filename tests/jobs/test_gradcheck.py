@@ -6,10 +6,10 @@ import json
 
 import numpy as np
 import pytest
-from small_beam import E_PATH, SHEAR_PATH, Listener, changed
+from small_beam import E_PATH, SHEAR_PATH, Listener, changed, record, recorded
 
 from cqrun.design.params import Params
-from cqrun.errors import RunError, SceneError, Stopped
+from cqrun.errors import RunError, SceneError, Stopped, UsageError
 from cqrun.jobs import gradcheck
 from cqrun.jobs.checked_losses import Loss
 from cqrun.jobs.gradcheck import ALL, STEPS, check_direction, extrapolated, plateau, run_gradcheck
@@ -102,6 +102,20 @@ def test_a_stopped_check_starts_again(fit, tmp_path):
     assert report_lines(run) == ["gradcheck: stopped (stopped after 1 of 3 directions)"]
     assert run_resume(run, [], threads=1) == run
     assert report_lines(run)[-1] == "adjoint and differences agree"
+
+
+def test_a_stopped_check_does_not_go_on_with_other_recordings(fit, tmp_path):
+    (file,) = record(fit, tmp_path / "data", copies=1)
+    scene = recorded(fit, {"one": file})
+    with pytest.raises(Stopped):
+        check(scene, tmp_path / "out", reporter=Listener(stop_after=1))
+    (run,) = (tmp_path / "out").glob("*/*")
+    text = file.read_text()
+    file.write_text(text.rstrip().rpartition("\n")[0] + "\n")
+    with pytest.raises(UsageError, match="a recording that it names has changed"):
+        run_resume(run, [], threads=1)
+    file.write_text(text)
+    run_resume(run, [], threads=1)
 
 
 def test_a_start_that_blows_up_is_told(beam, tmp_path):

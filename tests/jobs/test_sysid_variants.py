@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 from small_beam import E_PATH, SHEAR_PATH, Listener, record, recorded, result_of
 
 from cqrun.cli.results import draw_and_print_run
 from cqrun.errors import SceneError, Stopped, UsageError
+from cqrun.jobs.cases import make_cases
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.sysid import run_sysid, with_optimizer
 from cqrun.jobs.validate import validate
+from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 from cqrun.store.run import read_record
 
@@ -67,7 +70,49 @@ def test_starts_that_are_tied(two, tmp_path):
     assert 0.0 <= result["unknowns"]["data.recordings.one.start"]["value"] <= 0.02
 
 
+MUSCLE = (
+    "actuators={muscle: {muscle: {body: beam, axis: [1, 0], strength: 10}}}",
+    "activation={signals: {muscle: [0, 1, 0, -1]}}",
+)
+
+
+@pytest.mark.parametrize("interpolate", ["hold", "linear"])
+def test_signals_keep_their_time_whatever_is_compared_of_it(two, interpolate):
+    """A recording of half the length has the first half of them, and one that is longer the last value after it."""
+    lengths = ["data.recordings.one.length=0.05", "data.recordings.two.length=0.1", "time.duration=0.08"]
+    built = build(load_scene(two, [*MUSCLE, f"activation.interpolate={interpolate}", *lengths]))
+    whole = built.assembly.actuation.activations(0, {})
+    short, longer = (case.built.assembly.actuation.activations(0, {}) for case in make_cases(built))
+    np.testing.assert_array_equal(short, whole[:5])
+    np.testing.assert_array_equal(longer[:8], whole)
+    assert set(longer[8:, 0]) == {-1.0}
+    own = build(load_scene(two, [*MUSCLE, "data.recordings.one.overrides={activation.over: 0.02}"]))
+    assert make_cases(own)[0].built.assembly.actuation.activations(0, {})[2, 0] == -1.0
+
+
+def test_a_recording_begins_where_its_unknown_start_does(two):
+    """Given by `initial`, or by the start that it follows."""
+    first = (
+        "unknowns={data.recordings.one.start: {bounds: [0.03, 0.05], initial: 0.04, also: [data.recordings.two.start]}}"
+    )
+    for case in make_cases(build(load_scene(two, [first, "time.duration=0.05"]))):
+        assert case.start == 0.04
+        assert np.isfinite(case.still_losses()).all()
+
+
+def test_other_jobs_want_no_recordings(two):
+    """`cqrun validate` checks a scene for its job."""
+    absent = "data.recordings.one.file=absent.csv"
+    with pytest.raises(SceneError, match=r"there is no file .*absent.csv"):
+        list(validate(two, [absent]))
+    assert any("a valid scene" in line for line in validate(two, [absent, "job=simulate"]))
+
+
 REFUSED = {
+    "what a controller does": (
+        (*MUSCLE[:1], "controller={sinusoid: {frequency: 1}}"),
+        "controller: sysid drives actuators by `activation` alone, and this would not act: take it out",
+    ),
     "particles of its own": (
         (f"unknowns={{{E_PATH}: {{bounds: [1.0e4, 1.0e5], per: particle}}}}",
          "data.recordings.two.overrides={bodies.beam.particles_per_cell: 9}", "optimizer={lbfgs: {}}"),
@@ -124,7 +169,7 @@ def test_values_that_follow_from_fewer_numbers(two, tmp_path, spread):
     if "field" in spread:
         assert shear["interval"][0] < shear["value"] < shear["interval"][1]
     else:
-        assert "cannot be told apart" in shear["reason"]
+        assert "the data leave it open" in shear["reason"]
     draw_and_print_run(run)
     assert (run / "figures" / "convergence.png").exists()
 

@@ -35,6 +35,19 @@ def scene(**more: Any) -> Scene:
     return load_scene(data)
 
 
+@pytest.mark.parametrize("kind", ["separate", "slip"])
+def test_a_named_half_space_has_its_normal(kind):
+    """As the same region written where it is asked for."""
+    inline = build(scene(boundaries={"low": {kind: {"region": LOW}}})).model.conditions
+    for regions in ({"ground": LOW}, {"ground": "below", "below": LOW}):
+        named = build(scene(regions=regions, boundaries={"low": {kind: {"region": "ground"}}})).model.conditions
+        assert [c.normal for c in named] == [c.normal for c in inline] == [(0.0, 1.0)]
+        np.testing.assert_array_equal(named[0].nodes, inline[0].nodes)
+    box = {"box": {"corner": [0.1, 0.1], "size": [0.2, 0.2]}}
+    with pytest.raises(SceneError, match=f"boundaries.low.{kind}: a region other than half_space and height_field"):
+        build(scene(regions={"ground": box}, boundaries={"low": {kind: {"region": "ground"}}}))
+
+
 def body(**more: Any) -> dict[str, Any]:
     return {"bodies": {"b": {"parts": PARTS, "spacing": 0.05, "material": MATERIAL, **more}}}
 

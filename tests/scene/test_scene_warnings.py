@@ -34,6 +34,40 @@ def test_episodes_that_are_all_the_same():
     assert "counts for nothing" not in warned(FINGER)
 
 
+SOFT = "bodies.soft.material.elastic.fixed_corotated"
+
+
+def stable(modulus: float, ratio: float, *unknowns: str) -> float:
+    """Return the largest stable substep of the finger, and of a body that is softer if it is told so."""
+    other = (
+        "bodies.soft={shape: {box: {corner: [0.7, 0.2], size: [0.1, 0.1]}}, spacing: 0.05, material: {density: 1, "
+        f"elastic: {{fixed_corotated: {{youngs_modulus: {modulus}, poissons_ratio: {ratio}}}}}}}}}"
+    )
+    free = f"unknowns={{{', '.join(f'{SOFT}.{unknown}' for unknown in unknowns)}}}"
+    return min(limit.dt for limit in build(load_scene(FINGER, [other, free, "time.substeps=auto"])).limits)
+
+
+def test_the_corner_of_the_bounds_is_found_where_another_body_decides_at_the_start():
+    """The soft one's Poisson's ratio has no bearing there, and counts where its modulus may be larger."""
+    modulus, ratio = "youngs_modulus: {bounds: [1, 400]}", "poissons_ratio: {bounds: [0, 0.49]}"
+    corner = stable(400, 0.49)
+    assert corner < 0.5 * stable(400, 0.0) < 0.5 * stable(5, 0.3)
+    assert stable(5, 0.3, modulus, ratio) == stable(5, 0.3, ratio, modulus) == corner
+
+
+def test_the_corner_is_found_of_a_product_that_is_nought_at_the_start():
+    """A strength has no bearing while its signal is nought."""
+    signal, strength = "activation.signals.muscle.0", "actuators.muscle.muscle.strength"
+    free = [
+        "activation={signals: {muscle: [0]}}", "controller=null", "observers={}", "episodes=null",
+        f"unknowns={{{strength}: {{bounds: [0, 4000]}}, {signal}: {{bounds: [0, 1]}}}}",
+    ]  # fmt: skip
+    fixed = ["activation={signals: {muscle: [1]}}", *free[1:4], f"{strength}=4000", "time.substeps=auto"]
+    auto = [*free, "time.substeps=auto"]
+    least = [min(limit.dt for limit in build(load_scene(FINGER, each)).limits) for each in (auto, fixed)]
+    assert least[0] == least[1]
+
+
 def test_substeps_that_nobody_needs():
     assert "of the largest stable one" in warned(FINGER.replace("substeps: 2", "substeps: 100000"))
     assert "of the largest stable one" not in warned(FINGER.replace("substeps: 2", "substeps: 20"))
