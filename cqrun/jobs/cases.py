@@ -257,7 +257,7 @@ def _require_same_particles(built: Built, own: Built) -> None:
 def _require_near(built: Built, body: str, measured: Measured) -> None:
     """Refuse positions that are never near where their markers are at rest."""
     x = built.particles.x[built.particles.of(body)]
-    reach = float(np.linalg.norm(x.max(axis=0) - x.min(axis=0)))
+    reach = max(float(np.linalg.norm(x.max(axis=0) - x.min(axis=0))), built.particles.spacing[body])  # of one particle
     away = np.linalg.norm(measured.values - measured.rest, axis=2)
     for name, distances in zip(measured.names, away.T, strict=True):
         nearest = np.nanmin(distances, initial=np.inf)
@@ -276,7 +276,7 @@ def _still(spec: RecordingSpec) -> tuple[float, float] | None:
 def _observe_markers(built: Built, body: str, rest: Mapping[str, Array]) -> Points:
     """Return the observer of markers, by name and rest position, on the body that carries them."""
     x = built.particles.x[built.particles.of(body)]
-    reach = float(np.linalg.norm(x.max(axis=0) - x.min(axis=0)))
+    reach = max(float(np.linalg.norm(x.max(axis=0) - x.min(axis=0))), built.particles.spacing[body])  # of one particle
     observer = markers(np.array(list(rest.values())), x, built.particles.spacing[body])
     stems = np.zeros(len(rest)) if observer.stems is None else np.linalg.norm(observer.stems, axis=1)
     for name, stem in zip(rest, stems, strict=True):
