@@ -48,7 +48,7 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     """
     built, agent = _prepared(load_scene(scene_path, overrides))
     scene = built.scene
-    cases = given_cases(built) if _fits(scene) or (scene.job == "gradcheck" and has_data(built)) else None
+    cases = given_cases(built) if _reads_data(built) else None
     yield f"{scene_path}: a valid scene" + (f": {scene.title}" if scene.title else "")
     yield from _world(built)
     for name in built.particles.names:
@@ -74,8 +74,14 @@ def _prepared(scene: Scene) -> tuple[Built, Agent | None]:
     return built, None if scene.controller is None else Agent(built)
 
 
+def _reads_data(built: Built) -> bool:
+    """Say whether a scene's job, if it names one, reads its recordings."""
+    job = built.scene.job
+    return (job in (None, "sysid") and not has_episodes(built.scene)) or (job == "gradcheck" and has_data(built))
+
+
 def _fits(scene: Scene) -> bool:
-    """Say whether a scene is one of sysid; other jobs, but the check of its gradient, read no recordings."""
+    """Say whether a scene is one of sysid."""
     return scene.job == "sysid" or (scene.job is None and bool(scene.unknowns) and scene.data is not None)
 
 

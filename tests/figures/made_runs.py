@@ -117,7 +117,7 @@ def swing(rng: np.random.Generator, markers: int, dim: int, noise: float = 0.0) 
     return time, model + noise * rng.standard_normal(model.shape), model
 
 
-def made_twin(out: Path, rng: np.random.Generator, *, name: str = "twin/0123456789ab", holdout: bool = False) -> Path:
+def made_twin(out: Path, rng: np.random.Generator, *, name: str = "twin/0123456789ab") -> Path:
     """Return a run that has converged, with everything that a run can have: one unknown, two markers."""
     path = f"bodies.a.{YOUNG}"
     run = write_run(out, plane_scene({path: {"bounds": [1e5, 5e5], "scale": "log"}}), name=name, status="converged")
@@ -126,7 +126,7 @@ def made_twin(out: Path, rng: np.random.Generator, *, name: str = "twin/01234567
     write_result(
         run,
         {path: {"initial": 2e5, "value": float(values[-1]), "interval": [2.9e5, 3.1e5]}},
-        {"synthetic": {"holdout": holdout, "rmse_mm": 0.28}},
+        {"synthetic": {"holdout": False, "rmse_mm": 0.28}},
     )
     time, data, model = swing(rng, 2, 2, 2e-4)
     write_tracks(run, {"synthetic": (("near", "far"), time, data, model)})

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_runs import history, made_twin, plane_scene, write_history, write_run, write_tracks
+from made_runs import (
+    YOUNG,
+    history,
+    made_twin,
+    plane_scene,
+    swing,
+    write_history,
+    write_result,
+    write_run,
+    write_tracks,
+)  # fmt: skip
 
 from cqrun.errors import UsageError
 from cqrun.figures.run_data import read_run, read_tracks
@@ -45,9 +55,14 @@ def test_a_torn_last_row_is_left_out(tmp_path):
     assert len(read_run(path).history["loss"]) == 3
 
 
-def test_held_out_recordings_are_known_from_the_result(tmp_path, rng):
-    run = read_run(made_twin(tmp_path, rng, holdout=True))
-    assert [tracks.holdout for tracks in run.tracks()] == [True]
+def test_held_out_recordings_are_known_from_the_scene(tmp_path, rng):
+    """As of a run that was extended and stopped: it has tracks, and its result tells of no recordings."""
+    data = {name: {"file": f"{name}.csv", "holdout": name == "b", "markers": {"near": [0.03, 0.06]}} for name in "ab"}
+    more = {"data": {"recordings": {name: {**entry, "body": "a"} for name, entry in data.items()}}}
+    path = write_run(tmp_path, plane_scene({f"bodies.a.{YOUNG}": {"bounds": [1e5, 5e5]}}, **more), status="stopped")
+    write_result(path, {}, None)
+    write_tracks(path, {name: (("near",), *swing(rng, 1, 2)) for name in "ab"})
+    assert [tracks.holdout for tracks in read_run(path).tracks()] == [False, True]
 
 
 @pytest.mark.parametrize(
