@@ -25,6 +25,15 @@ def test_cables_that_meet_in_a_cell_bound_the_substep_together():
     np.testing.assert_allclose(limit_of_cables(both), limit_of_cables(alone) / np.sqrt(2.0))
 
 
+def test_what_nothing_drives_does_nothing():
+    """A cable is slack at 1, and reeled in at 0."""
+    both = FINGER.replace(MUSCLE, f"{MUSCLE}\n{CABLES}")
+    free = ["controller=null", "observers={}", "episodes=null"]
+    for more, cables in (([], [1.0, 1.0]), (["activation={signals: {one: [0.5]}}"], [0.5, 1.0])):
+        given = build(load_scene(both, [*free, *more])).assembly.actuation.activations(0, {})
+        np.testing.assert_array_equal(given, np.tile([0.0, 0.0, *cables], (len(given), 1)))
+
+
 def warned(text: str) -> str:
     return "\n".join(str(warning) for warning in build(load_scene(text)).warnings)
 
