@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.peers.problem import SIZES, SUBSTEPS
-from benchmarks.peers.worker import NAMES
+from benchmarks.peers.worker import NAMES, PRECISIONS
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine
 from cqrun.store.atomic import make_directory, write_json
 
-PACKAGES = {"cqrun": "cqrun", "warp": "warp", "taichi": "taichi", "jax": "jax"}
+PACKAGES = {"cqrun": "cqrun", "cqrun_float32": "cqrun", "warp": "warp", "taichi": "taichi", "jax": "jax"}
 WANTED = {"2d": {"taichi": 8.0, "warp": 4.0, "jax": 15.0}, "3d": {"taichi": 10.0, "warp": 4.0, "jax": 15.0}}
 """How many times faster cqrun is to be, forward and backward together."""
 
@@ -90,7 +90,7 @@ def compare(size: str, names: Sequence[str], repeat: int, core: int) -> list[dic
         if not found["backward_holds_forward"]:
             both = both + np.array(seconds[name]["forward"])
         rows.append({
-            "size": size, "name": name, "precision": "float64" if name == "cqrun" else "float32", **ways,
+            "size": size, "name": name, "precision": PRECISIONS.get(name, "float32"), **ways,
             "together": 1e3 * float(np.median(both)) / SUBSTEPS, "first_call_s": worker.first,
             **{key: found[key] for key in ("loss", "by_v", "by_E")}, "load": os.getloadavg()[0],
         })  # fmt: skip
@@ -106,7 +106,7 @@ def told(row: dict[str, Any]) -> str:
     wanted = WANTED[row["size"][:2]].get(row["name"])
     asked = f"  (asked {wanted:g})" if wanted else ""
     return (
-        f"{row['size']:<10} {row['name']:<7} {row['precision']}  forward {row['forward']:8.3f}  backward "
+        f"{row['size']:<10} {row['name']:<13} {row['precision']}  forward {row['forward']:8.3f}  backward "
         f"{row['backward']:8.3f}  together {row['together']:8.3f} ms  {row['ratio']:6.2f} times cqrun{asked}  "
         f"differs by {row['disagreement']:.0e}"
     )
@@ -124,7 +124,7 @@ def main() -> None:
     here = [name for name in options.names if importlib.util.find_spec(PACKAGES[name]) is not None]
     if missing := [name for name in options.names if name not in here]:
         print(f"left out: {', '.join(missing)}, not installed: pip install 'cqrun[peers]'")
-    if set(here) <= {"cqrun"}:
+    if set(here) <= set(PRECISIONS):
         print("no peer is there to be measured beside")
         return
     rows = []

@@ -1,4 +1,4 @@
-"""cqrun itself, float64, one thread."""
+"""cqrun itself, one thread."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from cqrun.state import State
 
 
 class Cqrun:
-    """One size."""
+    """One size in one precision."""
 
-    def __init__(self, size: str) -> None:
-        self.rollout = Rollout(*model_of(size), threads=1, adjoint=True)
-        self.states = np.empty((SUBSTEPS + 1, *self.rollout.start.shape))
+    def __init__(self, size: str, precision: str) -> None:
+        self.rollout = Rollout(*model_of(size, np.dtype(precision)), threads=1, adjoint=True)
+        self.states = np.empty((SUBSTEPS + 1, *self.rollout.start.shape), self.rollout.start.dtype)
         self.forward()
 
     def forward(self) -> None:
@@ -42,9 +42,9 @@ class Cqrun:
         return {"loss": loss, "by_v": float(np.linalg.norm(by_v)), "by_E": float(np.linalg.norm(by_E))}
 
 
-def make(size: str) -> Cqrun:
-    """Return the implementation of a size."""
-    return Cqrun(size)
+def make(size: str, precision: str) -> Cqrun:
+    """Return the implementation of a size in a precision."""
+    return Cqrun(size, precision)
 
 
 BACKWARD_HOLDS_FORWARD = False

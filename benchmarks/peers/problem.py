@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -68,9 +68,9 @@ class Implementation(Protocol):
         """Return loss, and the norms of the gradients by velocity and by modulus, after both."""
 
 
-def model_of(size: str) -> tuple[Model, Inputs]:
-    """Return cqrun's model of a size; that of `cqrun bench`, for more substeps."""
-    model, inputs = falling_block(*SIZES[size], np.float64)
+def model_of(size: str, real: Any = np.float64) -> tuple[Model, Inputs]:
+    """Return cqrun's model of a size in a precision; that of `cqrun bench`, for more substeps."""
+    model, inputs = falling_block(*SIZES[size], real)
     return replace(model, substeps=SUBSTEPS), inputs
 
 

@@ -13,7 +13,10 @@ import os
 import sys
 import time
 
-NAMES = {"cqrun": "cqrun_mpm", "warp": "warp_mpm", "taichi": "taichi_mpm", "jax": "jax_mpm"}
+PRECISIONS = {"cqrun": "float64", "cqrun_float32": "float32"}
+"""Of the names that are cqrun; the peers compute in float32."""
+
+NAMES = dict.fromkeys(PRECISIONS, "cqrun_mpm") | {"warp": "warp_mpm", "taichi": "taichi_mpm", "jax": "jax_mpm"}
 
 
 def main(name: str, size: str, core: int) -> None:
@@ -26,7 +29,7 @@ def main(name: str, size: str, core: int) -> None:
     from benchmarks.peers.problem import block_of
 
     module = importlib.import_module(f"benchmarks.peers.{NAMES[name]}")
-    made = module.make(size) if name == "cqrun" else module.make(block_of(size))
+    made = module.make(size, PRECISIONS[name]) if name in PRECISIONS else module.make(block_of(size))
     begin = time.perf_counter()
     made.forward()
     made.backward()

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.peers.__main__ import AGREE, PACKAGES, Worker, compare, told
 from benchmarks.peers.problem import SUBSTEPS, block_of
-from benchmarks.peers.worker import NAMES
+from benchmarks.peers.worker import NAMES, PRECISIONS
 
 SIZE = "2d_6400"
 
@@ -37,6 +37,12 @@ def test_cqrun_in_its_process():
     assert "1.00 times cqrun" in told(row)
 
 
+def test_cqrun_in_the_peers_precision_gives_the_same():
+    row, _ = compare(SIZE, ["cqrun_float32", "cqrun"], 1, 0)
+    assert row["precision"] == "float32"
+    assert 0 < row["disagreement"] <= AGREE
+
+
 def test_a_worker_that_dies_says_so():
     worker = Worker("cqrun", SIZE, 0)
     with pytest.raises(SystemExit, match=r"benchmarks.peers.worker cqrun 2d_6400 0 ended with 1\n(.|\n)*Error"):
@@ -44,7 +50,7 @@ def test_a_worker_that_dies_says_so():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "cqrun"])
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in PRECISIONS])
 def test_a_peer_agrees(name):
     if importlib.util.find_spec(PACKAGES[name]) is None:
         pytest.skip(f"the extra peers is absent: {name}")
