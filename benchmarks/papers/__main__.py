@@ -34,7 +34,10 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--size", choices=[size.value for size in Size], default=Size.QUICK.value)
     parser.add_argument("--only", action="extend", nargs="+", choices=list(FIGURES), metavar="ID")
     parser.add_argument(
-        "--minutes", type=_minutes, default=float("inf"), help="stop after so long; the rest goes on later"
+        "--minutes",
+        type=_minutes,
+        default=float("inf"),
+        help="stop after so long (and two minutes at most for what is begun); the rest goes on later",
     )
     parser.add_argument("--jobs", type=_count, default=2, help="runs side by side")
     parser.add_argument("--runs", type=Path, default=ROOT / "results" / "papers", help="where the runs are kept")

@@ -37,7 +37,8 @@ class Size(StrEnum):
 
 
 class Judgement(StrEnum):
-    """What a verdict comes to; EXCEEDED is more than the paper's, by more than its own spread."""
+    """What a verdict comes to; EXCEEDED is more than the paper's, by more than the spread of its runs, or than a
+    tenth where it gives none."""
 
     MET = "reproduced"
     EXCEEDED = "exceeded"

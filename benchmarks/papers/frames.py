@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table
-from benchmarks.papers.histories import runs_below
+from benchmarks.papers.histories import kept, runs_below
 from benchmarks.papers.work import Found
 from cqrun.contract import Array
 from cqrun.figures.bodies import plot_body, snapshot
@@ -65,7 +65,7 @@ class Frames(Figure):
         if not self.term or not runs:
             return read_run(paths[0])
         sign = 1.0 if self.greatest else -1.0
-        return read_run(max(runs, key=lambda run: sign * float(run.history[self.term][-1])).path)
+        return read_run(max(runs, key=lambda run: sign * kept(run, self.term)).path)
 
     def table(self, found: Found, size: Size) -> Table:
         """Return time [s], the mean place of the group, and how whole the body is, at each frame.

@@ -42,6 +42,11 @@ def runs_below(folder: Path) -> list[Run]:
     return sorted(found, key=lambda run: run.seed)
 
 
+def kept(run: Run, term: str) -> float:
+    """Return a term of the objective where its loss was least: a run's trajectory is of what it kept."""
+    return float(run.history[term][int(np.nanargmin(run.history["loss"]))])
+
+
 def settled(runs: list[Run]) -> list[Run]:
     """Return the runs that have come to their end or, where none has, all."""
     return [run for run in runs if run.finished] or runs

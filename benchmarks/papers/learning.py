@@ -115,7 +115,8 @@ class Distances(Figure):
             )})  # fmt: skip
         low, high = self.interval
         mean, half = float(found.mean[-1]), float(found.half[-1])
-        ours = f"{mean:.2f} +- {half:.2f} m" if len(found.value) > 1 else f"{mean:.2f} m (one seed)"
+        seeds = len(found.value)
+        ours = f"{mean:.2f} +- {half:.2f} m ({seeds} seeds)" if seeds > 1 else f"{mean:.2f} m (one seed)"
         done = found.value.shape[1] - 1
         early = "" if done >= self.iterations else f" after {done} of {self.iterations} iterations"
         beyond = ", and above it" if mean > high else ""

@@ -220,6 +220,11 @@ class Runs(Work):
         return SCENES / f"{self.scene}.yaml"
 
     @property
+    def count(self) -> int:
+        """How many runs it is."""
+        return max(1, self.seeds) * self.variants
+
+    @property
     def words(self) -> list[str]:
         """The command's words after the scene."""
         chosen = [word for override in self.overrides for word in ("-o", override)]
@@ -288,20 +293,19 @@ class Runs(Work):
         return code != STOPPED
 
     def _ended(self, folder: Path) -> bool:
-        """Say whether all its runs came to an end: a full disk or a fault of ours is no result."""
+        """Say whether all its runs are there and came to an end: a full disk or a fault of ours is no result."""
         runs = self.runs(folder)
-        return bool(runs) and all(read_record(run)["status"] in FINISHED for run in runs)
+        return len(runs) >= self.count and all(read_record(run)["status"] in FINISHED for run in runs)
 
     def left(self, folder: Path) -> float:
         """Return the minutes that it still takes: at its own pace, once a fifth of several runs has ended."""
-        count = max(1, self.seeds) * self.variants
         try:
             ended = sum(read_record(run)["status"] in FINISHED for run in self.runs(folder))
         except CqrunError:  # a damaged record is told of by the run itself
             ended = 0
-        if not self.begun(folder) or ended < max(2.0, count / 5):
+        if not self.begun(folder) or ended < max(2.0, self.count / 5):
             return super().left(folder)
-        return self.spent(folder) / 60.0 * max(0, count - ended) / ended
+        return self.spent(folder) / 60.0 * max(0, self.count - ended) / ended
 
     def progress(self, folder: Path) -> str:
         """Return how far its runs are."""

@@ -1,7 +1,8 @@
 """python -m benchmarks.peers [--sizes 2d_6400 ...] [--repeat 7] [--core 0] [--output FILE]
 
 Every implementation that is installed runs in a process of its own on the same core, one after the other, in turns;
-a time is the median over the turns. All have to agree on the loss and on the norms of both gradients.
+a time is the median over the turns. All have to agree on the loss and on the norms of both gradients. A size that is
+measured again takes its own place in FILE; the others stay.
 """
 
 from __future__ import annotations
@@ -127,15 +128,15 @@ def main() -> None:
     if set(here) <= set(PRECISIONS):
         print("no peer is there to be measured beside")
         return
-    rows = []
+    make_directory(options.output.parent)
     for size in options.sizes:
-        for row in compare(size, [name for name in here if name != "cqrun"] + ["cqrun"], options.repeat, options.core):
-            rows.append(row)
+        rows = compare(size, [name for name in here if name != "cqrun"] + ["cqrun"], options.repeat, options.core)
+        for row in rows:
             print(told(row), flush=True)
             if row["disagreement"] > AGREE:
                 raise SystemExit(f"{row['name']} does not compute the same: {row}")
-        make_directory(options.output.parent)
-        write_json(options.output, {"engine": engine_hash(), "machine": machine(), "rows": rows})
+        measured = json.loads(options.output.read_text()) if options.output.exists() else {}
+        write_json(options.output, measured | {size: {"engine": engine_hash(), "machine": machine(), "rows": rows}})
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -15,12 +16,15 @@ from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.observers.pca import fit_components, save_components
 from cqrun.observers.raster import Raster
 from cqrun.observers.vae import Trained, save_encoder
-from cqrun.observers.vae_training import train
-from cqrun.store.atomic import disk_errors
+from cqrun.observers.vae_training import Training, library
+from cqrun.store.atomic import disk_errors, make_directory, require_room, write_bytes
 from cqrun.store.frames import Frames
 
 EDGE = 1.2
 """The grid of cells over the greatest extent of the body that was seen."""
+
+KEEP_EVERY = 20.0
+"""Seconds between two states of a training that are kept."""
 
 
 def compress(
@@ -28,6 +32,8 @@ def compress(
     cells: int = 16, epochs: int = 200, seed: int = 0, reporter: Reporter | None = None,
 ) -> str:  # fmt: skip
     """Fit an observer to the trajectories of runs, write its file, and say how much it explains.
+
+    What the autoencoder has learned is kept beside its file until that is written: the same call goes on from there.
 
     Args:
         runs: run directories with a trajectory.h5, of the same body.
@@ -38,30 +44,57 @@ def compress(
         cells: along each axis of the autoencoder's grid.
 
     Raises:
-        UsageError: a run without trajectory, of another body, or one that does not move. MissingExtra: no torch.
+        UsageError: a run without trajectory, of another body, or one that does not move; a file that cannot be.
+        MissingExtra: no torch. Stopped: it was asked to.
     """
     talk = reporter or Silent()
+    check_place(output)
+    if method == "vae":
+        library()
     frames = [read(run, body) for run in runs]
     sizes = {x.shape[1:] for x, _ in frames}
     if len(sizes) > 1:
         told = listed([f"{n} particles in {dim}D" for n, dim in sorted(sizes)])
         raise UsageError(f"the runs are of different bodies: {told}; give runs of one body")
     if method == "pca":
-        found = fit_components(np.concatenate([x for x, _ in frames]), size)
+        lengths = [len(x) for x, _ in frames]
+        starts = np.cumsum([0, *lengths[:-1]]).tolist()
+        found = fit_components(np.concatenate([x for x, _ in frames]), size, starts)
         with disk_errors(output):
             save_components(output, found)
         return f"{size} components explain {found.explained.sum():.1%} of the variance"
     x, v = (np.concatenate(parts) for parts in zip(*frames, strict=True))
     raster = raster_of(x, v, cells)
-    images = np.stack([raster.image(*frame) for frame in zip(x, v, strict=True)])
-    talk.begin(epochs)
-    encoder, error = train(
-        images, size, epochs=epochs, seed=seed,
-        progress=lambda epoch, error: talk.advance(epoch, epochs, f"epoch {epoch}, error {error:.4f}"),
-    )  # fmt: skip
+    training = Training(np.stack([raster.image(*frame) for frame in zip(x, v, strict=True)]), size, seed=seed)
+    learn(training, epochs, output.with_name(f"{output.name}.training"), talk)
     with disk_errors(output):
-        save_encoder(output, Trained(raster, encoder))
-    return f"a code of {size} numbers explains {1.0 - error:.1%} of the variance of {len(images)} images"
+        save_encoder(output, Trained(raster, training.encoder()))
+    output.with_name(f"{output.name}.training").unlink(missing_ok=True)
+    return f"a code of {size} numbers explains {1.0 - training.error:.1%} of the variance of {len(x)} images"
+
+
+def check_place(output: Path) -> None:
+    """Raise before any work if a file cannot be written there."""
+    if output.is_dir():
+        raise UsageError(f"{output}: is a directory; --out wants the name of a file, such as {output / 'encoder.npz'}")
+    make_directory(output.parent)
+    require_room(output, 0)
+
+
+def learn(training: Training, epochs: int, kept: Path, talk: Reporter) -> None:
+    """Train for the epochs that are left, keeping the state in a file now and then, and when asked to stop."""
+    if kept.exists() and not training.restore(kept.read_bytes(), epochs):
+        talk.warn(f"{kept}: is of another training (other runs, options or torch): this one begins anew")
+    talk.begin(epochs)
+    last = time.monotonic()
+    while training.epochs < epochs:
+        training.epoch()
+        talk.advance(training.epochs, epochs, f"epoch {training.epochs}, error {training.error:.4f}")
+        if talk.stop.asked or time.monotonic() - last > KEEP_EVERY:
+            write_bytes(kept, training.state())
+            last = time.monotonic()
+        if talk.stop.asked and training.epochs < epochs:
+            raise talk.stop.stopped(f"stopped after epoch {training.epochs} of {epochs}; the same command goes on")
 
 
 def read(run: Path, body: str | None) -> tuple[Array, Array]:

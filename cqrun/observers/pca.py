@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -99,17 +100,19 @@ class Bound(BoundObserver):
         return MomentBar(x=(z_bar[:, None, None] * np.eye(dim)).reshape(moment.x.shape))
 
 
-def fit_components(x: Array, k: int) -> Components:
+def fit_components(x: Array, k: int, starts: Sequence[int] = (0,)) -> Components:
     """Return the k principal components of a body's deformation by singular values.
 
     Args:
-        x: (T, N, D) positions of the body's particles [m]; x[0] is at rest.
+        x: (T, N, D) positions of the body's particles [m].
         k: how many.
+        starts: frames at which a motion begins; each counts from its own rest there, as bodies may differ in shape.
 
     Raises:
         UsageError: the trajectory deforms in fewer than k ways.
     """
-    displacement = x - x[0]
+    begun = np.searchsorted(starts, np.arange(len(x)), side="right") - 1
+    displacement = x - x[np.asarray(starts)[begun]]
     displacement = displacement - displacement.mean(axis=1, keepdims=True)
     mean = displacement.mean(axis=0)
     centred = (displacement - mean).reshape(len(x), -1)

@@ -9,8 +9,10 @@ the mean's encoder is kept, as arrays: `encoder.py` runs it without torch.
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import io
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,9 @@ from cqrun.observers.encoder import KERNEL, STRIDE, Encoder, size_after
 
 CHANNELS = (16, 32)
 """Channels of the layers."""
+
+SAME = 1e-12
+"""A channel that varies by less of the largest number in the images is the same everywhere, and has no spread."""
 
 
 def library() -> Any:
@@ -39,52 +44,78 @@ def library() -> Any:
     return torch
 
 
-def train(
-    images: Array,
-    size: int,
-    *,
-    epochs: int = 200,
-    batch: int = 64,
-    learning_rate: float = 1e-3,
-    beta: float = 1e-3,
-    seed: int = 0,
-    progress: Callable[[int, float], None] = lambda epoch, error: None,
-) -> tuple[Encoder, float]:
-    """Train on images (T, C, G, ...) for codes of `size` numbers; the same seed gives the same on one machine.
+class Training:
+    """A training on images (T, C, G, ...) for codes of `size` numbers, an epoch at a time.
+
+    The same seed gives the same bits on one machine, also where `state` and `restore` come between two epochs.
 
     Args:
-        epochs, batch, learning_rate: of Adam.
+        batch, learning_rate: of Adam.
         beta: weight of the divergence.
-        progress: called with each epoch and its error.
 
-    Returns:
-        The encoder of images as they are, and the share of the images' variance that the code does not explain.
+    Attributes:
+        epochs: how many there were.
+        error: the share of the images' variance that the code did not explain in the last one.
 
     Raises:
         MissingExtra: torch is not installed.
     """
-    torch = library()
-    torch.manual_seed(seed)
-    axes = (0, *range(2, images.ndim))
-    middle = images.mean(axis=axes, keepdims=True)
-    spread = images.std(axis=axes, keepdims=True) + 1e-12
-    data = torch.tensor((images - middle) / spread, dtype=torch.float32)
-    net = _network(torch, data.shape[1:], size)
-    optimizer = torch.optim.Adam(net.parameters(), lr=learning_rate)
-    order = torch.Generator().manual_seed(seed)
-    error = np.inf
-    with _one_thread(torch):
-        for epoch in range(1, epochs + 1):
-            total = 0.0
-            for chosen in torch.randperm(len(data), generator=order).split(batch):
-                optimizer.zero_grad()
-                wrong, divergence = net.terms(data[chosen])
-                (wrong + beta * divergence).backward()
-                optimizer.step()
+
+    def __init__(
+        self, images: Array, size: int, *, batch: int = 64, learning_rate: float = 1e-3, beta: float = 1e-3,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
+        self.torch = torch = library()
+        torch.manual_seed(seed)
+        axes = (0, *range(2, images.ndim))
+        self.middle = images.mean(axis=axes, keepdims=True)
+        spread = images.std(axis=axes, keepdims=True)
+        self.spread = np.where(spread > SAME * np.abs(images).max(), spread, 1.0)
+        self.data = torch.tensor((images - self.middle) / self.spread, dtype=torch.float32)
+        self.net = _network(torch, self.data.shape[1:], size)
+        self.optimizer = torch.optim.Adam(self.net.parameters(), lr=learning_rate)
+        self.chance = torch.Generator().manual_seed(seed)
+        self.batch, self.beta, self.epochs, self.error = batch, beta, 0, np.inf
+        shape = f"{self.data.shape} {size} {batch} {learning_rate} {beta} {seed} {torch.__version__}"
+        self.key = hashlib.sha256(shape.encode() + self.data.numpy().tobytes()).hexdigest()
+
+    def epoch(self) -> None:
+        """Go once through the images."""
+        torch, total = self.torch, 0.0
+        with _one_thread(torch):
+            for chosen in torch.randperm(len(self.data), generator=self.chance).split(self.batch):
+                self.optimizer.zero_grad()
+                wrong, divergence = self.net.terms(self.data[chosen], self.chance)
+                (wrong + self.beta * divergence).backward()
+                self.optimizer.step()
                 total += wrong.item() * len(chosen)
-            error = total / len(data)
-            progress(epoch, error)
-    return _as_arrays(net, middle, spread), error
+        self.epochs, self.error = self.epochs + 1, total / len(self.data)
+
+    def state(self) -> bytes:
+        """Return all that the next epoch depends on besides what this was made of."""
+        file = io.BytesIO()
+        parts = {"net": self.net.state_dict(), "optimizer": self.optimizer.state_dict()}
+        told = {"key": self.key, "epochs": self.epochs, "error": self.error, "chance": self.chance.get_state()}
+        self.torch.save(parts | told, file)
+        return file.getvalue()
+
+    def restore(self, state: bytes, most: int) -> bool:
+        """Go on from a state; say whether it was one of this training, of so many epochs at most."""
+        try:
+            told = self.torch.load(io.BytesIO(state), weights_only=True)
+        except Exception:  # torch has many ways to say that a file is not its own
+            return False
+        if not isinstance(told, dict) or told.get("key") != self.key or told["epochs"] > most:
+            return False
+        self.net.load_state_dict(told["net"])
+        self.optimizer.load_state_dict(told["optimizer"])
+        self.chance.set_state(told["chance"])
+        self.epochs, self.error = told["epochs"], told["error"]
+        return True
+
+    def encoder(self) -> Encoder:
+        """Return the encoder of images as they are."""
+        return _as_arrays(self.net, self.middle, self.spread)
 
 
 @contextlib.contextmanager
@@ -121,12 +152,12 @@ def _network(torch: Any, shape: Sequence[int], size: int) -> Any:
                 h = layer(nn.functional.interpolate(nn.functional.elu(h), size=sizes[-2 - k]))
             return h
 
-        def terms(self, images: Any) -> tuple[Any, Any]:
+        def terms(self, images: Any, chance: Any) -> tuple[Any, Any]:
             h = images
             for layer in self.down:
                 h = nn.functional.elu(layer(h))
             mu, log_var = self.mean(h.flatten(1)), self.log_variance(h.flatten(1))
-            z = mu + torch.exp(0.5 * log_var) * torch.randn_like(mu)
+            z = mu + torch.exp(0.5 * log_var) * torch.randn(mu.shape, generator=chance)
             divergence = -0.5 * (1 + log_var - mu**2 - log_var.exp()).sum(1).mean()
             return ((self.decode(z) - images) ** 2).mean(), divergence
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from small_beam import BEAM
 
-from cqrun.errors import MissingExtra, UsageError
+from cqrun.errors import MissingExtra, Stopped, UsageError
 from cqrun.jobs.compress import compress, raster_of
+from cqrun.jobs.reporter import Silent
 from cqrun.jobs.simulate import run_simulate
 from cqrun.observers.pca import load_components
 
@@ -49,3 +50,31 @@ def test_a_missing_torch_is_named(swing, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingExtra, match=r"'torch', which is not installed: pip install 'cqrun\[torch\]'"):
         compress([swing], "vae", 2, tmp_path / "vae.npz")
+
+
+def test_a_file_that_cannot_be_is_told_before_any_work(tmp_path):
+    """The runs are not even looked at: they are none."""
+    (tmp_path / "encoder.npz").mkdir()
+    with pytest.raises(UsageError, match=r"is a directory; --out wants the name of a file"):
+        compress([tmp_path], "pca", 2, tmp_path / "encoder.npz")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match=r"file: cannot be made"):
+        compress([tmp_path], "pca", 2, tmp_path / "file" / "encoder.npz")
+
+
+@pytest.mark.rl
+def test_a_training_that_is_stopped_goes_on(swing, tmp_path):
+    class Stopping(Silent):
+        def advance(self, done, total, text):
+            if done == 2:
+                self.stop.ask()
+
+    with pytest.raises(Stopped, match="stopped after epoch 2 of 4; the same command goes on"):
+        compress([swing], "vae", 2, tmp_path / "vae.npz", epochs=4, reporter=Stopping())
+    assert not (tmp_path / "vae.npz").exists()
+    compress([swing], "vae", 2, tmp_path / "vae.npz", epochs=4)
+    compress([swing], "vae", 2, tmp_path / "whole.npz", epochs=4)
+    stopped, whole = (dict(np.load(tmp_path / f"{name}.npz")) for name in ("vae", "whole"))
+    for name, array in whole.items():
+        np.testing.assert_array_equal(stopped[name], array)
+    assert not list(tmp_path.glob("*.training"))

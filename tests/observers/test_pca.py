@@ -48,6 +48,18 @@ def test_the_ways_a_body_bends_are_found(dim, rng):
     np.testing.assert_allclose(found.modes.mean(axis=1), 0.0, atol=1e-12)
 
 
+def test_motions_count_from_their_own_rest(rng):
+    """A body that is longer in one run than in the other has not deformed."""
+    trajectory, _, _ = bent(made_matter(2), rng)
+    longer = trajectory.copy()
+    longer[..., 0] += 0.5 * trajectory[0, :, 0]
+    both = np.concatenate([trajectory, longer])
+    one, two = fit_components(trajectory, 2), fit_components(both, 2, [0, len(trajectory)])
+    np.testing.assert_allclose(two.modes, one.modes, atol=1e-12)
+    np.testing.assert_allclose(two.explained, one.explained, atol=1e-12)
+    assert fit_components(both, 3).explained[0] > 0.5, "counted from the first one's, length is the first component"
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_coordinates_give_the_shape_back_wherever_it_is(dim, rng):
     matter = made_matter(dim)

@@ -189,6 +189,17 @@ def test_a_run_that_was_killed_is_not_finished(tmp_path, monkeypatch, capsys):
     assert TEAR.do(tmp_path / "tear", 100.0, 1)
 
 
+def test_a_seed_that_never_began_is_missed(tmp_path, monkeypatch):
+    """Its process ended before it had a record; the others are no result without it."""
+    monkeypatch.setattr("benchmarks.papers.work.for_so_long", lambda *_: (1, "the disk is full"))
+    two = replace(TEAR, seeds=2)
+    ended(tmp_path / "tear", "iteration_limit")
+    with pytest.raises(WorkError, match="the disk is full"):
+        two.go_on(tmp_path / "tear", 100.0, 1, 1.0)
+    ended(tmp_path / "tear", "iteration_limit", "ba9876543210")
+    assert two.go_on(tmp_path / "tear", 100.0, 1, 1.0)
+
+
 def ended(folder, status, name="0123456789ab"):
     """Leave a run that ended so."""
     run = folder / "tear" / name / "run.json"

@@ -43,7 +43,7 @@ class Fracture(Figure):
         ]
 
     def table(self, found: Found, size: Size) -> Table:
-        """Return particles_per_cell, pull [m/s^2], lost (share of the neighbours that were ever lost)."""
+        """Return particles_per_cell, pull [m/s^2], lost (pairs of neighbours, over the most that ever are)."""
         rows: list[dict[str, object]] = []
         for name, folder in found.items():
             seen = observables(folder)
