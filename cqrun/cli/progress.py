@@ -39,7 +39,8 @@ class Progress:
         plain_every: float = PLAIN_EVERY,
     ) -> None:
         self.stop = StopFlag(announce=self.warn)
-        self._console = Console(file=stream or sys.stderr, highlight=False, soft_wrap=True)
+        # no emoji: the place `scene.yaml:100:53` is none
+        self._console = Console(file=stream or sys.stderr, highlight=False, soft_wrap=True, emoji=False)
         self._quiet = quiet
         self._plain_every = plain_every
         self._total = total

@@ -46,6 +46,14 @@ def test_a_log_file_gets_plain_lines():
     assert warning == "warning: the step is [large]"
 
 
+def test_the_place_of_a_warning_is_told_as_it_is():
+    """Between two colons 100 is the name of an emoji."""
+    stream = io.StringIO()
+    with Progress(stream=stream) as progress:
+        progress.warn("long.yaml:100:53: no such group")
+    assert stream.getvalue() == "warning: long.yaml:100:53: no such group\n"
+
+
 def test_a_log_file_is_not_flooded_but_has_the_last_iteration():
     stream = io.StringIO()
     with Progress(stream=stream, plain_every=1e9) as progress:
