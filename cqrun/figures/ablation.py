@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cqrun.figures.compare import Group, plot_group
-from cqrun.figures.losses import term_curve
+from cqrun.figures.losses import term_curve, term_names
 from cqrun.figures.quantities import capitalised
 from cqrun.figures.run_data import read_run
 from cqrun.figures.style import COLOURS, new_figure, save, styled, titled, whole_ticks
@@ -30,7 +30,8 @@ def _figure(result: dict[str, Any]) -> Figure:
     by_iteration, ends = figure.subplots(1, 2)
     for place, (name, entry) in enumerate(variants.items()):
         colour, found = COLOURS[place % len(COLOURS)], entry["terms"][compared]
-        runs = [run for run in map(read_run, map(Path, entry["runs"])) if run.history]  # some fail at their very start
+        # some fail at their very start, and some optimizers tell no terms
+        runs = [run for run in map(read_run, map(Path, entry["runs"])) if compared in term_names(run)]
         if runs:
             plot_group(by_iteration, Group(name, tuple(term_curve(run, compared) for run in runs)), colour, None)
         if found["mean"] is None:  # every run of it has failed

@@ -11,7 +11,8 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.errors import UsageError
-from cqrun.figures.losses import LossCurve, loss_curve, term_curve
+from cqrun.explain import listed
+from cqrun.figures.losses import LossCurve, loss_curve, term_curve, term_names
 from cqrun.figures.quantities import time_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, log_ticks, new_figure, titled, whole_ticks
@@ -30,6 +31,9 @@ CONFIDENCE = 0.90
 
 SMALLEST = 1e-9
 """Losses are not drawn below this on a logarithmic axis, which has no zero."""
+
+BEYOND = 100.0
+"""How many times beyond all losses a band is shown on a logarithmic axis: a wide one would squeeze the losses flat."""
 
 TIMES = 200
 """Points in time at which means are taken."""
@@ -60,7 +64,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Band:
-    """Mean over runs with its confidence interval, of logarithms on a logarithmic axis.
+    """Mean over runs with its confidence interval; on a logarithmic axis the geometric mean, that of logarithms.
 
     x (K,) is iteration or time [s], the rest (K,) in the losses' unit.
     """
@@ -82,7 +86,8 @@ def groups(runs: Sequence[RunData], term: str | None = None) -> list[Group]:
         term: of the objective that is compared; the loss if None.
 
     Raises:
-        UsageError: a run has no history yet or no such term, or the runs' losses are not of one kind.
+        UsageError: a run has no history yet or no such term, or the runs' losses are not of one kind or are sums of
+            different terms.
     """
     curves = [loss_curve(run) if term is None else term_curve(run, term) for run in runs]
     kinds = {curve.title: run.path for run, curve in zip(runs, curves, strict=True)}
@@ -91,6 +96,8 @@ def groups(runs: Sequence[RunData], term: str | None = None) -> list[Group]:
         raise UsageError(f"these runs minimise different things, which one axis cannot compare: {told}")
     resolved = [resolve(run.scene) for run in runs]
     scenes = [_without_seeds(scene) for scene in resolved]
+    if term is None:
+        _require_one_objective(runs, [scene.get("objective") or {} for scene in scenes])
     keys = [f"{run.name} {json.dumps(scene, sort_keys=True)}" for run, scene in zip(runs, scenes, strict=True)]
     members = {key: [i for i, other in enumerate(keys) if other == key] for key in dict.fromkeys(keys)}
     names = group_labels(
@@ -106,6 +113,22 @@ def groups(runs: Sequence[RunData], term: str | None = None) -> list[Group]:
         )
         for name, own in zip(names, members.values(), strict=True)
     ]
+
+
+def _require_one_objective(runs: Sequence[RunData], objectives: Sequence[dict[str, Any]]) -> None:
+    """Raise a UsageError where losses are sums of different terms; fits to data have none."""
+    own = [(run, terms) for run, terms in zip(runs, objectives, strict=True) if run.job != "sysid"]
+    other = next(((run, terms) for run, terms in own if terms != own[0][1]), None)
+    if other is None:
+        return
+    names = dict.fromkeys(name for _, terms in (own[0], other) for name in terms)
+    apart = [f"objective.{name}" for name in names if own[0][1].get(name) != other[1].get(name)]
+    shared = [name for name in names if all(name in term_names(run) for run, _ in own)]
+    advice = f"; compare a term that all have with --show TERM: {listed(shared)}" if shared else ""
+    raise UsageError(
+        "these runs minimise different things, which one axis cannot compare: "
+        f"{own[0][0].path} and {other[0].path} differ in {listed(apart)}{advice}"
+    )
 
 
 def _without_seeds(value: Any) -> Any:
@@ -161,7 +184,10 @@ def _place(curve: LossCurve, over_time: bool) -> Array:
 
 
 def band(group: Group, *, over_time: bool) -> Band:
-    """Return mean and confidence interval over a group; a run that has ended stays where it ended."""
+    """Return mean and confidence interval over a group; a run that has ended stays where it ended.
+
+    The mean is the geometric one where the group is drawn on a logarithmic axis.
+    """
     places = [_place(curve, over_time) for curve in group.curves]
     end = max(float(place[-1]) for place in places)
     start = min(float(place[0]) for place in places)
@@ -183,9 +209,7 @@ def draw_comparison(runs: Sequence[RunData], term: str | None = None) -> Figure:
     by_iteration, by_time = figure.subplots(1, 2, sharey=True)
     curves = [curve for group in all_groups for curve in group.curves]
     if all(group.log for group in all_groups):
-        shown = np.concatenate([np.maximum(curve.value, SMALLEST) for curve in curves])
-        margin = max(float(shown.max() / shown.min()) ** 0.08, 1.05)
-        low, high = float(shown.min()) / margin, float(shown.max()) * margin
+        low, high = _log_ends(all_groups)
         by_iteration.set_yscale("log")
         by_iteration.set_ylim(low, high)
         log_ticks(by_iteration.yaxis, low, high)
@@ -202,6 +226,22 @@ def draw_comparison(runs: Sequence[RunData], term: str | None = None) -> Figure:
     handles, labels = by_iteration.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower left", ncols=min(len(labels), 2))
     return figure
+
+
+def _log_ends(all_groups: Sequence[Group]) -> tuple[float, float]:
+    """Return the ends of a logarithmic axis: every loss is inside, and bands as far as `BEYOND` allows."""
+    shown = np.concatenate([np.maximum(curve.value, SMALLEST) for group in all_groups for curve in group.curves])
+    bands = [
+        band(group, over_time=over_time)
+        for group in all_groups
+        if len(group.curves) >= BAND_FROM
+        for over_time in (False, True)
+    ]
+    least, most = float(shown.min()), float(shown.max())
+    low = max(min([least, *(float(each.low.min()) for each in bands)]), least / BEYOND)
+    high = min(max([most, *(float(each.high.max()) for each in bands)]), most * BEYOND)
+    margin = max((high / low) ** 0.08, 1.05)
+    return low / margin, high * margin
 
 
 def plot_group(axes: Axes, group: Group, colour: str, clock: float | None) -> None:
@@ -224,6 +264,7 @@ def plot_group(axes: Axes, group: Group, colour: str, clock: float | None) -> No
             axes.plot(x, value, color=colour, label=label, marker="o" if len(x) <= 40 else None, markersize=3)
     if many:
         mean = band(group, over_time=over_time)
-        text = f"{group.label}: mean of {what} and its {100 * CONFIDENCE:.0f} % interval"
+        kind = "geometric mean" if group.log else "mean"
+        text = f"{group.label}: {kind} of {what} and its {100 * CONFIDENCE:.0f} % interval"
         axes.fill_between(factor * mean.x, mean.low, mean.high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(factor * mean.x, mean.mean, color=colour, linewidth=1.8, label=text)

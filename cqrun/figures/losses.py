@@ -14,6 +14,9 @@ from cqrun.figures.quantities import MILLI, Unit, capitalised
 from cqrun.figures.run_data import HISTORY, RunData
 from cqrun.optimizers.constrained import CONSTRAINT, KKT, VIOLATION
 
+LOSS = "loss"
+"""What all terms together are called among them."""
+
 SPAN = 30.0
 """A positive loss that falls by this factor is drawn on a logarithmic axis."""
 
@@ -64,8 +67,8 @@ def loss_curve(run: RunData) -> LossCurve:
 
 
 def term_names(run: RunData) -> list[str]:
-    """Return the terms of a run's loss that its history has, in the order of the scene."""
-    return [name for name in [*run.scene.objective, REGULARISER] if name in run.history]
+    """Return the terms of a run's loss that its history tells, in the order of the scene."""
+    return [name for name in [*run.scene.objective, REGULARISER] if np.isfinite(run.history.get(name, np.nan)).any()]
 
 
 def term_curve(run: RunData, name: str) -> LossCurve:
@@ -74,12 +77,18 @@ def term_curve(run: RunData, name: str) -> LossCurve:
     Those are the constraints by name, `violation`, the largest in their scales, and `kkt`, the residual.
 
     Raises:
-        UsageError: the history has no rows yet, or no such term.
+        UsageError: the history has no rows yet or no such term, or its optimizer tells none.
     """
     require_rows(run)
     rows, judged = run.history, [column for column in (VIOLATION, KKT) if column in run.history]
     columns = {each: each for each in (*term_names(run), *judged)}
     columns |= {each: CONSTRAINT + each for each in run.scene.constraints if CONSTRAINT + each in rows}
+    if name in run.scene.objective and name in rows and name not in columns:
+        optimizer = "" if run.scene.optimizer is None else f" {run.scene.optimizer.name}"
+        raise UsageError(
+            f"{run.path}: the optimizer{optimizer} tells the loss of every iteration but not its terms, such as "
+            f"'{name}'; compare the loss, which is what `cqrun plot` does without --show"
+        )
     if name not in columns:
         names = list(columns)
         known = f"; there are: {listed(names)}" if names else ""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from made_runs import history, plane_scene, write_history, write_run
 from scipy.stats import t as student
 
 from cqrun.errors import UsageError
+from cqrun.figures.ablation import draw_ablation
 from cqrun.figures.compare import Group, band, draw_comparison, groups
 from cqrun.figures.convergence import draw_convergence
 from cqrun.figures.losses import LossCurve
@@ -75,10 +78,10 @@ def test_the_mean_of_a_loss_with_a_sign_is_arithmetic():
     np.testing.assert_allclose(found.high, values.mean(axis=0) + half)
 
 
-def learned(out, digest, *, seed, far):
+def learned(out, digest, *, seed, far, objective=None, **more):
     """Return a run of control whose objective's term `far` is given."""
-    objective = {"far": {"distance": {"body": "a", "axis": "x"}}}
-    scene = plane_scene({}, seed=seed, objective=objective)
+    objective = objective or {"far": {"distance": {"body": "a", "axis": "x"}}}
+    scene = plane_scene({}, seed=seed, objective=objective, **more)
     scene = {key: value for key, value in scene.items() if key not in ("data", "job")}
     path = write_run(out, scene, name=f"biped/{digest}", job="control", status="running")
     k = np.arange(len(far), dtype=float)
@@ -124,6 +127,59 @@ def test_two_seeds_are_lines_and_the_same_run_again_is_no_seed(tmp_path):
         assert [len(axes.lines) for axes in figure.axes] == [2, 2]
 
 
+def test_terms_that_the_optimizer_does_not_tell_are_left_out(tmp_path):
+    """As of cma_es, in whose history they are not a number."""
+    runs = [learned(tmp_path, f"{k}" * 12, seed=k, far=np.full(3, np.nan)) for k in range(2)]
+    for run in runs:
+        run.history["loss"] = np.array([3.0, 2.0, 1.0])
+    with styled():
+        figure = draw_convergence(runs[0])
+        draw_comparison(runs)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["Loss", "Norm of the gradient"]
+    told = "the optimizer least_squares tells the loss of every iteration but not its terms, such as 'far'; compare the"
+    with pytest.raises(UsageError, match=told):
+        draw_comparison(runs, "far")
+
+
+def test_an_ablation_is_drawn_though_the_optimizer_tells_no_terms(tmp_path):
+    run = learned(tmp_path, "a" * 12, seed=0, far=np.full(3, np.nan))
+    found = {"mean": 0.5, "low": 0.4, "high": 0.6}
+    variants = {"control": {"runs": [str(run.path)], "terms": {"far": found}, "gain": None}}
+    path = tmp_path / "ablation-1.json"
+    path.write_text(json.dumps({"compared": "far", "confidence": 0.9, "variants": variants}))
+    assert draw_ablation(path) == [tmp_path / "ablation-1.png"]
+
+
+def test_losses_of_different_terms_are_not_compared(tmp_path):
+    near = {"far": {"distance": {"body": "a", "axis": "x"}}, "work": {"effort": {"weight": 0.1}}}
+    heavy = near | {"work": {"effort": {"weight": 0.2}}}
+    far = np.array([0.0, 0.5])
+    runs = [learned(tmp_path, f"{k}" * 12, seed=0, far=far, objective=o) for k, o in enumerate((near, near, heavy))]
+    assert len(groups(runs[:2])) == 1
+    with pytest.raises(UsageError) as error:
+        groups(runs)
+    assert str(error.value) == (
+        "these runs minimise different things, which one axis cannot compare: "
+        f"{runs[0].path} and {runs[2].path} differ in objective.work; "
+        "compare a term that all have with --show TERM: far"
+    )
+    assert len(groups(runs, "far")) == 2
+    other = learned(tmp_path, "f" * 12, seed=0, far=far, objective={"wide": {"distance": {"body": "a", "axis": "y"}}})
+    with pytest.raises(UsageError, match=r"differ in objective\.far, objective\.work, objective\.wide$"):
+        groups([*runs[:2], other])
+
+
+def test_one_objective_in_other_scenes_is_compared(tmp_path):
+    """Such as variants, optimizers and goals elsewhere; fits to data have no objective, whatever their scenes say."""
+    far = np.array([0.0, 0.5])
+    finer = {"size": [0.2, 0.1], "dx": 0.005, "gravity": [0.0, -9.81]}
+    more = [{}, {"world": finer}, {"optimizer": {"adam": {"learning_rate": 0.05}}}, {"seed": 3}]
+    runs = [learned(tmp_path, f"{k}" * 12, far=far, **({"seed": 0} | each)) for k, each in enumerate(more)]
+    assert len(groups(runs)) == 3
+    objectives = [{"work": {"effort": {"weight": weight}}} for weight in (1.0, 2.0)]
+    assert len(groups([made(tmp_path, f"f{k}" * 6, objective=each) for k, each in enumerate(objectives)])) == 2
+
+
 def test_a_run_of_control_shows_its_loss_its_terms_and_its_gradients(tmp_path):
     run = learned(tmp_path, "a" * 12, seed=0, far=np.array([-0.1, 0.2, 0.5]))
     with styled():
@@ -153,9 +209,22 @@ def test_three_equal_runs_are_a_mean_and_a_band(tmp_path):
     assert [len(axes.collections) for axes in figure.axes] == [1, 1]
     assert [len(axes.lines) for axes in figure.axes] == [5, 5]
     text = [label.get_text() for label in figure.legends[0].get_texts()]
-    assert text == ["twin: mean of 3 seeds and its 90 % interval", "other"]
+    assert text == ["twin: geometric mean of 3 seeds and its 90 % interval", "other"]
     np.testing.assert_allclose(by_iteration.lines[4].get_ydata(), 1e3 * np.sqrt(history(5, {})["loss"]))
     np.testing.assert_allclose(by_time.lines[4].get_xdata(), np.arange(5))
+
+
+def test_a_band_is_seen_whole_unless_it_is_absurdly_wide(tmp_path):
+    wide = [made(tmp_path, f"{k}" * 12, seed=k) for k in range(3)]
+    for scale, whole in ((2.0, True), (1e12, False)):
+        for run, factor in zip(wide, (1.0, scale, scale**2), strict=True):
+            run.history["loss"] = factor * 1e-6 * np.array([4.0, 2.0, 1.0, 1.0, 1.0])
+        with styled():
+            axes = draw_comparison(wide).axes[0]
+        low, high = axes.get_ylim()
+        shown = band(groups(wide)[0], over_time=False)
+        assert (low < shown.low.min() and shown.high.max() < high) == whole
+        assert low > 1e-4  # of losses from 1 mm on
 
 
 def test_a_loss_of_zero_is_drawn(tmp_path):
