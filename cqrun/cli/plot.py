@@ -23,14 +23,15 @@ def plot(
         typer.Option(
             "--show",
             metavar="TERM",
-            help="What is compared, the loss if not given: a term of the objective, a constraint, violation, kkt.",
+            help="What is compared: loss, as if not given, a term of the objective, a constraint, violation, kkt.",
         ),
     ] = None,
     allow_plugins: AllowPlugins = False,
 ) -> None:
     """Draw convergence and fit of a run, finished or not, into its figures/; compare several. PNG and PDF.
 
-    Runs that differ in their seeds alone are drawn as their mean with its 90 % interval, three or more of them.
+    Runs that differ in their seeds alone are drawn as their mean with its 90 % interval, three or more of them; on a
+    logarithmic axis it is the geometric mean.
     """
     from cqrun.figures.draw import draw_run, draw_several
     from cqrun.scene.plugin_files import plugins_allowed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ from cqrun.figures.bodies import draw_bodies
 from cqrun.figures.compare import draw_comparison
 from cqrun.figures.convergence import draw_convergence
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
+from cqrun.figures.losses import LOSS
 from cqrun.figures.overview import draw_overview
 from cqrun.figures.run_data import HISTORY, RESULT, TRACKS, TRAJECTORY, RunData, read_run
 from cqrun.figures.style import save, styled
@@ -108,19 +110,36 @@ def draw_several(
 ) -> list[Path]:
     """Compare runs in one picture, `out`/compare_<scenes>; return its paths.
 
+    Where a picture of other runs has this name, the name of the new one ends in a hash of its runs.
+
     Args:
         paths: of the runs.
         out: directory of the picture.
         kinds: png, pdf.
-        term: of the objective that is compared; the loss if None.
+        term: of the objective that is compared; the loss if None or `loss`.
 
     Raises:
         UsageError: a directory is no run, has no history yet, or the runs' losses are of different kinds.
         RunError: the disk is full.
     """
+    term = None if term == LOSS else term
     runs = [read_run(path) for path in paths]
     names = list(dict.fromkeys(run.name for run in runs))
     told = [*names[:MOST_NAMES], *(["others"] if len(names) > MOST_NAMES else []), *([] if term is None else [term])]
+    base, shows = out / f"compare_{'_'.join(told)}", fingerprint(runs)
+    if any(is_of_others(base.with_name(f"{base.name}.{kind}"), shows) for kind in kinds):
+        base = base.with_name(f"{base.name}_{shows[:8]}")
     make_directory(out)
     with styled():
-        return save(draw_comparison(runs, term), out / f"compare_{'_'.join(told)}", kinds)
+        return save(draw_comparison(runs, term), base, kinds, keywords=shows)
+
+
+def fingerprint(runs: Sequence[RunData]) -> str:
+    """Return hex digits that tell which runs these are, in whatever order and wherever they lie."""
+    names = sorted(f"{run.name}/{run.path.resolve().name}" for run in runs)
+    return hashlib.sha256("\n".join(names).encode()).hexdigest()[:32]
+
+
+def is_of_others(picture: Path, shows: str) -> bool:
+    """Say whether there is a picture that does not say, among its keywords, that it shows these runs."""
+    return picture.is_file() and shows.encode() not in picture.read_bytes()

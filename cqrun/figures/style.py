@@ -102,8 +102,11 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def save(figure: Figure, base: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
+def save(figure: Figure, base: Path, kinds: Sequence[str] = ("png",), keywords: str = "") -> list[Path]:
     """Write `base` with a suffix for each kind, png or pdf; return the paths.
+
+    Args:
+        keywords: what the file says of itself, as plain text among its bytes.
 
     Raises:
         UsageError: the directory cannot be written to.
@@ -113,7 +116,8 @@ def save(figure: Figure, base: Path, kinds: Sequence[str] = ("png",)) -> list[Pa
     for kind in kinds:
         content = io.BytesIO()
         stamp = {"CreationDate": None} if kind == "pdf" else {}  # equal pictures are equal files
-        figure.savefig(content, format=kind, metadata=stamp)
+        told = {"Keywords": keywords} if keywords else {}
+        figure.savefig(content, format=kind, metadata=stamp | told)
         path = base.with_name(f"{base.name}.{kind}")
         write_bytes(path, content.getvalue())
         written.append(path)

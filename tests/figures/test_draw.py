@@ -77,6 +77,23 @@ def test_plot_compares_several_runs(capsys, twin, tmp_path, rng):
     assert not (other / "figures").exists()
 
 
+def test_the_loss_is_a_name_too(capsys, twin, tmp_path):
+    code, out, _ = command(capsys, "plot", twin, "--show", "loss", "--out", tmp_path)
+    assert (code, out.splitlines()) == (0, [str(tmp_path / f"compare_twin.{kind}") for kind in MAGIC])
+
+
+def test_a_picture_of_other_runs_is_not_overwritten(twin, tmp_path, rng):
+    """Scenes of one name; the same runs, in whatever order, are one picture."""
+    variant, copy = (made_twin(tmp_path / place, rng, name=f"twin/{k * 12}") for place, k in (("a", "a"), ("b", "a")))
+    first = draw_several([twin, variant], tmp_path, ("png", "pdf"))
+    other = draw_several([variant], tmp_path, ("png", "pdf"))
+    assert [path.name for path in first] == ["compare_twin.png", "compare_twin.pdf"]
+    assert not {*first} & {*other}
+    assert all(path.name.startswith("compare_twin_") for path in other)
+    assert draw_several([copy, twin], tmp_path, ("png", "pdf")) == first
+    assert draw_several([copy], tmp_path, ("png",)) == other[:1]
+
+
 def test_files_among_the_runs_are_left_out(capsys, copy, tmp_path):
     """As a shell gives for results/SCENE/*, where a file sums up several runs."""
     summary = tmp_path / "summary-3.csv"
