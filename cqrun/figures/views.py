@@ -52,7 +52,7 @@ def views(scene: Scene, x: Array) -> list[View]:
 def view(scene: Scene, x: Array, name: str) -> View:
     """Return one of `choices.Look` of positions x (..., 3).
 
-    Up is against gravity, z without gravity; the side is the one that shows the bodies longest.
+    Up is against the largest component of gravity, z without; the side is the one that shows the bodies longest.
 
     Raises:
         UsageError: the world has two dimensions, and is always seen as it is.
@@ -60,24 +60,25 @@ def view(scene: Scene, x: Array, name: str) -> View:
     if scene.dim == 2:
         raise UsageError(f"--view {name}: the world of this run has two dimensions; it is seen as it is")
     axes = np.eye(3)
-    gravity = np.abs(scene.world.gravity)
-    up = int(np.argmax(gravity)) if gravity.any() else 2
+    gravity = np.array(scene.world.gravity)
+    up = int(np.argmax(np.abs(gravity))) if gravity.any() else 2
+    upward = -axes[up] if gravity[up] > 0 else axes[up]
     extent = np.ptp(x.reshape(-1, 3), axis=0)
     sides = [axis for axis in range(3) if axis != up]
     across = next(axis for axis in sides if extent[axis] >= NEARLY * max(extent[sides]))
     deep = 3 - up - across
-    side = View(axes[[across, up]], "xyz"[across] + "xyz"[up])
+    side = View(np.stack([axes[across], upward]), "xyz"[across] + "xyz"[up])
     back = -side.towards
     if name == "side":
         return side
     if name == "front":  # the eye stands where `across` grows
-        return View(np.stack([np.cross(axes[up], axes[across]), axes[up]]), "xyz"[deep] + "xyz"[up])
+        return View(np.stack([np.cross(upward, axes[across]), upward]), "xyz"[deep] + "xyz"[up])
     if name == "top":
-        return View(np.stack([axes[across], np.cross(axes[up], axes[across])]), "xyz"[across] + "xyz"[deep])
+        return View(np.stack([axes[across], np.cross(upward, axes[across])]), "xyz"[across] + "xyz"[deep])
     turn, tilt = np.radians(TURN), np.radians(TILT)
     right = np.cos(turn) * axes[across] + np.sin(turn) * back
     away = np.cos(turn) * back - np.sin(turn) * axes[across]
-    return View(np.stack([right, np.cos(tilt) * axes[up] + np.sin(tilt) * away]))
+    return View(np.stack([right, np.cos(tilt) * upward + np.sin(tilt) * away]))
 
 
 def window(x: Array, look: View, room: float) -> Array:

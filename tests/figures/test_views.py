@@ -29,10 +29,10 @@ def space(gravity):
     return load_scene({"cqrun": 1, "world": world, "bodies": bodies, "time": {"duration": 0.1, "control_step": 0.01}})
 
 
-@pytest.mark.parametrize("gravity", [[0, 0, -9.81], [0, -9.81, 0], [0, 0, 0]])
+@pytest.mark.parametrize("gravity", [[0, 0, -9.81], [0, -9.81, 0], [0, 0, 9.81], [0, 0, 0]])
 @pytest.mark.parametrize("name", get_args(Look))
 def test_the_eye_is_where_the_name_says(gravity, name):
-    up = np.array([0, 1, 0] if gravity[1] else [0, 0, 1])
+    up = np.array([0, 1, 0] if gravity[1] else [0, 0, -1 if gravity[2] > 0 else 1])
     look = view(space(gravity), LONG_X, name)
     frame = np.vstack([look.axes, look.towards])
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
