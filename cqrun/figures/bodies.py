@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +13,9 @@ from cqrun.errors import UsageError
 from cqrun.figures.dots import COVER, COVER_3D, Dots, add_dots, far_to_near
 from cqrun.figures.quantities import Unit, length_unit
 from cqrun.figures.run_data import TRAJECTORY, RunData
-from cqrun.figures.scenery import frame_axes, goals, held, plot_goals, plot_held
+from cqrun.figures.scenery import frame_axes, goals, held, plot_goals, plot_held, seen
 from cqrun.figures.style import AMOUNT_MAP, GREY, PALE, new_figure
-from cqrun.figures.views import View, of_equal_width, room_around, views, window
+from cqrun.figures.views import View, of_equal_width, views
 from cqrun.scene.schema import Scene
 from cqrun.store.trajectory import Trajectory
 
@@ -39,14 +40,14 @@ class Snapshot:
         x: (N, D) [m].
         moved: length of the displacement since the first frame (N,) [m].
         dots: that fill the bodies.
-        courses: places to be passed (K, D) [m], by name.
+        told: what the trajectory says of itself, where this run's goals and courses are.
     """
 
     time: float
     x: Array
     moved: Array
     dots: Dots
-    courses: dict[str, Any] = field(default_factory=dict)
+    told: dict[str, Any] = field(default_factory=dict)
 
 
 # --- data ---------------------------------------------------------------------------------------------------
@@ -68,8 +69,8 @@ def snapshot(trajectory: Trajectory, frame: int) -> Snapshot:
     """Return one frame."""
     x = trajectory.fields["x"]
     moved = np.sqrt(np.sum((x[frame] - x[0]) ** 2, axis=1))
-    courses = trajectory.provenance.get("courses") or {}
-    return Snapshot(float(trajectory.time[frame]), x[frame], moved, Dots.of(x[0], trajectory.bodies), courses)
+    dots = Dots.of(x[0], trajectory.bodies)
+    return Snapshot(float(trajectory.time[frame]), x[frame], moved, dots, trajectory.provenance)
 
 
 def farthest_frame(trajectory: Trajectory) -> int:
@@ -87,7 +88,7 @@ def draw_bodies(run: RunData) -> Figure:
     shots = snapshots(trajectory)
     x = np.stack([shot.x for shot in shots])
     looks = views(run.scene, x)
-    windows = of_equal_width([window(x, look, room_around(x, shots[0].dots.size)) for look in looks])
+    windows = of_equal_width([window_of(run.scene, shots, look) for look in looks])
     tall = [PANEL * float(np.clip((w[1, 1] - w[0, 1]) / (w[1, 0] - w[0, 0]), 0.25, 2.2)) for w in windows]
     figure = new_figure(PANEL * len(shots) + 1.3, sum(tall) + 0.35 * len(looks) + 0.75)
     panels = figure.subplots(len(looks), len(shots), squeeze=False, height_ratios=tall)
@@ -107,6 +108,12 @@ def draw_bodies(run: RunData) -> Figure:
     name = run.name if trajectory.complete else f"{run.name}: as far as it is written"
     figure.suptitle(name, fontsize=9, color=GREY, x=0.995, ha="right")
     return figure
+
+
+def window_of(scene: Scene, shots: Sequence[Snapshot], look: View) -> Array:
+    """Return the window that holds the particles of some snapshots, and what they are to reach (2, 2) [m]."""
+    plane = np.concatenate([shot.x for shot in shots]) @ look.axes.T
+    return seen(plane, look, goals(scene, shots[0].told), shots[0].dots.size)
 
 
 def plot_body(
@@ -141,5 +148,5 @@ def plot_body(
     dots.set_array(values[shot.dots.source[order]])
     dots.set_clim(low, high)
     frame_axes(axes, look, corners, unit)
-    plot_goals(axes, goals(scene, {"courses": shot.courses}), look, unit.factor)
+    plot_goals(axes, goals(scene, shot.told), look, unit.factor)
     return dots

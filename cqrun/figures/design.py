@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.figures.bodies import PANEL, Snapshot, farthest_frame, plot_body, snapshot
+from cqrun.figures.bodies import PANEL, Snapshot, farthest_frame, plot_body, snapshot, window_of
 from cqrun.figures.colours import MATERIAL, material_of
 from cqrun.figures.dots import Dots
 from cqrun.figures.quantities import length_unit, shown_unit
@@ -93,7 +93,7 @@ def draw_design(run: RunData, shown: dict[str, Array]) -> Figure:
     shots = [snapshot(trajectory, frame) for frame in (0, farthest_frame(trajectory))]
     x = np.stack([shot.x for shot in shots])
     look = views(run.scene, x)[0]
-    (corners,) = of_equal_width([window(x, look, room_around(x, shots[0].dots.size))])
+    corners = window_of(run.scene, shots, look)
     tall = PANEL * float(np.clip((corners[1, 1] - corners[0, 1]) / (corners[1, 0] - corners[0, 0]), 0.25, 2.2))
     figure = new_figure(2 * PANEL + 1.3, (tall + 0.5) * len(shown) + 0.5)
     panels, unit = figure.subplots(len(shown), 2, squeeze=False), length_unit(float(np.max(corners)))

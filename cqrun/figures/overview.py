@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.figures.bodies import farthest_frame, plot_body, snapshot
+from cqrun.figures.bodies import farthest_frame, plot_body, snapshot, window_of
 from cqrun.figures.convergence import plot_loss, plot_unknown, plot_violation, unknown_curves
 from cqrun.figures.losses import loss_curve
 from cqrun.figures.quantities import MILLI, length_unit, millimetres
 from cqrun.figures.run_data import TRACKS, RunData
 from cqrun.figures.style import INK, new_figure, titled
 from cqrun.figures.tracks import explain, main_coordinate, plot_coordinate
-from cqrun.figures.views import room_around, views, window
+from cqrun.figures.views import views
 from cqrun.optimizers.constrained import VIOLATION
 
 if TYPE_CHECKING:
@@ -73,10 +73,10 @@ def _tracks(axes: Axes, run: RunData) -> None:
 
 def _body(axes: Axes, run: RunData) -> None:
     trajectory = run.trajectory()
-    shot = snapshot(trajectory, farthest_frame(trajectory))
-    both = np.stack([trajectory.fields["x"][0], shot.x])
-    look = views(run.scene, both)[-1]
-    corners = window(both, look, room_around(both, shot.dots.size))
+    shots = [snapshot(trajectory, frame) for frame in (0, farthest_frame(trajectory))]
+    shot = shots[-1]
+    look = views(run.scene, np.stack([each.x for each in shots]))[-1]
+    corners = window_of(run.scene, shots, look)
     unit = length_unit(float(np.max(np.abs(corners))))
     dots = plot_body(axes, run.scene, shot, look, corners, unit, float(shot.moved.max()))
     wide, tall = corners[1] - corners[0]

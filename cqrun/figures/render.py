@@ -18,10 +18,10 @@ from cqrun.figures.dots import Dots
 from cqrun.figures.movie import ffmpeg, gif_delay, write_gif, write_mp4, write_png
 from cqrun.figures.picture import Picture, Stage, Trails
 from cqrun.figures.run_data import TRAJECTORY, RunData, read_run
-from cqrun.figures.scenery import Goal, goals
+from cqrun.figures.scenery import goals, seen
 from cqrun.figures.solid import require_pyvista
 from cqrun.figures.style import styled
-from cqrun.figures.views import PLANE, View, room_around, view
+from cqrun.figures.views import PLANE, View, view
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.scene.assembly import Assembly
 from cqrun.store.atomic import make_directory
@@ -146,7 +146,7 @@ def set_stage(run: RunData, frames: Frames, shown: Sequence[int], wanted: Wanted
     quantity, scheme = colours(wanted.color, run, frames, shown)
     ropes = cables(run, frames)
     marked = goals(run.scene, frames.provenance)
-    corners = seen(frames, shown, look, trails, marked, dots.size)
+    corners = seen(_plane(frames, shown, look, trails), look, marked, dots.size)
     name = f"{run.name}{suffix}"
     return Stage(run.scene, look, corners, box, dots, scheme, trails, ropes, marked, name, quantity)
 
@@ -159,22 +159,13 @@ def cables(run: RunData, frames: Frames) -> list[Array]:
     return [part.model.particles for part in actuation.parts if isinstance(part.spec, Cable)]
 
 
-def seen(
-    frames: Frames, shown: Sequence[int], look: View, trails: Trails, marked: Sequence[Goal], size: Array
-) -> Array:
-    """Return the window that holds all particles of the frames shown, all trails and all goals (2, 2) [m]."""
+def _plane(frames: Frames, shown: Sequence[int], look: View, trails: Trails) -> Array:
+    """Return points in the plane of a view (n, 2) [m], as far out as particles of the frames shown and trails come."""
     ends = [path @ look.axes.T for path in trails.paths.values()]
-    for goal in marked:
-        middle, half = look.axes @ goal.position, np.abs(look.axes) @ goal.spread
-        ends.append(np.array([middle - half, middle + half]))
-        if len(goal.course):
-            ends.append(goal.course @ look.axes.T)
     for frame in shown:
         plane = frames.read("x", frame) @ look.axes.T
         ends.append(np.array([plane.min(axis=0), plane.max(axis=0)]))
-    extent = np.concatenate(ends)
-    room = room_around(extent, size)
-    return np.array([extent.min(axis=0) - room, extent.max(axis=0) + room])
+    return np.concatenate(ends)
 
 
 def followed_particles(run: RunData, frames: Frames, trail: str | None) -> dict[str, Array]:

@@ -11,7 +11,7 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.figures.quantities import Unit
 from cqrun.figures.style import GREY, GROUND, INK, TRUTH
-from cqrun.figures.views import View
+from cqrun.figures.views import View, room_around
 from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
 
@@ -64,6 +64,25 @@ def goals(scene: Scene, told: Mapping[str, Any] | None = None) -> list[Goal]:
     for name, course in ((told or {}).get("courses") or {}).items():
         found.append(Goal(name, np.array(course[-1]), still, np.array(course)))
     return found
+
+
+def seen(plane: Array, look: View, marked: Sequence[Goal], size: Array) -> Array:
+    """Return the window that holds bodies and goals, with the ranges and the courses of these (2, 2) [m].
+
+    Args:
+        plane: points of the bodies to the right and upwards in the view (n, 2) [m].
+        marked: the goals.
+        size: of the particles (N,) [m], for the room around.
+    """
+    ends = [plane]
+    for goal in marked:
+        middle, half = look.axes @ goal.position, np.abs(look.axes) @ goal.spread
+        ends.append(np.array([middle - half, middle + half]))
+        if len(goal.course):
+            ends.append(goal.course @ look.axes.T)
+    extent = np.concatenate(ends)
+    room = room_around(extent, size)
+    return np.array([extent.min(axis=0) - room, extent.max(axis=0) + room])
 
 
 def held_at(scene: Scene, points: Array, towards: Array | None = None) -> Array:

@@ -99,10 +99,12 @@ def write_tracks(run: Path, recordings: dict[str, tuple[tuple[str, ...], Array, 
                     table.writerow([name, marker, float(t), *data[f, m].tolist(), *model[f, m].tolist()])
 
 
-def write_trajectory(run: Path, x: Array, time: Array, bodies: dict[str, slice] | None = None) -> None:
-    """Write trajectory.h5 of positions (T, N, D)."""
+def write_trajectory(
+    run: Path, x: Array, time: Array, bodies: dict[str, slice] | None = None, told: dict | None = None
+) -> None:
+    """Write trajectory.h5 of positions (T, N, D), and what it tells of itself."""
     whole = {"a": slice(0, x.shape[1])}
-    with TrajectoryWriter(run / "trajectory.h5", len(time), bodies or whole, x.shape[2], {}, {}) as writer:
+    with TrajectoryWriter(run / "trajectory.h5", len(time), bodies or whole, x.shape[2], {}, told or {}) as writer:
         for frame, t in enumerate(time):
             writer.write(frame, float(t), x=x[frame])
 

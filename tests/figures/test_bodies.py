@@ -131,3 +131,17 @@ def test_a_target_is_marked(tmp_path):
         axes = draw_bodies(read_run(path)).axes[0]
     np.testing.assert_allclose(axes.lines[0].get_xydata(), [[100, 50]])
     assert [text.get_text() for text in axes.texts] == ["target"]
+
+
+def test_goals_and_courses_are_inside(tmp_path):
+    """A goal that is drawn from a range stands where it was in this run."""
+    scene = plane_scene({}, goals={"far": {"position": [0.1, 0.05], "spread": [0.09, 0.04]}})
+    path = write_run(tmp_path, scene, job="simulate", status="done")
+    told = {"goals": {"far": [0.18, 0.02]}, "courses": {"wave": [[0.01, 0.09], [0.1, 0.05]]}}
+    write_trajectory(path, np.array([[[0.05, 0.04], [0.1, 0.06]]]), np.array([0.0]), told=told)
+    with styled():
+        axes = draw_bodies(read_run(path)).axes[0]
+    marks = {tuple(np.round(place, 9)) for line in axes.lines for place in line.get_xydata()}
+    assert marks == {(180, 20), (10, 90), (100, 50)}
+    for place in marks:
+        assert axes.viewLim.contains(*place)
