@@ -292,11 +292,15 @@ def _plot_intervals(axes: Axes, iteration: Array, curve: UnknownCurve, shown: tu
         return
     right = axes.get_xlim()[1]
     last = float(iteration[-1])
+    axes.plot([], [], color=GREY, linewidth=2.5, alpha=0.6, label="95 % interval")
     for k, pair in enumerate(curve.intervals):
         if pair is not None:
             place = last + (right - last) * (k + 1) / (len(curve.intervals) + 1)
             colour = COLOURS[k % len(COLOURS)]
             axes.plot([place, place], np.clip(pair, low, high), color=colour, linewidth=2.5, alpha=0.6)
+            for end, beyond, marker in ((low, pair[0] < low, "v"), (high, pair[1] > high, "^")):
+                if beyond:  # the bar goes on outside of the picture
+                    axes.plot(place, end, marker=marker, markersize=4, color=colour, clip_on=False)
 
 
 def view(curve: UnknownCurve) -> tuple[float, float]:

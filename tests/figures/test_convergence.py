@@ -183,6 +183,18 @@ def test_the_interval_is_a_band_inside_the_bounds(tmp_path, rng):
     assert (box.y0, box.y1) == pytest.approx((290, 500))
 
 
+def test_bars_of_several_numbers_are_named_once_and_say_where_they_go_on(tmp_path):
+    path = write_run(tmp_path, plane_scene({E: {"bounds": [1e5, 5e5], "per": "group"}}), status="iteration_limit")
+    write_history(path, history(2, {E: np.array([[2e5, 2e5], [3e5, 1.5e5]])}))
+    intervals = [[2e5, 9e5], [1.4e5, 1.6e5]]
+    write_result(path, {E: {"initial": [2e5, 2e5], "value": [3e5, 1.5e5], "interval": intervals}}, None)
+    with styled():
+        axes = draw_convergence(read_run(path)).axes[1]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["truth", "left", "right", "95 % interval"]
+    signs = {line.get_marker(): float(line.get_ydata()[0]) for line in axes.lines if line.get_marker() in ("v", "^")}
+    assert signs == {"^": pytest.approx(axes.get_ylim()[1])}
+
+
 @pytest.mark.parametrize("count", [1, 3, 8])
 def test_one_to_eight_unknowns_have_a_panel_each(tmp_path, count):
     leaves = [YOUNG, "material.elastic.neo_hookean.poissons_ratio", "material.density", "material.viscosity.shear"]
