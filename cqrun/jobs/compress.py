@@ -101,9 +101,11 @@ def read(run: Path, body: str | None) -> tuple[Array, Array]:
     """Return positions and velocities (T, N, D) of a body in a run's trajectory."""
     with Frames(run / "trajectory.h5") as frames:
         name = next(iter(frames.bodies)) if body is None and len(frames.bodies) == 1 else body
+        if name is None:
+            raise UsageError(f"{run}: say whose motion with --body; there are: {listed(frames.bodies)}")
         if name not in frames.bodies:
-            near = suggest(name, frames.bodies) if name else ""
-            raise UsageError(f"{run}: say whose motion with --body{near}; there are: {listed(frames.bodies)}")
+            near = suggest(name, frames.bodies)
+            raise UsageError(f"{run}: no body is called '{name}'{near}; there are: {listed(frames.bodies)}")
         part = frames.bodies[name]
         return tuple(frames.read_all(field)[:, part].astype(float) for field in ("x", "v"))  # type: ignore[return-value]
 

@@ -24,12 +24,12 @@ def disk_error(error: OSError, path: Path) -> CqrunError:
     if error.errno in FULL:
         return RunError(
             f"{path}: the disk is full; nothing written before is lost. "
-            "Free some space, then `cqrun resume` the run, or choose another disk with --out DIR"
+            "Free some space, then `cqrun resume` the run, or choose another disk with --out"
         )
     if error.errno in REFUSED:
-        return UsageError(f"{path}: cannot be written ({error.strerror}); choose another directory with --out DIR")
+        return UsageError(f"{path}: cannot be written ({error.strerror}); choose another place with --out")
     if error.errno in MISPLACED:
-        return UsageError(f"{path}: cannot be made ({error.strerror}); choose another place with --out DIR")
+        return UsageError(f"{path}: cannot be made ({error.strerror}); choose another place with --out")
     return RunError(f"{path}: cannot be written ({error.strerror or error})")
 
 

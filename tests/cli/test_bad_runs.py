@@ -193,7 +193,7 @@ def test_a_read_only_disk(finished, tmp_path):
     scene = finished["adam"].parents[1] / "fit.yaml"
     done = mounted(f"$CQRUN sysid {scene} --out $DISK; echo code $?", tmp_path, options="ro")
     assert done.stdout == "code 2\n"
-    assert "cannot be written (Read-only file system); choose another directory with --out DIR" in done.stderr
+    assert "cannot be written (Read-only file system); choose another place with --out" in done.stderr
     assert "Traceback" not in done.stderr
 
 
@@ -204,7 +204,7 @@ def test_a_directory_that_may_not_be_written(cqrun, finished, tmp_path):
     out.mkdir(mode=0o555)
     code, _, err = cqrun("sysid", scene, "--out", out)
     assert code == 2
-    assert "cannot be written (Permission denied); choose another directory with --out DIR" in err
+    assert "cannot be written (Permission denied); choose another place with --out" in err
 
 
 def test_a_file_in_the_way(cqrun, finished, tmp_path):
@@ -212,7 +212,7 @@ def test_a_file_in_the_way(cqrun, finished, tmp_path):
     (tmp_path / "out").write_text("")
     code, _, err = cqrun("sysid", scene, "--out", tmp_path / "out")
     assert code == 2
-    assert "cannot be made (Not a directory); choose another place with --out DIR" in err
+    assert err.endswith("cannot be made (Not a directory); choose another place with --out\n")
 
 
 def test_results_say_where_they_are(cqrun, run_of):

@@ -128,7 +128,7 @@ def test_a_disk_that_is_full_and_one_that_is_read_only(beam_run, tmp_path):
     done = subprocess.run([unshare, *spaces, "sh", "-c", words], capture_output=True, text=True, env=environment)
     assert done.stdout.splitlines() == [f"{kind} {code}" for code in (1, 2) for kind in kinds]
     assert done.stderr.count("the disk is full") == len(kinds), done.stderr
-    refused = "cannot be written (Read-only file system); choose another directory with --out DIR"
+    refused = "cannot be written (Read-only file system); choose another place with --out"
     assert done.stderr.count(refused) == len(kinds), done.stderr
 
 

@@ -32,7 +32,7 @@ def test_components_explain_a_swing(swing, tmp_path):
 
 
 def test_a_body_that_is_not_there_is_refused(swing, tmp_path):
-    with pytest.raises(UsageError, match=r"say whose motion with --body.*there are: beam"):
+    with pytest.raises(UsageError, match=r"no body is called 'bean' \(did you mean 'beam'\?\); there are: beam"):
         compress([swing], "pca", 2, tmp_path / "pca.npz", body="bean")
 
 

@@ -229,5 +229,5 @@ def test_a_second_process_is_refused_by_the_pid_of_the_first(scene, tmp_path):
 
 def test_a_place_that_cannot_be_written(scene, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(UsageError, match="--out DIR"):
+    with pytest.raises(UsageError, match=r"choose another place with --out$"):
         start(scene, tmp_path / "file")
