@@ -11,7 +11,7 @@ from benchmarks.papers.figure import Figure, Size, Table
 from benchmarks.papers.histories import kept, runs_below
 from benchmarks.papers.work import Found
 from cqrun.contract import Array
-from cqrun.figures.bodies import plot_body, snapshot
+from cqrun.figures.bodies import plot_body, snapshots
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.run_data import RunData, read_run
 from cqrun.figures.scenery import goals
@@ -103,11 +103,12 @@ class Frames(Figure):
         """Draw the moments side by side."""
         run = self.best(found)
         assert run is not None
-        trajectory = run.trajectory()
-        shots = [snapshot(trajectory, int(frame)) for frame in self.moments(table)]
+        with run.frames() as frames:
+            shots = snapshots(frames, self.moments(table).tolist())
         x = np.stack([shot.x for shot in shots])
         look = views(run.scene, x)[0]
-        seen = np.concatenate([x.reshape(-1, x.shape[-1]), *(goal.position[None] for goal in goals(run.scene))])
+        marked = goals(run.scene, shots[0].told)
+        seen = np.concatenate([x.reshape(-1, x.shape[-1]), *(goal.position[None] for goal in marked)])
         corners = window(seen, look, room_around(x, shots[0].dots.size))
         corners[0, 1] = min(corners[0, 1], window(x, look, GROUND * run.scene.world.dx)[0, 1])
         rows = -(-self.count // self.columns)

@@ -17,7 +17,7 @@ from cqrun.figures.scenery import frame_axes, goals, held, plot_goals, plot_held
 from cqrun.figures.style import AMOUNT_MAP, GREY, PALE, new_figure
 from cqrun.figures.views import View, of_equal_width, views
 from cqrun.scene.schema import Scene
-from cqrun.store.trajectory import Trajectory
+from cqrun.store.frames import Frames
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,30 +53,31 @@ class Snapshot:
 # --- data ---------------------------------------------------------------------------------------------------
 
 
-def snapshots(trajectory: Trajectory) -> list[Snapshot]:
-    """Return the first, the middle and the last frame; fewer where there are fewer.
+def snapshots(frames: Frames, shown: Sequence[int] | None = None) -> list[Snapshot]:
+    """Return some frames; the first, the middle and the last one if not said, fewer where there are fewer.
 
     Raises:
         UsageError: no frame was written.
     """
-    frames = len(trajectory.time)
-    if frames == 0:
+    count = len(frames)
+    if count == 0:
         raise UsageError(f"{TRAJECTORY}: no frame in it yet, so there is nothing to draw")
-    return [snapshot(trajectory, frame) for frame in sorted({0, frames // 2, frames - 1})]
+    rest = frames.read("x", 0)
+    dots = Dots.of(rest, frames.bodies)
+    return [
+        Snapshot(float(frames.time[k]), x, np.sqrt(np.sum((x - rest) ** 2, axis=1)), dots, frames.provenance)
+        for k in (sorted({0, count // 2, count - 1}) if shown is None else shown)
+        for x in [frames.read("x", k)]
+    ]
 
 
-def snapshot(trajectory: Trajectory, frame: int) -> Snapshot:
-    """Return one frame."""
-    x = trajectory.fields["x"]
-    moved = np.sqrt(np.sum((x[frame] - x[0]) ** 2, axis=1))
-    dots = Dots.of(x[0], trajectory.bodies)
-    return Snapshot(float(trajectory.time[frame]), x[frame], moved, dots, trajectory.provenance)
+def farthest_frame(frames: Frames) -> int:
+    """Return the frame at which the particles are farthest from where they began, on the whole.
 
-
-def farthest_frame(trajectory: Trajectory) -> int:
-    """Return the frame at which the particles are farthest from where they began, on the whole."""
-    x = trajectory.fields["x"]
-    return int(np.argmax([np.sum((frame - x[0]) ** 2) for frame in x]))
+    It reads one frame at a time: a trajectory may be larger than the memory.
+    """
+    rest = frames.read("x", 0)
+    return int(np.argmax([np.sum((frames.read("x", frame) - rest) ** 2) for frame in range(len(frames))]))
 
 
 # --- drawing ------------------------------------------------------------------------------------------------
@@ -84,8 +85,8 @@ def farthest_frame(trajectory: Trajectory) -> int:
 
 def draw_bodies(run: RunData) -> Figure:
     """Return the picture: a column a frame, a row a view."""
-    trajectory = run.trajectory()
-    shots = snapshots(trajectory)
+    with run.frames() as frames:
+        shots, complete = snapshots(frames), frames.complete
     x = np.stack([shot.x for shot in shots])
     looks = views(run.scene, x)
     windows = of_equal_width([window_of(run.scene, shots, look) for look in looks])
@@ -105,7 +106,7 @@ def draw_bodies(run: RunData) -> Figure:
     colours = figure.colorbar(dots, ax=panels, shrink=0.85, pad=0.015, aspect=28)
     colours.set_label(f"displacement ({unit.name})")
     colours.outline.set_visible(False)
-    name = run.name if trajectory.complete else f"{run.name}: as far as it is written"
+    name = run.name if complete else f"{run.name}: as far as it is written"
     figure.suptitle(name, fontsize=9, color=GREY, x=0.995, ha="right")
     return figure
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.figures.bodies import PANEL, Snapshot, farthest_frame, plot_body, snapshot, window_of
+from cqrun.figures.bodies import PANEL, Snapshot, farthest_frame, plot_body, snapshots, window_of
 from cqrun.figures.colours import MATERIAL, material_of
 from cqrun.figures.dots import Dots
 from cqrun.figures.quantities import length_unit, shown_unit
@@ -62,11 +62,11 @@ def _shape_before(run: RunData) -> dict[str, float]:
 
 def draw_shape(run: RunData) -> Figure:
     """Return the picture of a design that has another shape (`has_new_shape`): before, and as it was designed."""
-    trajectory = run.trajectory()
+    with run.frames() as frames:
+        (after,) = snapshots(frames, [0])
     particles = sample(run.scene)
     x, _ = Geometry(run.scene, particles).at_rest({path: np.array(v) for path, v in _shape_before(run).items()})
     bodies = {name: particles.of(name) for name in run.scene.bodies}
-    after = snapshot(trajectory, 0)
     before = Snapshot(0.0, x, np.zeros(len(x)), Dots.of(x, bodies))
     both = np.concatenate([before.x, after.x])
     looks = views(run.scene, both)
@@ -89,8 +89,8 @@ def draw_shape(run: RunData) -> Figure:
 
 def draw_design(run: RunData, shown: dict[str, Array]) -> Figure:
     """Return the picture of some designed quantities (`designed_quantities`)."""
-    trajectory = run.trajectory()
-    shots = [snapshot(trajectory, frame) for frame in (0, farthest_frame(trajectory))]
+    with run.frames() as frames:
+        shots = snapshots(frames, [0, farthest_frame(frames)])
     x = np.stack([shot.x for shot in shots])
     look = views(run.scene, x)[0]
     corners = window_of(run.scene, shots, look)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.figures.bodies import farthest_frame, plot_body, snapshot, window_of
+from cqrun.figures.bodies import farthest_frame, plot_body, snapshots, window_of
 from cqrun.figures.convergence import plot_loss, plot_unknown, plot_violation, unknown_curves
 from cqrun.figures.losses import loss_curve
 from cqrun.figures.quantities import MILLI, length_unit, millimetres
@@ -72,8 +72,8 @@ def _tracks(axes: Axes, run: RunData) -> None:
 
 
 def _body(axes: Axes, run: RunData) -> None:
-    trajectory = run.trajectory()
-    shots = [snapshot(trajectory, frame) for frame in (0, farthest_frame(trajectory))]
+    with run.frames() as frames:
+        shots = snapshots(frames, [0, farthest_frame(frames)])
     shot = shots[-1]
     look = views(run.scene, np.stack([each.x for each in shots]))[-1]
     corners = window_of(run.scene, shots, look)

@@ -14,7 +14,7 @@ from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
-from cqrun.store.frames import part_path
+from cqrun.store.frames import Frames, part_path
 from cqrun.store.history import read_history
 from cqrun.store.run import FINISHED, read_record
 from cqrun.store.trajectory import Trajectory, read_trajectory
@@ -124,8 +124,12 @@ class RunData:
         path = self.path / TRAJECTORY
         return path.is_file() or part_path(path).is_file()
 
+    def frames(self) -> Frames:
+        """Return the trajectory opened, a context manager that reads frame by frame; UsageError without one."""
+        return Frames(self.path / TRAJECTORY)
+
     def trajectory(self) -> Trajectory:
-        """Return the trajectory; UsageError without one."""
+        """Return the trajectory, all of it in memory; UsageError without one."""
         return read_trajectory(self.path / TRAJECTORY)
 
 

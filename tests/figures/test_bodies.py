@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 import pytest
 from made_runs import DURATION, made_twin, plane_scene, write_run, write_trajectory
 
 from cqrun.errors import UsageError
 from cqrun.figures.bodies import draw_bodies, farthest_frame, plot_body, snapshots
+from cqrun.figures.overview import draw_overview
 from cqrun.figures.quantities import Unit
-from cqrun.figures.run_data import read_run
+from cqrun.figures.run_data import TRAJECTORY, read_run
 from cqrun.figures.scenery import held
 from cqrun.figures.style import new_figure, styled
 from cqrun.figures.views import of_equal_width, views, window
 from cqrun.scene.load import load_scene
-from cqrun.store.trajectory import Trajectory
+from cqrun.store.frames import Frames
 
 
 def solid_scene(**world):
@@ -26,29 +30,39 @@ def solid_scene(**world):
     return load_scene({"cqrun": 1, "world": {"size": [0.1] * 3, "dx": 0.01} | world, "bodies": bodies, "time": time})
 
 
-def falling(frames: int, points: np.ndarray) -> Trajectory:
-    """Return points (N, D) that sink by 1 mm a frame."""
-    x = np.repeat(points[None], frames, axis=0)
-    x[:, :, -1] -= 1e-3 * np.arange(frames)[:, None]
-    return Trajectory(0.1 * np.arange(frames), np.arange(frames), {"x": x}, {"a": slice(0, len(points))})
+def falling(out: Path, depths: Sequence[int], points: np.ndarray) -> Frames:
+    """Return points (N, D) that have sunk by so many mm in each frame, 0.1 s apart."""
+    x = np.repeat(points[None], len(depths), axis=0)
+    x[:, :, -1] -= 1e-3 * np.array(depths)[:, None]
+    write_trajectory(out, x, 0.1 * np.arange(len(depths)))
+    return Frames(out / TRAJECTORY)
 
 
 @pytest.mark.parametrize(("frames", "times"), [(1, [0.0]), (2, [0.0, 0.1]), (5, [0.0, 0.2, 0.4])])
-def test_first_middle_and_last_frame(rng, frames, times):
-    shots = snapshots(falling(frames, rng.random((4, 2))))
+def test_first_middle_and_last_frame(tmp_path, rng, frames, times):
+    with falling(tmp_path, range(frames), rng.random((4, 2))) as trajectory:
+        shots = snapshots(trajectory)
     assert [shot.time for shot in shots] == pytest.approx(times)
     np.testing.assert_allclose([shot.moved for shot in shots], np.repeat(np.array(times) / 100, 4).reshape(-1, 4))
 
 
-def test_no_frame_is_an_error(rng):
-    with pytest.raises(UsageError, match="no frame in it yet"):
-        snapshots(falling(0, rng.random((4, 2))))
+def test_no_frame_is_an_error(tmp_path, rng):
+    with falling(tmp_path, (), rng.random((4, 2))) as trajectory, pytest.raises(UsageError, match="no frame in it yet"):
+        snapshots(trajectory)
 
 
-def test_the_farthest_frame_need_not_be_the_last(rng):
-    trajectory = falling(5, rng.random((4, 2)))
-    trajectory.fields["x"][4] = trajectory.fields["x"][1]
-    assert farthest_frame(trajectory) == 3
+def test_the_farthest_frame_need_not_be_the_last(tmp_path, rng):
+    with falling(tmp_path, (0, 1, 2, 3, 1), rng.random((4, 2))) as trajectory:
+        assert farthest_frame(trajectory) == 3
+
+
+def test_frames_are_read_one_at_a_time(tmp_path, rng, monkeypatch):
+    """A trajectory may be larger than the memory."""
+    run = read_run(made_twin(tmp_path, rng))
+    monkeypatch.setattr(Frames, "read_all", None)
+    with styled():
+        draw_bodies(run)
+        draw_overview(run)
 
 
 def test_a_plane_world_is_seen_as_it_is(rng):
@@ -72,10 +86,11 @@ def test_views_are_orthonormal_and_the_oblique_one_looks_down():
     assert oblique.towards[2] > 0  # the eye is above
 
 
-def test_near_particles_cover_far_ones():
+def test_near_particles_cover_far_ones(tmp_path):
     scene = solid_scene()
     x = np.array([[0.05, 0.02, 0.05], [0.02, 0.08, 0.02], [0.05, 0.08, 0.05]])
-    (shot,) = snapshots(falling(1, x))
+    with falling(tmp_path, [0], x) as trajectory:
+        (shot,) = snapshots(trajectory)
     look = views(scene, np.array([[0.0] * 3, [0.1, 0.01, 0.01]]))[0]
     with styled():
         axes = new_figure(3, 3).add_subplot()
