@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 
 from cqrun.contract import Array, quantity, vector
-from cqrun.geometry.shape import Shape
+from cqrun.geometry.shape import SLACK, Shape
 from cqrun.registry import plugin
 
 
@@ -20,7 +20,7 @@ class Ball(Shape):
 
     def inside(self, points: Array) -> Array:
         offset = points - np.array(self.center)
-        return np.einsum("nd,nd->n", offset, offset) <= self.radius**2
+        return np.einsum("nd,nd->n", offset, offset) <= (self.radius * (1 + SLACK)) ** 2
 
     def bounds(self) -> tuple[Array, Array]:
         center = np.array(self.center)

@@ -8,11 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array, vector
-from cqrun.geometry.shape import Shape
+from cqrun.geometry.shape import SLACK, Shape
 from cqrun.registry import plugin
-
-_SLACK = 1e-9
-"""Of the box's size: a grid node on a face belongs to it, however 0.1 + 0.2 was rounded."""
 
 
 @plugin("shape", "box")
@@ -24,7 +21,7 @@ class Box(Shape):
 
     def inside(self, points: Array) -> Array:
         lower, upper = self.bounds()
-        slack = _SLACK * (upper - lower)
+        slack = SLACK * (upper - lower)
         return np.all((points >= lower - slack) & (points <= upper + slack), axis=1)
 
     def bounds(self) -> tuple[Array, Array]:

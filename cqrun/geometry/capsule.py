@@ -6,6 +6,7 @@ import numpy as np
 
 from cqrun.contract import Array
 from cqrun.geometry.segment import SegmentShape
+from cqrun.geometry.shape import SLACK
 from cqrun.registry import plugin
 
 
@@ -15,7 +16,7 @@ class Capsule(SegmentShape):
 
     def inside(self, points: Array) -> Array:
         fraction, axis = self.along(points)
-        return self.distance_squared(points, np.clip(fraction, 0, 1), axis) <= self.radius**2
+        return self.distance_squared(points, np.clip(fraction, 0, 1), axis) <= (self.radius * (1 + SLACK)) ** 2
 
     def bounds(self) -> tuple[Array, Array]:
         ends = np.array([self.start, self.end])

@@ -7,6 +7,7 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.explain import Loc
 from cqrun.geometry.segment import SegmentShape
+from cqrun.geometry.shape import SLACK
 from cqrun.registry import plugin
 
 
@@ -22,8 +23,8 @@ class Cylinder(SegmentShape):
 
     def inside(self, points: Array) -> Array:
         fraction, axis = self.along(points)
-        within = self.distance_squared(points, fraction, axis) <= self.radius**2
-        return within & (fraction >= 0) & (fraction <= 1)
+        within = self.distance_squared(points, fraction, axis) <= (self.radius * (1 + SLACK)) ** 2
+        return within & (fraction >= -SLACK) & (fraction <= 1 + SLACK)
 
     def bounds(self) -> tuple[Array, Array]:
         ends = np.array([self.start, self.end])

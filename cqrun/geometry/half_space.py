@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import AfterValidator
 
 from cqrun.contract import Array, vector
-from cqrun.geometry.shape import Shape
+from cqrun.geometry.shape import Shape, slack_at
 from cqrun.registry import plugin
 
 
@@ -28,7 +28,8 @@ class HalfSpace(Shape):
     normal: Annotated[list[float], AfterValidator(_unit)] = vector("1", "Outward normal, made unit")
 
     def inside(self, points: Array) -> Array:
-        return (points - np.array(self.point)) @ np.array(self.normal) <= 0
+        slack = slack_at(points) + slack_at(np.array([self.point]))
+        return (points - np.array(self.point)) @ np.array(self.normal) <= slack
 
     def bounds(self) -> tuple[Array, Array]:
         """Return the bounds: infinite, but on the plane's side where the normal is along an axis."""

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from cqrun.contract import Array, Spec, quantity
 from cqrun.explain import Loc, complaint, finding
-from cqrun.geometry.shape import Shape
+from cqrun.geometry.shape import Shape, slack_at
 from cqrun.registry import plugin
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -78,11 +78,11 @@ class HeightField(Shape):
         return normal / np.sqrt(1 + slope**2)[:, None]
 
     def inside(self, points: Array) -> Array:
-        x, height = points[:, 0], points[:, self._axis]
-        result = height <= self.height(x)
+        x, height, slack = points[:, 0], points[:, self._axis], slack_at(points)
+        result = height <= self.height(x) + slack
         if self.span is not None:
-            result &= (x >= self.span[0]) & (x <= self.span[1])
-        return result if self.bottom is None else result & (height >= self.bottom)
+            result &= (x >= self.span[0] - slack) & (x <= self.span[1] + slack)
+        return result if self.bottom is None else result & (height >= self.bottom - slack)
 
     def bounds(self) -> tuple[Array, Array]:
         dim = 2 if self.up is None else 3

@@ -15,6 +15,9 @@ from cqrun.geometry.region import Points, Region
 _COUNTING_CELLS = 2_000_000
 """About the number of cells that measure a shape without a formula: an error near 1e-4 of its bounds."""
 
+SLACK = 1e-9
+"""Of a shape's own size, or of where its face lies: a grid node on a face is held, however 0.1 + 0.2 was rounded."""
+
 MAX_POINTS = 20_000_000
 """More lattice points than this are a mistyped spacing."""
 
@@ -57,6 +60,11 @@ class Shape(Region):
 
 ChosenShape = Annotated[Chosen[Shape], Choice("shape")]
 """Type of a field that holds any shape."""
+
+
+def slack_at(points: Array) -> Array:
+    """Return how far (N,) [m] outside a face points (N, D) [m] still lie on it, for faces of no size of their own."""
+    return np.asarray(SLACK * np.linalg.norm(points, axis=1))
 
 
 def counted_volume(shape: Shape, cells: int = _COUNTING_CELLS) -> float:

@@ -98,6 +98,40 @@ def test_a_box_holds_nodes_on_its_faces_however_they_are_rounded() -> None:
     assert not box.inside(np.array([[0.3 + 1e-8, 0.5]])).any()
 
 
+LEVEL: dict[str, tuple[int, dict[str, Any]]] = {
+    "half_space": (2, {"half_space": {"point": [0.3, 0.3], "normal": [0, 1]}}),
+    "turned half_space": (2, {"transformed": {"shape": {"half_space": {"point": [0.3, 0], "normal": [1, 0]}},
+                                              "angle": 90}}),
+    "terrain": (2, {"height_field": {"points": [[0, 0.3], [2, 0.3]]}}),
+    "bottom": (2, {"height_field": {"points": [[0, 1], [2, 1]], "bottom": 0.1 + 0.2}}),
+    "span": (3, {"height_field": {"points": [[0, 1], [2, 1]], "span": [0.9000000000000001, 2], "up": "z"}}),
+    "cylinder": (3, {"cylinder": {"start": [0.9, 0, 0], "end": [0.9, 0, 0.3], "radius": 1}}),
+    "side of a cylinder": (3, {"cylinder": {"start": [0, 0, 0], "end": [2, 0, 0], "radius": 0.3}}),
+    "capsule": (2, {"capsule": {"start": [0, 0], "end": [2, 0], "radius": 0.3}}),
+    "ball": (2, {"ball": {"center": [0.9, 0], "radius": 0.3}}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LEVEL)
+def test_nodes_on_a_face_are_held_however_they_are_rounded(name: str) -> None:
+    """Those of a floor at 0.3 m lie up to some bits above it, and would drop it by a cell."""
+    dim, data = LEVEL[name]
+    ulps = np.arange(-3, 4) * np.spacing(0.3)
+    on_it = np.zeros((7, dim))
+    on_it[:, 0], on_it[:, -1] = 0.9 + ulps, 0.3 + ulps
+    assert shape(data).inside(on_it).all()
+    up = 1e-7 * (-1.0 if name == "bottom" else 1.0)
+    off_it = np.array([[0.9 - 1e-7 * (name == "span"), *[0.0] * (dim - 2), 0.3 + up]])
+    assert not shape(data).inside(off_it).any()
+
+
+@pytest.mark.parametrize("size", [1e-4, 1.0, 1e4])
+def test_what_lies_on_a_face_is_told_in_every_unit_of_length(size: float) -> None:
+    ground = shape({"half_space": {"point": [0, 0.15 * size], "normal": [0, 1]}})
+    heights = np.array([6 * (0.025 * size), 0.15 * size * (1 + 1e-8)])
+    assert ground.inside(np.stack([[0.0, 0.0], heights], axis=1)).tolist() == [True, False]
+
+
 def test_a_half_space_lies_behind_its_normal() -> None:
     ground = shape({"half_space": {"point": [0, 1], "normal": [0, 3]}})
     assert ground.inside(np.array([[9, 0.5], [9, 1.5]])).tolist() == [True, False]
