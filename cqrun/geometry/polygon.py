@@ -15,7 +15,7 @@ from pydantic import Field
 from cqrun.contract import Array, quantity
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.explain import Loc
-from cqrun.geometry.shape import Shape
+from cqrun.geometry.shape import SLACK, Shape
 from cqrun.registry import plugin
 
 Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -32,15 +32,20 @@ class Polygon(Shape):
         return [] if dim == 2 else [((), "a polygon needs a 2D world; use box, capsule or cylinder in 3D")]
 
     def inside(self, points: Array) -> Array:
-        """Return which points (N, 2) a ray towards +x leaves through an odd number of edges: (N,) bool."""
+        """Return which points (N, 2) lie on an edge, or a ray towards +x leaves through an odd number: (N,) bool."""
         x, y = points[:, 0], points[:, 1]
-        result = np.zeros(len(points), bool)
+        result, on_edge = np.zeros((2, len(points)), bool)
         corners = np.array(self.points)
-        for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        slack = SLACK * float(np.ptp(corners, axis=0).max())
+        for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            (x0, y0), (x1, y1) = start, end
+            near = np.flatnonzero((abs(x - (x0 + x1) / 2) <= abs(x1 - x0) / 2 + slack)
+                                  & (abs(y - (y0 + y1) / 2) <= abs(y1 - y0) / 2 + slack))  # fmt: skip
+            on_edge[near] |= _beside(points[near], start, end) <= slack
             if y0 != y1:
                 crosses = (y0 > y) != (y1 > y)
                 result ^= crosses & (x < x0 + (y - y0) * ((x1 - x0) / (y1 - y0)))
-        return result
+        return result | on_edge
 
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
         """Carry each point with the triangle of corners that it lies in."""
@@ -77,6 +82,13 @@ class Polygon(Shape):
     def bounds(self) -> tuple[Array, Array]:
         corners = np.array(self.points)
         return corners.min(axis=0), corners.max(axis=0)
+
+
+def _beside(points: Array, start: Array, end: Array) -> Array:
+    """Return how far points (N, 2) are from the line through an edge, or from its one point: (N,) [m]."""
+    edge, offset = end - start, points - start
+    length = np.hypot(*edge)
+    return np.asarray(np.abs(cross(edge, offset)) / length if length > 0 else np.hypot(*offset.T))
 
 
 def cross(a: Array, b: Array) -> Array:

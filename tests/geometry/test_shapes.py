@@ -140,6 +140,15 @@ def test_a_half_space_lies_behind_its_normal() -> None:
     assert np.isinf(slope.bounds()).all()
 
 
+def test_a_polygon_holds_its_edges_and_corners_on_every_side() -> None:
+    corners = np.array([[0.1, 0.1], [0.4, 0.1], [0.4, 0.1], [0.6, 0.3], [0.3, 0.7]])  # one of them given twice
+    body = shape({"polygon": {"points": corners.tolist()}})
+    middles = (corners + np.roll(corners, -1, axis=0)) / 2
+    assert body.inside(np.concatenate([corners, middles])).all()
+    outward = middles - corners.mean(axis=0)
+    assert not body.inside(middles + 1e-7 * outward).any()
+
+
 def test_polygon_crossing_itself_follows_the_even_odd_rule() -> None:
     bow = shape({"polygon": {"points": [[0, 0], [2, 2], [2, 0], [0, 2]]}})
     points = np.array([[0.25, 1.0], [1.75, 1.0], [1.0, 0.5], [1.0, 1.5]])
