@@ -81,7 +81,8 @@ class Mesh(Place, FileShape):
 
     def volume(self) -> float:
         surface = self._surface()
-        if not surface.closed or (surface.winding > 1.5).any():
+        w = surface.winding
+        if not surface.closed or (w > 1.5).any() or (w < -0.5).any():  # the formula counts twice, or takes off
             return counted_volume(self, _COUNTING_CELLS)
         a, b, c = surface.vertices[surface.faces].transpose(1, 0, 2)
         return float(self.scale**3 * np.einsum("nd,nd->", a, np.cross(b, c)) / 6)

@@ -90,6 +90,15 @@ def test_surfaces_that_overlap_are_joined(sphere: Any, tmp_path: Path) -> None:
     assert body.volume() == pytest.approx(8 / 3 * np.pi - lens, rel=0.02)
 
 
+def test_a_component_that_is_inside_out_adds_nothing_and_takes_nothing_off(tmp_path: Path) -> None:
+    whole, inverted = trimesh.creation.box((1, 1, 1)), trimesh.creation.box((0.33, 0.33, 0.33))
+    inverted.apply_translation([1.5, 0.0, 0.0])
+    inverted.invert()
+    body = saved(trimesh.util.concatenate([whole, inverted]), tmp_path / "inverted.stl")
+    assert "is left out" in body.examine()[0]
+    assert body.volume() == pytest.approx(1.0, abs=0.01)
+
+
 def test_an_open_surface_is_refused(sphere: Any, tmp_path: Path) -> None:
     bowl = saved(without(sphere.copy(), sphere.triangles_center[:, 2] > 0), tmp_path / "bowl.stl")
     with pytest.raises(UsageError, match=r"bowl\.stl: is open: for \d\d% of what it encloses, inside and"):
