@@ -126,6 +126,9 @@ def _time(built: Built) -> Iterator[str]:
     corner = " at the worst corner of the unknowns' bounds" if built.scene.unknowns else ""
     cause = f"{number(least.dt)} s ({least.part}{corner})"
     yield line("", f"{model.dt / least.dt:.2f} of the largest stable substep, {cause}")
+    if model.real is np.float32:  # one ulp of a position, over a substep
+        slowest = float(np.finfo(np.float32).eps) * max(built.scene.world.size) / model.dt
+        yield line("", f"float32 rounds motion away below about {number(slowest)} m/s: less than a position's last bit")
     for limit in built.limits:
         if limit is not least:
             yield line("", f"{limit.part} would allow {number(limit.dt)} s")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 from small_beam import changed, record, recorded
 
@@ -47,6 +48,12 @@ def test_it_counts_what_every_part_and_actuator_holds(beam):
     assert "groups: short 25, long 25, root 25\n" in text
     assert "actuator   bend (muscle): 25 particles of 'beam'\n" in text
     assert "actuator   all (muscle): 50 particles of 'beam'\n" in text
+
+
+def test_it_tells_what_float32_rounds_away(beam):
+    assert "rounds motion away" not in told(beam)
+    slow = np.finfo(np.float32).eps * 0.16 / (0.01 / 24)
+    assert f"float32 rounds motion away below about {slow:.5g} m/s" in told(beam, "precision=float32")
 
 
 def test_an_actuator_over_no_particles_is_refused(beam):
