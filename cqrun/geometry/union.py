@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial import cKDTree
 
 from cqrun.contract import Array, quantity, vector
 from cqrun.geometry.shape import ChosenShape, Shape
@@ -46,16 +47,26 @@ class Union(Shape):
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
         """Carry each point with the first of the shapes that holds it."""
         local = (points - self._origin()) / self.scale
-        left, order, carried = np.ones(len(points), bool), [], []
-        for part, part_to in zip(self.shapes, to.shapes, strict=True):
-            last = part is self.shapes[-1]  # takes what rounding leaves over
-            held = np.flatnonzero(left) if last else np.flatnonzero(left)[part.value.inside(local[left])]
+        owner, order, carried = self._owners(local), [], []
+        for k, (part, part_to) in enumerate(zip(self.shapes, to.shapes, strict=True)):
+            held = np.flatnonzero(owner == k)
             order.append(held)
             carried.append(part.value.carried(local[held], part_to.value))
-            left[held] = False
         back = np.argsort(np.concatenate(order))
         moved, growth = (np.concatenate(each)[back] for each in zip(*carried, strict=True))
         return to._origin() + to.scale * moved, growth * (to.scale / self.scale) ** points.shape[1]
+
+    def _owners(self, local: Array) -> Array:
+        """Return which of the shapes carries each point (N,): the first that holds it.
+
+        Points that none holds, as jittered ones beside a surface, go with the nearest one that is held.
+        """
+        held = np.array([part.value.inside(local) for part in self.shapes])
+        owner, stray = held.argmax(axis=0), ~held.any(axis=0)
+        if stray.any() and not stray.all():
+            _, nearest = cKDTree(local[~stray]).query(local[stray])
+            owner[stray] = owner[~stray][nearest]
+        return np.asarray(owner)
 
     def _origin(self) -> Array | float:
         return 0.0 if self.offset is None else np.array(self.offset)

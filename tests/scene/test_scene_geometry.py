@@ -140,6 +140,19 @@ def test_a_number_of_what_cuts_is_none_that_particles_follow():
     assert not any(".shapes.1." in path for path in paths)
 
 
+def test_a_jittered_particle_beside_a_union_follows_the_part_that_it_came_from():
+    """Outside all parts it would follow the last one, away from its neighbours."""
+    ball, box = {"ball": {"center": [0.5, 0.5], "radius": 0.2}}, {"box": {"corner": [1.0, 0.3], "size": [0.2, 0.4]}}
+    body = {"shape": {"union": [ball, box]}, "sampling": {"jittered": {"amount": 0.5}}}
+    loaded = scene_of("union", bodies={"a": {**scene_of("disc").model_dump(exclude_none=True)["bodies"]["a"], **body,
+                                             "place": None, "spacing": 0.02}})  # fmt: skip
+    particles = sample(loaded)
+    of_ball = particles.x[:, 0] < 0.8
+    assert not loaded.bodies["a"].whole().inside(particles.x[of_ball]).all()
+    moved, _ = Geometry(loaded, particles).at_rest({"bodies.a.shape.union.shapes.0.ball.center.0": np.array(0.55)})
+    np.testing.assert_allclose(moved - particles.x, np.outer(of_ball, [0.05, 0.0]), atol=1e-12)
+
+
 def test_other_boxes_are_not_reached():
     """The box of a group, of a region or of a boundary places nothing."""
     floor = {"sticky": {"region": {"box": {"corner": [0, 0], "size": [2, 0.3]}}}}
