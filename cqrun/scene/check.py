@@ -16,17 +16,33 @@ from cqrun.choice import Chosen
 from cqrun.contract import Array
 from cqrun.errors import Problem, UsageError
 from cqrun.geometry.file_shape import FileShape
+from cqrun.geometry.place import Place
 from cqrun.geometry.region import Region
-from cqrun.geometry.shape import Shape, cell_centres, finite_bounds
+from cqrun.geometry.shape import Shape, cell_centres, counted_volume, finite_bounds
 from cqrun.scene.keypath import joined
 from cqrun.scene.regions import BodyPoints
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import parts
 
+ROUNDED = 1e-9
+"""Of a length: a multiple of another one, however both are rounded."""
+
 HOLDS_ON = 1.5
 """Cells between two bodies below which they hold on to each other."""
 
 Points = Mapping[str, BodyPoints]
+
+INWARD = 1e-6
+"""Of a part's size: particles nearer to a face of another part than that lie on it, and not inside."""
+
+MISFIT = 0.02
+"""Part of a shape's volume by which particles may miss it before it is told."""
+
+CHANCE = 3.0
+"""Standard deviations of what a lattice misses of a round shape, where cells at its surface count or do not."""
+
+_MEASURING_CELLS = 200_000
+"""That tell the volume of a shape without a formula to some thousandths, quickly."""
 
 PROBES = 16
 """Points along every axis that ask how much of a part lies in another."""
@@ -57,7 +73,7 @@ def geometry_problems(scene: Scene, points: Points, margin: float = 0.0) -> list
         *empty_bodies(scene, points),
         *outside_world(scene, points, margin),
         *overlapping_bodies(scene, points),
-        *overlapping_parts(scene),
+        *overlapping_parts(scene, points),
         *empty_regions(scene, points),
         *points_to_track(scene, points),
     ]
@@ -115,11 +131,13 @@ def _placed(scene: Scene, body: str) -> str:
     return f"bodies.{body}." + ("place" if spec.place else "shape" if spec.shape else "parts")
 
 
-def overlapping_parts(scene: Scene) -> Iterator[Problem]:
+def overlapping_parts(scene: Scene, points: Points) -> Iterator[Problem]:
     """Yield pairs of parts that share space: each is filled on its own, so it would be filled twice."""
     for name, body in scene.bodies.items():
-        for (first, one), (second, other) in combinations(body.pieces.items(), 2):
-            share = max(_share(one, other), _share(other, one))
+        place, held = body.place or Place(), points[name]
+        x = [place.to_local(held.world[held.piece == k]) for k in range(len(body.pieces))]
+        for (k, (first, one)), (m, (second, other)) in combinations(enumerate(body.pieces.items()), 2):
+            share = max(_share(one, other), _share(other, one), _filled(x[k], one, other), _filled(x[m], one, other))
             if share > 0:
                 message = (
                     f"overlaps the part '{first.partition('.')[2]}', in about {share:.1%} of the smaller: parts are "
@@ -137,6 +155,22 @@ def _share(shape: Shape, other: Shape) -> float:
     x = cell_centres(lower, (upper - lower) / PROBES, np.full(len(lower), PROBES))
     held = shape.inside(x)
     return float((held & other.inside(x)).sum() / max(1, held.sum()))
+
+
+def _filled(x: Array, shape: Shape, other: Shape) -> float:
+    """Return how many of the particles at x (n, D) lie inside two shapes, and not on a face of either: 0 to 1."""
+    both = x[_near(x, shape) & _near(x, other)]
+    if not len(both):
+        return 0.0
+    step = INWARD * float(np.ptp(x, axis=0).max())
+    for move in (0.0, *(sign * step * axis for axis in np.eye(x.shape[1]) for sign in (-1.0, 1.0))):
+        both = both[shape.inside(both + move) & other.inside(both + move)] if len(both) else both
+    return len(both) / len(x)
+
+
+def _near(x: Array, shape: Shape) -> Array:
+    lower, upper = shape.bounds()
+    return np.asarray(np.all((x >= lower) & (x <= upper), axis=1))
 
 
 def empty_regions(scene: Scene, points: Points) -> Iterator[Problem]:
@@ -195,6 +229,74 @@ def sparse_bodies(scene: Scene, volumes: Mapping[str, Array]) -> list[Problem]:
             key = "spacing" if scene.bodies[name].spacing is not None else key
             found.append(_problem(scene, f"bodies.{name}.{key}", message))
     return found
+
+
+def misfits(scene: Scene, points: Points, volumes: Mapping[str, Array]) -> Iterator[Problem]:
+    """Yield warnings for pieces whose particles make up another volume, and so another mass, than their shapes.
+
+    A lattice counts cells in full. Where a shape fills its bounds, as a box, whole rows are too many or too few; of a
+    round one each cell at its surface counts by chance, and a few particles cannot do better.
+
+    Args:
+        scene: the scene.
+        points: particles by body.
+        volumes: particle volumes (N,) [m^3; 2D: m^2] by body, before any `unit_mass`, which needs none.
+    """
+    for name, body in scene.bodies.items():
+        scale = (body.place or Place()).scale
+        spacing = body.particle_spacing(scene.world.dx)
+        for k, (path, shape) in enumerate(body.pieces.items()) if not body.unit_mass else ():
+            own = volumes[name][points[name].piece == k]
+            lower, upper = finite_bounds(shape)
+            known = type(shape).volume is not Shape.volume
+            volume = shape.volume() if known else counted_volume(shape, _MEASURING_CELLS)
+            chance = 0.0 if volume > 0.999 * np.prod(upper - lower) else _chance(len(own), scene.dim)
+            wanted = scale**scene.dim * volume
+            if abs(own.sum() / wanted - 1) > max(MISFIT, chance) * (1 + 1e-9):
+                unit = "m^2" if scene.dim == 2 else "m^3"
+                message = (
+                    f"its particles make up {own.sum():.4g} {unit}, {own.sum() / wanted - 1:+.1%} beside the "
+                    f"{wanted:.4g} {unit} of the shape, and its mass is wrong by as much: "
+                )
+                yield _problem(scene, f"bodies.{name}.{path}", message + _mend(scale * (upper - lower), spacing))
+
+
+def _chance(count: int, dim: int) -> float:
+    """Return what part of `count` cells a lattice may miss of a round shape: 2 D n^(1 - 1/D) are at its surface."""
+    at_surface = 2 * dim * max(1, count) ** (1 - 1 / dim)
+    return CHANCE * float(np.sqrt(at_surface / 12)) / max(1, count)
+
+
+def _mend(size: Array, spacing: float | None) -> str:
+    """Return what makes particles fill a shape of a size (D,) [m]."""
+    if spacing is None:
+        return "give another count, or `sampling: {random: {count: ...}}`, whose particles share the shape's own volume"
+    rows = size / spacing
+    odd = [f"{size[k]:.6g} m along {'xyz'[k]}" for k in np.flatnonzero(np.abs(rows - np.round(rows)) > ROUNDED * rows)]
+    if not odd:
+        return "give a smaller spacing, or `sampling: {random: {count: ...}}`, which shares out the shape's own volume"
+    return (
+        f"{' and '.join(odd)} {'is no multiple' if len(odd) == 1 else 'are no multiples'} of the spacing of "
+        f"{spacing:.6g} m; give a size that is one, another spacing, or `sampling: {{lattice: {{count: ...}}}}`"
+    )
+
+
+def walls_outside(scene: Scene) -> Iterator[Problem]:
+    """Yield warnings for faces at the far end of an axis that no row of nodes meets: their wall stands outside."""
+    dx = scene.world.dx
+    for axis, size in enumerate(scene.world.size):
+        letter, cells = "xyz"[axis], max(1, round(size / dx))
+        for name, chosen in scene.boundaries.items():
+            face, thickness = getattr(chosen.value, "face", None), getattr(chosen.value, "thickness", 0.0)
+            held = dx * np.ceil((size * (1 - ROUNDED) - thickness) / dx)
+            if face in (f"{letter}_max", "all") and held > size * (1 + ROUNDED):
+                message = (
+                    f"{size:.6g} m along {letter} is no multiple of dx = {dx:.6g} m, so '{name}' holds what is beyond "
+                    f"{held:.6g} m, {held - size:.3g} m outside the world; give dx = {size / cells:.6g} m, or a "
+                    f"size of {cells * dx:.6g} m"
+                )
+                yield _problem(scene, f"world.size.{axis}", message)
+                break
 
 
 def bodies_that_hold_on(scene: Scene, points: Points, volumes: Mapping[str, Array]) -> Iterator[Problem]:

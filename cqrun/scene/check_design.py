@@ -199,7 +199,11 @@ class _Rest:
             yield f"a part of a body has less than {CRUSHED:g} of the volume that it has at the start"
             return
         points = {name: replace(body, world=x[particles.of(name)]) for name, body in particles.points.items()}
-        problems = [*outside_world(changed, points), *overlapping_bodies(changed, points), *overlapping_parts(changed)]
+        problems = [
+            *outside_world(changed, points),
+            *overlapping_bodies(changed, points),
+            *overlapping_parts(changed, points),
+        ]
         yield from (f"{problem.path} {problem.message}" for problem in problems)
         yield from (message for name in particles.names for message in self._sparse(name, x))
 

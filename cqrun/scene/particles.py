@@ -11,7 +11,14 @@ from cqrun.contract import Array
 from cqrun.engine.blocks import BLOCK
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.geometry.place import Place
-from cqrun.scene.check import bodies_that_hold_on, file_problems, geometry_problems, sparse_bodies
+from cqrun.scene.check import (
+    bodies_that_hold_on,
+    file_problems,
+    geometry_problems,
+    misfits,
+    sparse_bodies,
+    walls_outside,
+)
 from cqrun.scene.regions import BodyPoints
 from cqrun.scene.schema import Scene
 from cqrun.state import Layout
@@ -93,6 +100,7 @@ def sample(scene: Scene) -> Particles:
     if problems:
         raise SceneError(problems)
     warnings += [*sparse_bodies(scene, volumes), *bodies_that_hold_on(scene, points, volumes)]
+    warnings += [*misfits(scene, points, volumes), *walls_outside(scene)]
     room = {name: np.ones(len(volumes[name])) for name in names}
     for name in names:
         spacing[name] = float(volumes[name].mean() ** (1 / scene.dim))

@@ -140,6 +140,20 @@ def test_parts_that_overlap_are_refused_and_those_that_touch_are_not() -> None:
     assert message.startswith("scene: bodies.b.parts.c: overlaps the part 'b', in about 25.0% of the smaller")
 
 
+def test_thin_overlaps_of_parts_are_found_where_they_would_be_filled_twice() -> None:
+    torso = box([0.1, 0.5], [0.8, 0.2])
+
+    def parts(overlap: float, **more: Any) -> dict[str, Any]:
+        return {"parts": {"torso": torso, "leg": box([0.1, 0.1], [0.2, 0.4 + overlap])}, "spacing": 0.01, **more}
+
+    assert "bodies.b.parts.leg: overlaps the part 'torso', in about 2.4% of the smaller" in told(parts(0.01))
+    turned = {"place": {"angle": 17, "offset": [0.25, 0.05], "scale": 0.7}}
+    assert "overlaps the part 'torso'" in told(parts(0.01, **turned))
+    # faces that touch hold rows of particles where no whole number of them fits
+    for sampling in ({}, turned, {"spacing": 0.016}, {"sampling": {"jittered": {"amount": 1.0}}}):
+        assert len(particles(parts(0.0, **sampling)).x)
+
+
 def test_a_part_without_particles_is_named() -> None:
     parts = {"a": box([0.1, 0.1], [0.2, 0.2]), "thin": {"ball": {"center": [0.6, 0.6], "radius": 0.01}}}
     ring = {"difference": [parts["thin"], {"ball": {"center": [0.6, 0.6], "radius": 0.009}}]}

@@ -114,6 +114,53 @@ def test_few_particles_a_cell_are_warned_about(per_cell: float, warned: bool) ->
         assert warnings[0].startswith(f"scene: bodies.right.particles_per_cell: {per_cell:.3g} particles in a cell")
 
 
+def misfit(**body: Any) -> list[str]:
+    scene = two_balls(**{"particles_per_cell": None, "spacing": 0.01, **body})
+    return [str(p) for p in check.misfits(scene, *sampled(scene))]
+
+
+def test_particles_that_make_up_another_volume_than_their_shape_are_told() -> None:
+    thin = {"box": {"corner": [0.5, 0.45], "size": [0.2, 0.025]}}  # 20 x 3 particles
+    (message,) = misfit(shape=thin)
+    assert message.startswith("scene: bodies.right.shape: its particles make up 0.006 m^2, +20.0% beside the 0.005 m^2")
+    assert "0.025 m along y is no multiple of the spacing of 0.01 m; give a size that is one, another" in message
+    small = {"corner": [0, 0], "size": [0.4, 0.05]}
+    assert "+20.0%" in misfit(shape={"box": small}, place={"scale": 0.5, "offset": [0.5, 0.45]})[0]
+    assert misfit(shape=thin, unit_mass=True) == []
+    for sampling in ({"random": {"count": 60}}, {"lattice": {"count": 9}}):
+        assert misfit(shape=thin, spacing=None, sampling=sampling) == []
+    assert misfit(shape=thin, sampling={"poisson_disk": {}}) == []
+    assert misfit(shape={"box": {"corner": [0.5, 0.45], "size": [0.2, 0.03]}}) == []
+
+
+def test_small_round_bodies_are_not_told_of_what_a_lattice_cannot_do_better(rng: np.random.Generator) -> None:
+    rows = rng.uniform(2, 20, 100)
+    ball = {"ball": {"center": [0.6, 0.5], "radius": 0.1}}
+    assert sum(bool(misfit(shape=ball, spacing=0.1 / n)) for n in rows) <= 2
+    sharp = {"polygon": {"points": [[0.5, 0.45], [0.7, 0.45], [0.7, 0.474], [0.501, 0.474]]}}
+    assert "wrong by as much" in misfit(shape=sharp)[0]  # not round: two rows for 2.4
+
+
+@pytest.mark.parametrize(
+    ("dx", "boundary", "warned"),
+    [
+        (0.03, {"face": "x_max"}, [0]),
+        (0.03, {"face": "all"}, [0, 1]),
+        (0.03, {"face": "x_min"}, []),
+        (0.03, {"face": "x_max", "thickness": 0.03}, []),
+        (0.1 / 3, {"face": "all"}, []),
+    ],
+)
+def test_walls_that_stand_outside_the_world_are_told(dx: float, boundary: dict[str, Any], warned: list[int]) -> None:
+    data = two_balls().model_dump(exclude_none=True)
+    data["world"]["dx"], data["boundaries"] = dx, {"wall": {"sticky": boundary}}
+    messages = [str(p) for p in check.walls_outside(load_scene(data))]
+    assert [re.sub(r"scene: world\.size\.(\d): .*", r"\1", message) for message in messages] == list(map(str, warned))
+    for message in messages:
+        assert "is no multiple of dx = 0.03 m, so 'wall' holds what is beyond 1.02 m, 0.02 m outside" in message
+        assert message.endswith("give dx = 0.030303 m, or a size of 0.99 m")
+
+
 class Pull(Plugin):
     """A load of this test's own."""
 
