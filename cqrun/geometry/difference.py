@@ -30,6 +30,10 @@ class Difference(Shape):
     def colour_names(self) -> tuple[str, ...]:
         return self.shapes[0].value.colour_names
 
+    @property
+    def pictured(self) -> bool:
+        return self.shapes[0].value.pictured
+
     def coloured(self, points: Array, colour: str) -> Array:
         return self.shapes[0].value.coloured(points, colour)
 

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array
-from cqrun.geometry.shape import ChosenShape, Shape
+from cqrun.geometry.shape import ChosenShape, Shape, coloured_parts
 from cqrun.registry import plugin
 
 
@@ -27,8 +27,12 @@ class Intersection(Shape):
     def colour_names(self) -> tuple[str, ...]:
         return tuple(name for part in self.shapes for name in part.value.colour_names)
 
+    @property
+    def pictured(self) -> bool:
+        return any(part.value.pictured for part in self.shapes)
+
     def coloured(self, points: Array, colour: str) -> Array:
-        return np.any([part.value.coloured(points, colour) for part in self.shapes], axis=0)
+        return np.any(coloured_parts([part.value for part in self.shapes], points, colour), axis=0)
 
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
         return self.shapes[0].value.carried(points, to.shapes[0].value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Annotated, Self
 
 import numpy as np
@@ -50,8 +51,17 @@ class Shape(Region):
         return ()
 
     def coloured(self, points: Array, colour: str) -> Array:
-        """Return which points (N, D) [m] lie in pixels of a colour, by its name or `#rrggbb`: (N,) bool."""
+        """Return which points (N, D) [m] lie in pixels of a colour, by its name or `#rrggbb`: (N,) bool.
+
+        Raises:
+            UsageError: none of its images has the colour.
+        """
         return np.zeros(len(points), bool)
+
+    @property
+    def pictured(self) -> bool:
+        """Whether an image gives it colours."""
+        return type(self).coloured is not Shape.coloured
 
     def volume(self) -> float:
         """Return the volume [m^3] (2D: area [m^2]), counted on a fine lattice unless a formula is known."""
@@ -60,6 +70,28 @@ class Shape(Region):
 
 ChosenShape = Annotated[Chosen[Shape], Choice("shape")]
 """Type of a field that holds any shape."""
+
+
+def coloured_parts(parts: Sequence[Shape], points: Array, colour: str) -> list[Array]:
+    """Return which points (N, D) [m] lie in pixels of a colour, for each of several shapes: (N,) bool each.
+
+    Only those that know a name are asked for it; of `#rrggbb` some may have no pixel.
+
+    Raises:
+        UsageError: there are images, and none has the colour.
+    """
+    named = any(colour in part.colour_names for part in parts)
+    asked = [part for part in parts if (colour in part.colour_names if named else part.pictured)]
+    found: dict[int, Array] = {}
+    errors: list[UsageError] = []
+    for part in asked:
+        try:
+            found[id(part)] = part.coloured(points, colour)
+        except UsageError as error:
+            errors.append(error)
+    if errors and not found:
+        raise errors[0]
+    return [found.get(id(part), np.zeros(len(points), bool)) for part in parts]
 
 
 def slack_at(points: Array) -> Array:

@@ -29,6 +29,10 @@ class Transformed(Place, Shape):
     def colour_names(self) -> tuple[str, ...]:
         return self.shape.value.colour_names
 
+    @property
+    def pictured(self) -> bool:
+        return self.shape.value.pictured
+
     def coloured(self, points: Array, colour: str) -> Array:
         return self.shape.value.coloured(self.to_local(points), colour)
 

@@ -9,7 +9,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from cqrun.contract import Array, quantity, vector
-from cqrun.geometry.shape import ChosenShape, Shape
+from cqrun.geometry.shape import ChosenShape, Shape, coloured_parts
 from cqrun.registry import plugin
 
 
@@ -35,9 +35,13 @@ class Union(Shape):
     def colour_names(self) -> tuple[str, ...]:
         return tuple(name for part in self.shapes for name in part.value.colour_names)
 
+    @property
+    def pictured(self) -> bool:
+        return any(part.value.pictured for part in self.shapes)
+
     def coloured(self, points: Array, colour: str) -> Array:
         local = (points - self._origin()) / self.scale
-        return np.any([part.value.coloured(local, colour) for part in self.shapes], axis=0)
+        return np.any(coloured_parts([part.value for part in self.shapes], local, colour), axis=0)
 
     def bounds(self) -> tuple[Array, Array]:
         lower, upper = zip(*(part.value.bounds() for part in self.shapes), strict=True)

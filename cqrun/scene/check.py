@@ -180,7 +180,8 @@ def empty_regions(scene: Scene, points: Points) -> Iterator[Problem]:
             yield from _empty(scene, f"bodies.{body}.material_of.{name}", name, {body: points[body]})
         for group in (*spec.colours, *spec.groups):
             path = f"bodies.{body}.groups.{group}" if group in spec.groups else _placed(scene, body)
-            yield from _empty(scene, path, group, {body: points[body]})
+            what = "holds" if group in spec.groups else f"the colour '{group}' holds"
+            yield from _empty(scene, path, group, {body: points[body]}, what)
     for loc, part in parts(scene):
         region = getattr(part, "region", None)
         if not (isinstance(region, Chosen) and isinstance(region.value, Region) and hasattr(part, "body")):
@@ -190,7 +191,9 @@ def empty_regions(scene: Scene, points: Points) -> Iterator[Problem]:
         yield from _empty(scene, joined((*loc, "region")), region, held)
 
 
-def _empty(scene: Scene, path: str, region: Chosen[Region] | str, points: Points) -> Iterator[Problem]:
+def _empty(
+    scene: Scene, path: str, region: Chosen[Region] | str, points: Points, what: str = "holds"
+) -> Iterator[Problem]:
     filled = {name: body.world for name, body in points.items() if len(body.world)}
     try:
         held = any(points[name].pick(region).any() for name in filled)
@@ -201,7 +204,7 @@ def _empty(scene: Scene, path: str, region: Chosen[Region] | str, points: Points
         extents = [
             f"'{name}' lies within {_corner(x.min(axis=0))} to {_corner(x.max(axis=0))} m" for name, x in filled.items()
         ]
-        yield _problem(scene, path, f"holds no particle: {', '.join(extents)}")
+        yield _problem(scene, path, f"{what} no particle: {', '.join(extents)}")
 
 
 def _corner(x: Array) -> str:

@@ -12,7 +12,7 @@ from cqrun.contract import Array, Plugin
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.geometry.named import Named
 from cqrun.geometry.region import Region
-from cqrun.geometry.shape import Shape
+from cqrun.geometry.shape import Shape, coloured_parts
 from cqrun.scene.schema import Scene
 
 
@@ -65,13 +65,11 @@ class BodyPoints:
 
     def coloured(self, colour: str) -> Array:
         """Return which particles lie in pixels of a colour of the image that their piece is made of."""
-        pieces = self.scene.bodies[self.body].pieces.values()
-        if all(type(shape).coloured is Shape.coloured for shape in pieces):
+        pieces = list(self.scene.bodies[self.body].pieces.values())
+        if not any(shape.pictured for shape in pieces):
             raise UsageError(f"the body '{self.body}' is made of no image, so its particles have no colour")
-        found = np.zeros(len(self.local), bool)
-        for k, shape in enumerate(pieces):
-            found |= (self.piece == k) & shape.coloured(self.local, colour)
-        return found
+        found = coloured_parts(pieces, self.local, colour)
+        return np.any([(self.piece == k) & held for k, held in enumerate(found)], axis=0)
 
     @property
     def groups(self) -> dict[str, Array]:

@@ -11,12 +11,15 @@ import pytest
 from PIL import Image as Pillow
 from pydantic import ValidationError
 
-from cqrun.errors import UsageError
+from cqrun.errors import SceneError, UsageError
 from cqrun.geometry.difference import Difference
 from cqrun.geometry.image import Image
+from cqrun.geometry.intersection import Intersection
 from cqrun.geometry.random import Random
 from cqrun.geometry.transformed import Transformed
 from cqrun.geometry.union import Union
+from cqrun.scene.load import load_scene
+from cqrun.scene.particles import Particles, sample
 
 WHITE, RED, BLUE, PINK = (255, 255, 255), (220, 20, 20), (0, 0, 255), (255, 210, 210)
 
@@ -200,3 +203,51 @@ def test_colours_that_are_not_there_or_have_two_names(flag: str) -> None:
         image(flag).coloured(np.zeros((1, 2)), "#00ff00")
     with pytest.raises(UsageError, match="b: its colour has another name too"):
         image(flag, colours={"a": "#dc1414", "b": "#dc1414"}).examine()
+
+
+@pytest.fixture
+def leaf(tmp_path: Path) -> str:
+    """Return a picture of 1 x 2 pixels, green beside blue."""
+    return save(tmp_path / "leaf.png", [[(0, 160, 0), BLUE]])
+
+
+@pytest.mark.parametrize("kind", [Union, Intersection])
+def test_several_images_are_asked_for_their_own_colours_alone(kind: Any, flag: str, leaf: str) -> None:
+    one = {"image": {"file": flag, "height": 0.4, "colours": {"top": "#dc1414"}}}
+    other = {"image": {"file": leaf, "height": 0.1, "corner": [0.1, 0.2], "colours": {"green": "#00a000"}}}
+    both = kind.model_validate({"shapes": [one, other, {"box": {"corner": [0, 0], "size": [1, 1]}}]})
+    assert both.colour_names == ("top", "green")
+    x = np.array([[0.15, 0.25], [0.25, 0.25], [0.35, 0.25], [0.15, 0.15]])
+    assert both.coloured(x, "top").tolist() == [True, True, True, False]
+    assert both.coloured(x, "green").tolist() == [True, False, False, False]
+    assert both.coloured(x, "#00a000").tolist() == [True, False, False, False]
+    assert both.coloured(x, "#0000ff").tolist() == [False, True, False, True]
+    with pytest.raises(UsageError, match=r"no pixel of .*flag\.png has the colour #123456"):
+        both.coloured(x, "#123456")
+    with pytest.raises(UsageError, match=r"'rod' is no colour of .*flag\.png: named here are top"):
+        both.coloured(x, "rod")
+
+
+MATERIAL = {"density": 1.0, "elastic": {"neo_hookean": {"youngs_modulus": 1.0, "poissons_ratio": 0.3}}}
+
+
+def sampled(body: dict[str, Any]) -> Particles:
+    body = {"spacing": 0.02, "material": MATERIAL, **body}
+    time = {"duration": 0.1, "control_step": 0.1}
+    return sample(load_scene({"cqrun": 1, "world": {"size": [1, 1], "dx": 0.05}, "bodies": {"a": body}, "time": time}))
+
+
+def test_parts_may_be_images_with_colours_of_their_own(flag: str, leaf: str) -> None:
+    one = {"image": {"file": flag, "height": 0.4, "colours": {"top": "#dc1414"}}}
+    other = {"image": {"file": leaf, "height": 0.1, "corner": [0.6, 0.6], "colours": {"green": "#00a000"}}}
+    blue = {"blue": {"colour": "#0000ff"}}
+    groups = sampled({"parts": {"one": one, "other": other}, "groups": blue}).groups("a")
+    assert {name: len(held) for name, held in groups.items() if name not in ("one", "other")} == {
+        "top": 75, "green": 25, "blue": 100
+    }  # fmt: skip
+
+
+def test_a_colour_that_is_cut_away_is_told_by_its_name(flag: str) -> None:
+    whole = {"image": {"file": flag, "height": 0.4, "colours": {"top": "#dc1414", "low": "#0000ff"}}}
+    with pytest.raises(SceneError, match=r"bodies.a.shape: the colour 'top' holds no particle"):
+        sampled({"shape": {"intersection": [whole, {"box": {"corner": [0, 0], "size": [1, 0.2]}}]}})
