@@ -13,7 +13,10 @@ from cqrun.registry import plugin
 
 @plugin("shape", "difference")
 class Difference(Shape):
-    """The points of the first shape that none of the others holds: `difference: [shape, hole, ...]`."""
+    """The points of the first shape that none of the others holds: `difference: [shape, hole, ...]`.
+
+    As numbers of the first shape change, its particles follow it: holes move and stretch with it.
+    """
 
     shorthand: ClassVar[str] = "shapes"
 

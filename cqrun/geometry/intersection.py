@@ -14,7 +14,10 @@ from cqrun.registry import plugin
 
 @plugin("shape", "intersection")
 class Intersection(Shape):
-    """The points that all of its shapes hold: `intersection: [shape, ...]`."""
+    """The points that all of its shapes hold: `intersection: [shape, ...]`.
+
+    As numbers of the first shape change, its particles follow it: where the others cut it moves and stretches with it.
+    """
 
     shorthand: ClassVar[str] = "shapes"
 

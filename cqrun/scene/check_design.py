@@ -14,7 +14,7 @@ from cqrun.errors import MissingExtra, Problem, SceneError, UsageError
 from cqrun.scene.check import outside_world, overlapping_bodies, overlapping_parts
 from cqrun.scene.geometry import Geometry
 from cqrun.scene.particles import Particles
-from cqrun.scene.paths import canonical, leaf, shapes_a_body, with_values
+from cqrun.scene.paths import canonical, cuts, leaf, shapes_a_body, with_values
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import body_of, start, tied
 
@@ -75,12 +75,21 @@ def design_warnings(scene: Scene, particles: Particles) -> list[Problem]:
         if unknown.per == "field" and unknown.mirror is not None:
             messages = _lopsided(scene, particles, path, unknown.mirror)
             found += [Problem(scene.where(told), f"{told}.mirror", message) for message in messages]
+        found += [Problem(scene.where(told), told, message) for message in _cut(scene, path)]
         for other, value in list(tied(scene, path, start(scene, path)).items())[1:]:
             own = leaf(scene, other).value
             if differ(value, own):
                 message = f"{other} starts at {value:g}, by `also`, and not at the {own:g} that the scene has there"
                 found.append(Problem(scene.where(told), told, message))
     return found
+
+
+def _cut(scene: Scene, path: str) -> Iterator[str]:
+    """Yield that what cuts a shape does not stay where it is."""
+    through = {name for p in _geometric(scene, path, start(scene, path)) for name, _ in cuts(canonical(scene, p))}
+    if through:
+        names = " or ".join(f"{'a' if name == 'difference' else 'an'} {name}" for name in sorted(through))
+        yield f"changes the first shape of {names}: what cuts it moves and stretches with it, and does not stay"
 
 
 def differ(value: float, own: float) -> bool:

@@ -63,13 +63,20 @@ def leaf(scene: Scene, path: str) -> LeafInfo:
 def shapes_a_body(path: str) -> bool:
     """Say whether a path, in its long spelling, is of what shapes or places a body: its particles follow the numbers.
 
-    They follow the first shape of a difference or intersection; what cuts it stays.
+    They follow the first shape of a difference or intersection, and so do its holes, which move and stretch with it;
+    numbers of what cuts it move nothing.
     """
     keys = path.split(".")
     if len(keys) < 4 or keys[0] != "bodies" or keys[2] not in ("shape", "parts", "place"):
         return False
-    cuts = [keys[k + 2] for k in range(len(keys) - 2) if keys[k] in ("difference", "intersection")]
-    return all(index == "0" for index in cuts)
+    return all(index == "0" for _, index in cuts(path))
+
+
+def cuts(path: str) -> list[tuple[str, str]]:
+    """Return the differences and intersections that a path, in its long spelling, goes through: (name, index) each."""
+    keys = path.split(".")
+    pairs = zip(keys, keys[1:], keys[2:], strict=False)
+    return [(name, index) for name, of, index in pairs if name in ("difference", "intersection") and of == "shapes"]
 
 
 def _reached(owner: type[BaseModel], name: str, loc: Sequence[int | str]) -> bool:

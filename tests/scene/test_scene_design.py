@@ -154,6 +154,22 @@ def test_a_polygon_that_crosses_itself_is_told_where_its_corners_are_unknowns():
         build(load_scene(scene))
 
 
+def test_what_cuts_an_unknown_shape_is_told_to_follow_it():
+    body = box(0.125, per_cell=9)
+    hole = {"box": {"corner": [0.1875, 0.4375], "size": [0.125, 0.125]}}
+    body["shape"] = {"difference": [body["shape"], hole]}
+
+    def warned(path: str) -> list[str]:
+        scene = data({path: {"bounds": [0.2, 0.25]}}, data={"target": {"body": "a", "position": [0.5, 0.5]}})
+        scene["bodies"]["a"] = body
+        return [str(problem) for problem in build(load_scene(scene)).warnings if "what cuts it" in str(problem)]
+
+    first = "bodies.a.shape.difference.0.box.size.0"
+    (told,) = warned(first)
+    assert f"unknowns.{first}: changes the first shape of a difference: what cuts it moves and stretches with" in told
+    assert not warned("bodies.b.shape.box.size.0")
+
+
 def test_a_mirrored_field_of_a_lopsided_body_is_told():
     scene = data({f"bodies.a.{E}": {"bounds": [5, 20], "per": "field", "mirror": "x"}})
     assert not [problem for problem in build(load_scene(scene)).warnings if "mirror" in str(problem)]

@@ -153,6 +153,18 @@ def test_a_jittered_particle_beside_a_union_follows_the_part_that_it_came_from()
     np.testing.assert_allclose(moved - particles.x, np.outer(of_ball, [0.05, 0.0]), atol=1e-12)
 
 
+def test_a_hole_moves_and_stretches_with_what_it_is_cut_out_of():
+    loaded = scene_of("difference")
+    particles = sample(loaded)
+    path = "bodies.a.shape.difference.shapes.0.box.size.0"
+    moved, volume = Geometry(loaded, particles).at_rest({path: np.array(3.0)})
+    local = (moved - 0.7) / 0.2
+    np.testing.assert_allclose(local[:, 0], 1.5 * ((particles.x[:, 0] - 0.7) / 0.2 + 1.0) - 1.0, atol=1e-12)
+    hole = loaded.bodies["a"].pieces["shape"].shapes[1].value
+    assert hole.inside(local).any()  # where the hole was
+    assert volume.sum() == pytest.approx(1.5 * particles.volume.sum())
+
+
 def test_other_boxes_are_not_reached():
     """The box of a group, of a region or of a boundary places nothing."""
     floor = {"sticky": {"region": {"box": {"corner": [0, 0], "size": [2, 0.3]}}}}
