@@ -13,6 +13,8 @@ from cqrun.figures.quantities import length_unit, shown_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.strain import Strain, green_norm
 from cqrun.figures.style import AMOUNT_MAP, PASSIVE, SIGNED_MAP
+from cqrun.jobs.agent import FILE
+from cqrun.jobs.replay import kept_values
 from cqrun.jobs.unknowns import values_found
 from cqrun.scene.actuation import Actuation
 from cqrun.scene.assembly import Assembly
@@ -145,8 +147,7 @@ def _of_material(quantity: str, run: RunData, frames: Frames) -> Colours:
 
 def material_of(run: RunData, particles: Particles, quantity: str) -> Array:
     """Return one of MATERIAL for every particle (N,), with the values that a run has found; UsageError without it."""
-    assembly = Assembly(run.scene, particles)
-    values = values_found(run.scene, particles, (run.result or {}).get("unknowns") or {})
+    assembly, values = Assembly(run.scene, particles), _found(run, particles)
     if quantity == "weight":
         return _weight(assembly.actuation, values, len(particles.x))
     found, key = np.zeros(len(particles.x)), MATERIAL[quantity][0]
@@ -158,6 +159,13 @@ def material_of(run: RunData, particles: Particles, quantity: str) -> Array:
             raise UsageError(f"--color {quantity}: the law {law} of body '{body}' has no {key} to show")
         found[particles.of(body)] = material[path]
     return found
+
+
+def _found(run: RunData, particles: Particles) -> dict[str, Array]:
+    """Return the values by path that a run has found, or that acted in a replay."""
+    if run.job == "simulate" and run.has(FILE):
+        return kept_values(run.path / FILE)
+    return values_found(run.scene, particles, (run.result or {}).get("unknowns") or {})
 
 
 def _weight(actuation: Actuation, values: Mapping[str, Array], n: int) -> Array:

@@ -23,14 +23,13 @@ from cqrun.engine.rollout import Rollout
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.acted_on import acted_on, require_same
+from cqrun.jobs.replay import kept_values
 from cqrun.jobs.unknowns import make_params
 from cqrun.objectives.term import Objective, Track, TrackBar
 from cqrun.observers.matter import Matter, Unfit
 from cqrun.observers.observer import Observation
 from cqrun.observers.rows import slices
 from cqrun.scene.build import Built
-from cqrun.scene.paths import leaf, shapes_a_body
-from cqrun.scene.schema import Scene
 from cqrun.state import State
 from cqrun.store.atomic import disk_errors
 from cqrun.store.recordings import marker_path
@@ -90,6 +89,7 @@ class Agent:
         params: the controller's parameters, then the scene's unknowns, as they start.
         acting: values by path that it acts with where nothing is learned: the controller's parameters as they start
             or as the file has them, and what was learned with them for every group or particle.
+        starts: of the scene's unknowns, from which changes count: in a replay those of the training, if the file says.
         model: the scene's, recording what observers and objective need.
 
     Raises:
@@ -106,7 +106,8 @@ class Agent:
         self.limits = Limits(drive.low, drive.high, drive.change)
         self.actuators = [part.name for part in drive.parts]
         said = None if trained is None else self._noted(trained)
-        self.matter = matter_of(built)
+        self.starts = starts_of(built, {} if said is None else said.get("starts", {}))
+        self.matter = matter_of(built, self.starts)
         # what observers take for the run is the one they were trained in: a clock's period does not stretch
         steps = self.matter.n_controls if said is None else int(said["n_controls"])
         self.learning = replace(self.matter, n_controls=steps)
@@ -170,7 +171,8 @@ class Agent:
             "half": self.observation.half.tolist(),
             "n_controls": self.learning.n_controls,
             "acted_on": acted_on(self.built),
-            "unknowns": {p: np.asarray(v).tolist() for p, v in values.items() if not p.startswith(CONTROLLER)},
+            "unknowns": _of_scene(values),
+            "starts": _of_scene(self.starts),
         }
         with disk_errors(path):
             save_controller(path, parameters, meta)
@@ -205,10 +207,7 @@ class Agent:
         known = {CONTROLLER + name: array for name, array in parameters.items()}
         sizes = {block.path: block.initial.shape for block in self.params.blocks}
         sizes |= {f.path: block.initial.shape for block in self.params.blocks for f in block.followers}
-        for name, value in said["unknowns"].items():
-            array = np.array(value, float)
-            if not is_kept_by_controller(name, array):
-                continue  # the scene has it
+        for name, array in kept_values(path).items():
             if array.shape != sizes.get(name):
                 raise UsageError(
                     f"{path}: holds {array.size} numbers of {name} that were learned with the controller; this scene's "
@@ -332,10 +331,23 @@ class Agent:
         return (LossBar(full, activation=whole.activation) if moves else None), whole.design
 
 
-def matter_of(built: Built) -> Matter:
-    """Return what observers and objectives may know of a scene."""
-    scene, particles, unknowns = built.scene, built.particles, make_params(built)
-    inputs = built.assembly.inputs(unknowns.unpack(unknowns.start))
+def _of_scene(values: Values) -> dict[str, Any]:
+    """Return the values that are not the controller's, as JSON has them."""
+    return {p: np.asarray(v).tolist() for p, v in values.items() if not p.startswith(CONTROLLER)}
+
+
+def starts_of(built: Built, trained: Mapping[str, Any]) -> dict[str, Array]:
+    """Return where the unknowns, and what follows them, start by path: in a replay where they did in the training."""
+    unknowns = make_params(built)
+    own = unknowns.unpack(unknowns.start)
+    then = {path: np.array(value, float) for path, value in trained.items()}
+    return own | {path: value for path, value in then.items() if value.shape == np.shape(own.get(path, 0.0))}
+
+
+def matter_of(built: Built, starts: Values) -> Matter:
+    """Return what observers and objectives may know of a scene whose unknowns start somewhere."""
+    scene, particles = built.scene, built.particles
+    inputs = built.assembly.inputs(starts)
     return Matter(
         x=particles.x,
         mass=inputs.fields.mass,
@@ -352,35 +364,3 @@ def matter_of(built: Built) -> Matter:
         design=built.assembly.design(inputs),
         regions=tuple(scene.regions),
     )
-
-
-def learned_values(file: Path, scene: Scene, overrides: Sequence[str]) -> list[str]:
-    """Return overrides that give a scene the single numbers that were learned with a controller.
-
-    Raises:
-        UsageError: the file is no controller's, the scene has no such number, or an override is of numbers that were
-            learned for each group or particle.
-    """
-    _, meta = read_controller(file)
-    learned = meta.get("unknowns", {})
-    for path in learned:
-        try:
-            leaf(scene, path)
-        except SceneError:
-            raise UsageError(f"{file}: {path} was learned with the controller; this scene has no such number") from None
-    kept = {path for path, value in learned.items() if is_kept_by_controller(path, np.array(value))}
-    for override in overrides:
-        key = override.partition("=")[0].strip()
-        if isinstance(learned.get(key), list):
-            raise UsageError(f"-o {override}: {file} has a value of it for every group or particle, which were learned")
-        if key in kept:
-            raise UsageError(f"-o {override}: {file} holds the body's geometry, which was learned")
-    return [f"{path}={value!r}" for path, value in learned.items() if path not in kept]
-
-
-def is_kept_by_controller(path: str, value: Array) -> bool:
-    """Say whether a learned value goes with the controller's file, and not into the scene.
-
-    It is one a group or particle, or it shapes a body: particles follow it, sampled anew they would be others.
-    """
-    return value.ndim > 0 or shapes_a_body(path)

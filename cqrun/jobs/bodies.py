@@ -7,34 +7,35 @@ from collections.abc import Sequence
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.engine.model import Inputs
 from cqrun.jobs.report import number
 from cqrun.jobs.reporter import Reporter
 from cqrun.scene.build import Built
 from cqrun.store.run import RunDirectory
 
 
-def tell_bodies(built: Built, run: RunDirectory, talk: Reporter) -> None:
-    """Tell a line a body, and write it into the run's log."""
+def tell_bodies(built: Built, run: RunDirectory, talk: Reporter, inputs: Inputs | None = None) -> None:
+    """Tell a line a body, and write it into the run's log; of what acts, if that is not what the scene says."""
     size = " x ".join(number(edge) for edge in built.scene.world.size)
     for name in built.particles.names:
-        text = f"{name}: {made_of(built, name)}; {lies(built, name)} of {size} m"
+        text = f"{name}: {made_of(built, name, inputs)}; {lies(built, name, inputs)} of {size} m"
         talk.say(text)
         run.log(text)
 
 
-def made_of(built: Built, name: str) -> str:
-    """Return how many particles a body has, how densely, and its mass."""
+def made_of(built: Built, name: str, inputs: Inputs | None = None) -> str:
+    """Return how many particles a body has, how densely, and its mass, with the scene's own inputs if not given."""
     particles, dx, dim = built.particles, built.scene.world.dx, built.scene.dim
     part, spacing = particles.of(name), particles.spacing[name]
-    mass = built.assembly.inputs({}).fields.mass[part].sum()
+    mass = (inputs or built.assembly.inputs({})).fields.mass[part].sum()
     count, unit = part.stop - part.start, "kg" if dim == 3 else "kg/m"
     in_cell = number((dx / spacing) ** dim)
     return f"{count:,} particles, {in_cell} a cell, {number(spacing)} m apart; mass {number(mass)} {unit}"
 
 
-def lies(built: Built, name: str) -> str:
+def lies(built: Built, name: str, inputs: Inputs | None = None) -> str:
     """Return a body's bounds at rest, and how near they are to a face of the world."""
-    x = built.particles.x[built.particles.of(name)]
+    x = (built.particles.x if inputs is None else inputs.state.x)[built.particles.of(name)]
     low, high = x.min(axis=0), x.max(axis=0)
     room = min(low.min(), (np.array(built.scene.world.size) - high).min())
     return f"from {point(low)} to {point(high)} m, {number(room)} m from the nearest face of the world"

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.engine.model import Inputs
 from cqrun.observers.fracture import Fracture
 from cqrun.scene.build import Built
 from cqrun.state import State
@@ -39,11 +40,19 @@ class Observables:
         last: the row of the last state by body, its columns by name.
     """
 
-    def __init__(self, path: Path, built: Built) -> None:
+    def __init__(self, path: Path, built: Built, inputs: Inputs) -> None:
+        """Open the file.
+
+        Args:
+            inputs: of the rollout, whose masses are those that act.
+
+        Raises:
+            UsageError, RunError: it cannot be written.
+        """
         self.path = path
         self.fracture = fracture_of(built)
         self._bodies = {name: built.particles.of(name) for name in built.particles.names}
-        self._mass = built.assembly.inputs({}).fields.mass
+        self._mass = inputs.fields.mass
         self._step = built.scene.time.control_step
         self.fastest = dict.fromkeys(self._bodies, 0.0)
         self.least_volume_ratio = dict.fromkeys(self._bodies, np.inf)

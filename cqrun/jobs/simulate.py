@@ -17,12 +17,13 @@ from typing import Any
 from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError, RunError, SceneError, UsageError
-from cqrun.jobs.agent import FILE, Agent, learned_values
+from cqrun.jobs.agent import FILE, Agent
 from cqrun.jobs.bodies import tell_bodies
 from cqrun.jobs.control import JOBS
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.learned import constraints_of
 from cqrun.jobs.observables import Observables
+from cqrun.jobs.replay import learned_values
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import (
     build_and_warn,
@@ -174,11 +175,16 @@ def simulate(run: RunDirectory, built: Built, agent: Agent | None, threads: int,
     """Run a scene into a run directory, under its controller if it has one."""
     compile_kernels([built], talk, adjoint=False)
     run.begin(threads)
-    tell_bodies(built, run, talk)
+    if agent is None:
+        rollout, seen = Rollout(built.model, built.assembly.inputs({}), threads=threads), None
+    else:
+        rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, threads)
+        seen = agent.wanted(agent.goals_in_the_middle)
+    tell_bodies(built, run, talk, rollout.inputs)
     time, model = built.scene.time, built.model
     talk.phase(f"simulating {model.layout.n_particles} particles, {model.n_steps} substeps")
     reached = 0.0
-    with Observables(run.path / "observables.csv", built) as watch:
+    with Observables(run.path / "observables.csv", built, rollout.inputs) as watch:
 
         def observe(control: int, state: State) -> None:
             nonlocal reached
@@ -187,11 +193,6 @@ def simulate(run: RunDirectory, built: Built, agent: Agent | None, threads: int,
             talk.advance(control, model.n_controls, f"t = {reached:.4g} of {time.duration:.4g} s")
 
         path = run.path / "trajectory.h5"
-        if agent is None:
-            rollout, seen = Rollout(model, built.assembly.inputs({}), threads=threads), None
-        else:
-            rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, threads)
-            seen = agent.wanted(agent.goals_in_the_middle)
         try:
             records, complete = write_trajectory(
                 path, built, rollout, should_stop=lambda: talk.stop.asked, progress=observe, provenance=seen

@@ -130,6 +130,21 @@ def test_numbers_for_every_particle_come_with_it(tmp_path):
         replay(run, tmp_path, "bodies.finger.sampling.lattice.count=3")
 
 
+def test_a_change_counts_from_where_the_training_began(tmp_path):
+    """The scene of a replay has the number that was learned; a file that does not say its start is taken as it is."""
+    unknown = "unknowns: {bodies.finger.material.density: {bounds: [0.5, 2]}}\n"
+    text = FINGER.replace(", spread: [0.05, 0.05]", "").replace("duration: 0.1", "duration: 0.05") + unknown
+    same = "objective.same={unchanged: {body: finger, of: density, weight: 1.0e-3}}"
+    run = run_control(written(tmp_path, text), [same], tmp_path / "out", threads=1)
+    change = result_of(run)["trained"]["terms"]["same"]
+    assert change > 1e-6
+    assert result_of(replay(run, tmp_path))["terms"]["same"] == change
+    parameters, meta = read_controller(run / "controller.npz")
+    assert meta.pop("starts") == {"bodies.finger.material.density": 1.0}
+    save_controller(run / "controller.npz", parameters, meta)
+    assert result_of(replay(run, tmp_path / "older"))["terms"]["same"] == 0.0
+
+
 def test_an_untrained_controller_acts_and_says_so(tmp_path):
     listener = Listener()
     run = replay(written(tmp_path), tmp_path / "out", reporter=listener)

@@ -9,12 +9,16 @@ import h5py
 import numpy as np
 import pytest
 import trimesh
-from small_beam import changed, result_of
+from small_beam import Listener, changed, result_of
 from small_finger import FINGER
 
 from cqrun.errors import MissingExtra, UsageError
+from cqrun.figures.colours import material_of
+from cqrun.figures.run_data import read_run
+from cqrun.jobs.bodies import point
 from cqrun.jobs.control import run_control
 from cqrun.jobs.export import _outline, _surface, designed, export_design, table
+from cqrun.jobs.report import number
 from cqrun.jobs.simulate import run_simulate
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
@@ -144,6 +148,24 @@ def test_a_surface_without_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "igl", None)
     with pytest.raises(MissingExtra, match=r"a surface needs igl, which is not installed: pip install 'cqrun\[mesh\]'"):
         _surface(np.zeros((1, 3)), np.ones(1), tmp_path / "ball.stl")
+
+
+def test_what_is_told_of_a_replay_is_of_the_body_that_acts(run, tmp_path):
+    """Its scene says neither how tall the tip is nor how stiff each particle."""
+    listener = Listener()
+    again = run_simulate(run, [], tmp_path, threads=1, reporter=listener)
+    built, values = designed(run)
+    inputs = built.assembly.inputs(values)
+    m, x = inputs.fields.mass, inputs.state.x
+    assert m.sum() != pytest.approx(built.assembly.inputs({}).fields.mass.sum(), rel=1e-3)
+    (told,) = (line for line in listener.said if line.startswith("finger: "))
+    assert f"mass {number(m.sum())} kg/m; from {point(x.min(axis=0))} to {point(x.max(axis=0))} m" in told
+    first, *_, last = csv.DictReader((again / "observables.csv").read_text().splitlines())
+    assert [float(first[f"finger.{axis}"]) for axis in "xy"] == pytest.approx(m @ x / m.sum(), rel=1e-12)
+    v = h5py.File(again / "trajectory.h5")["particles/v"][-1]
+    assert float(last["finger.kinetic_energy"]) == pytest.approx(0.5 * m @ (v**2).sum(axis=1), rel=1e-5)
+    stiffness = material_of(read_run(again), built.particles, "stiffness")
+    np.testing.assert_array_equal(stiffness, result_of(run)["unknowns"][E]["value"])
 
 
 def test_a_design_is_replayed_with_its_geometry(run, tmp_path):
