@@ -33,6 +33,7 @@ from cqrun.store.marker_csv import write_csv
 from cqrun.store.recordings import Recording, read_recording
 from cqrun.store.run import RunDirectory
 from cqrun.store.synthetic import make_synthetic
+from cqrun.units import METRES
 
 Objective = MarkerObjective | TargetObjective
 
@@ -264,9 +265,18 @@ def _require_near(built: Built, body: str, measured: Measured) -> None:
         if np.isfinite(nearest) and nearest > reach:
             raise DataError(
                 f"{measured.source}: marker '{name}' is never nearer than {nearest:.3g} m to where it is at rest, and "
-                f"the body is {reach:.3g} m across: without `still` frames positions are in the scene's own frame; "
-                "give `still`, or mend the rest positions"
+                f"the body is {reach:.3g} m across: {_advice(measured, reach)}"
             )
+
+
+def _advice(measured: Measured, reach: float) -> str:
+    """Return what would bring positions near where their markers are at rest."""
+    for unit, factor in METRES.items():
+        away = np.nanmin(np.linalg.norm(factor * measured.values - measured.rest, axis=2), axis=0)  # all were seen
+        near = np.minimum(reach, 0.5 * np.linalg.norm(measured.rest, axis=1))  # the origin alone tells nothing
+        if unit != "m" and (away <= near).all():
+            return f"the file looks as if it is in {unit}: say `units: {unit}`"
+    return "without `still` frames positions are in the scene's own frame; give `still`, or mend the rest positions"
 
 
 def _still(spec: RecordingSpec) -> tuple[float, float] | None:

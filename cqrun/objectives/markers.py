@@ -19,6 +19,9 @@ from cqrun.errors import DataError
 from cqrun.objectives.hermite import interpolant
 from cqrun.observers.markers import Points
 
+LEAST_FRAMES = 2
+"""That are compared: one alone tells nothing of a motion, and is what is left where times are not in seconds."""
+
 
 @dataclass(frozen=True)
 class Misfit:
@@ -38,7 +41,8 @@ class MarkerObjective:
 
     The frames that count are fixed once, from the bounds of `start`, so that the loss has no jumps in
     it: those from the earliest release that is allowed, to the last that every release reaches. In
-    frames before the release the model rests.
+    frames before the release the model rests. Where time after it is skipped, they begin so long after
+    the latest release that is allowed: wherever the start ends up, none of them is in what is skipped.
 
     Attributes:
         times: (F,) the recording's times of the frames that count [s].
@@ -79,7 +83,7 @@ class MarkerObjective:
             source: how errors name the recording.
 
         Raises:
-            DataError: the window is not inside the recording, or no marker is seen in it.
+            DataError: the window is not inside the recording, has fewer than LEAST_FRAMES, or no marker is seen in it.
         """
         self.observer, self.names, self.absolute, self.weight = observer, tuple(names), absolute, weight
         self.control_step, self.steps = control_step, steps
@@ -154,8 +158,12 @@ def _frames(time: Array, start: float, bounds: tuple[float, float], length: floa
             f"{source}: the start may be anywhere from {bounds[0]:g} to {bounds[1]:g} s, but only {length - skip:g} s "
             "after it are compared: narrow the bounds, or compare for longer"
         )
-    begin, end = bounds[0] + skip, bounds[0] + length
+    begin, end = bounds[1] + skip if skip > 0 else bounds[0], bounds[0] + length
     frames = np.flatnonzero((time >= begin - slack) & (time <= end + slack))
-    if frames.size == 0:
-        raise DataError(f"{source}: no frame lies between {begin:g} and {end:g} s")
+    if frames.size < LEAST_FRAMES:
+        how_many = "only one frame lies" if frames.size else "no frame lies"
+        raise DataError(
+            f"{source}: {how_many} between {begin:g} and {end:g} s, which are compared; {LEAST_FRAMES} or more must: "
+            f"times are in seconds, and the recording's run from {first:g} to {last:g}"
+        )
     return frames

@@ -34,7 +34,7 @@ class Recording(Spec):
     file: str = Field(min_length=1, description="C3D, CSV or trajectory file, relative to the scene")
     start: float = quantity("s", "Time in the file when the run begins", differentiable=True, default=0.0)
     length: float | None = quantity("s", "How long to compare; the scene's duration if absent", gt=0, default=None)
-    skip: float = quantity("s", "Time after the start that is not compared", ge=0, default=0.0)
+    skip: float = quantity("s", "Time after the start (the latest that is allowed) not compared", ge=0, default=0.0)
     holdout: bool = Field(description="Predict it, but do not fit it", default=False)
     body: Name = Field(description="Body that carries the markers; the only one if absent")
     units: LengthUnit | None = Field(description="Of the file, if it does not say", default=None)

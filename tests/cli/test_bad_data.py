@@ -237,6 +237,22 @@ def test_positions_far_from_the_body(refused, tmp_path, positions):
     assert "without `still` frames positions are in the scene's own frame" in told
 
 
+def test_positions_in_millimetres(refused, tmp_path):
+    there = np.tile(list(REST.values()), (31, 1, 1))
+    told = refused(write_csv(tmp_path / "swing.csv", 1e3 * there), still="")
+    assert "m across: the file looks as if it is in mm: say `units: mm`" in told
+
+
+def test_times_that_are_not_in_seconds(refused, tmp_path):
+    there = np.tile(list(REST.values()), (31, 1, 1))
+    file = write_csv(tmp_path / "swing.csv", there)
+    lines = [line.split(",", 1) for line in file.read_text().splitlines()]
+    file.write_text("\n".join([",".join(lines[0]), *(f"{100 * float(t):.0f},{x}" for t, x in lines[1:])]))
+    told = refused(file, still="", start="0")
+    assert "only one frame lies between 0 and 0.1 s, which are compared; 2 or more must: times are in seconds" in told
+    assert "the recording's run from 0 to 30" in told
+
+
 def test_a_length_between_control_steps(refused, tmp_path, positions):
     told = refused(write_csv(tmp_path / "swing.csv", positions), length="0.033")
     assert "`length`, 0.033 s, is no multiple of the control step 0.01 s; the nearest is 0.03 s" in told

@@ -115,6 +115,13 @@ def test_the_frames_that_count_do_not_depend_on_start(rng):
     assert np.abs(np.diff(losses, 2)).max() < 1e-2 * np.ptp(losses), "no jump where a frame passes the release"
 
 
+def test_what_is_skipped_is_compared_from_no_start(rng):
+    """Time after the release that does not count: after the latest release that is allowed."""
+    assert 0.45 <= make(rng, skip=0.1).times[0] < 0.45 + 0.013
+    assert 0.4 <= make(rng, skip=0.1, start_bounds=None).times[0] < 0.4 + 0.013
+    np.testing.assert_array_equal(make(rng, skip=0.1).times[-1], make(rng).times[-1])
+
+
 def test_before_the_release_the_model_rests(rng):
     objective, record = make(rng, gaps=False), smooth_record(rng, 3)
     tracks = objective.tracks(record, 0.35)
@@ -140,6 +147,8 @@ def test_nothing_to_see(rng):
     values[90:] = 0.0
     with pytest.raises(DataError, match=r"no marker is seen between 0.1 and 0.5 s"):
         MarkerObjective(Points(None), NAMES, time, values, control_step=0.01, steps=40, start=0.1)
+    with pytest.raises(DataError, match=r"only one frame lies between 0 and 0.4 s, which .* run from 0 to 990$"):
+        MarkerObjective(Points(None), NAMES, 1e3 * time, values, control_step=0.01, steps=40, start=0.0)  # in ms
     with pytest.raises(DataError, match="no frame lies between"):
         MarkerObjective(Points(None), NAMES, 0.5 * np.arange(100), values, control_step=0.01, steps=4, start=0.1)
 
