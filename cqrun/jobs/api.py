@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.design.params import Block
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import SceneError, UsageError
 from cqrun.explain import listed, shown, suggest
@@ -42,7 +43,10 @@ from cqrun.scene.unknowns import body_of, groups_of
 from cqrun.state import State
 
 Values = Mapping[str, Any]
-"""Key path -> number, or an array with one number a group or a particle of the body; `controller.<block>` -> array."""
+"""Key path -> number, or an array with one number a group or a particle of the body; `controller.<block>` -> array.
+
+What follows an unknown (`also`) follows its value here too, unless it is given itself; a number then stands for all.
+"""
 
 
 @dataclass(frozen=True)
@@ -198,7 +202,12 @@ class Experiment:
             given[known] = self._shaped(known, _numbers(path, value))
         self._require_legal(given)
         values = {b.path: b.initial.copy() for b in self._params.blocks} | given
-        return {f.path: f.of(values[b.path]) for b in self._params.blocks for f in b.followers} | values
+        for block in self._params.blocks:
+            for follower in block.followers:
+                if follower.path not in given:
+                    values[block.path] = _followed(block, values[block.path])
+                    values[follower.path] = follower.of(values[block.path])
+        return values
 
     def _require_legal(self, given: Mapping[str, Array]) -> None:
         """Refuse values that the scene would refuse, of arrays the least and the greatest."""
@@ -248,6 +257,17 @@ class Experiment:
         if not np.isfinite(value).all():
             raise UsageError(f"{path}: must be finite, is {value}")
         return value
+
+
+def _followed(block: Block, value: Array) -> Array:
+    """Return the value of an unknown that others follow, entry by entry: one number stands for all."""
+    if value.shape not in ((), block.initial.shape):
+        some = f" or of shape {block.initial.shape}" if block.initial.ndim else ""
+        others = listed(follower.path for follower in block.followers)
+        raise UsageError(
+            f"{block.path}: a value of shape {value.shape}; it must be a number{some}, for {others} to follow"
+        )
+    return np.array(np.broadcast_to(value, block.initial.shape))
 
 
 def _numbers(path: str, value: Any) -> Array:

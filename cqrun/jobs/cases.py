@@ -25,7 +25,7 @@ from cqrun.scene.build import Built, build
 from cqrun.scene.data import Recording as RecordingSpec
 from cqrun.scene.paths import canonical, with_values
 from cqrun.scene.schema import ON_CONTROL_STEP, Scene
-from cqrun.scene.unknowns import body_of, bounds_of, starts
+from cqrun.scene.unknowns import body_of, bounds_of, starts, truths
 from cqrun.state import State
 from cqrun.store.alignment import Measured, measure
 from cqrun.store.atomic import disk_errors, make_directory
@@ -361,7 +361,7 @@ def _made(
     if all(file is not None and file.is_file() for file in files):
         return [read_recording(file) for file in files if file is not None]
     model = built.model
-    truth = {canonical(scene, path): np.asarray(value, float) for path, value in spec.truth.items()}
+    truth = {path: np.asarray(value, float) for path, value in truths(scene).items()}
     record = Rollout(model, built.assembly.inputs(truth)).run()
     steps, step = model.n_controls, scene.time.control_step
     if spec.every is not None:

@@ -18,10 +18,10 @@ from cqrun.scene.assembly import Assembly
 from cqrun.scene.check_design import design_problems, design_warnings
 from cqrun.scene.memory import memory_problems
 from cqrun.scene.particles import Particles, sample, stress_key
-from cqrun.scene.paths import canonical, with_values
+from cqrun.scene.paths import with_values
 from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import start, tied
+from cqrun.scene.unknowns import start, tied, truths
 
 WASTEFUL = 1e-3
 """Part of the largest stable substep below which one is hardly meant."""
@@ -237,8 +237,7 @@ def _limits_of_data(scene: Scene, particles: Particles, assembly: Assembly) -> l
 
 def _truth(scene: Scene) -> dict[str, Array]:
     """Return the values that synthetic data are made with."""
-    made = scene.synthetic
-    return {} if made is None else {canonical(scene, path): np.array(value) for path, value in made.truth.items()}
+    return {path: np.array(value) for path, value in truths(scene).items()}
 
 
 def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:

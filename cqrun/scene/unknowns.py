@@ -31,6 +31,18 @@ def starts(scene: Scene) -> dict[str, float]:
     return {p: value for path in scene.unknowns for p, value in tied(scene, path, start(scene, path)).items()}
 
 
+def truths(scene: Scene) -> dict[str, float]:
+    """Return the values that synthetic data are made with, by path in its long spelling.
+
+    What follows an unknown follows its true value, unless it has one itself.
+    """
+    made = scene.synthetic
+    own = {} if made is None else {canonical(scene, path): value for path, value in made.truth.items()}
+    names = {path: canonical(scene, path) for path in scene.unknowns}
+    followed = [tied(scene, path, own[name]) for path, name in names.items() if name in own]
+    return {p: value for each in [*followed, own] for p, value in each.items()}
+
+
 def bounds_of(scene: Scene, path: str) -> tuple[float, float] | None:
     """Return the bounds of a value that is an unknown, or follows one; None if it does neither."""
     name = canonical(scene, path)

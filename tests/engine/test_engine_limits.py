@@ -9,6 +9,7 @@ from cqrun.engine.limits import motion_limit, wave_limit
 from cqrun.errors import SceneError
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
+from cqrun.scene.unknowns import truths
 
 SCENE = {
     "cqrun": 1,
@@ -72,3 +73,13 @@ def test_a_truth_is_run_with_too():
     assert build(load_scene(scene)).model.substeps > 5 * softer
     with pytest.raises(SceneError, match="of the largest stable one"):
         build(load_scene(scene, [f"time.substeps={softer}"]))
+
+
+def test_what_follows_a_truth_is_run_with_too():
+    """Unless it has a truth of its own."""
+    E, nu = (f"bodies.a.material.elastic.fixed_corotated.{name}" for name in ("youngs_modulus", "poissons_ratio"))
+    density = "bodies.a.material.density"
+    unknown = {"bounds": [0.1, 0.4], "also": {E: {"factor": 1e5}, density: {"factor": 5e3}}}
+    made = {"truth": {nu: 0.2, density: 900.0}, "body": "a", "tracked": 5, "key_frames": 5}
+    scene = load_scene(SCENE | {"unknowns": {nu: unknown}, "data": {"synthetic": made}})
+    assert truths(scene) == {nu: 0.2, E: pytest.approx(2e4), density: 900.0}

@@ -158,10 +158,13 @@ def test_threads_and_params_that_cannot_be(problem):
         problem.simulate({DENSITY: "heavy"})
 
 
+TIED = f"unknowns.{SHEAR_PATH}={{bounds: [0.5, 20], also: {{{DENSITY}: {{factor: 100, offset: 700}}}}}}"
+
+
 def test_what_follows_an_unknown_follows_here_too():
-    """An unknown's gradient has that of what follows it, unless that is given a value of its own."""
-    tied = f"unknowns.{SHEAR_PATH}={{bounds: [0.5, 20], also: {{{DENSITY}: {{factor: 100, offset: 700}}}}}}"
-    together, apart = cqrun.load(BEAM + FIT, [tied], threads=1), cqrun.load(BEAM + FIT, threads=1)
+    """An unknown's gradient has that of what follows it, unless that is given a value of its own; so has the truth."""
+    true_too = f"data.synthetic.truth.{DENSITY}=1300"
+    together, apart = cqrun.load(BEAM + FIT, [TIED], threads=1), cqrun.load(BEAM + FIT, [true_too], threads=1)
     loss, gradient, _ = together.value_and_grad()
     same, parts, _ = apart.value_and_grad({DENSITY: 1000.0})
     assert loss == same
@@ -169,3 +172,23 @@ def test_what_follows_an_unknown_follows_here_too():
     assert set(gradient) == {E_PATH, SHEAR_PATH}
     _, given, _ = together.value_and_grad({DENSITY: 1000.0})
     assert given[SHEAR_PATH] == pytest.approx(parts[SHEAR_PATH], rel=1e-12)
+    many = np.full(40, 3.0)
+    with pytest.raises(UsageError, match=rf"shape \(40,\); it must be a number, for {DENSITY} to follow$"):
+        together.value_and_grad({SHEAR_PATH: many})
+    _, each, _ = together.value_and_grad({SHEAR_PATH: many, DENSITY: 1000.0})  # then nothing follows
+    assert each[SHEAR_PATH].sum() == pytest.approx(given[SHEAR_PATH], rel=1e-12)
+
+
+def test_a_number_stands_for_all_where_another_body_follows():
+    twin = "bodies.twin={shape: {box: {corner: [0.02, 0.08], size: [0.1, 0.01]}}, particles_per_cell: 4, material: "
+    twin += "{density: 1000, elastic: {fixed_corotated: {youngs_modulus: 3.0e4, poissons_ratio: 0.3}}, "
+    twin += "viscosity: {shear: 3}}}"
+    other = E_PATH.replace("beam", "twin")
+    both = cqrun.load(
+        BEAM + FIT, [twin, f"unknowns.{E_PATH}={{bounds: [1e4, 1e5], per: particle, also: [{other}]}}"], threads=1
+    )
+    loss, gradient, _ = both.value_and_grad({E_PATH: 3.5e4})
+    same, by_particle, _ = both.value_and_grad({E_PATH: np.full(40, 3.5e4)})
+    assert (loss, gradient[E_PATH].shape) == (same, (40,))
+    np.testing.assert_array_equal(gradient[E_PATH], by_particle[E_PATH])
+    assert both._values({E_PATH: 3.5e4, other: 3.0e4})[other] == 3.0e4
