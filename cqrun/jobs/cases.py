@@ -313,7 +313,8 @@ def _targeted(built: Built) -> Case:
     scene = built.scene
     spec, model = scene.target, built.model
     assert spec is not None
-    observer = centroid(built.assembly.inputs({}).fields.mass[built.particles.of(spec.body)])
+    part = built.particles.of(spec.body)
+    observer = centroid(np.ones(part.stop - part.start))  # a plain mean, as in all objectives: no value can change it
     objective = TargetObjective(
         observer, np.array(spec.position), time=spec.time, control_step=scene.time.control_step, steps=model.n_controls
     )

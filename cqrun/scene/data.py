@@ -62,7 +62,7 @@ class Recording(Spec):
 
 
 class Target(Spec):
-    """Where a body's centroid shall be at a time."""
+    """Where a body's centroid (plain mean of its particles) shall be at a time."""
 
     body: Name = Field(description="Body whose centroid counts; the only one if absent")
     position: list[float] = vector("m", "Wanted position")

@@ -192,3 +192,18 @@ def test_a_number_stands_for_all_where_another_body_follows():
     assert (loss, gradient[E_PATH].shape) == (same, (40,))
     np.testing.assert_array_equal(gradient[E_PATH], by_particle[E_PATH])
     assert both._values({E_PATH: 3.5e4, other: 3.0e4})[other] == 3.0e4
+
+
+def test_a_target_means_the_same_centroid_whatever_its_particles_weigh():
+    """A value that is tried gives the loss of a scene that says it."""
+    root = "bodies.beam.material_of.root.density"
+    first, second = (
+        cqrun.load(
+            BEAM, ["data={target: {position: [0.07, 0.05]}}", f"bodies.beam.material_of={{root: {{density: {n}}}}}"],
+            threads=1,
+        )
+        for n in (1500, 3000)
+    )  # fmt: skip
+    tried, gradient, _ = first.value_and_grad({root: 3000.0})
+    said, own, _ = second.value_and_grad({root: 3000.0})
+    assert (tried, gradient) == (said, own)
