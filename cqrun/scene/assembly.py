@@ -14,6 +14,8 @@ import numpy as np
 
 from cqrun.contract import Array, Plugin, is_differentiable
 from cqrun.engine.model import Inputs
+from cqrun.errors import UsageError
+from cqrun.explain import listed
 from cqrun.loads.gravity import Gravity
 from cqrun.loads.load import Load
 from cqrun.objectives.design import DESIGN, MASS, RATIO, STIFFNESS, VOLUME
@@ -161,7 +163,9 @@ class Assembly:
         fields_bar = copy.deepcopy(bar.fields)  # loads add to what they read; the cotangent given stays as it is
         steps = list(zip(self.loads, loads, self.chosen, strict=True))
         for (path, _), load, chosen in reversed(steps):
-            collect(path, load.apply_vjp(fields, fields_bar, chosen), out)
+            cotangents = load.apply_vjp(fields, fields_bar, chosen)
+            require_complete(load, path, cotangents, out)
+            collect(path, cotangents, out)
         for body in self.particles.names:
             part = self.particles.of(body)
             path, own = f"bodies.{body}.material.density", self.scene.bodies[body].material.density
@@ -330,6 +334,18 @@ def updated(spec: Any, path: str, values: Values) -> Any:
             elif f"{path}.{name}" in values:
                 changes[name] = float(np.asarray(values[f"{path}.{name}"]).reshape(-1)[0])
     return spec.model_copy(update=changes)
+
+
+def require_complete(load: Load, path: str, cotangents: Mapping[str, Any], out: dict[str, Array]) -> None:
+    """Refuse cotangents of a load that lack a wanted one: its gradient would be 0 without a word."""
+    for name in type(load).model_fields:
+        base = f"{path}.{name}"
+        wanted = is_differentiable(type(load), name) and any(f"{key}.".startswith(f"{base}.") for key in out)
+        if wanted and name not in cotangents:
+            raise UsageError(
+                f"{base}: the load '{load.name}' declares `{name}` differentiable, and its apply_vjp returns no "
+                f"cotangent of it; it returns those of {listed(cotangents)}"
+            )
 
 
 def collect(path: str, cotangents: Mapping[str, Any], out: dict[str, Array]) -> None:

@@ -14,7 +14,7 @@ import linecache
 import re
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -24,11 +24,19 @@ from typing import Any
 from pydantic_core import InitErrorDetails
 
 from cqrun import registry
-from cqrun.contract import Plugin
+from cqrun.contract import Plugin, is_differentiable
 from cqrun.errors import UsageError
 from cqrun.explain import KEY, finding, listed
 from cqrun.fingerprint import add_kernels, has_kernels
 from cqrun.scene.origin import Origin
+
+REACHED: dict[str, Callable[[type[Any]], Sequence[str]]] = {
+    "elastic": lambda cls: getattr(cls, "parameters", ()),
+    "material_term": lambda cls: getattr(cls, "parameters", ()),
+    "actuator": lambda cls: (cls.scale, "weight"),
+    "boundary": lambda cls: ("coefficient",),
+}
+"""Of plug-ins that are kernels, the fields that the engine's adjoint reaches; of a load those of its `apply_vjp`."""
 
 _ALLOWED: ContextVar[bool] = ContextVar("plugins_allowed", default=False)
 _TAKEN: dict[str, list[type[Any]]] = {}
@@ -147,6 +155,12 @@ def _require_usable(path: Path, classes: Sequence[type[Any]]) -> None:
         if inspect.isabstract(cls):
             missing = listed(sorted(cls.__abstractmethods__))
             raise UsageError(f"{path}: class {cls.__name__}, {cls.kind} '{cls.name}', lacks methods: {missing}")
+        reached = REACHED[cls.kind](cls) if cls.kind in REACHED else cls.model_fields
+        if lost := [name for name in cls.model_fields if is_differentiable(cls, name) and name not in reached]:
+            raise UsageError(
+                f"{path}: class {cls.__name__}, {cls.kind} '{cls.name}', declares {listed(lost)} differentiable, which "
+                f"no gradient reaches: of this kind it reaches {listed(reached)}"
+            )
 
 
 def _told(path: Path, error: BaseException) -> str:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from cqrun.engine.model import Inputs
-from cqrun.errors import SceneError
+from cqrun.errors import SceneError, UsageError
 from cqrun.jobs.unknowns import make_params
+from cqrun.loads.point_force import PointForce
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf, leaves
@@ -108,6 +109,17 @@ def test_dot_product_of_every_number(built, rng):
         assert slope != 0, path
         rounding = 1e-14 * abs(at[1]) / h
         assert abs(float(gradient[path]) - slope) <= 1e-9 * abs(slope) + rounding, path
+
+
+def test_a_load_that_forgets_a_cotangent_is_named(built, monkeypatch):
+    """Where it is wanted: a gradient of 0 would look like one."""
+    monkeypatch.setattr(PointForce, "apply_vjp", lambda self, fields, fields_bar, chosen: {"size": 0.0})
+    assembly, path = built.assembly, "loads.pull.point_force.force.1"
+    bar = Inputs.zeros_like(assembly.inputs({}))
+    assembly.gradient({"loads.air.damping.rate": np.array(1.0)}, bar)
+    told = "the load 'point_force' declares `force` differentiable, and its apply_vjp returns no cotangent of it"
+    with pytest.raises(UsageError, match=told):
+        assembly.gradient({path: np.array(1.0)}, bar)
 
 
 @pytest.mark.parametrize("name", ["muscle.muscle", "air.pneumatic"])

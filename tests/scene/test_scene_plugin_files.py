@@ -104,9 +104,29 @@ def test_a_scene_without_plug_ins_has_none(beam: str) -> None:
 RAISES = DISC.replace("@plugin", "table = {}\nvalue = table['missing']\n\n@plugin", 1)
 
 
+LAW = '''\
+from typing import ClassVar
+
+from cqrun.contract import quantity
+from cqrun.materials.term import MaterialTerm
+from cqrun.registry import plugin
+
+
+@plugin("elastic", "own_law")
+class OwnLaw(MaterialTerm):
+    """A law that forgets one of its numbers."""
+
+    parameters: ClassVar[tuple[str, ...]] = ("youngs_modulus",)
+    youngs_modulus: float = quantity("Pa", "Young's modulus", differentiable=True, gt=0)
+    hardening: float = quantity("1", "Hardening", differentiable=True, default=0.0)
+'''
+"""A kernel plug-in that declares a number differentiable of which kernels do not know."""
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (LAW, "class OwnLaw, elastic 'own_law', declares hardening differentiable, which no gradient reaches: of this"),
         (RAISES, "disc.py:11: raises KeyError: 'missing'; in the line: value = table['missing']"),
         ("import numpy as np\n\ndef f(:\n", "disc.py:3: raises SyntaxError: invalid syntax; in the line: def f(:"),
         ("import sys\nsys.exit('no')\n", "disc.py:2: raises SystemExit: no"),
