@@ -80,6 +80,10 @@ class Tracking(ObjectiveTerm):
         course = np.array(self.path if self.path is not None else self.keys)
         times, points = course[:, 0], course[:, 1:]
         if self.path is not None:
+            if times[0] > matter.duration * (1 + 1e-9):
+                raise UsageError(
+                    f"the path begins at {times[0]:g} s, after the end of the run at {matter.duration:g} s: it is in s"
+                )
             ends = matter.control_step * np.arange(1, matter.n_controls + 1)
             return np.stack([np.interp(ends, times, column) for column in points.T], axis=1), None
         if times[-1] > matter.duration * (1 + 1e-9):

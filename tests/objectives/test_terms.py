@@ -169,6 +169,7 @@ def test_fields_that_do_not_fit_together(name, fields, words):
         ("reach", {"body": "arm", "goal": "pace"}, "the goal 'pace' has 1 entries; a position here has 2"),
         ("reach", {"body": "arm", "target": "bal"}, r"no body called 'bal' \(did you mean 'ball'"),
         ("track", {"body": "arm", "keys": [[5.0, 0, 0]]}, "a key frame at 5 s is after the end of the run at 0.3 s"),
+        ("track", {"body": "arm", "path": [[5.0, 0, 0]]}, "the path begins at 5 s, after the end of the run at 0.3 s"),
         ("contact_free", {"body": "arm", "height": 0, "region": {"ball": {"center": [9, 9], "radius": 1}}},
          "this region of the body 'arm' holds no particle"),
     ],
