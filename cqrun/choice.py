@@ -52,9 +52,7 @@ class Choice:
         if isinstance(data, str):
             data = next(({name: data} for name, cls in legal.items() if cls.stands_alone), data)
         if not isinstance(data, dict):
-            near = suggest(data, legal) if isinstance(data, str) else ""
-            message = f"must be a mapping `name: {{...}}` with one of {listed(legal)}, is {shown(data)}{near}"
-            raise self._complaint(message)
+            raise self._complaint(_no_mapping(data, legal))
         if len(data) != 1:
             named = [str(name) for name in data]
             raise self._complaint(f"must name exactly one of {listed(legal)}; has {listed(named)}", named)
@@ -82,6 +80,15 @@ class Choice:
 
     def __get_pydantic_json_schema__(self, _: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {CHOICE_MARK: self.kind}
+
+
+def _no_mapping(data: Any, legal: dict[str, type[Plugin]]) -> str:
+    """Return what is wrong with a choice that is no mapping."""
+    if isinstance(data, str) and data in legal:
+        inside = "{...}" if any(field.is_required() for field in legal[data].model_fields.values()) else "{}"
+        return f"must be a mapping `name: {{...}}`, is {shown(data)}: write `{{{data}: {inside}}}`"
+    near = suggest(data, legal) if isinstance(data, str) else ""
+    return f"must be a mapping `name: {{...}}` with one of {listed(legal)}, is {shown(data)}{near}"
 
 
 def _dump(chosen: Chosen[Plugin], info: core_schema.SerializationInfo) -> dict[str, Any]:

@@ -167,7 +167,8 @@ def test_polygon_crossing_itself_follows_the_even_odd_rule() -> None:
         ({"difference": [{"ball": {"center": [0, 0], "radius": 1}}]}, "must have at least 2 entries, has 1"),
         ({"bal": {}}, "did you mean 'ball'?"),
         ({}, "must name exactly one of ball, box, capsule"),
-        ("ball", "must be a mapping `name: {...}`"),
+        ("ball", "must be a mapping `name: {...}`, is 'ball': write `{ball: {...}}`"),
+        ("bal", "is 'bal' (did you mean 'ball'?)"),
     ],
 )
 def test_what_is_no_shape_is_refused(data: Any, message: str) -> None:
