@@ -14,7 +14,7 @@ from cqrun.state import ParticleFields
 class AttachedMass(Load):
     """A mass spread evenly over the particles of a region; m_p += mass / n."""
 
-    mass: float = quantity("kg", "Attached mass, all together", differentiable=True, ge=0)
+    mass: float = quantity("kg", "Attached mass, all together; in 2D per metre of depth", differentiable=True, ge=0)
 
     def apply(self, fields: ParticleFields, chosen: Array) -> None:
         fields.mass[chosen] += self.mass / len(chosen)

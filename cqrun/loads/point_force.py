@@ -17,7 +17,7 @@ class PointForce(Load):
     """A constant force, all together, on the particles of a region; f_p += force / n."""
 
     order: ClassVar[int] = 2
-    force: list[float] = vector("N", "Force, all together", differentiable=True)
+    force: list[float] = vector("N", "Force, all together; in 2D per metre of depth", differentiable=True)
 
     def apply(self, fields: ParticleFields, chosen: Array) -> None:
         fields.force[chosen] += np.array(self.force) / len(chosen)
