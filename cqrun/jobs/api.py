@@ -10,37 +10,47 @@ A scene with a controller and an objective is a function of the controller's par
     weights = problem.params["controller.weights"]       # (actuators, observations)
     loss, gradient, aux = problem.value_and_grad({"controller.weights": 0.5 * weights})
     motion = problem.simulate(goals={"target": [0.55, 0.6]})
+
+A run goes on from here: its scene, and what it found.
+
+    problem = cqrun.load("results/finger/d47b0a4e3f21")
+    motion = problem.simulate(problem.found)
 """
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cqrun.contract import Array
+from cqrun.controllers.saved import read_controller
 from cqrun.design.params import Block
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import SceneError, UsageError
 from cqrun.explain import listed, shown, suggest
-from cqrun.jobs.agent import CONTROLLER, Agent
+from cqrun.jobs.agent import CONTROLLER, FILE, Agent
 from cqrun.jobs.cases import given_cases, make_cases
 from cqrun.jobs.episodes import EpisodeProblem, has_episodes
 from cqrun.jobs.problem import FitProblem
-from cqrun.jobs.runs import cores
+from cqrun.jobs.runs import cores, scene_in
 from cqrun.jobs.unknowns import make_params
 from cqrun.optimizers.base import one_blas_thread
-from cqrun.scene.build import Built, build
+from cqrun.scene.build import Built, build, stable
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, leaf, leaves, with_values
 from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import body_of, groups_of
 from cqrun.state import State
+from cqrun.store.run import read_record
 
 Values = Mapping[str, Any]
 """Key path -> number, or an array with one number a group or a particle of the body; `controller.<block>` -> array.
@@ -74,6 +84,7 @@ class Experiment:
     Args:
         scene: validated.
         threads: how many to use at most; all cores if not given. Results do not depend on it.
+        run: directory of the run that the scene is of, if it is one's.
 
     Attributes:
         built: the scene's particles and model.
@@ -83,16 +94,19 @@ class Experiment:
 
     Raises:
         SceneError: the scene cannot be built, or an observer or a term of the objective does not fit it.
+        UsageError: the run has trained another controller than the scene's.
     """
 
-    def __init__(self, scene: Scene, threads: int | None = None) -> None:
+    def __init__(self, scene: Scene, threads: int | None = None, run: Path | None = None) -> None:
+        self._run, trained = run, run / FILE if run is not None and (run / FILE).is_file() else None
+        self._auto = scene.time.substeps == "auto"
         self.built: Built = build(scene)
         self.threads = cores(threads)
         self._agent: Agent | None = None
         if has_episodes(self.scene):
-            self._agent = EpisodeProblem(self.built, threads=self.threads)
+            self._agent = EpisodeProblem(self.built, threads=self.threads, trained=trained)
         elif self.scene.controller is not None:
-            self._agent = Agent(self.built)
+            self._agent = Agent(self.built, trained)
         self._params = make_params(self.built) if self._agent is None else self._agent.params
         self.params: dict[str, Any] = {b.path: _plain(b.initial) for b in self._params.blocks}
 
@@ -100,6 +114,25 @@ class Experiment:
     def scene(self) -> Scene:
         """The resolved scene."""
         return self.built.scene
+
+    @property
+    def found(self) -> dict[str, Any]:
+        """What the run found, as `params` to go on with: its unknowns, and its controller's parameters.
+
+        Of a run of control or co-design that still goes on, those of its best iteration so far.
+
+        Raises:
+            UsageError: the scene is no run's, or the run has found nothing.
+        """
+        if self._run is None:
+            raise UsageError("found: this scene is no run's; load the run's directory, results/<scene>/<12 hex digits>")
+        values = _found_in(self._run)
+        followers = {f.path for b in self._params.blocks for f in b.followers}
+        own = {p: _plain(np.array(v, float)) for p, v in values.items() if p not in followers}
+        if not own:
+            record = read_record(self._run)
+            raise UsageError(f"{self._run}: found nothing (a run of {record.get('job')}, {record['status']})")
+        return own
 
     def value_and_grad(self, params: Values | None = None) -> tuple[float, dict[str, Any], dict[str, Any]]:
         """Return the loss of the scene's data, or the mean loss of its episodes, its gradient, and what else is known.
@@ -125,14 +158,14 @@ class Experiment:
 
     def _value_and_grad(self, params: Values | None) -> tuple[float, dict[str, Any], dict[str, Any]]:
         if isinstance(self._agent, EpisodeProblem):
-            loss, gradient, aux = self._episodes(self._agent, self._values(params))
+            loss, gradient, aux = self._episodes(self._agent, self._stable(params))
             return loss, self._with_followers(gradient, params), aux
         if self.scene.data is None:
             raise UsageError(
                 "this scene has no `data`, and no `controller` with an `objective`, so there is no loss: add one, or "
                 "use simulate()"
             )
-        problem, values = self._problem, self._values(params)
+        problem, values = self._problem, self._stable(params)
         losses, gradient = problem.losses_and_gradient(values)
         effort = {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak}
         aux = {"losses": losses, "gradient": effort}
@@ -169,7 +202,7 @@ class Experiment:
         def keep(control: int, state: State) -> None:
             x[control], v[control] = state.x, state.v
 
-        rollout = self._rollout(self._values(params), goals or {})
+        rollout = self._rollout(self._stable(params), {} if goals is None else goals)
         with one_blas_thread():
             rollout.run(keep)
         particles = self.built.particles
@@ -177,11 +210,13 @@ class Experiment:
         return Motion(np.arange(n_controls + 1) * step, x, v, bodies, rollout.activation.copy())
 
     def _rollout(self, values: dict[str, Array], goals: Mapping[str, Any]) -> Rollout:
+        if not isinstance(goals, Mapping):
+            raise UsageError(f"goals must be a mapping from goals to their entries, is {shown(goals)}")
         known = {} if self._agent is None else dict(self._agent.goals_in_the_middle)
         for name, entries in goals.items():
             if name not in known:
                 raise UsageError(f"goals: there is no '{name}'{suggest(name, known)}; there are: {listed(known)}")
-            goal = np.array(entries, dtype=float)
+            goal = _numbers(f"goals: '{name}'", entries)
             if goal.shape != known[name].shape or not np.isfinite(goal).all():
                 raise UsageError(f"goals: '{name}' must be {len(known[name])} finite numbers, is {entries!r}")
             known[name] = goal
@@ -218,6 +253,26 @@ class Experiment:
             except SceneError as error:
                 raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
 
+    def _stable(self, params: Values | None) -> dict[str, Array]:
+        """Return all values; refuse those for which the substep is too large that `auto` has chosen for the scene.
+
+        A number of substeps that the scene gives is its user's own: values that it does not suit blow up.
+        """
+        values = self._values(params)
+        if not (params and self._auto):
+            return values
+        try:
+            least, needed = stable(self.built, {p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
+        except SceneError as error:
+            raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
+        if self.built.model.dt > least.dt:
+            raise UsageError(
+                f"{least.part}: with these values the largest stable substep is {least.dt:.3g} s, and `auto` has "
+                f"chosen {self.built.model.dt:.3g} s for the scene as it is: load it with time.substeps={needed}, or "
+                "with what changes as an unknown whose bounds hold these values"
+            )
+        return values
+
     def _with_followers(self, gradient: dict[str, Array], params: Values | None) -> dict[str, Any]:
         """Return a gradient in which an unknown's has that of what follows it, unless that was given on its own."""
         given = {self._known(path) for path in params or {}}
@@ -229,6 +284,8 @@ class Experiment:
 
     def _known(self, path: str) -> str:
         """Return the long spelling of a path that gradients reach; a block of the controller has but one."""
+        if not isinstance(path, str):
+            raise UsageError(f"params: a key path is text, such as 'world.gravity.1', not {shown(path)}")
         own = [b.path for b in self._params.blocks]
         if path.startswith(CONTROLLER):
             if path in own:
@@ -270,6 +327,17 @@ def _followed(block: Block, value: Array) -> Array:
     return np.array(np.broadcast_to(value, block.initial.shape))
 
 
+def _found_in(run: Path) -> dict[str, Any]:
+    """Return the numbers that a run has found by path, from its controller's file or its result."""
+    if (run / FILE).is_file():
+        parameters, meta = read_controller(run / FILE)
+        return {CONTROLLER + name: value for name, value in parameters.items()} | meta.get("unknowns", {})
+    if not (run / "result.json").is_file():
+        return {}
+    unknowns = json.loads((run / "result.json").read_text()).get("unknowns", {})
+    return {path: entry["value"] for path, entry in unknowns.items()}
+
+
 def _numbers(path: str, value: Any) -> Array:
     try:
         return np.array(value, dtype=float)
@@ -292,7 +360,8 @@ def load(
     """Return a scene as a function.
 
     Args:
-        scene: a file's path, YAML text (with a line break), or plain data.
+        scene: a file's path, YAML text (with a line break), plain data, or a run's directory: its scene, with all
+            values as they were at its start; `found` has those at its end.
         overrides: `key.path=value` each, as `-o` of the command line.
         threads: how many to use at most; all cores if not given.
         allow_plugins: whether the Python files that the scene names as its plug-ins may be run.
@@ -300,11 +369,22 @@ def load(
     Raises:
         SceneError: every problem of the scene, each with its place. UsageError: an argument that cannot be.
     """
-    if not isinstance(scene, Path | str | dict):
-        raise UsageError(f"load: the scene must be a file's path, YAML text or a dict, is {shown(scene)}")
-    if isinstance(overrides, str):
-        raise UsageError(f"load: overrides are a list: [{overrides!r}]")
-    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
-        raise UsageError(f"load: threads must be a whole number from 1 on, is {shown(threads)}")
+    n_threads = checked_threads("load", scene, overrides, threads)
+    is_run = not isinstance(scene, dict) and os.path.isdir(scene)  # noqa: PTH112  Path's own raises at a long text
+    run = Path(scene) if is_run else None  # type: ignore[arg-type]
     with plugins_allowed(allow_plugins):
-        return Experiment(load_scene(scene, overrides), threads)
+        given = load_scene(scene, overrides) if run is None else scene_in(run, overrides)
+        return Experiment(given, n_threads, run)
+
+
+def checked_threads(caller: str, scene: Any, overrides: Any, threads: Any) -> int | None:
+    """Return the number of threads as Python's own; UsageError for an argument of a caller that cannot be."""
+    if not isinstance(scene, Path | str | dict):
+        raise UsageError(f"{caller}: the scene must be a file's path, YAML text or a dict, is {shown(scene)}")
+    if isinstance(overrides, str):
+        raise UsageError(f"{caller}: overrides are a list: [{overrides!r}]")
+    if not isinstance(overrides, Sequence) or not all(isinstance(text, str) for text in overrides):
+        raise UsageError(f"{caller}: overrides are a list of texts 'key.path=value', not {shown(overrides)}")
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, Integral) or threads < 1):
+        raise UsageError(f"{caller}: threads must be a whole number from 1 on, is {shown(threads)}")
+    return None if threads is None else int(threads)

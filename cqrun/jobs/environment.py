@@ -25,6 +25,7 @@ from cqrun.controllers.policy import ControlPolicy
 from cqrun.engine.model import Records
 from cqrun.errors import MissingExtra, Problem, RolloutError, SceneError, UsageError
 from cqrun.jobs.agent import Agent, Goals
+from cqrun.jobs.api import checked_threads
 from cqrun.jobs.runs import cores
 from cqrun.objectives.term import Track
 from cqrun.observers.clock import Clock
@@ -92,16 +93,18 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
         """Run one control step; return (what is seen, reward, whether it blew up, whether time is over, facts).
 
         Raises:
-            UsageError: there is no episode to go on with, or the action has another shape than the space.
+            UsageError: there is no episode to go on with, or the action is not of the space's shape, or not finite.
         """
         if not hasattr(self, "rollout") or self.over:
             raise UsageError("step: the episode is over, or none was begun; call reset() first")
         rollout, model, control = self.rollout, self.agent.model, self.control
-        u = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        u = np.asarray(action, np.float64)
         if u.shape != self.action_space.shape:
             raise UsageError(f"step: an action has shape {self.action_space.shape}, not {u.shape}")
+        if not np.isfinite(u).all():
+            raise UsageError(f"step: an action has finite numbers, not {u}")
         rollout.activation[control], rollout.memory[control + 1] = self.policy.driven(
-            control, u, self.remembered, rollout.memory[control]
+            control, np.clip(u, -1.0, 1.0), self.remembered, rollout.memory[control]
         )
         rollout.decided = control + 1
         try:
@@ -154,5 +157,6 @@ def environment(
     Raises:
         MissingExtra: gymnasium is not installed. SceneError: the scene cannot be one.
     """
+    n_threads = cores(checked_threads("environment", scene, overrides, threads))
     with plugins_allowed(allow_plugins):
-        return SceneEnvironment(load_scene(scene, overrides), cores(threads))
+        return SceneEnvironment(load_scene(scene, overrides), n_threads)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ class EpisodeProblem(Agent):
     Args:
         built: a scene with actuators, a controller and an objective.
         threads: cores to use.
+        trained: file of a controller, as `Agent` takes it; the problem starts where the scene does all the same.
 
     Attributes:
         summands: names of what the loss is a sum of.
@@ -53,8 +55,8 @@ class EpisodeProblem(Agent):
         SceneError: something is missing, or names what is not there.
     """
 
-    def __init__(self, built: Built, *, threads: int = 1) -> None:
-        super().__init__(built)
+    def __init__(self, built: Built, *, threads: int = 1, trained: Path | None = None) -> None:
+        super().__init__(built, trained)
         scene, self.threads = built.scene, threads
         self.start = self.params.start
         self.lower, self.upper = self.params.bounds

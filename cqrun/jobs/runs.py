@@ -20,7 +20,7 @@ from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import parts
 from cqrun.store.history import read_history
-from cqrun.store.run import RunDirectory, RunScene
+from cqrun.store.run import RunDirectory, RunScene, read_record
 
 EXTENDED = "`cqrun resume` has given it more iterations than this scene has"
 """Of a run that was extended, where the scene that it began with is asked for."""
@@ -113,6 +113,11 @@ def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
         if path.is_file() and began_with not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
             raise UsageError(f"{run.path}: {path} has changed since the run began; run the scene again")
     return scene
+
+
+def scene_in(folder: Path, overrides: Sequence[str] = ()) -> Scene:
+    """Return the scene of the run in a folder, without taking hold of it; UsageError where there is no run."""
+    return load_scene(folder / "scene.yaml", overrides, Path(str(read_record(folder).get("base", ""))))
 
 
 def require_same_data(run: RunDirectory) -> None:

@@ -33,6 +33,7 @@ from cqrun.jobs.runs import (
     raise_if_failed,
     refuse_overrides,
     saved_scene,
+    scene_in,
 )
 from cqrun.jobs.trajectories import write_activation, write_trajectory
 from cqrun.scene.build import Built
@@ -90,9 +91,7 @@ def run_simulate(
 
 def _scene(source: Path, overrides: Sequence[str]) -> Scene:
     """Return the scene in a file, or that of a run."""
-    if not source.is_dir():
-        return load_scene(source, overrides)
-    return load_scene(source / "scene.yaml", overrides, Path(str(read_record(source).get("base", ""))))
+    return scene_in(source, overrides) if source.is_dir() else load_scene(source, overrides)
 
 
 def _standing_goals(source: Path) -> list[str]:

@@ -140,6 +140,17 @@ def _conditions(scene: Scene) -> tuple[ConditionModel, ...]:
 # --- the substep ------------------------------------------------------------------------------------------
 
 
+def stable(built: Built, values: dict[str, Array]) -> tuple[Limit, int]:
+    """Return the least bound on the substep for values by path, and how many substeps `auto` would take for them.
+
+    Raises:
+        SceneError: no run could keep to it.
+    """
+    scene = built.scene
+    limits = _possible(scene, _limits(scene, built.particles, built.assembly, values))
+    return min(limits, key=lambda limit: limit.dt), auto_substeps(scene.time.control_step, limits)
+
+
 def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict[str, Array]) -> list[Limit]:
     """Return every part's bound on the substep for some values of the unknowns."""
     limits: list[Limit] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_beam import BEAM, E_PATH, FIT, SHEAR_PATH, changed
+from small_beam import BEAM, E_PATH, FIT, SHEAR_PATH, changed, record, recorded, result_of
 
 import cqrun
 from cqrun.errors import RolloutError, SceneError, UsageError
@@ -125,6 +125,21 @@ def test_values_that_blow_up_are_told(problem):
         problem.simulate({E_PATH: 1e9})
 
 
+def test_values_for_which_the_chosen_substep_is_too_large():
+    """`auto` chose it for the scene's own; the number that the message names is enough."""
+    chosen = cqrun.load(BEAM, ["time.substeps=auto", "time.duration=0.03"], threads=1)
+    told = r"bodies.beam.material: with these values the largest stable substep is .* load it with time.substeps=35,"
+    with pytest.raises(UsageError, match=told):
+        chosen.simulate({E_PATH: 3e5})
+    with pytest.raises(UsageError, match=r"bodies.beam.material: asks for substeps of"):
+        chosen.simulate({E_PATH: 1e40})
+    given = cqrun.load(BEAM, ["time.substeps=35", "time.duration=0.03"], threads=1)
+    expected = cqrun.load(BEAM, ["time.substeps=70", "time.duration=0.03"], threads=1).simulate({E_PATH: 3e5}).x
+    np.testing.assert_allclose(given.simulate({E_PATH: 3e5}).x, expected, rtol=0, atol=1e-4)
+    near, finer = (problem.simulate({E_PATH: 9e4}).x for problem in (chosen, given))  # beyond the share of `auto`
+    np.testing.assert_allclose(near, finer, rtol=0, atol=5e-4)  # it moves by 5 mm
+
+
 def test_values_that_a_scene_would_refuse(problem):
     """Of arrays the least and the greatest."""
     with pytest.raises(UsageError, match=r"density: must be greater than 0, is -1"):
@@ -141,6 +156,8 @@ def test_values_that_a_scene_would_refuse(problem):
     [
         ((None,), "the scene must be a file's path, YAML text or a dict, is empty"),
         ((BEAM, "time.duration=1"), r"overrides are a list: \['time.duration=1'\]"),
+        ((BEAM, [("world.dx", 0.01)]), r"overrides are a list of texts 'key.path=value', not \[\('world.dx', 0.01\)\]"),
+        ((BEAM, {"world.dx": 0.01}), "overrides are a list of texts 'key.path=value', not a mapping"),
     ],
 )
 def test_arguments_that_cannot_be(arguments, message):
@@ -152,10 +169,45 @@ def test_threads_and_params_that_cannot_be(problem):
     for threads in (0, "2", True):
         with pytest.raises(UsageError, match="threads must be a whole number from 1 on"):
             cqrun.load(BEAM, threads=threads)
+    assert cqrun.load(BEAM, threads=np.int64(1)).threads == 1
     with pytest.raises(UsageError, match="params must be a mapping from key paths to values"):
         problem.simulate([1.0])
     with pytest.raises(UsageError, match="density: must be a number or an array of numbers, is 'heavy'"):
         problem.simulate({DENSITY: "heavy"})
+    with pytest.raises(UsageError, match=r"params: a key path is text, such as 'world.gravity.1', not 1"):
+        problem.simulate({1: 2})
+    with pytest.raises(UsageError, match="goals must be a mapping from goals to their entries, is "):
+        problem.simulate(goals=[1])
+
+
+def test_a_run_is_loaded_with_what_it_found(fit, tmp_path):
+    """Its scene as it was at the start, its files from where it began; and the values at its end."""
+    run = run_sysid(record_and_fit(fit), [], tmp_path / "out", threads=1)
+    problem = cqrun.load(run, threads=1)
+    assert problem.params == {E_PATH: 3.0e4, SHEAR_PATH: 3.0}
+    result = result_of(run)
+    assert problem.found == {path: entry["value"] for path, entry in result["unknowns"].items()}
+    loss, _, _ = problem.value_and_grad(problem.found)
+    assert loss == pytest.approx(result["loss"], rel=1e-12)
+    assert loss < 0.1 * problem.value_and_grad()[0]
+    motion = cqrun.load(str(run), threads=1).simulate(problem.found)
+    np.testing.assert_array_equal(motion.x, read_trajectory(run / "trajectory.h5").fields["x"])
+
+
+def record_and_fit(scene):
+    """Return the scene, fitted to a recording beside it that it names by itself alone."""
+    (file,) = record(scene, scene.parent / "files")
+    return recorded(scene, {"first": file.relative_to(scene.parent)})
+
+
+def test_what_a_run_has_not_found(problem, beam, tmp_path):
+    with pytest.raises(UsageError, match="found: this scene is no run's; load the run's directory"):
+        _ = problem.found
+    run = run_simulate(beam, ["time.duration=0.01"], tmp_path / "out", threads=1)
+    with pytest.raises(UsageError, match=r"found nothing \(a run of simulate, done\)"):
+        _ = cqrun.load(run).found
+    with pytest.raises(UsageError, match=r"no run \(it has no run.json\)"):
+        cqrun.load(tmp_path)
 
 
 TIED = f"unknowns.{SHEAR_PATH}={{bounds: [0.5, 20], also: {{{DENSITY}: {{factor: 100, offset: 700}}}}}}"

@@ -92,11 +92,26 @@ def test_parameters_that_cannot_be_are_refused(problem, params, message):
     [
         ({"traget": [0.5, 0.5]}, r"there is no 'traget' \(did you mean 'target'\?\); there are: target"),
         ({"target": [0.5]}, r"'target' must be 2 finite numbers, is \[0.5\]"),
+        ({"target": "x"}, "goals: 'target': must be a number or an array of numbers, is 'x'"),
     ],
 )
 def test_goals_that_cannot_be_are_refused(problem, goals, message):
     with pytest.raises(UsageError, match=message):
         problem.simulate(goals=goals)
+
+
+def test_a_run_is_loaded_with_the_controller_that_it_trained(tmp_path):
+    """And with the strength that was learned beside it; longer, the clock's period is that of the training."""
+    text = FINGER.replace(", spread: [0.05, 0.05]", "") + f"unknowns: {{{STRENGTH}: {{bounds: [2, 8]}}}}\n"
+    run = run_control(written(tmp_path, text), [], tmp_path / "out", threads=1)
+    problem = cqrun.load(run, threads=1)
+    assert (problem.found.keys(), problem.params[STRENGTH]) == ({WEIGHTS, BIASES, STRENGTH}, 4.0)
+    result, x = result_of(run), read_trajectory(run / "trajectory.h5").fields["x"]
+    assert problem.value_and_grad()[0] == pytest.approx(result["start"]["loss"], rel=1e-12)
+    assert problem.value_and_grad(problem.found)[0] == pytest.approx(result["trained"]["loss"], rel=1e-12)
+    np.testing.assert_array_equal(problem.simulate(problem.found).x, x)
+    longer = cqrun.load(run, ["time.duration=0.15"], threads=1)
+    np.testing.assert_array_equal(longer.simulate(longer.found).x[:11], x)
 
 
 def test_without_an_objective_it_acts_but_has_no_loss():

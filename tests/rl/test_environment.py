@@ -53,6 +53,15 @@ def test_it_moves_as_the_policy_does(env):
     assert env.loss == whole.loss
 
 
+def test_an_action_that_is_not_finite_is_refused(env):
+    """It is the learner's mistake, no blow-up; the episode goes on."""
+    env.reset(seed=1)
+    with pytest.raises(UsageError, match=r"step: an action has finite numbers, not \[nan"):
+        env.step(np.array([np.nan, 0.0]))
+    *_, failed, _, _ = env.step(np.zeros(2))
+    assert not failed
+
+
 def test_a_blow_up_ends_the_episode(env):
     env.reset(seed=1)
     env.states[...] = np.nan
