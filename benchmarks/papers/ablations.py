@@ -128,7 +128,7 @@ class Ablation(Figure):
         if size is Size.QUICK:
             return judged(_farther(control, every))
         between = f" ({gain['low']:+.0%} to {gain['high']:+.0%})" if gain["low"] is not None else ""
-        told = f"gain of {len(every)} seeds {gain['mean']:+.0%}{between}, paper {self.gain:+.0%}"
+        told = f"gain of {_seeds(len(every))} {gain['mean']:+.0%}{between}, paper {self.gain:+.0%}"
         fewer = f" with {self.particles}" if self.particles else ""
         wanted, farthest = self.printed[0], self.printed[-1]
         reaches = bool(control.mean() >= 0.9 * wanted)
@@ -175,9 +175,13 @@ def _of_shared_seeds(table: Table) -> Table:
 def _farther(control: Array, every: Array) -> dict[str, bool]:
     """Return the checks that everything free goes farther than control alone: the mean, and most seeds."""
     seeds, better = len(every), int(np.count_nonzero(every > control))
-    told = f"all beside control, {'one seed' if seeds == 1 else f'{seeds} seeds'}"
+    told = f"all beside control, {_seeds(seeds)}"
     checks = {f"{told}: {control.mean():.2f} -> {every.mean():.2f} m": bool(every.mean() > control.mean())}
     return checks if seeds == 1 else checks | {f"{better} of {seeds} seeds go farther with all": better > seeds / 2}
+
+
+def _seeds(count: int) -> str:
+    return "one seed" if count == 1 else f"{count} seeds"
 
 
 def _spread(values: Array) -> str:
