@@ -59,6 +59,7 @@ NUMERIC = (
     "jobs/checked_losses.py",
     "jobs/memory.py",
     "jobs/problem.py",
+    "jobs/replay.py",
     "jobs/side_by_side.py",
     "jobs/simulate.py",
     "jobs/sysid.py",
