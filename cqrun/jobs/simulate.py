@@ -14,6 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from cqrun.design.params import REGULARISER
 from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError, RunError, SceneError, UsageError
@@ -38,6 +41,7 @@ from cqrun.jobs.runs import (
 from cqrun.jobs.trajectories import write_activation, write_trajectory
 from cqrun.scene.build import Built
 from cqrun.scene.load import load_scene
+from cqrun.scene.paths import get
 from cqrun.scene.schema import Scene
 from cqrun.state import State
 from cqrun.store.atomic import write_bytes
@@ -223,11 +227,22 @@ def _acted(run: RunDirectory, agent: Agent, rollout: Rollout, records: Records) 
     """Write what drove the actuators; return what a result says of an agent: goals, terms, constraints."""
     write_activation(run.path / "activation.csv", agent.built, rollout.activation)
     goals = agent.goals_in_the_middle
-    found = agent.judged(rollout, records, goals)
+    found, departure = agent.judged(rollout, records, goals), _departure(agent)
     said: dict[str, Any] = {"goals": {name: goal.tolist() for name, goal in goals.items()}}
     if found.terms:
-        said |= {"loss": float(found.loss), "terms": {name: float(value) for name, value in found.terms.items()}}
+        terms = {name: float(value) for name, value in found.terms.items()} | departure
+        said |= {"loss": float(found.loss) + sum(departure.values()), "terms": terms}
     return said | {"constraints": constraints_of(agent.built.scene, [found])}
+
+
+def _departure(agent: Agent) -> dict[str, float]:
+    """Return the unknowns' regularisers of what acts, as a term, from where the training started; none without one."""
+    found = 0.0
+    for block in agent.params.blocks if agent.params.regularised else ():
+        if block.regulariser:
+            value = agent.acting.get(block.path, np.array(get(agent.built.scene, block.path), float))
+            found += replace(block, initial=agent.starts[block.path]).departure(value)
+    return {REGULARISER: found} if agent.params.regularised else {}
 
 
 def _result(built: Built, watch: Observables, status: str, message: str, time: float) -> dict[str, Any]:

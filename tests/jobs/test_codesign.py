@@ -200,6 +200,9 @@ def test_a_regulariser_holds_a_design_near_its_start(finger, tmp_path):
     np.testing.assert_allclose(rows["loss"], np.add(rows["tip"], rows["regulariser"]), rtol=1e-12)
     assert rows["regulariser"][0] == 0.0 < rows["regulariser"][1]
     assert result["trained"]["terms"].keys() == {"tip", "regulariser"}
+    replay = result_of(run_simulate(run, [], tmp_path / "replay", threads=1))
+    assert replay["terms"]["regulariser"] == pytest.approx(result["trained"]["terms"]["regulariser"], rel=1e-12)
+    assert replay["loss"] == pytest.approx(sum(replay["terms"].values()), rel=1e-12)
     assert 0.0 < ways[10.0] < 0.5 * ways[0.0]
 
 
