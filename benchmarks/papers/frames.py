@@ -11,12 +11,11 @@ from benchmarks.papers.figure import Figure, Size, Table
 from benchmarks.papers.histories import kept, runs_below
 from benchmarks.papers.work import Found
 from cqrun.contract import Array
-from cqrun.figures.bodies import plot_body, snapshots
+from cqrun.figures.bodies import plot_body, snapshots, window_of
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.run_data import RunData, read_run
-from cqrun.figures.scenery import goals
 from cqrun.figures.style import COLOURS, new_figure
-from cqrun.figures.views import room_around, views, window
+from cqrun.figures.views import views, window
 from cqrun.observers.fracture import Fracture
 from cqrun.scene.particles import sample
 
@@ -107,9 +106,7 @@ class Frames(Figure):
             shots = snapshots(frames, self.moments(table).tolist())
         x = np.stack([shot.x for shot in shots])
         look = views(run.scene, x)[0]
-        marked = goals(run.scene, shots[0].told)
-        seen = np.concatenate([x.reshape(-1, x.shape[-1]), *(goal.position[None] for goal in marked)])
-        corners = window(seen, look, room_around(x, shots[0].dots.size))
+        corners = window_of(run.scene, shots, look)
         corners[0, 1] = min(corners[0, 1], window(x, look, GROUND * run.scene.world.dx)[0, 1])
         rows = -(-self.count // self.columns)
         each = WIDE / self.columns
