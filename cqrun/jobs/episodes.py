@@ -1,8 +1,8 @@
 """Learning to act, as an optimizer sees it: the mean loss of episodes, by a controller's parameters and unknowns.
 
 An episode is one rollout under the policy, with its own goals. Goals are drawn once, or anew at every iteration
-(`episodes.fresh`); the same seed draws the same. Rollouts of one evaluation run side by side on the cores, each on
-one thread; a single one may take all threads. Neither changes a bit of the result.
+(`episodes.fresh`); the same seed draws the same. Rollouts of one evaluation run side by side on the cores, and share
+the threads where these are more. Neither changes a bit of the result.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@
 
 x are the unknowns in scaled coordinates (`design/params.py`), and `unit` is the loss of bodies that stay where they
 are: so f is of order one, and an optimizer's tolerances mean the same in millimetres and in metres. The residuals r
-are those of the markers, scaled so that f = r.r / 2. Rollouts of one evaluation run side by side on the cores, each
-on one thread; a single one may take all threads. Neither changes a bit of the result.
+are those of the markers, scaled so that f = r.r / 2. Rollouts of one evaluation run side by side on the cores, and
+share the threads where these are more. Neither changes a bit of the result.
 """
 
 from __future__ import annotations

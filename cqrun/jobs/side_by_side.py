@@ -20,14 +20,17 @@ T = TypeVar("T")
 def side_by_side(tasks: Sequence[Callable[[int], T]], threads: int, at_once: int | None = None) -> list[T]:
     """Run tasks, each given its number of threads, and return their results in order.
 
+    Where there are fewer tasks than threads, they share the threads evenly.
+
     Args:
         at_once: how many may run side by side; as many as there are threads, if not given.
     """
     at_once = min(threads, len(tasks), threads if at_once is None else at_once)
     if at_once <= 1:
         return [task(threads) for task in tasks]
+    each = threads // at_once  # at least 1: no more than `threads` run at once
     with ThreadPoolExecutor(at_once) as pool:
-        return list(pool.map(lambda task: task(1), tasks))
+        return list(pool.map(lambda task: task(each), tasks))
 
 
 @dataclass
