@@ -108,9 +108,10 @@ class Block:
         return float(self.regulariser * np.mean((self.to_scaled(value) - self.to_scaled(self.initial)) ** 2))
 
     def departure_vjp(self, value: Array, bar: float) -> Array:
-        """Return the cotangent of a value from that of `departure`."""
-        s_bar = 2.0 * bar * self.regulariser / np.size(value) * (self.to_scaled(value) - self.to_scaled(self.initial))
-        return np.asarray(s_bar / self.slope(value))
+        """Return the cotangent of a value from that of `departure`; one number stands for all."""
+        away = self.to_scaled(value) - self.to_scaled(self.initial)
+        s_bar = 2.0 * bar * self.regulariser / np.size(away) * away
+        return np.asarray((s_bar if np.ndim(value) else np.sum(s_bar)) / self.slope(value))
 
     def numbers(self, x: Array) -> Array:
         """Return x (size,) in the unknown's unit."""

@@ -5,9 +5,9 @@ and keeps the others at their starts: all combinations of up to three groups, as
 and all. Every variant is learned from the same seeds, with the learning rate that serves it best among those that are
 given, found with seed 0. Every run is one of its own that can be resumed; the same command goes on.
 
-ablation-<hash>.json   per variant: rate, runs, mean and 90 % interval of every term; gains over control; effects
-ablation-<hash>.csv    the variants as a table
-ablation-<hash>.png    the compared term against the iteration, and where it ended
+ablation-<hash>-<N>.json   per variant: rate, runs, mean and 90 % interval of every term; gains over control; effects
+ablation-<hash>-<N>.csv    the variants as a table
+ablation-<hash>-<N>.png    the compared term against the iteration, and where it ended
 
 The effect of a group is what freeing it adds to the compared term, in the mean over all variants without it, seed by
 seed (a factorial design: G. Box, J. Hunter, W. Hunter: Statistics for experimenters, 2005, chapter 5). A gain is
@@ -16,6 +16,7 @@ positive where a variant is better. Variants that fail, or do not meet their con
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -34,7 +35,18 @@ from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.report import table
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import cores
-from cqrun.jobs.seeds import CONFIDENCE, command_of, inputs_of, interval, member, require_seeds, shown, warn_if_alike
+from cqrun.jobs.seeds import (
+    CONFIDENCE,
+    INFEASIBLE,
+    command_of,
+    has_ended,
+    inputs_of,
+    interval,
+    member,
+    require_seeds,
+    shown,
+    warn_if_alike,
+)
 from cqrun.optimizers.constrained import ranked
 from cqrun.scene.check_design import differ
 from cqrun.scene.load import load_scene
@@ -42,10 +54,7 @@ from cqrun.scene.paths import canonical, leaf, shapes_a_body
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start, tied
 from cqrun.store.atomic import make_directory, write_json, write_table
-from cqrun.store.run import RECORD, read_record
-
-INFEASIBLE = "infeasible"
-"""How a run ended whose constraints are not met."""
+from cqrun.store.run import RECORD, RunScene, read_record
 
 MOST_GROUPS = 3
 """All combinations of more are too many runs: none, each alone and all are compared instead."""
@@ -124,11 +133,17 @@ def run_ablation(
         result["variants"][v.name] |= {"rate": (best[v.name] or "").partition("=")[2] or None}
         if searched:
             result["variants"][v.name]["searched"] = searched[v.name]
-    path = out / source.stem / f"ablation-{inputs_of(source, scene, None, 'codesign').digest()}.json"
+    path = out / source.stem / f"ablation-{_name(inputs_of(source, scene, None, 'codesign'), rates)}-{seeds}.json"
     make_directory(path.parent)
     write_json(path, result)
     write_table(path.with_suffix(".csv"), _table(result))
-    return path, all(map(_has_ended, everyone)) and not _none_is_feasible(result)
+    return path, all(map(has_ended, everyone)) and not _none_is_feasible(result)
+
+
+def _name(inputs: RunScene, rates: Sequence[float]) -> str:
+    """Return the hash of what is compared: of the scene, and of the rates that are tried."""
+    digest = inputs.digest()
+    return hashlib.sha256(f"{digest}\0{[*rates]}".encode()).hexdigest()[:12] if rates else digest
 
 
 @dataclass(frozen=True)
@@ -156,7 +171,7 @@ class _Members:
 
 def _best_rate(scene: Scene, trials: Mapping[str | None, Member]) -> tuple[str | None, dict[str, float | None]]:
     """Return the override of the rate whose trial ended best, and every rate's loss, None where it failed."""
-    found = {rate: _result(trial.run) for rate, trial in trials.items() if _has_ended(trial)}
+    found = {rate: _result(trial.run) for rate, trial in trials.items() if has_ended(trial)}
     losses = {str(rate).partition("=")[2]: found[rate]["trained"]["loss"] if rate in found else None for rate in trials}
     ranks = {rate: _rank(scene, result) for rate, result in found.items()}
     return min(ranks, key=ranks.__getitem__, default=next(iter(trials))), losses
@@ -175,7 +190,7 @@ def variants_of(scene: Scene) -> list[Variant]:
         raise UsageError("--ablate compares the first term of the objective: this scene has no `objective`")
     paths = list(scene.unknowns)
     for path in paths:
-        _require_same_particles(scene, path)
+        _require_same_bodies(scene, path)
     groups = list(dict.fromkeys(group_of(canonical(scene, path)) for path in paths))
     chosen: list[tuple[str, ...]] = [(), *((group,) for group in groups)]
     if len(groups) <= MOST_GROUPS:
@@ -192,14 +207,18 @@ def variants_of(scene: Scene) -> list[Variant]:
     return found
 
 
-def _require_same_particles(scene: Scene, path: str) -> None:
-    """Refuse an unknown whose start is another body than the scene's: kept fixed, it would be sampled anew."""
+def _require_same_bodies(scene: Scene, path: str) -> None:
+    """Refuse an unknown whose start is another body than the scene's: kept fixed, it is of all particles in the body.
+
+    A new shape would be sampled anew; of an unknown a group, particles in no group would start elsewhere.
+    """
     for other, value in tied(scene, path, start(scene, path)).items():
-        own = leaf(scene, other).value
-        if shapes_a_body(other) and differ(value, own):
+        own, groups = leaf(scene, other).value, scene.unknowns[path].per == "group"
+        if (shapes_a_body(other) or groups) and differ(value, own):
+            would = "start otherwise in particles without a group" if groups else "be of other particles"
             raise UsageError(
-                f"--ablate: '{other}' starts at {value:g}, but the scene has {own:g}; variants that keep it would be "
-                f"of other particles: give it that value in the scene, -o {other}={value:g}"
+                f"--ablate: '{other}' starts at {value:g}, but the scene has {own:g}; variants that keep it would "
+                f"{would}: give it that value in the scene, -o {other}={value:g}"
             )
 
 
@@ -219,22 +238,15 @@ def _run(members: Sequence[Member], at_once: int, what: str, talk: Reporter, of_
         of_seed: how many of them in turn are of one seed; 0 if that is not so.
     """
     run_fleet(members, at_once, what, talk)
-    good = [m for m in members if _has_ended(m)]
+    good = [m for m in members if has_ended(m)]
     if talk.stop.asked and len(good) < len(members):
-        whole = list(itertools.takewhile(lambda m: _has_ended(m) or _blew_up(m), members))
+        whole = list(itertools.takewhile(lambda m: has_ended(m) or _blew_up(m), members))
         seeds = len(whole) // of_seed if of_seed else 0
         now = f"; with --seeds {seeds} it compares what there is" if seeds else ""
         raise talk.stop.stopped(f"{len(good)} of {len(members)} {what} are finished; the same command continues{now}")
-    bad = [m for m in members if not _has_ended(m) and not _blew_up(m)]
+    bad = [m for m in members if not has_ended(m) and not _blew_up(m)]
     if bad:
         raise RunError(f"{len(bad)} of {len(members)} {what} failed; {bad[0].name}: {bad[0].failure}")
-
-
-def _has_ended(member: Member) -> bool:
-    """Say whether a run came to a result, be it one that violates its constraints."""
-    return member.failure is None or (
-        (member.run / "result.json").exists() and read_record(member.run)["status"] == INFEASIBLE
-    )
 
 
 def _blew_up(member: Member) -> bool:
@@ -261,7 +273,7 @@ def _rank(scene: Scene, result: dict[str, Any]) -> tuple[float, float, float]:
 
 def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str, list[Member]]) -> dict[str, Any]:
     """Return every variant's terms, gains over control alone, and effects of the groups on the first term."""
-    results = {v.name: [_result(run.run) for run in runs[v.name] if _has_ended(run)] for v in variants}
+    results = {v.name: [_result(run.run) for run in runs[v.name] if has_ended(run)] for v in variants}
     compared = next(iter(scene.objective))
     sense = scene.objective[compared].value.sense  # type: ignore[attr-defined]
     met = {name: sum(one["status"] != INFEASIBLE for one in each) for name, each in results.items()}
@@ -279,7 +291,7 @@ def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str
             v.name: {
                 "free": list(v.groups),
                 "runs": [str(run.run) for run in runs[v.name]],
-                "failed": {run.name: run.failure for run in runs[v.name] if not _has_ended(run)},
+                "failed": {run.name: run.failure for run in runs[v.name] if not has_ended(run)},
                 "feasible": met[v.name] if scene.constraints else None,
                 "terms": _means(results[v.name], scene.objective, lambda one, name: one["trained"]["terms"][name]),
                 "constraints": _means(

@@ -3,10 +3,11 @@
 Every seed is a run of its own, in a process of its own, that can be stopped and resumed as any other; the same
 command again continues those that are not finished. What they found is summed up beside their directories:
 
-summary-<hash>.json   of every seed and of all: mean and 90 % interval (Student) of the loss and of every term
-summary-<hash>.csv    the same as a table
+summary-<hash>-<N>.json   of every seed and of all: mean and 90 % interval (Student) of the loss and of every term
+summary-<hash>-<N>.csv    the same as a table
 
-The hash is that of the scene without its seed.
+The hash is that of the scene without its seed, N how many seeds. Runs that do not meet their constraints are in no
+mean, unless none does.
 """
 
 from __future__ import annotations
@@ -38,6 +39,9 @@ from cqrun.store.run import RunScene, read_record
 
 CONFIDENCE = 0.9
 """Of the intervals of means."""
+
+INFEASIBLE = "infeasible"
+"""How a run ended whose constraints are not met."""
 
 
 def run_seeds(
@@ -79,7 +83,7 @@ def run_seeds(
     good = [s for s in all_of_them if s.failure is None]
     if talk.stop.asked and len(good) < seeds:
         raise talk.stop.stopped(f"{len(good)} of {seeds} seeds are finished; the same command continues the others")
-    path = out / source.stem / f"summary-{inputs_of(source, scene, None, job).digest()}.json"
+    path = out / source.stem / f"summary-{inputs_of(source, scene, None, job).digest()}-{seeds}.json"
     summary = _summary(source.stem, all_of_them)
     make_directory(path.parent)
     write_json(path, summary)
@@ -139,6 +143,13 @@ def inputs_of(source: Path, scene: Scene, seed: int | None, job: str) -> RunScen
     return replace(run_scene(source.stem, scene, job=job, with_data=False), resolved=dump(unseeded))
 
 
+def has_ended(member: Member) -> bool:
+    """Say whether a run came to a result, be it one that violates its constraints."""
+    return member.failure is None or (
+        (member.run / "result.json").exists() and read_record(member.run)["status"] == INFEASIBLE
+    )
+
+
 # --- what they have in common -------------------------------------------------------------------------------------
 
 
@@ -153,15 +164,15 @@ def interval(values: Sequence[float]) -> dict[str, float | None]:
 
 def _summary(stem: str, seeds: Sequence[Member]) -> dict[str, Any]:
     """Return what every seed found, and means with intervals over those that went well."""
-    results = {k: json.loads((s.run / "result.json").read_text()) for k, s in enumerate(seeds) if s.failure is None}
-    found = list(results.values())
+    results = {k: json.loads((s.run / "result.json").read_text()) for k, s in enumerate(seeds) if has_ended(s)}
+    found = [result for result in results.values() if result["status"] != INFEASIBLE] or list(results.values())
     stages = [stage for stage in STAGES if found and all(result[stage] is not None for result in found)]
     return {
         "scene": stem,
         "confidence": CONFIDENCE,
         "seeds": {
             k: {"run": str(s.run), "status": "failed", "reason": s.failure}
-            if s.failure is not None
+            if k not in results
             else {"run": str(s.run)} | {key: results[k][key] for key in ("status", "iterations")}
             | {"blew_up": list(blown_up(results[k])), "extended": bool(read_record(s.run).get("extended"))}
             | {stage: _numbers(results[k][stage]) for stage in stages}
@@ -197,21 +208,25 @@ def summary_lines(path: Path) -> list[str]:
     """Return a summary as lines for a terminal."""
     summary = json.loads(path.read_text())
     seeds = list(summary["seeds"].values())
-    good = [entry for entry in seeds if entry["status"] != "failed"]
+    ended = [entry for entry in seeds if entry["status"] != "failed"]
+    good = [entry for entry in ended if entry["status"] != INFEASIBLE] or ended
     lines = [f"{len(good)} of {len(seeds)} seeds learned; mean and {summary['confidence']:.0%} interval over them", ""]
     stages = list(summary["all"])
     if stages:
         head = ("term", *(STAGES[stage] for stage in stages))
         names = list(summary["all"][stages[0]])
         lines += table(head, [(name, *(shown(summary["all"][stage][name]) for stage in stages)) for name in names])
+    lines += [
+        f"seed {k} does not meet its constraints" for k, e in summary["seeds"].items() if e["status"] == INFEASIBLE
+    ]
     lines += [f"seed {k} failed: {e['reason']}" for k, e in summary["seeds"].items() if e["status"] == "failed"]
     lines += [f"warning: seed {k}: {EXTENDED}" for k, e in summary["seeds"].items() if e.get("extended")]
     lines += [f"seed {k}, {lost}" for k, e in summary["seeds"].items() for lost in e.get("blew_up", [])]
     spread = summary["all"].get("trained", {}).get("loss", {})
     if len(good) > 1 and spread["low"] == spread["high"]:
         lines.append("note: every seed found the same: nothing in this scene is drawn from its seed")
-    if good:
-        lines += ["", "draw them together: cqrun plot " + " ".join(entry["run"] for entry in good)]
+    if ended:
+        lines += ["", "draw them together: cqrun plot " + " ".join(entry["run"] for entry in ended)]
     return [*lines, f"summary: {path}"]
 
 

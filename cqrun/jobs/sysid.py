@@ -84,6 +84,9 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
         path = f"unknowns.{name}.regulariser"
         message = "sysid takes none: it would pull the value towards the start, and intervals would not say so"
         raise SceneError([Problem(scene.where(path), path, message)])
+    for name in scene.constraints:
+        path, message = f"constraints.{name}", "sysid honours none: bound its unknowns instead"
+        raise SceneError([Problem(scene.where(path), path, message)])
     scene = with_optimizer(scene)
     if scene.precision == "float32" and not uses_gradients(scene) and _optimizer(scene).squares:
         path = f"optimizer.{scene.optimizer.name}"  # type: ignore[union-attr]

@@ -23,7 +23,7 @@ from cqrun.jobs.reporter import Silent
 from cqrun.jobs.sysid import prepare, with_optimizer
 from cqrun.jobs.validate_control import control_lines, line
 from cqrun.objectives.markers import MarkerObjective
-from cqrun.optimizers.two_searches import TwoSearches
+from cqrun.optimizers.constrained import ReplayedConstrained
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
@@ -216,7 +216,7 @@ def _cost(built: Built, agent: Agent | None) -> Iterator[str]:
         if optimizer.gradients:
             episodes = min(agent.n_episodes, getattr(optimizer, "batch_size", None) or agent.n_episodes)
             of = f"{episodes} {'episode' if episodes == 1 else 'episodes'} with the gradient"
-            held = len(agent.constraint_names) if isinstance(optimizer, TwoSearches) else 0
+            held = len(agent.constraint_names) if isinstance(optimizer, ReplayedConstrained) else 0
             sweeps = held * (GRADIENT - 1.0) * forward
             if held:
                 of += f" and {'that' if held == 1 else 'those'} of {held} constraint{'s' if held > 1 else ''}, at most"

@@ -73,6 +73,15 @@ def test_a_regularisers_gradient_is_that_of_its_value(regularised, rng):
     assert gradient @ way == pytest.approx(slope, rel=1e-9)
 
 
+def test_one_number_for_all_has_the_gradient_of_one_number(regularised):
+    """As from Python, where a number stands for every particle's."""
+    block = regularised.blocks[1]
+    value, h = np.array(0.5 * (block.lower + block.upper)), 1e-3
+    slope = (block.departure(value + h) - block.departure(value - h)) / (2 * h)
+    assert np.shape(block.departure_vjp(value, 1.0)) == ()
+    assert block.departure_vjp(value, 1.0) == pytest.approx(slope, rel=1e-6)
+
+
 def test_values_stay_within_the_bounds_and_a_start_can_be_packed(params, rng):
     values = params.unpack(rng.uniform(0.0, 1.0, len(params.start)))
     assert np.all((values["b"] >= 2.0) & (values["b"] <= 50.0))

@@ -241,6 +241,13 @@ def test_a_start_that_is_another_body_is_refused(tmp_path):
     assert len(variants_of(load_scene(tmp_path / "finger.yaml", same))) == 4
 
 
+def test_a_start_of_groups_that_is_not_the_scenes_is_refused(tmp_path):
+    """Particles in no group have the scene's own value where the unknown is free, and the start where it is not."""
+    scene = load_scene(design(tmp_path), [f"unknowns={{{E}: {{bounds: [5, 20], per: group, initial: 6}}}}"])
+    with pytest.raises(UsageError, match=r"starts at 6, .* start otherwise in particles without a group"):
+        variants_of(scene)
+
+
 def test_stopped_it_says_of_how_many_seeds_it_can_compare_all(tmp_path, monkeypatch):
     """Variants are learned seed by seed: of two variants five runs are two seeds of each, and one more."""
     ended = 0

@@ -78,6 +78,28 @@ def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
     assert f"warning: seed 1: {EXTENDED}" in summary_lines(path)
 
 
+def test_means_are_of_the_seeds_that_meet_their_constraints_if_any_does(tmp_path):
+    made = []
+    for k, (status, loss) in enumerate((("infeasible", 1.0), ("converged", 4.0), ("converged", 6.0))):
+        run = tmp_path / str(k)
+        run.mkdir()
+        stage = {"loss": loss, "terms": {"tip": loss}, "episodes": []}
+        whole = {"status": status, "iterations": 2, "start": stage, "trained": stage, "unseen": None}
+        (run / "result.json").write_text(json.dumps(whole))
+        (run / "run.json").write_text(json.dumps({"status": status, "seconds": 1.0}))
+        made.append(Member(f"seed {k}", run, [], 2, failure=None if status == "converged" else "its constraints"))
+    path, found = tmp_path / "summary.json", {}
+    for name, some in (("mixed", made), ("infeasible", made[:1])):
+        found[name] = _summary("finger", some)
+        path.write_text(json.dumps(found[name]))
+        lines = summary_lines(path)
+        assert lines[0].startswith({"mixed": "2 of 3", "infeasible": "1 of 1"}[name])
+        assert "seed 0 does not meet its constraints" in lines
+    assert found["mixed"]["all"]["trained"]["loss"] == interval([4.0, 6.0])
+    assert found["mixed"]["seeds"][0]["trained"] == {"tip": 1.0, "loss": 1.0}
+    assert found["infeasible"]["all"]["trained"]["loss"] == interval([1.0])
+
+
 def test_seeds_that_change_nothing_are_told(tmp_path):
     same = {"mean": 2.0, "low": 2.0, "high": 2.0}
     seeds = {k: {"run": f"results/finger/{k}", "status": "converged"} for k in range(2)}

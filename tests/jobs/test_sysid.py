@@ -226,6 +226,11 @@ def test_a_regulariser_is_refused(fit, tmp_path):
         identify(fit, tmp_path, f"unknowns.{E_PATH}.regulariser=1")
 
 
+def test_constraints_are_refused(fit, tmp_path):
+    with pytest.raises(SceneError, match=r"constraints.light: sysid honours none: bound its unknowns instead"):
+        identify(fit, tmp_path, "constraints={light: {of: {mass: {body: beam}}, at_most: 1}}")
+
+
 def test_without_an_optimizer_the_data_choose_one(fit, tmp_path):
     changed(fit, "optimizer: {least_squares: {max_iterations: 8}}", "")
     run = identify(fit, tmp_path)
