@@ -7,7 +7,7 @@ trajectory.h5   the first fitted case with the values found
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -206,13 +206,13 @@ def _predict(
 
 
 def _errors(cases: list[Case], records: list[Records | None], values: Mapping[str, Array]) -> dict[str, Any] | None:
-    """Return RMSE [mm] by recording and marker; None where the data are no markers."""
+    """Return RMSE and residual of the alignment [mm], by recording and marker; None where the data are no markers."""
     found: dict[str, Any] = {}
     for case, record in zip(cases, records, strict=True):
         objectives = [o for o in case.objectives if isinstance(o, MarkerObjective)]
         if not objectives:
             return None
-        entry: dict[str, Any] = {"holdout": case.holdout, "rmse_mm": None}
+        entry: dict[str, Any] = {"holdout": case.holdout, "rmse_mm": None} | _alignment(case)
         if record is not None:
             misfits = [o.misfit(record, case.start_of(values)) for o in objectives]
             entry["rmse_mm"] = MILLI * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
@@ -221,6 +221,22 @@ def _errors(cases: list[Case], records: list[Records | None], values: Mapping[st
                     name: None if np.isnan(rmse) else MILLI * rmse for name, rmse in misfits[0].markers.items()
                 }
         found[case.name] = entry
+    return found
+
+
+def alignments(cases: Sequence[Case]) -> Iterator[str]:
+    """Yield a sentence on every recording that was brought into the scene's frame."""
+    for case in cases:
+        yield from (f"{case.name}: {m.alignment}" for m in case.measured if m.alignment is not None)
+
+
+def _alignment(case: Case) -> dict[str, Any]:
+    """Return how far each marker is from its rest position after alignment [mm]; nothing where there was none."""
+    found: dict[str, Any] = {}
+    for m in case.measured:
+        if m.alignment is not None:
+            away = (MILLI * m.alignment.residuals).tolist()
+            found["alignment_mm"] = dict(zip(m.names, away, strict=True))
     return found
 
 

@@ -11,6 +11,7 @@ from small_beam import E_PATH, SHEAR_PATH, Listener, record, recorded, result_of
 from cqrun.cli.results import draw_and_print_run
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.jobs.cases import make_cases
+from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.sysid import run_sysid, with_optimizer
 from cqrun.jobs.validate import validate
@@ -58,6 +59,17 @@ def test_one_held_out_blows_up(two, tmp_path, name):
     assert result["recordings"][name]["rmse_mm"] is None
     assert any(f"{name}: held out, and it blows up" in text for text in result["findings"])
     assert (run / "trajectory.h5").exists()
+
+
+def test_how_well_markers_fit_their_rest_positions_is_told(fit, tmp_path):
+    (file,) = record(fit, tmp_path / "data")
+    scene = recorded(fit, {"one": file}, still="[0, 0.02]", start="0.02", length="0.06")
+    run = find(scene, tmp_path, ONCE)
+    found = result_of(run)["recordings"]["one"]["alignment_mm"]
+    assert found.keys() == {"tip", "middle"}
+    told = f"one: aligned to the rest positions within {min(found.values()):.2f} to {max(found.values()):.2f} mm"
+    assert told in (run / "log.txt").read_text()
+    assert told in report_lines(run)
 
 
 def test_starts_that_are_tied(two, tmp_path):
