@@ -2,7 +2,7 @@
 
 result.json     values, intervals, errors, what the data leave open
 tracks.csv      recorded and modelled markers, for the plots
-trajectory.h5   the first fitted case with the values found
+trajectory.h5   the first fitted case with the values found, which it names beside the scene
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cqrun.errors import RolloutError
 from cqrun.jobs.cases import Case
 from cqrun.jobs.observables import fracture_of
 from cqrun.jobs.problem import FitProblem
-from cqrun.jobs.trajectories import write_trajectory
+from cqrun.jobs.trajectories import as_found, write_trajectory
 from cqrun.objectives.identifiability import Unknown
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.objectives.uncertainty import MOST_UNKNOWNS, Uncertainty, central_jacobian, intervals
@@ -62,7 +62,7 @@ def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, ou
         _write_tracks(run, cases, records, values)
         first = next(case for case in cases if not case.holdout).built  # one held out may blow up
         rollout = Rollout(first.model, first.assembly.inputs(values), threads=problem.threads)
-        write_trajectory(run.path / "trajectory.h5", first, rollout)
+        write_trajectory(run.path / "trajectory.h5", first, rollout, provenance=as_found(values))
     if outcome.status in ("iteration_limit", "stalled"):
         result["findings"].append(
             f"{outcome.status.replace('_', ' ')}: values and intervals are those of where it ended"

@@ -17,6 +17,7 @@ from cqrun.jobs.sysid import run_sysid
 from cqrun.optimizers.base import TrialFailed
 from cqrun.store.history import read_history
 from cqrun.store.run import read_record
+from cqrun.store.trajectory import read_trajectory
 
 OPTIMIZERS = {
     "least_squares": "optimizer={least_squares: {max_iterations: 8}}",
@@ -93,6 +94,11 @@ def test_the_report_is_a_table(found):
     text = "\n".join(lines)
     assert "synthetic  fitted  0.0" in text
     assert "see tracks.csv, trajectory.h5" in text
+
+
+def test_the_trajectory_names_the_values_that_it_is_of(found):
+    values = {path: entry["value"] for path, entry in result_of(found[0])["unknowns"].items()}
+    assert read_trajectory(found[0] / "trajectory.h5").provenance["found"] == values
 
 
 def test_the_same_again_is_finished(found, tmp_path):
