@@ -13,9 +13,7 @@ from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, 
 def simulate(
     scene: Annotated[
         Path,
-        typer.Argument(
-            metavar="SCENE|RUN", help="Scene file (YAML), or the run that trained a controller.", show_default=False
-        ),
+        typer.Argument(metavar="SCENE|RUN", help="Scene file (YAML), or a run to replay.", show_default=False),
     ],
     overrides: Overrides = None,
     out: Out = DEFAULT_OUT,
@@ -30,7 +28,7 @@ def simulate(
     """Run a scene forward and keep its trajectory (HDF5; ParaView reads it).
 
     A run of `cqrun control` or `codesign` in the place of a scene is replayed: with -o longer, elsewhere, or with
-    another goal.
+    another goal. So is one of `cqrun sysid`: its scene with the values that it identified.
     """
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import draw_and_print_run

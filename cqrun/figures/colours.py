@@ -14,7 +14,7 @@ from cqrun.figures.run_data import RunData
 from cqrun.figures.strain import Strain, green_norm
 from cqrun.figures.style import AMOUNT_MAP, PASSIVE, SIGNED_MAP
 from cqrun.jobs.agent import FILE
-from cqrun.jobs.replay import kept_values
+from cqrun.jobs.replay import IDENTIFIED, kept_of_identified, kept_values
 from cqrun.jobs.unknowns import values_found
 from cqrun.scene.actuation import Actuation
 from cqrun.scene.assembly import Assembly
@@ -165,6 +165,8 @@ def _found(run: RunData, particles: Particles) -> dict[str, Array]:
     """Return the values by path that a run has found, or that acted in a replay."""
     if run.job == "simulate" and run.has(FILE):
         return kept_values(run.path / FILE)
+    if run.job == "simulate" and run.has(IDENTIFIED):
+        return kept_of_identified(run.path / IDENTIFIED, run.scene, particles)
     return values_found(run.scene, particles, (run.result or {}).get("unknowns") or {})
 
 

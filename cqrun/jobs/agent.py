@@ -23,7 +23,7 @@ from cqrun.engine.rollout import Rollout
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.acted_on import acted_on, require_same
-from cqrun.jobs.replay import kept_values
+from cqrun.jobs.replay import kept_values, require_fitting
 from cqrun.jobs.unknowns import make_params
 from cqrun.objectives.term import Objective, Track, TrackBar
 from cqrun.observers.matter import Matter, Unfit
@@ -205,16 +205,9 @@ class Agent:
             )
         self.observation.middle, self.observation.half = middle, half
         known = {CONTROLLER + name: array for name, array in parameters.items()}
-        sizes = {block.path: block.initial.shape for block in self.params.blocks}
-        sizes |= {f.path: block.initial.shape for block in self.params.blocks for f in block.followers}
-        for name, array in kept_values(path).items():
-            if array.shape != sizes.get(name):
-                raise UsageError(
-                    f"{path}: holds {array.size} numbers of {name} that were learned with the controller; this scene's "
-                    f"unknowns have {sizes.get(name, 'none')}: bodies and particles must be those it was trained with"
-                )
-            known[name] = array
-        return known
+        kept = kept_values(path)
+        require_fitting(path, kept, self.params)
+        return known | kept
 
     # --- rollouts -----------------------------------------------------------------------------------------------
 

@@ -166,6 +166,7 @@ class Experiment:
                 "use simulate()"
             )
         problem, values = self._problem, self._stable(params)
+        problem.require_reached(values)
         losses, gradient = problem.losses_and_gradient(values)
         effort = {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak}
         aux = {"losses": losses, "gradient": effort}

@@ -27,7 +27,7 @@ from cqrun.scene.paths import canonical, with_values
 from cqrun.scene.schema import ON_CONTROL_STEP, Scene
 from cqrun.scene.unknowns import body_of, bounds_of, starts, truths
 from cqrun.state import State
-from cqrun.store.alignment import Measured, measure
+from cqrun.store.alignment import Measured, measure, require_before_motion
 from cqrun.store.atomic import disk_errors, make_directory
 from cqrun.store.marker_csv import write_csv
 from cqrun.store.recordings import Recording, read_recording
@@ -222,7 +222,8 @@ def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
     own = build(with_values(scene, {**_signals(scene), **spec.overrides, "time.duration": steps * step}))
     _require_same_particles(built, own)
     recording = read_recording(scene.resolve_path(spec.file), units=spec.units)
-    measured = measure(recording, {k: np.array(v) for k, v in spec.markers.items()}, _still(spec))
+    still = None if spec.still is None else (spec.still[0], spec.still[1])
+    measured = measure(recording, {k: np.array(v) for k, v in spec.markers.items()}, still)
     observer = _observe_markers(own, spec.body, dict(zip(measured.names, measured.rest, strict=True)))
     if measured.absolute:
         _require_near(own, spec.body, measured)
@@ -233,6 +234,9 @@ def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
         start=begins, start_bounds=bounds_of(scene, start_path),
         skip=spec.skip, absolute=measured.absolute, weight=spec.weight, source=measured.source,
     )  # fmt: skip
+    if still is not None:
+        earliest, latest = objective.start_bounds
+        require_before_motion(still, earliest, latest + steps * step, measured.source)
     return Case(name, _probed(own, spec.body, observer), (objective,), start_path, begins, spec.holdout, (measured,))
 
 
@@ -277,10 +281,6 @@ def _advice(measured: Measured, reach: float) -> str:
         if unit != "m" and (away <= near).all():
             return f"the file looks as if it is in {unit}: say `units: {unit}`"
     return "without `still` frames positions are in the scene's own frame; give `still`, or mend the rest positions"
-
-
-def _still(spec: RecordingSpec) -> tuple[float, float] | None:
-    return None if spec.still is None else (spec.still[0], spec.still[1])
 
 
 def _observe_markers(built: Built, body: str, rest: Mapping[str, Array]) -> Points:

@@ -2,12 +2,12 @@
 
 result.json     values, intervals, errors, what the data leave open
 tracks.csv      recorded and modelled markers, for the plots
-trajectory.h5   the first fitted case with the values found
+trajectory.h5   the first fitted case with the values found, which it names beside the scene
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from cqrun.errors import RolloutError
 from cqrun.jobs.cases import Case
 from cqrun.jobs.observables import fracture_of
 from cqrun.jobs.problem import FitProblem
-from cqrun.jobs.trajectories import write_trajectory
+from cqrun.jobs.trajectories import as_found, write_trajectory
 from cqrun.objectives.identifiability import Unknown
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.objectives.uncertainty import MOST_UNKNOWNS, Uncertainty, central_jacobian, intervals
@@ -62,7 +62,7 @@ def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, ou
         _write_tracks(run, cases, records, values)
         first = next(case for case in cases if not case.holdout).built  # one held out may blow up
         rollout = Rollout(first.model, first.assembly.inputs(values), threads=problem.threads)
-        write_trajectory(run.path / "trajectory.h5", first, rollout)
+        write_trajectory(run.path / "trajectory.h5", first, rollout, provenance=as_found(values))
     if outcome.status in ("iteration_limit", "stalled"):
         result["findings"].append(
             f"{outcome.status.replace('_', ' ')}: values and intervals are those of where it ended"
@@ -206,13 +206,13 @@ def _predict(
 
 
 def _errors(cases: list[Case], records: list[Records | None], values: Mapping[str, Array]) -> dict[str, Any] | None:
-    """Return RMSE [mm] by recording and marker; None where the data are no markers."""
+    """Return RMSE and residual of the alignment [mm], by recording and marker; None where the data are no markers."""
     found: dict[str, Any] = {}
     for case, record in zip(cases, records, strict=True):
         objectives = [o for o in case.objectives if isinstance(o, MarkerObjective)]
         if not objectives:
             return None
-        entry: dict[str, Any] = {"holdout": case.holdout, "rmse_mm": None}
+        entry: dict[str, Any] = {"holdout": case.holdout, "rmse_mm": None} | _alignment(case)
         if record is not None:
             misfits = [o.misfit(record, case.start_of(values)) for o in objectives]
             entry["rmse_mm"] = MILLI * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
@@ -221,6 +221,22 @@ def _errors(cases: list[Case], records: list[Records | None], values: Mapping[st
                     name: None if np.isnan(rmse) else MILLI * rmse for name, rmse in misfits[0].markers.items()
                 }
         found[case.name] = entry
+    return found
+
+
+def alignments(cases: Sequence[Case]) -> Iterator[str]:
+    """Yield a sentence on every recording that was brought into the scene's frame."""
+    for case in cases:
+        yield from (f"{case.name}: {m.alignment}" for m in case.measured if m.alignment is not None)
+
+
+def _alignment(case: Case) -> dict[str, Any]:
+    """Return how far each marker is from its rest position after alignment [mm]; nothing where there was none."""
+    found: dict[str, Any] = {}
+    for m in case.measured:
+        if m.alignment is not None:
+            away = (MILLI * m.alignment.residuals).tolist()
+            found["alignment_mm"] = dict(zip(m.names, away, strict=True))
     return found
 
 

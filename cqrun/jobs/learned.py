@@ -21,7 +21,7 @@ from cqrun.errors import RolloutError
 from cqrun.jobs.agent import CONTROLLER, FILE, Attempt, Goals
 from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.side_by_side import side_by_side
-from cqrun.jobs.trajectories import write_activation, write_trajectory
+from cqrun.jobs.trajectories import as_found, write_activation, write_trajectory
 from cqrun.optimizers.base import Outcome
 from cqrun.optimizers.constrained import AT_BOUND
 from cqrun.scene.constraint import ENDS
@@ -77,7 +77,8 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
             raise next(a.error for a in learned if isinstance(a, Lost))
         write_activation(run.path / "activation.csv", problem.built, shown.rollout.activation)
         rollout = problem.rollout(values, shown.track.goals, problem.threads)
-        told = problem.wanted(shown.track.goals)
+        found = {path: value for path, value in values.items() if not path.startswith(CONTROLLER)}
+        told = problem.wanted(shown.track.goals) | as_found(found)
         write_trajectory(run.path / "trajectory.h5", problem.built, rollout, provenance=told)
     run.write_result(result)
     return result

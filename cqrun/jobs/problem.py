@@ -19,6 +19,7 @@ from cqrun.contract import Array
 from cqrun.design.params import Params
 from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
+from cqrun.errors import UsageError
 from cqrun.jobs.cases import Case
 from cqrun.jobs.memory import least_budget, state_bytes
 from cqrun.jobs.side_by_side import Effort, side_by_side, the_value, trial
@@ -68,6 +69,22 @@ class FitProblem:
     def values(self, x: Array) -> dict[str, Array]:
         """Return the unknowns' values by path."""
         return self.params.unpack(x)
+
+    def require_reached(self, values: Mapping[str, Array]) -> None:
+        """Refuse starts of recordings, outside their bounds, that leave frames after the end of the model's run.
+
+        Raises:
+            UsageError: one is too early.
+        """
+        for case in self.cases:
+            start = case.start_of(values)
+            for objective in case.objectives:
+                if isinstance(objective, MarkerObjective) and not objective.reaches(start):
+                    raise UsageError(
+                        f"{case.start_path}: must be {objective.earliest:.6g} s or later, is {start:.6g} s: frames are "
+                        f"compared up to {objective.times[-1]:.6g} s, and the run would end before; load the scene "
+                        "with that start, or with it as an unknown whose bounds hold that value"
+                    )
 
     # --- values ---------------------------------------------------------------------------------------------
 

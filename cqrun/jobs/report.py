@@ -103,6 +103,9 @@ def _errors(result: dict[str, Any]) -> Iterator[str]:
         by_marker = ", ".join(f"{m} {'unseen' if e is None else f'{e:.3f}'}" for m, e in markers.items())
         rows.append((name, "held out" if entry["holdout"] else "fitted", rmse, by_marker if len(markers) <= 12 else ""))
     yield from table(("recording", "", "RMSE [mm]", "by marker [mm]"), rows)
+    for name, entry in result["recordings"].items():
+        if away := entry.get("alignment_mm", {}).values():
+            yield f"{name}: aligned to the rest positions within {min(away):.2f} to {max(away):.2f} mm"
 
 
 # --- control ------------------------------------------------------------------------------------------------

@@ -1,21 +1,23 @@
-"""`cqrun simulate`: run a scene forward, or what a run has trained; keep the trajectory and what the bodies did.
+"""`cqrun simulate`: run a scene forward, or what a run has learned; keep the trajectory and what the bodies did.
 
 trajectory.h5     x, v and J of every particle, at most 300 frames
 observables.csv   one row a control step (observables.py)
 result.json       where the bodies ended, their extremes, what went wrong; the objective's terms
 controller.npz    what acted, and activation.csv what drove the actuators, where there is a controller
+identified.json   in a replay of a run of sysid that run's result, whose values act
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cqrun.contract import Array
 from cqrun.design.params import REGULARISER
 from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
@@ -26,7 +28,7 @@ from cqrun.jobs.control import JOBS
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.learned import constraints_of
 from cqrun.jobs.observables import Observables
-from cqrun.jobs.replay import learned_values
+from cqrun.jobs.replay import IDENTIFIED, identified_values, kept_of_identified, learned_values, require_fitting
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import (
     build_and_warn,
@@ -38,7 +40,8 @@ from cqrun.jobs.runs import (
     saved_scene,
     scene_in,
 )
-from cqrun.jobs.trajectories import write_activation, write_trajectory
+from cqrun.jobs.trajectories import as_found, write_activation, write_trajectory
+from cqrun.jobs.unknowns import make_params
 from cqrun.scene.build import Built
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import get
@@ -66,31 +69,38 @@ def run_simulate(
     starts, with every goal at its position.
 
     Args:
-        source: a scene, or the directory of a run: its scene is run, under the controller that it trained.
+        source: a scene, or the directory of a run: its scene is run, under the controller that it trained or with the
+            values that it identified.
         controller: file of a controller that acts in the place of the scene's, or of the run's own.
 
     Raises:
         SceneError, UsageError: bad input. RunError: it blew up. Stopped: it was asked to stop.
     """
     talk, n_threads = reporter or Silent(), cores(threads)
-    trained = controller if controller is not None or not source.is_dir() else _controller_of(source, talk)
+    trained, identified = controller, None
+    if controller is None and source.is_dir():
+        identified = _identified_by(source, talk)
+        trained = _controller_of(source, talk) if identified is None else None
     overrides = [*_standing_goals(source), *overrides]
     scene = _scene(source, overrides)
     if trained is not None:
         scene = _scene(source, [*learned_values(trained, scene, overrides), *overrides])
+    if identified is not None:
+        found = identified_values(identified, _scene(source, ()), scene, overrides)
+        scene = _scene(source, [*found, *overrides])
     built = build_and_warn(scene, talk)
-    agent = make_agent(built, trained, talk)
+    agent, values = make_agent(built, trained, talk), _kept_values(built, identified)
     built = built if agent is None else agent.built
     stem = source.resolve().parent.name if source.is_dir() else source.stem
-    files = {} if trained is None else {FILE: trained}
+    files = {name: file for name, file in ((FILE, trained), (IDENTIFIED, identified)) if file is not None}
     with open_run(
         stem, built.scene, out, job="simulate", threads=n_threads, fresh=fresh, with_data=False, files=files
     ) as run:
         if finished_already(run, talk):
             return raise_if_failed(run)
-        if trained is not None:
-            write_bytes(run.path / FILE, trained.read_bytes())
-        return simulate(run, built, agent, n_threads, talk)
+        for name, file in files.items():
+            write_bytes(run.path / name, file.read_bytes())
+        return simulate(run, built, agent, values, n_threads, talk)
 
 
 def _scene(source: Path, overrides: Sequence[str]) -> Scene:
@@ -114,12 +124,34 @@ def _controller_of(run: Path, talk: Reporter) -> Path:
     if not file.is_file():
         why = "no iteration is finished" if record.get("job") in JOBS else f"it is a run of {record.get('job')}"
         raise UsageError(
-            f"{run}: has no trained controller ({why}): `cqrun simulate RUN` replays a run of control or codesign; to "
-            "run a scene give its file"
+            f"{run}: has no trained controller ({why}): `cqrun simulate RUN` replays a run of control, codesign or "
+            "sysid; to run a scene give its file"
         )
     if record["status"] not in FINISHED:
         talk.phase("the run is not finished: its best controller so far acts")
     return file
+
+
+def _identified_by(run: Path, talk: Reporter) -> Path | None:
+    """Return the result of a run of sysid, or the copy of it that a replay has; None for any other run."""
+    record = read_record(run)
+    if record.get("job") != "sysid":
+        return run / IDENTIFIED if (run / IDENTIFIED).is_file() else None
+    status, why = record["status"], f": {record['reason']}" if record.get("reason") else ""
+    if status == "failed" or not (run / "result.json").is_file():
+        raise UsageError(f"{run}: has identified nothing to replay ({status}{why}); to run its scene give the file")
+    if status not in FINISHED:
+        talk.phase("the run is not finished: the values act where it stands")
+    return run / "result.json"
+
+
+def _kept_values(built: Built, identified: Path | None) -> dict[str, Array]:
+    """Return the identified values by path that no scene can have: of groups and particles, and of shapes."""
+    if identified is None:
+        return {}
+    kept = kept_of_identified(identified, built.scene, built.particles)
+    require_fitting(identified, kept, make_params(built))
+    return kept
 
 
 def make_agent(built: Built, trained: Path | None, talk: Reporter) -> Agent | None:
@@ -161,25 +193,29 @@ def resume_simulate(run: RunDirectory, overrides: Sequence[str], threads: int, t
     if finished_already(run, talk, asked_by_scene=False):
         return raise_if_failed(run)
     built = build_and_warn(saved_scene(run), talk)
-    return simulate(run, built, make_agent(built, _kept(run), talk), threads, talk)
+    agent = make_agent(built, _kept(run, FILE, "the controller"), talk)
+    return simulate(run, built, agent, _kept_values(built, _kept(run, IDENTIFIED, "the result")), threads, talk)
 
 
-def _kept(run: RunDirectory) -> Path | None:
-    """Return the copy of the controller that a run began with, if it began with one."""
-    began_with, file = run.record["files"].get(FILE), run.path / FILE
+def _kept(run: RunDirectory, name: str, what: str) -> Path | None:
+    """Return the copy of a file that a run began with, if it began with one."""
+    began_with, file = run.record["files"].get(name), run.path / name
     if began_with is None:
         return None
     if not file.is_file() or hashlib.sha256(file.read_bytes()).hexdigest() != began_with:
-        raise UsageError(f"{file}: this copy of the controller is not what the run began with; run the scene again")
+        raise UsageError(f"{file}: this copy of {what} is not what the run began with; run the scene again")
     return file
 
 
-def simulate(run: RunDirectory, built: Built, agent: Agent | None, threads: int, talk: Reporter) -> Path:
-    """Run a scene into a run directory, under its controller if it has one."""
+def simulate(
+    run: RunDirectory, built: Built, agent: Agent | None, values: Mapping[str, Array], threads: int, talk: Reporter
+) -> Path:
+    """Run a scene into a run directory, under its controller if it has one, else with values beside the scene's."""
     compile_kernels([built], talk, adjoint=False)
     run.begin(threads)
     if agent is None:
-        rollout, seen = Rollout(built.model, built.assembly.inputs({}), threads=threads), None
+        rollout = Rollout(built.model, built.assembly.inputs(values), threads=threads)
+        seen = as_found(values)
     else:
         rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, threads)
         seen = agent.wanted(agent.goals_in_the_middle)

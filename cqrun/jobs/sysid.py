@@ -9,7 +9,7 @@ from typing import Any
 from cqrun.errors import Problem, SceneError
 from cqrun.jobs.bodies import tell_bodies
 from cqrun.jobs.cases import Case, given_cases, made_cases, own_warnings
-from cqrun.jobs.findings import write_findings
+from cqrun.jobs.findings import alignments, write_findings
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.memory import gradient_plan
 from cqrun.jobs.problem import FitProblem
@@ -152,6 +152,8 @@ def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads:
         cases = made_cases(run, built)
     for warning in own_warnings(built, cases):
         talk.warn(warning)
+    for sentence in alignments(cases):
+        run.log(sentence)
     params = make_params(built)
     problem = FitProblem(cases, params, threads=threads)
     talk.phase(f"fitting {len(params.start)} unknowns")

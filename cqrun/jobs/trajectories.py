@@ -21,6 +21,9 @@ from cqrun.store.trajectory import TrajectoryWriter
 FRAMES = 300
 """Frames after the first that a trajectory has at the most, spread evenly over the control steps."""
 
+MANY = 100
+"""A value of more numbers is told by its range: attributes of HDF5 hold 64 KiB."""
+
 
 def write_trajectory(
     path: Path,
@@ -68,6 +71,17 @@ def write_trajectory(
         if not complete:
             writer.abandon()
     return records, complete
+
+
+def as_found(values: Mapping[str, Array]) -> dict[str, Any]:
+    """Return what a trajectory says of the values that moved its bodies where its scene has others, by path."""
+
+    def told(value: Array) -> Any:
+        if value.size <= MANY:
+            return value.tolist()
+        return f"{value.size} numbers from {value.min():.6g} to {value.max():.6g}"
+
+    return {"found": {path: told(np.asarray(value)) for path, value in values.items()}} if values else {}
 
 
 def write_activation(path: Path, built: Built, activation: Array) -> None:

@@ -179,11 +179,7 @@ def _recording(case: Case) -> Iterator[str]:
             f"{number(objective.times[0])} to {number(objective.times[-1])} s, release at {number(case.start)} s, "
             f"{objective.seen.mean():.1%} seen",
         )
-        if measured.alignment is None:
-            yield line("", "positions in the scene's own frame")
-        else:
-            residuals = MILLI * measured.alignment.residuals
-            yield line("", f"aligned to the rest positions within {residuals.min():.2f} to {residuals.max():.2f} mm")
+        yield line("", str(measured.alignment or "positions in the scene's own frame"))
 
 
 # --- cost ---------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from cqrun.contract import Array
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-_SLACK = 1e-3
+SLACK = 1e-3
 """Sample times may miss the rollout's end by this part of a control step (decimal times do)."""
 
 
@@ -54,7 +54,7 @@ def interpolant(tau: Array, control_step: float, steps: int) -> Interpolant:
     Raises:
         ValueError: a time after the rollout's end.
     """
-    if np.any(tau > (steps + _SLACK) * control_step):
+    if np.any(tau > (steps + SLACK) * control_step):
         raise ValueError(f"sample at {np.max(tau):.9g} s, after the rollout's end at {steps * control_step:.9g} s")
     place = np.clip(tau / control_step, 0.0, steps)
     index = np.minimum(place.astype(int), steps - 1)

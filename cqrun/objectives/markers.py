@@ -16,7 +16,7 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.engine.model import Records
 from cqrun.errors import DataError
-from cqrun.objectives.hermite import interpolant
+from cqrun.objectives.hermite import SLACK, interpolant
 from cqrun.observers.markers import Points
 
 LEAST_FRAMES = 2
@@ -98,6 +98,15 @@ class MarkerObjective:
                 f"{source}: no marker is seen between {self.times[0]:g} and {self.times[-1]:g} s; "
                 "choose another start or length"
             )
+
+    def reaches(self, start: float) -> bool:
+        """Say whether the model's run, begun at `start` [s], lasts until the last frame that counts."""
+        return start >= self.earliest - SLACK * self.control_step
+
+    @property
+    def earliest(self) -> float:
+        """The earliest start from which the model's run lasts until the last frame that counts [s]."""
+        return float(self.times[-1]) - self.steps * self.control_step
 
     def tracks(self, record: Records, start: float) -> Array:
         """Return the model's displacements or positions at `times`, (F, M, D) [m]."""

@@ -21,7 +21,7 @@ from cqrun.scene.particles import Particles, sample, stress_key
 from cqrun.scene.paths import with_values
 from cqrun.scene.regions import boundary
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import start, tied, truths
+from cqrun.scene.unknowns import bounds_of, start, tied, truths
 
 WASTEFUL = 1e-3
 """Part of the largest stable substep below which one is hardly meant."""
@@ -59,6 +59,7 @@ def build(scene: Scene) -> Built:
     assembly = Assembly(scene, particles)
     limits = _possible(scene, _stiffest(scene, particles, assembly))
     warnings = [*particles.warnings, *_unused_episodes(scene), *_doubts(scene), *design_warnings(scene, particles)]
+    warnings += _truths_out_of_reach(scene)
     if scene.time.substeps == "auto":
         bounds = [*limits, *_possible(scene, _limits_of_data(scene, particles, assembly))]
         scene = with_values(scene, {"time.substeps": auto_substeps(scene.time.control_step, bounds)})
@@ -96,6 +97,18 @@ def _unused_episodes(scene: Scene) -> list[Problem]:
         return []
     message = "counts for nothing: no goal has a `spread` to draw from, so there is one episode"
     return [Problem(scene.where("episodes"), "episodes", message)]
+
+
+def _truths_out_of_reach(scene: Scene) -> list[Problem]:
+    """Warn of true values outside their unknowns' bounds: no fit can find them."""
+    found = []
+    for path, value in scene.synthetic.truth.items() if scene.synthetic is not None else ():
+        bounds = bounds_of(scene, path)
+        if bounds is not None and not bounds[0] <= value <= bounds[1]:
+            key = f"data.synthetic.truth.{path}"
+            message = f"{value:g} lies outside the unknown's bounds {bounds[0]:g} to {bounds[1]:g}: no fit can find it"
+            found.append(Problem(scene.where(key), key, message))
+    return found
 
 
 def _doubts(scene: Scene) -> list[Problem]:

@@ -38,7 +38,7 @@ class Recording(Spec):
     holdout: bool = Field(description="Predict it, but do not fit it", default=False)
     body: Name = Field(description="Body that carries the markers; the only one if absent")
     units: LengthUnit | None = Field(description="Of the file, if it does not say", default=None)
-    still: Interval | None = quantity("s", "Time in the file when the body rests", default=None)
+    still: Interval | None = quantity("s", "Time in the file at rest, before the run or after it", default=None)
     markers: dict[str, Vector] = quantity("m", "Rest position of each marker used", default_factory=dict)
     overrides: dict[str, Any] = Field(description="Key path -> value for this recording", default_factory=dict)
     weight: float = quantity("1", "Weight in the loss", gt=0, default=1.0)

@@ -32,7 +32,7 @@ def findings_between(scene: Scene) -> list[InitErrorDetails]:
     named = [*_faces(scene), *_bodies(scene), *_groups(scene), *findings_of_regions(scene), *_goals_named(scene)]
     named += _columns(scene)
     placed = [*_goals_unused(scene), *_goals_outside(scene), *_positions_outside(scene)]
-    return [*found, *named, *_signals(scene), *_controller(scene), *placed, *_target(scene)]
+    return [*found, *named, *_signals(scene), *_controller(scene), *placed, *_target(scene), *_skipped(scene)]
 
 
 def _faces(scene: Scene) -> Iterator[InitErrorDetails]:
@@ -171,3 +171,15 @@ def _target(scene: Scene) -> Iterator[InitErrorDetails]:
     if target is not None and target.time > scene.time.duration * (1 + 1e-9):
         message = f"{target.time:g} s is after the end of the run at {scene.time.duration:g} s"
         yield finding(message, ("data", "target", "time"))
+    at = [] if target is None or len(target.position) != scene.dim else target.position
+    for k, (place, size) in enumerate(zip(at, scene.world.size, strict=False)):
+        if not 0 <= place <= size:
+            yield finding(_outside(k, f"{place:g}", size), ("data", "target", "position"))
+
+
+def _skipped(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield recordings that skip all of a run of the scene's own duration; those with a `length` tell themselves."""
+    for name, recording in scene.recordings.items():
+        if recording.length is None and recording.skip >= scene.time.duration:
+            message = f"skips {recording.skip:g} s of a run of {scene.time.duration:g} s: nothing is left to compare"
+            yield finding(message, ("data", "recordings", name, "skip"))

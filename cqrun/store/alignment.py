@@ -20,6 +20,9 @@ from cqrun.store.recordings import Recording
 LARGEST_RESIDUAL = 5e-3
 """A marker further than this from its rest position after alignment is refused [m]."""
 
+LARGEST_SHARE = 0.05
+"""So is one further than this part of the markers' extent: on a small body swapped names leave little more."""
+
 _THINNEST = 0.02
 """Markers whose second extent is less than this part of their first count as on one line."""
 
@@ -47,6 +50,10 @@ class Alignment:
     rotation: Array
     translation: Array
     residuals: Array
+
+    def __str__(self) -> str:
+        least, most = 1e3 * self.residuals.min(), 1e3 * self.residuals.max()
+        return f"aligned to the rest positions within {least:.2f} to {most:.2f} mm"
 
 
 @dataclass(frozen=True)
@@ -82,7 +89,7 @@ def measure(recording: Recording, markers: Mapping[str, Array], still: tuple[flo
 
     Raises:
         DataError: no markers, unknown or doubled ones, another dimension, no still frames, a marker that is never
-            seen in them, fewer than 3 or collinear markers, wrong units, or a residual above 5 mm.
+            seen in them, fewer than 3 or collinear markers, wrong units, or too large a residual.
     """
     if not markers:
         raise DataError(
@@ -124,13 +131,28 @@ def still_mean(recording: Recording, still: tuple[float, float]) -> Array:
     return np.asarray(shown.sum(axis=0) / seen.sum(axis=0)[:, None])
 
 
+def require_before_motion(still: tuple[float, float], begin: float, end: float, source: str) -> None:
+    """Refuse still frames that reach into the time, `begin` to `end`, in which the model moves [s].
+
+    Raises:
+        DataError: they do; their mean would be no rest position.
+    """
+    slack = 1e-9 * max(abs(begin), abs(end))
+    if still[1] > begin + slack and still[0] < end - slack:
+        raise DataError(
+            f"{source}: the still frames, {still[0]:g} to {still[1]:g} s, reach into {begin:g} to {end:g} s, in which "
+            f"the body may move already: end `still` at {begin:g} s at the latest, the earliest that `start` may be"
+        )
+
+
 def align(mean: Array, rest: Array, names: tuple[str, ...], source: str = "") -> Alignment:
     """Return the rigid transform that lays `mean` onto `rest`, both (M, D), in the least-squares sense.
 
     In 2D the rotation stays in the plane, so that no mirror image can pass for a rotation.
 
     Raises:
-        DataError: fewer than 3 markers (2D: 2), collinear ones, wrong units, or a residual above 5 mm.
+        DataError: fewer than 3 markers (2D: 2), collinear ones, wrong units, or a residual above the lesser of
+            LARGEST_RESIDUAL and LARGEST_SHARE of the markers' extent.
     """
     dim = rest.shape[1]
     if len(rest) < dim:
@@ -141,11 +163,14 @@ def align(mean: Array, rest: Array, names: tuple[str, ...], source: str = "") ->
     rotation = _rotation(mean - mean.mean(axis=0), rest - rest.mean(axis=0))
     translation = rest.mean(axis=0) - rotation @ mean.mean(axis=0)
     residuals = np.linalg.norm(mean @ rotation.T + translation - rest, axis=1)
-    if residuals.max() > LARGEST_RESIDUAL:
+    share = LARGEST_SHARE * float(np.linalg.norm(np.ptp(rest, axis=0)))
+    largest = min(LARGEST_RESIDUAL, share)
+    if residuals.max() > largest:
         listed = ", ".join(f"'{n}' {1e3 * r:.2f}" for n, r in zip(names, residuals, strict=True))
+        why = f", {LARGEST_SHARE:.0%} of the markers' extent," if share < LARGEST_RESIDUAL else ""
         raise DataError(
-            f"{source}: after alignment a marker is {1e3 * residuals.max():.1f} mm from its rest position, "
-            f"more than {1e3 * LARGEST_RESIDUAL:g} mm (all, mm: {listed}); check the rest positions in "
+            f"{source}: after alignment a marker is {1e3 * residuals.max():.2g} mm from its rest position, "
+            f"more than {1e3 * largest:.2g} mm{why} (all, mm: {listed}); check the rest positions in "
             "`markers:`, whether two names are swapped, and that `still:` ends before the release"
         )
     return Alignment(rotation, translation, residuals)

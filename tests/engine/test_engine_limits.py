@@ -75,6 +75,19 @@ def test_a_truth_is_run_with_too():
         build(load_scene(scene, [f"time.substeps={softer}"]))
 
 
+@pytest.mark.parametrize(("truth", "told"), [(4e3, True), (2e4, False), (2.1e4, True)])
+def test_a_truth_that_no_fit_can_find_is_a_warning(truth, told):
+    """Also where it is that of what follows an unknown."""
+    E = "bodies.a.material.elastic.fixed_corotated.youngs_modulus"
+    made = {"truth": {E: truth}, "body": "a", "tracked": 5, "key_frames": 5}
+    direct = {E: {"bounds": [5e3, 2e4]}}
+    tied = {"bodies.a.material.density": {"bounds": [500, 2000], "also": {E: {"factor": 10}}}}
+    for unknowns in (direct, tied):
+        warnings = build(load_scene(SCENE | {"unknowns": unknowns, "data": {"synthetic": made}})).warnings
+        words = f"truth.{E}: {truth:g} lies outside the unknown's bounds 5000 to 20000: no fit can find it"
+        assert any(words in str(warning) for warning in warnings) is told
+
+
 def test_what_follows_a_truth_is_run_with_too():
     """Unless it has a truth of its own."""
     E, nu = (f"bodies.a.material.elastic.fixed_corotated.{name}" for name in ("youngs_modulus", "poissons_ratio"))

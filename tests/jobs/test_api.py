@@ -199,6 +199,16 @@ def record_and_fit(scene):
     return recorded(scene, {"first": file.relative_to(scene.parent)})
 
 
+def test_a_start_from_which_the_run_does_not_reach_the_last_frame(fit):
+    scene = record_and_fit(fit)
+    problem = cqrun.load(scene, ["data.recordings.first.start=0.02", "data.recordings.first.length=0.08"], threads=1)
+    assert problem.value_and_grad({"data.recordings.first.start": 0.03})[0] != problem.value_and_grad()[0]
+    with pytest.raises(
+        UsageError, match=r"recordings.first.start: must be 0.02 s or later, is 0.018 s: .* up to 0.1 s"
+    ):
+        problem.value_and_grad({"data.recordings.first.start": 0.018})
+
+
 def test_what_a_run_has_not_found(problem, beam, tmp_path):
     with pytest.raises(UsageError, match="found: this scene is no run's; load the run's directory"):
         _ = problem.found

@@ -13,10 +13,12 @@ from small_beam import E_PATH, SHEAR_PATH, Listener, assert_same, changed, resul
 from cqrun.errors import RunError, SceneError, Stopped, UsageError
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
+from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
 from cqrun.optimizers.base import TrialFailed
 from cqrun.store.history import read_history
 from cqrun.store.run import read_record
+from cqrun.store.trajectory import read_trajectory
 
 OPTIMIZERS = {
     "least_squares": "optimizer={least_squares: {max_iterations: 8}}",
@@ -93,6 +95,26 @@ def test_the_report_is_a_table(found):
     text = "\n".join(lines)
     assert "synthetic  fitted  0.0" in text
     assert "see tracks.csv, trajectory.h5" in text
+
+
+def test_the_trajectory_names_the_values_that_it_is_of(found):
+    values = {path: entry["value"] for path, entry in result_of(found[0])["unknowns"].items()}
+    assert read_trajectory(found[0] / "trajectory.h5").provenance["found"] == values
+
+
+def test_its_scene_is_replayed_with_the_values(found, tmp_path):
+    def position(run):
+        return read_trajectory(run / "trajectory.h5").fields["x"]
+
+    run, _ = found
+    replay = run_simulate(run, [], tmp_path, threads=1)
+    np.testing.assert_array_equal(position(replay), position(run))
+    assert f"youngs_modulus: {result_of(run)['unknowns'][E_PATH]['value']}" in (replay / "scene.yaml").read_text()
+    again = run_simulate(replay, ["time.duration=0.05"], tmp_path, threads=1)  # of a replay, too
+    np.testing.assert_array_equal(position(again), position(run)[:6])
+    other = run_simulate(run, [f"{E_PATH}=3.0e4"], tmp_path, threads=1)
+    assert "youngs_modulus: 30000.0" in (other / "scene.yaml").read_text()
+    assert not np.array_equal(position(other), position(run))
 
 
 def test_the_same_again_is_finished(found, tmp_path):
@@ -254,6 +276,8 @@ def test_a_truth_that_blows_up_fails_the_run(fit, tmp_path):
         identify(fit, tmp_path)
     (run,) = (tmp_path / "fit").iterdir()
     assert read_record(run)["status"] == "failed"
+    with pytest.raises(UsageError, match=r"has identified nothing to replay \(failed: data.synthetic.truth: body"):
+        run_simulate(run, [], tmp_path, threads=1)
 
 
 def test_trials_that_all_fail_end_the_run_with_their_values(fit, tmp_path, monkeypatch):

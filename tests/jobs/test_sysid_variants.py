@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import re
+import shutil
 
 import numpy as np
 import pytest
-from small_beam import E_PATH, SHEAR_PATH, Listener, record, recorded, result_of
+from small_beam import E_PATH, SHEAR_PATH, Listener, changed, record, recorded, result_of
 
 from cqrun.cli.results import draw_and_print_run
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.jobs.cases import make_cases
+from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
+from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid, with_optimizer
 from cqrun.jobs.validate import validate
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 from cqrun.store.run import read_record
+from cqrun.store.trajectory import read_trajectory
 
 ONCE = "optimizer={least_squares: {max_iterations: 1}}"
 WEIGHT = (
@@ -58,6 +62,38 @@ def test_one_held_out_blows_up(two, tmp_path, name):
     assert result["recordings"][name]["rmse_mm"] is None
     assert any(f"{name}: held out, and it blows up" in text for text in result["findings"])
     assert (run / "trajectory.h5").exists()
+
+
+def test_how_well_markers_fit_their_rest_positions_is_told(fit, tmp_path):
+    (file,) = record(fit, tmp_path / "data")
+    scene = recorded(fit, {"one": file}, still="[0, 0.02]", start="0.02", length="0.06")
+    run = find(scene, tmp_path, ONCE)
+    found = result_of(run)["recordings"]["one"]["alignment_mm"]
+    assert found.keys() == {"tip", "middle"}
+    told = f"one: aligned to the rest positions within {min(found.values()):.2f} to {max(found.values()):.2f} mm"
+    assert told in (run / "log.txt").read_text()
+    assert told in report_lines(run)
+
+
+def test_values_for_groups_and_what_follows_come_with_a_replay(fit, tmp_path):
+    """Also into a run that is stopped, and after the run that found them is gone."""
+    changed(fit, "scale: log}\n  bodies.beam.material.visc", "scale: log, per: group}\n  bodies.beam.material.visc")
+    changed(fit, "bounds: [0.5, 20], scale: log", "bounds: [0.5, 20], also: {world.gravity.1: {factor: -3}}")
+    run = find(fit, tmp_path, ONCE)
+    with pytest.raises(UsageError, match=rf"-o {E_PATH}=4e4: .* has a value of it for every group"):
+        run_simulate(run, [f"{E_PATH}=4e4"], tmp_path, threads=1)
+    tip = "{box: {corner: [0.08, 0.06], size: [0.05, 0.01]}}"
+    with pytest.raises(UsageError, match=r"holds 1 numbers of .*; this scene's unknowns have \(2,\)"):
+        run_simulate(run, [f"bodies.beam.groups.tip={tip}"], tmp_path, threads=1)
+    with pytest.raises(Stopped):
+        run_simulate(run, [], tmp_path / "again", threads=1, reporter=Listener(stop_after=3))
+    found = read_trajectory(run / "trajectory.h5")
+    shutil.rmtree(run)
+    (replay,) = (tmp_path / "again" / "fit").iterdir()
+    run_resume(replay, [], threads=1)
+    again = read_trajectory(replay / "trajectory.h5")
+    np.testing.assert_array_equal(again.fields["x"], found.fields["x"])
+    assert again.provenance["found"] == {E_PATH: found.provenance["found"][E_PATH]}  # the others are in its scene
 
 
 def test_starts_that_are_tied(two, tmp_path):

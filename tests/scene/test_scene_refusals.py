@@ -286,6 +286,12 @@ def test_a_missing_file_and_a_wrong_encoding_are_told(tmp_path: Path) -> None:
             "target.time: 9 s is after the end of the run at 1.5 s",
         ),
         ({"target": {"position": [0, 0, 0]}}, "data.target.position: must have 2 entries"),
+        ({"target": {"position": [5, 0]}}, "data.target.position: lies outside the world: x = 5 m"),
+        ({"target": {"position": [0, -0.1]}}, "data.target.position: lies outside the world: y = -0.1 m"),
+        (
+            {"recordings": {"a": {"file": "a", "skip": 1.5}}},
+            "data.recordings.a.skip: skips 1.5 s of a run of 1.5 s: nothing is left to compare",
+        ),
         (
             {"synthetic": {"truth": {"world.dx": 1}, "tracked": 9}},
             "exactly one of every, key_frames; has none",

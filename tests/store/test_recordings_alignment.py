@@ -76,6 +76,18 @@ def test_residual_is_reported_per_marker(rng):
     assert 5e-4 < residuals.max() < 2e-3
 
 
+@pytest.mark.parametrize("size", [0.018, 0.006])
+def test_swapped_names_on_a_small_body(size):
+    """Its markers are so near to each other that after the best rotation none is 5 mm away."""
+    shape = np.array([[0.0, 0.0, 0.0], [0.11, 0.16, 0.11], [0.55, 0.0, 0.22], [1.0, 0.16, 0.0]])
+    rest, names = size * shape, tuple("abcd")
+    scratched = rest + 0.01 * size * np.eye(4, 3)
+    assert align(scratched, rest, names).residuals.max() < 0.02 * size
+    for order in ([1, 0, 2, 3], [0, 1, 3, 2], [3, 2, 1, 0], [1, 2, 3, 0]):
+        with pytest.raises(DataError, match=r"more than 0\.\d+ mm, 5% of the markers' extent, .*two names are swapped"):
+            align(rest[order], rest, names, "beam.csv")
+
+
 @pytest.mark.parametrize(
     ("factor", "words"),
     [
