@@ -102,7 +102,7 @@ def _standing_goals(source: Path) -> list[str]:
     """Return overrides that draw nothing: one episode, and goals where they are, so that they may be put anywhere."""
     try:
         goals = _scene(source, ()).goals
-    except SceneError:  # which is told with the overrides in place
+    except (SceneError, UsageError):  # which is told with the overrides in place
         return []
     drawn = [f"goals.{name}.spread=null" for name, goal in goals.items() if goal.spread is not None]
     return [*drawn, "episodes.count=1", "episodes.unseen=0", "episodes.fresh=false"] if drawn else []

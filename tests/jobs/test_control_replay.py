@@ -10,13 +10,16 @@ import pytest
 from small_beam import Listener, assert_same, changed, result_of
 from small_finger import FINGER, written
 
+import cqrun
 from cqrun.controllers.saved import read_controller, save_controller
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.figures.render import Wanted, render
 from cqrun.jobs.control import Keeping, run_control
+from cqrun.jobs.export import designed
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.reporter import Silent
 from cqrun.jobs.resume import run_resume
+from cqrun.jobs.runs import open_run, scene_in
 from cqrun.jobs.simulate import UNTRAINED, run_simulate
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
@@ -143,6 +146,31 @@ def test_a_change_counts_from_where_the_training_began(tmp_path):
     assert meta.pop("starts") == {"bodies.finger.material.density": 1.0}
     save_controller(run / "controller.npz", parameters, meta)
     assert result_of(replay(run, tmp_path / "older"))["terms"]["same"] == 0.0
+
+
+def test_files_must_be_those_it_was_trained_with(trained, tmp_path):
+    """A recorded motion stands for all that parts of a scene are read from; another file may be named in its place."""
+    seen = tmp_path / "wave.csv"
+    seen.write_text("time,marker,x,y\n0,tip,0.5,0.6\n0.1,tip,0.5,0.7\n")
+    shutil.copy(seen, tmp_path / "same.csv")
+    term = "{track: {body: finger, marker: {file: FILE, marker: tip}}}"
+    recorded = "data={recordings: {swing: {file: same.csv, body: finger}}}"
+    scene = load_scene(written(tmp_path), [f"objective.way={term.replace('FILE', 'wave.csv')}", recorded])
+    with open_run("finger", scene, tmp_path / "out", job="control", threads=1, fresh=False) as begun:
+        run = begun.path
+    shutil.copy(trained / "controller.npz", run)
+    (run / "result.json").write_text("{}")
+    cqrun.load(run)
+    seen.write_text(seen.read_text().replace("0.7", "0.8"))
+    for act in (cqrun.load, designed, lambda run: replay(run, tmp_path / "replay")):
+        with pytest.raises(UsageError, match=r"wave.csv has changed since the run began; run the scene again"):
+            act(run)
+    other = f"objective.way={term.replace('FILE', 'same.csv')}"
+    cqrun.load(run, [other])
+    (tmp_path / "same.csv").write_text(seen.read_text())
+    with pytest.raises(UsageError, match=r"same.csv has changed since the run began"):
+        cqrun.load(run, ["objective.way=null"])
+    assert "way" not in scene_in(run, ["objective.way=null"]).objective  # which reads no recordings
 
 
 def test_an_untrained_controller_acts_and_says_so(tmp_path):
