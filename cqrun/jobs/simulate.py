@@ -26,7 +26,7 @@ from cqrun.jobs.control import JOBS
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.learned import constraints_of
 from cqrun.jobs.observables import Observables
-from cqrun.jobs.replay import learned_values
+from cqrun.jobs.replay import learned_values, refuse_learned
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import (
     build_and_warn,
@@ -74,10 +74,13 @@ def run_simulate(
     """
     talk, n_threads = reporter or Silent(), cores(threads)
     trained = controller if controller is not None or not source.is_dir() else _controller_of(source, talk)
-    overrides = [*_standing_goals(source), *overrides]
+    unchanged = _unchanged(source)
+    if trained is not None:
+        refuse_learned(trained, unchanged, overrides)
+    overrides = [*_standing_goals(unchanged), *overrides]
     scene = _scene(source, overrides)
     if trained is not None:
-        scene = _scene(source, [*learned_values(trained, scene, overrides), *overrides])
+        scene = _scene(source, [*learned_values(trained, scene), *overrides])
     built = build_and_warn(scene, talk)
     agent = make_agent(built, trained, talk)
     built = built if agent is None else agent.built
@@ -98,12 +101,17 @@ def _scene(source: Path, overrides: Sequence[str]) -> Scene:
     return scene_in(source, overrides) if source.is_dir() else load_scene(source, overrides)
 
 
-def _standing_goals(source: Path) -> list[str]:
-    """Return overrides that draw nothing: one episode, and goals where they are, so that they may be put anywhere."""
+def _unchanged(source: Path) -> Scene | None:
+    """Return the scene without overrides; None where it cannot be so: what is wrong is told with them in place."""
     try:
-        goals = _scene(source, ()).goals
-    except (SceneError, UsageError):  # which is told with the overrides in place
-        return []
+        return _scene(source, ())
+    except (SceneError, UsageError):
+        return None
+
+
+def _standing_goals(scene: Scene | None) -> list[str]:
+    """Return overrides that draw nothing: one episode, and goals where they are, so that they may be put anywhere."""
+    goals = {} if scene is None else scene.goals
     drawn = [f"goals.{name}.spread=null" for name, goal in goals.items() if goal.spread is not None]
     return [*drawn, "episodes.count=1", "episodes.unseen=0", "episodes.fresh=false"] if drawn else []
 

@@ -129,6 +129,10 @@ def test_numbers_for_every_particle_come_with_it(tmp_path):
     np.testing.assert_array_equal(position(replay(run, tmp_path)), position(run))
     with pytest.raises(UsageError, match=r"-o bodies.*: .* has a value of it for every group or particle"):
         replay(run, tmp_path, f"{path}=12")
+    elastic = "bodies.finger.material.elastic"
+    for part in (f"{elastic}={{neo_hookean: {{youngs_modulus: 19, poissons_ratio: 0.3}}}}", f"{elastic}={{unfit: 1}}"):
+        with pytest.raises(UsageError, match=rf"holds {path}, which was learned; override what is beside it"):
+            replay(run, tmp_path, part)
     with pytest.raises(UsageError, match="bodies and particles must be those it was trained with"):
         replay(run, tmp_path, "bodies.finger.sampling.lattice.count=3")
 
