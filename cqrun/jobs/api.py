@@ -368,13 +368,14 @@ def load(
         allow_plugins: whether the Python files that the scene names as its plug-ins may be run.
 
     Raises:
-        SceneError: every problem of the scene, each with its place. UsageError: an argument that cannot be.
+        SceneError: every problem of the scene, each with its place. UsageError: an argument that cannot be, or a run
+            that reads a file which has changed since.
     """
     n_threads = checked_threads("load", scene, overrides, threads)
     is_run = not isinstance(scene, dict) and os.path.isdir(scene)  # noqa: PTH112  Path's own raises at a long text
     run = Path(scene) if is_run else None  # type: ignore[arg-type]
     with plugins_allowed(allow_plugins):
-        given = load_scene(scene, overrides) if run is None else scene_in(run, overrides)
+        given = load_scene(scene, overrides) if run is None else scene_in(run, overrides, with_data=True)
         return Experiment(given, n_threads, run)
 
 

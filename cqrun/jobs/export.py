@@ -18,9 +18,9 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.design.spread import field
 from cqrun.errors import MissingExtra, UsageError
+from cqrun.jobs.runs import scene_in
 from cqrun.jobs.unknowns import values_found
 from cqrun.scene.build import Built, build
-from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
 from cqrun.store.atomic import make_directory, write_bytes, write_table
 from cqrun.store.run import read_record
@@ -59,7 +59,11 @@ def export_design(run: Path, out: Path) -> list[Path]:
 
 
 def designed(run: Path) -> tuple[Built, dict[str, Array]]:
-    """Return the scene of a run, and the values that were found for its unknowns and what follows them."""
+    """Return the scene of a run, and the values that were found for its unknowns and what follows them.
+
+    Raises:
+        UsageError: it is no run, has found nothing, or a file that its scene is read with has changed since.
+    """
     record = read_record(run)
     result = run / "result.json"
     if not result.is_file():
@@ -67,7 +71,7 @@ def designed(run: Path) -> tuple[Built, dict[str, Array]]:
             f"{run}: has no result yet ({record['status']}): a design is exported when the run has ended; the command "
             "that began it goes on with it"
         )
-    scene = load_scene(run / "scene.yaml", (), Path(str(record.get("base", ""))))
+    scene = scene_in(run)
     if not scene.unknowns:
         raise UsageError(f"{run}: its scene has no `unknowns`: nothing was designed")
     found = json.loads(result.read_text()).get("unknowns")

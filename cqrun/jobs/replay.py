@@ -1,6 +1,6 @@
-"""What a run has learned or identified, and acts in a replay: single numbers in the scene, all others from a file.
+"""What a run has learned and acts in a replay: single numbers in the scene, all others from the file that has them.
 
-A run of control or co-design keeps them in its controller's file, one of sysid in its result.
+The file is a controller's, with what was learned beside it, or the result of a run of sysid.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from cqrun.contract import Array
 from cqrun.controllers.saved import read_controller
 from cqrun.design.params import Params
 from cqrun.errors import SceneError, UsageError
+from cqrun.explain import listed
 from cqrun.jobs.unknowns import values_found
 from cqrun.scene.particles import Particles
 from cqrun.scene.paths import canonical, leaf, shapes_a_body
@@ -25,53 +26,72 @@ from cqrun.scene.unknowns import tied
 IDENTIFIED = "identified.json"
 """Where a replay of a run of sysid keeps that run's result."""
 
-
-def learned_values(file: Path, scene: Scene, overrides: Sequence[str]) -> list[str]:
-    """Return overrides that give a scene the single numbers that were learned with a controller.
-
-    Raises:
-        UsageError: the file is no controller's, the scene has no such number, or an override is of numbers that were
-            learned for each group or particle.
-    """
-    _, meta = read_controller(file)
-    return _as_overrides(file, meta.get("unknowns", {}), scene, overrides)
+Learned = Mapping[str, Array]
+"""Values by path: one number, or one a group or particle."""
 
 
-def identified_values(file: Path, own: Scene, scene: Scene, overrides: Sequence[str]) -> list[str]:
-    """Return overrides that give a scene the single numbers that a run has identified, and what follows them.
+def learned_in(controller: Path) -> dict[str, Array]:
+    """Return the values that were learned with a controller; UsageError for another file."""
+    _, meta = read_controller(controller)
+    return {path: np.array(value, float) for path, value in meta.get("unknowns", {}).items()}
+
+
+def identified_in(result: Path, scene: Scene) -> dict[str, Array]:
+    """Return the values that a run of sysid has identified, and of what follows them if it is single numbers.
 
     Args:
-        file: the run's result.
-        own: the run's scene, without overrides.
-        scene: the same with them.
-        overrides: of the user.
-
-    Raises:
-        UsageError: as `learned_values`.
+        result: the run's.
+        scene: its own, without overrides.
     """
-    found = _unknowns(file)
-    values: dict[str, Any] = {}
-    for path in own.unknowns:
-        name = canonical(own, path)
+    found, values = _unknowns(result), dict[str, Array]()
+    for path in scene.unknowns:
+        name = canonical(scene, path)
         value = found[name]["value"]
-        values |= {name: value} if isinstance(value, list) else tied(own, path, value)
-    return _as_overrides(file, values, scene, overrides)
+        of_path = {name: value} if isinstance(value, list) else tied(scene, path, value)
+        values |= {other: np.array(own, float) for other, own in of_path.items()}
+    return values
 
 
-def _as_overrides(file: Path, learned: Mapping[str, Any], scene: Scene, overrides: Sequence[str]) -> list[str]:
+def as_overrides(file: Path, learned: Learned, scene: Scene) -> list[str]:
+    """Return overrides that give a scene the single numbers among what a file has; UsageError where it lacks one."""
     for path in learned:
         try:
             leaf(scene, path)
         except SceneError:
             raise UsageError(f"{file}: {path} was learned in that run; this scene has no such number") from None
-    kept = {path for path, value in learned.items() if is_kept_in_file(path, np.array(value))}
+    return [f"{path}={value.item()!r}" for path, value in learned.items() if not is_kept_in_file(path, value)]
+
+
+def refuse_learned(file: Path, learned: Learned, scene: Scene | None, overrides: Sequence[str]) -> None:
+    """Refuse overrides of what stays in a file, or of a part that holds it: the file's would act.
+
+    Args:
+        file: which has the values.
+        scene: as it is without the overrides, which knows how its paths are spelt at length; None where it cannot be.
+        overrides: `key.path=value` each.
+
+    Raises:
+        UsageError: there is one.
+    """
+    kept = {path: value for path, value in learned.items() if is_kept_in_file(path, value)}
     for override in overrides:
-        key = override.partition("=")[0].strip()
-        if isinstance(learned.get(key), list):
+        key = _spelt_out(scene, override.partition("=")[0].strip())
+        if key in kept and kept[key].ndim:
             raise UsageError(f"-o {override}: {file} has a value of it for every group or particle, which were learned")
         if key in kept:
             raise UsageError(f"-o {override}: {file} holds the body's geometry, which was learned")
-    return [f"{path}={value!r}" for path, value in learned.items() if path not in kept]
+        if inside := [path for path in kept if path.startswith(f"{key}.")]:
+            raise UsageError(
+                f"-o {override}: {file} holds {listed(inside)}, which was learned; override what is beside it"
+            )
+
+
+def _spelt_out(scene: Scene | None, key: str) -> str:
+    """Return the long spelling of a key path, or the path itself where a scene has nothing there."""
+    try:
+        return key if scene is None else canonical(scene, key)
+    except SceneError:
+        return key
 
 
 def is_kept_in_file(path: str, value: Array) -> bool:
@@ -82,20 +102,18 @@ def is_kept_in_file(path: str, value: Array) -> bool:
     return value.ndim > 0 or shapes_a_body(path)
 
 
-def kept_values(file: Path) -> dict[str, Array]:
+def kept_values(controller: Path) -> dict[str, Array]:
     """Return the values by path that act in a replay and that its scene does not have; UsageError for another file."""
-    _, meta = read_controller(file)
-    learned = {path: np.array(value, float) for path, value in meta.get("unknowns", {}).items()}
-    return {path: value for path, value in learned.items() if is_kept_in_file(path, value)}
+    return {path: value for path, value in learned_in(controller).items() if is_kept_in_file(path, value)}
 
 
-def kept_of_identified(file: Path, scene: Scene, particles: Particles) -> dict[str, Array]:
+def kept_of_identified(result: Path, scene: Scene, particles: Particles) -> dict[str, Array]:
     """Return the same values of a run of sysid, from its result."""
-    values = values_found(scene, particles, _unknowns(file))
+    values = values_found(scene, particles, _unknowns(result))
     return {path: value for path, value in values.items() if is_kept_in_file(path, value)}
 
 
-def require_fitting(file: Path, kept: Mapping[str, Array], params: Params) -> None:
+def require_fitting(file: Path, kept: Learned, params: Params) -> None:
     """Refuse values for groups or particles that the unknowns of a scene do not have.
 
     Raises:
@@ -111,10 +129,10 @@ def require_fitting(file: Path, kept: Mapping[str, Array], params: Params) -> No
             )
 
 
-def _unknowns(file: Path) -> dict[str, Any]:
+def _unknowns(result: Path) -> dict[str, Any]:
     """Return the unknowns of a run's result: path -> its entry."""
     try:
-        found: dict[str, Any] = json.loads(file.read_text())["unknowns"]
+        found: dict[str, Any] = json.loads(result.read_text())["unknowns"]
     except (OSError, ValueError, KeyError) as error:
-        raise UsageError(f"{file}: unreadable ({error}); run the scene again with --fresh") from error
+        raise UsageError(f"{result}: unreadable ({error}); run the scene again with --fresh") from error
     return found

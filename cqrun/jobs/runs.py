@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -108,16 +109,36 @@ def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
             "changed since the run began; give it its name back, or run the scene again"
         )
     scene = load_scene(run.path / "scene.yaml", overrides, Path(run.record["base"]))
-    for name, path in part_files(scene).items():
-        began_with = run.record["files"].get(name)
-        if path.is_file() and began_with not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
-            raise UsageError(f"{run.path}: {path} has changed since the run began; run the scene again")
+    _require_as_begun(run.path, run.record, part_files(scene))
     return scene
 
 
-def scene_in(folder: Path, overrides: Sequence[str] = ()) -> Scene:
-    """Return the scene of the run in a folder, without taking hold of it; UsageError where there is no run."""
-    return load_scene(folder / "scene.yaml", overrides, Path(str(read_record(folder).get("base", ""))))
+def scene_in(folder: Path, overrides: Sequence[str] = (), *, with_data: bool = False) -> Scene:
+    """Return the scene of the run in a folder, without taking hold of it.
+
+    Args:
+        folder: the run's.
+        overrides: of its scene; a file that they name in the place of another may be any.
+        with_data: whether the recordings are read that the scene names.
+
+    Raises:
+        UsageError: there is no run, or a file that its scene is read with has changed since.
+    """
+    record = read_record(folder)
+    scene = load_scene(folder / "scene.yaml", overrides, Path(str(record.get("base", ""))))
+    data = [recording.file for recording in scene.recordings.values()] if with_data else []
+    _require_as_begun(folder, record, part_files(scene) | {name: scene.resolve_path(name) for name in data})
+    return scene
+
+
+def _require_as_begun(run: Path, record: Mapping[str, Any], files: Mapping[str, Path]) -> None:
+    """Refuse files, by the names the scene uses, that are not what the run began with; a missing one is told later."""
+    for name, path in files.items():
+        began_with = record.get("files", {}).get(name)
+        if path.is_file() and began_with not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
+            raise UsageError(
+                f"{run}: {path} has changed since the run began; run the scene again, or put back the file that it was"
+            )
 
 
 def require_same_data(run: RunDirectory) -> None:

@@ -28,7 +28,15 @@ from cqrun.jobs.control import JOBS
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.learned import constraints_of
 from cqrun.jobs.observables import Observables
-from cqrun.jobs.replay import IDENTIFIED, identified_values, kept_of_identified, learned_values, require_fitting
+from cqrun.jobs.replay import (
+    IDENTIFIED,
+    as_overrides,
+    identified_in,
+    kept_of_identified,
+    learned_in,
+    refuse_learned,
+    require_fitting,
+)
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import (
     build_and_warn,
@@ -81,13 +89,17 @@ def run_simulate(
     if controller is None and source.is_dir():
         identified = _identified_by(source, talk)
         trained = _controller_of(source, talk) if identified is None else None
-    overrides = [*_standing_goals(source), *overrides]
-    scene = _scene(source, overrides)
+    unchanged, file, learned = _unchanged(source), trained or identified, dict[str, Array]()
     if trained is not None:
-        scene = _scene(source, [*learned_values(trained, scene, overrides), *overrides])
-    if identified is not None:
-        found = identified_values(identified, _scene(source, ()), scene, overrides)
-        scene = _scene(source, [*found, *overrides])
+        learned = learned_in(trained)
+    elif identified is not None:
+        learned = identified_in(identified, unchanged or _scene(source, ()))
+    if file is not None:
+        refuse_learned(file, learned, unchanged, overrides)
+    overrides = [*_standing_goals(unchanged), *overrides]
+    scene = _scene(source, overrides)
+    if file is not None:
+        scene = _scene(source, [*as_overrides(file, learned, scene), *overrides])
     built = build_and_warn(scene, talk)
     agent, values = make_agent(built, trained, talk), _kept_values(built, identified)
     built = built if agent is None else agent.built
@@ -108,12 +120,17 @@ def _scene(source: Path, overrides: Sequence[str]) -> Scene:
     return scene_in(source, overrides) if source.is_dir() else load_scene(source, overrides)
 
 
-def _standing_goals(source: Path) -> list[str]:
-    """Return overrides that draw nothing: one episode, and goals where they are, so that they may be put anywhere."""
+def _unchanged(source: Path) -> Scene | None:
+    """Return the scene without overrides; None where it cannot be so: what is wrong is told with them in place."""
     try:
-        goals = _scene(source, ()).goals
-    except SceneError:  # which is told with the overrides in place
-        return []
+        return _scene(source, ())
+    except (SceneError, UsageError):
+        return None
+
+
+def _standing_goals(scene: Scene | None) -> list[str]:
+    """Return overrides that draw nothing: one episode, and goals where they are, so that they may be put anywhere."""
+    goals = {} if scene is None else scene.goals
     drawn = [f"goals.{name}.spread=null" for name, goal in goals.items() if goal.spread is not None]
     return [*drawn, "episodes.count=1", "episodes.unseen=0", "episodes.fresh=false"] if drawn else []
 
@@ -219,6 +236,10 @@ def simulate(
     else:
         rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, threads)
         seen = agent.wanted(agent.goals_in_the_middle)
+    otherwise = [] if agent is None else agent.otherwise
+    for sentence in otherwise:
+        talk.warn(sentence)
+        run.log(sentence)
     tell_bodies(built, run, talk, rollout.inputs)
     time, model = built.scene.time, built.model
     talk.phase(f"simulating {model.layout.n_particles} particles, {model.n_steps} substeps")
@@ -254,6 +275,7 @@ def simulate(
     for sentence in result["findings"]:
         talk.warn(sentence)
         run.log(sentence)
+    result["findings"] += otherwise
     run.write_result(result)
     run.finish("done", result["message"])
     return run.path

@@ -10,13 +10,17 @@ import pytest
 from small_beam import Listener, assert_same, changed, result_of
 from small_finger import FINGER, written
 
+import cqrun
 from cqrun.controllers.saved import read_controller, save_controller
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.figures.render import Wanted, render
+from cqrun.jobs.agent import Agent
 from cqrun.jobs.control import Keeping, run_control
+from cqrun.jobs.export import designed
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.reporter import Silent
 from cqrun.jobs.resume import run_resume
+from cqrun.jobs.runs import open_run, scene_in
 from cqrun.jobs.simulate import UNTRAINED, run_simulate
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
@@ -126,6 +130,10 @@ def test_numbers_for_every_particle_come_with_it(tmp_path):
     np.testing.assert_array_equal(position(replay(run, tmp_path)), position(run))
     with pytest.raises(UsageError, match=r"-o bodies.*: .* has a value of it for every group or particle"):
         replay(run, tmp_path, f"{path}=12")
+    elastic = "bodies.finger.material.elastic"
+    for part in (f"{elastic}={{neo_hookean: {{youngs_modulus: 19, poissons_ratio: 0.3}}}}", f"{elastic}={{unfit: 1}}"):
+        with pytest.raises(UsageError, match=rf"holds {path}, which was learned; override what is beside it"):
+            replay(run, tmp_path, part)
     with pytest.raises(UsageError, match="bodies and particles must be those it was trained with"):
         replay(run, tmp_path, "bodies.finger.sampling.lattice.count=3")
 
@@ -143,6 +151,31 @@ def test_a_change_counts_from_where_the_training_began(tmp_path):
     assert meta.pop("starts") == {"bodies.finger.material.density": 1.0}
     save_controller(run / "controller.npz", parameters, meta)
     assert result_of(replay(run, tmp_path / "older"))["terms"]["same"] == 0.0
+
+
+def test_files_must_be_those_it_was_trained_with(trained, tmp_path):
+    """A recorded motion stands for all that parts of a scene are read from; another file may be named in its place."""
+    seen = tmp_path / "wave.csv"
+    seen.write_text("time,marker,x,y\n0,tip,0.5,0.6\n0.1,tip,0.5,0.7\n")
+    shutil.copy(seen, tmp_path / "same.csv")
+    term = "{track: {body: finger, marker: {file: FILE, marker: tip}}}"
+    recorded = "data={recordings: {swing: {file: same.csv, body: finger}}}"
+    scene = load_scene(written(tmp_path), [f"objective.way={term.replace('FILE', 'wave.csv')}", recorded])
+    with open_run("finger", scene, tmp_path / "out", job="control", threads=1, fresh=False) as begun:
+        run = begun.path
+    shutil.copy(trained / "controller.npz", run)
+    (run / "result.json").write_text("{}")
+    cqrun.load(run)
+    seen.write_text(seen.read_text().replace("0.7", "0.8"))
+    for act in (cqrun.load, designed, lambda run: replay(run, tmp_path / "replay")):
+        with pytest.raises(UsageError, match=r"wave.csv has changed since the run began; run the scene again"):
+            act(run)
+    other = f"objective.way={term.replace('FILE', 'same.csv')}"
+    cqrun.load(run, [other])
+    (tmp_path / "same.csv").write_text(seen.read_text())
+    with pytest.raises(UsageError, match=r"same.csv has changed since the run began"):
+        cqrun.load(run, ["objective.way=null"])
+    assert "way" not in scene_in(run, ["objective.way=null"]).objective  # which reads no recordings
 
 
 def test_an_untrained_controller_acts_and_says_so(tmp_path):
@@ -193,6 +226,25 @@ def test_a_stopped_replay_runs_again_with_its_own_copy(trained, tmp_path):
 def test_a_controller_that_is_not_this_scenes_is_refused(trained, tmp_path, override, message):
     with pytest.raises(UsageError, match=rf"controller.npz: .*{message}"):
         replay(trained, tmp_path, override)
+
+
+def test_parameters_that_mean_something_else_are_told(trained, tmp_path):
+    """Ranges and the spread of the start say nothing of what was learned; an older file does not tell."""
+    gain, seen = "controller.linear_tanh.gain", "observers.parts.centroids.groups"
+    neither = ("controller.linear_tanh.spread=0.5", "observers.clock.clock.range=[0, 1]")
+    other = (f"{gain}=0.2", f"{seen}=[tip, left, right]", "actuators.muscle.muscle.rate=50", *neither)
+    listener = Listener()
+    run = replay(trained, tmp_path, *other, reporter=listener)
+    (told,) = (line for line in listener.said if "acts otherwise" in line)
+    assert told.startswith(f"warning: {trained}/controller.npz: acts otherwise than it was trained to: ")
+    assert f"{gain} was 1.0, is 0.2; {seen} was absent, is ['tip', 'left', 'right']; " in told
+    assert told.endswith("actuators.muscle.muscle.rate was absent, is 50.0")
+    assert told.removeprefix("warning: ") in result_of(run)["findings"]
+    parameters, meta = read_controller(trained / "controller.npz")
+    del meta["meaning"]
+    save_controller(tmp_path / "older.npz", parameters, meta)
+    assert Agent(build(load_scene(trained / "scene.yaml", other)), tmp_path / "older.npz").otherwise == []
+    assert Agent(build(load_scene(trained / "scene.yaml", neither)), trained / "controller.npz").otherwise == []
 
 
 def test_elsewhere_what_lies_at_a_place_in_the_world_acts_on_others(tmp_path):
