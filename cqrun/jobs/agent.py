@@ -261,7 +261,7 @@ class Agent:
         """Return an episode that has been run, with its loss and what its constraints hold."""
         track, held_track = (self.track(records, rollout, goals, asking=asking) for asking in (OBJECTIVE, CONSTRAINTS))
         terms, held = self.objective.values(track), self.constraints.values(held_track)
-        return Attempt(self.objective.loss(track), terms, rollout, track, held, held_track)
+        return Attempt(self.objective.weighed(terms), terms, rollout, track, held, held_track)
 
     def attempt(
         self, values: Values, goals: Goals, threads: int, observe: Callable[[int, State], None] | None = None

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from cqrun.contract import Array
 from cqrun.geometry.region import ChosenRegion
-from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar
+from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar, reduced_vjp
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import single
 from cqrun.registry import plugin
+from cqrun.tensor import inner, mul, mul_at, plus_diagonal, scale, trace
+
+TINY = np.finfo(float).tiny
+
+AT_A_TIME = 16384
+"""Particles times control steps whose powers are taken together."""
 
 
 @plugin("objective", "stretch")
@@ -42,7 +48,10 @@ class Stretch(ObjectiveTerm):
 
 
 class Bound(BoundTerm):
-    """The p-norm: sum_k lambda_k^p = tr (F^T F)^(p/2), whose derivative by F is p F (F^T F)^(p/2 - 1)."""
+    """The p-norm: sum_k lambda_k^p = tr A^(p/2) with A = F^T F; its derivative by F is p F A^(p/2 - 1).
+
+    The power comes by repeated squaring, all particles at a time: ten times as fast as their singular values.
+    """
 
     over: Over | Literal["smooth_maximum"]  # type: ignore[assignment]
 
@@ -56,36 +65,73 @@ class Bound(BoundTerm):
 
     def value_vjp(self, track: Track, bar: float) -> TrackBar:
         """Return the cotangent of the track from that of the value."""
-        if self.over != "smooth_maximum":
-            return super().value_vjp(track, bar)
-        h = self.steps(track)
-        return self.steps_vjp(track, bar * (h / _norm(h, self.power)) ** (self.power - 1))
+        powers = self._powers(track)
+        h = _norms(powers)
+        if self.over == "smooth_maximum":
+            return _track_bar(powers, bar * (h / _norm(h, self.power)) ** (self.power - 1))
+        return _track_bar(powers, reduced_vjp(h, self.over, track.control_step, bar))
 
     def steps(self, track: Track) -> Array:
-        F, size = _over_largest(track)
-        total = np.trace(np.linalg.matrix_power(_square(F), self.power // 2), axis1=2, axis2=3).sum(axis=1)
-        return np.asarray(size * total ** (1.0 / self.power))
+        return _norms(self._powers(track))
 
     def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
-        F, _ = _over_largest(track)
-        below = np.linalg.matrix_power(_square(F), self.power // 2 - 1)
-        total = np.trace(below @ _square(F), axis1=2, axis2=3).sum(axis=1)
-        F_bar = np.zeros(track.F.shape)
-        F_bar[1:] = (h_bar * total ** (1.0 / self.power - 1.0))[:, None, None, None] * (F @ below)
-        return TrackBar(F=F_bar)
+        return _track_bar(self._powers(track), h_bar)
+
+    def _powers(self, track: Track) -> list[Powers]:
+        """Return those of the control steps 1 .. T, some steps at a time: what is squared stays in the cache."""
+        steps = max(1, AT_A_TIME // track.F.shape[1])
+        return [Powers(track.F[k : k + steps], self.power) for k in range(1, len(track.F), steps)]
 
 
-def _over_largest(track: Track) -> tuple[Array, Array]:
-    """Return F (T, K, D, D) over its step's largest stretch (T,), so that sums of powers lie between 1 and K D."""
-    F = track.F[1:]
-    size = np.maximum(np.linalg.norm(F.real, 2, axis=(2, 3)).max(axis=1), np.finfo(float).tiny)
-    return F / size[:, None, None, None], size
+class Powers:
+    """The p-norm of the stretches at some control steps, and what its derivative needs.
+
+    Args:
+        F: (T, K, D, D).
+        power: p, even.
+
+    Attributes:
+        norm: (T,) of all principal stretches of a step's particles.
+    """
+
+    def __init__(self, F: Array, power: int) -> None:
+        self.dim = dim = F.shape[-1]
+        size = np.maximum(np.abs(F.real).max(axis=(1, 2, 3)), TINY)  # over it, no power is too large
+        self.F = tuple(F[..., i, j] / size[:, None] for i in range(dim) for j in range(dim))
+        A = mul_at(self.F, self.F)
+        self.below, log = _power(A, power // 2 - 1)
+        self.total = inner(self.below, A).sum(axis=1)
+        self.scaled = np.exp(log / power) * self.total ** (1.0 / power)
+        self.norm = size * self.scaled
+
+    def slope(self, h_bar: Array) -> Array:
+        """Return the cotangent of F (T, K, D, D) from that of the norm (T,)."""
+        entries = scale(mul(self.F, self.below), (h_bar * self.scaled / self.total)[:, None])
+        return np.stack(entries, axis=-1).reshape(*entries[0].shape, self.dim, self.dim)
+
+
+def _norms(powers: list[Powers]) -> Array:
+    return np.concatenate([each.norm for each in powers])
+
+
+def _track_bar(powers: list[Powers], h_bar: Array) -> TrackBar:
+    parts = np.split(h_bar, np.cumsum([len(each.norm) for each in powers])[:-1])
+    slopes = [each.slope(part) for each, part in zip(powers, parts, strict=True)]
+    return TrackBar(F=np.concatenate([np.zeros_like(slopes[0][:1]), *slopes]))  # the start counts for nothing
+
+
+def _power(A: Any, n: int) -> tuple[Any, Array]:
+    """Return B and log c (T,), A^n = c B, for tuples of entries (T, K): the greatest trace of B in a step is 1."""
+    if n > 1:
+        half, log = _power(A, n // 2)
+        B, log = mul(half, half), 2.0 * log
+        B = mul(B, A) if n % 2 else B
+    else:
+        B, log = A if n else plus_diagonal(scale(A, 0.0), 1.0), np.zeros(len(A[0]))
+    top = np.maximum(trace(B).real.max(axis=1), TINY)
+    return scale(B, 1.0 / top[:, None]), log + np.log(top)
 
 
 def _norm(h: Array, power: int) -> float:
     top = h.real.max()
     return top * ((h / top) ** power).sum() ** (1.0 / power)
-
-
-def _square(F: Array) -> Array:
-    return np.swapaxes(F, 2, 3) @ F

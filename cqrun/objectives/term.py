@@ -126,7 +126,11 @@ class Objective:
 
     def loss(self, track: Track) -> float:
         """Return the sum over terms of sense * weight * value."""
-        return sum(self.factors[name] * value for name, value in self.values(track).items())
+        return self.weighed(self.values(track))
+
+    def weighed(self, values: Mapping[str, float]) -> float:
+        """Return the loss of terms whose values are known."""
+        return sum(self.factors[name] * value for name, value in values.items())
 
     def loss_vjp(self, track: Track, bar: float = 1.0) -> TrackBar:
         """Return the cotangent of the track from that of the loss."""

@@ -70,6 +70,14 @@ def test_the_loss_is_the_mean_over_episodes(rng):
     np.testing.assert_array_equal(problem.term_values()[:1], [pair])
 
 
+def test_every_term_is_evaluated_once(monkeypatch):
+    problem, asked = finger(), []
+    for name, bound in problem.objective.terms.items():
+        monkeypatch.setattr(bound, "value", lambda track, name=name, own=bound.value: asked.append(name) or own(track))
+    problem.value(problem.start)
+    assert asked == list(problem.objective.terms)
+
+
 @needs_jit
 def test_episodes_side_by_side_change_no_bit(rng):
     x = 0.1 * rng.normal(size=len(finger().start))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Annotated, Any
 
 import numpy as np
@@ -205,6 +206,27 @@ def test_stretch_is_never_below_the_largest_and_near_it(power):
     F[4], F[5] = 1e100 * np.eye(2), 1e-100 * np.eye(2)
     assert bound.value(track) == pytest.approx(1e100 * above)
     assert np.isfinite(bound.value_vjp(track, 1.0).F).all()
+
+
+def test_stretch_costs_less_than_singular_values(rng):
+    """Value and slope together; of no fewer particles than are powered at a time, so that these are several times."""
+    bound = term("stretch", body="arm").bind(MATTER)
+    F = np.eye(2) + 0.1 * rng.normal(size=(20, 4000, 2, 2))
+    track = Track(np.zeros(F.shape[:3]), np.zeros(F.shape[:3]), F, F, np.zeros((19, 1)), {}, CONTROL_STEP)
+    singular = np.linalg.norm(F[1:], 2, axis=(2, 3))
+    value = bound.value(track)
+    assert singular.max() <= value <= singular.max() * (2 * singular.size) ** (1 / 256)
+    slope = bound.value_vjp(track, 1.0).F
+    assert (slope * F).sum() == pytest.approx(value), "stretched by a factor, so is the largest stretch"
+    assert not slope[0].any()
+
+    def seconds(what):
+        begin = time.thread_time()
+        what()
+        return time.thread_time() - begin
+
+    own = min(seconds(lambda: (bound.value(track), bound.value_vjp(track, 1.0))) for _ in range(3))
+    assert own < min(seconds(lambda: np.linalg.norm(F[1:], 2, axis=(2, 3))) for _ in range(3))
 
 
 def test_unchanged_is_the_mean_squared_relative_change():
