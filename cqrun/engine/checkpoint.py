@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from math import prod
 from typing import Any
 
@@ -49,6 +50,7 @@ def repetitions(n: int, snapshots: int) -> int:
     return t * n - reach * t // (snapshots + 1) + n
 
 
+@lru_cache(4096)  # asked for every number of gradients side by side
 def make_plan(n_steps: int, state_bytes: int, budget: int) -> Plan:
     """Return the plan of least work within the budget.
 

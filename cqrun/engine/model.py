@@ -222,7 +222,8 @@ class Records(NamedTuple):
         """Return kernel rows (T + 1, rows, K)."""
         flat = (*self.x.shape[:2], self.x.shape[2] ** 2)  # not -1: there may be no rows
         parts = [self.x, self.v, self.C.reshape(flat), self.F.reshape(flat)]
-        return np.ascontiguousarray(np.concatenate(parts, axis=2).transpose(0, 2, 1))
+        out = np.empty((len(self.x), sum(part.shape[2] for part in parts), self.x.shape[1]), self.x.dtype)
+        return np.concatenate([part.transpose(0, 2, 1) for part in parts], axis=1, out=out)
 
     @classmethod
     def zeros(cls, n_controls: int, k: int, dim: int) -> Records:

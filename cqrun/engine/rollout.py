@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,14 @@ CHAINED_FROM = 3 << 20
 """Bytes of a state from which substeps are chained tile by tile: from there what one touches leaves the last cache."""
 
 
+def useful_threads(model: Model, threads: int) -> int:
+    """Return how many of the threads have enough to do in a rollout."""
+    if config.DISABLE_JIT:  # there is no barrier for them to meet at
+        return 1
+    n, substeps = model.layout.n_particles, model.substeps
+    return max(1, min(threads, n // THREAD_WORTH, n * substeps // CALL_WORTH))
+
+
 class Rollout:
     """One model with one set of inputs.
 
@@ -65,7 +73,7 @@ class Rollout:
     ) -> None:
         self.model, self.inputs = model, inputs
         self.adjoint, self.policy = adjoint, policy
-        self.team = Team(self._useful(threads))
+        self.team = Team(useful_threads(model, threads))
         self._pack()
         self.rows = rows_of(model.dim)[-1]
         self.records: Array = np.zeros((model.n_controls + 1, self.rows, len(self.probe.start) - 1))
@@ -92,13 +100,6 @@ class Rollout:
         return self.team.size
 
     # --- setting up ---------------------------------------------------------------------------------
-
-    def _useful(self, threads: int) -> int:
-        """Return how many of the threads have enough to do."""
-        if config.DISABLE_JIT:  # there is no barrier for them to meet at
-            return 1
-        n, substeps = self.model.layout.n_particles, self.model.substeps
-        return max(1, min(threads, n // THREAD_WORTH, n * substeps // CALL_WORTH))
 
     def _chained(self) -> bool:
         """Say whether substeps may follow each other tile by tile: what pushes must see all particles in between."""
@@ -290,13 +291,14 @@ class Rollout:
         self.parameters_bar = sweep.parameters_bar
         return records, sweep.inputs_bar()
 
-    def gradients(self, loss_bars: Callable[[Records, State], Sequence[LossBar]]) -> tuple[Records, list[Backward]]:
+    def gradients(self, loss_bars: Callable[[Records, State], Iterable[LossBar]]) -> tuple[Records, list[Backward]]:
         """Run forward once, and backward once for each of several functions; return the records and the sweeps.
 
         States that were not kept are computed again once, whatever the number of functions.
 
         Args:
-            loss_bars: given the records and the final state, returns each function's cotangents.
+            loss_bars: given the records and the final state, returns each function's cotangents; from an iterator
+                one is taken after the other, and not kept.
         """
         model = self.model
         n_steps = model.n_steps
@@ -307,7 +309,7 @@ class Rollout:
         return records, sweeps
 
     def _sweep(
-        self, plan: Plan, states: Array, loss_bars: Callable[[Records, State], Sequence[LossBar]]
+        self, plan: Plan, states: Array, loss_bars: Callable[[Records, State], Iterable[LossBar]]
     ) -> tuple[Records, list[Backward]]:
         """Run forward and backward as planned, with memory for the plan's states."""
         model = self.model
@@ -334,8 +336,7 @@ class Rollout:
             elif isinstance(action, EndForward):
                 final = chunk_states[n_steps - ends(plan.n_chunks - 1)]
                 records = Records.from_rows(self.records.copy(), model.dim)
-                for loss_bar in loss_bars(records, self.unpack(final, model.n_controls)):
-                    sweeps.append(Backward(self, loss_bar))
+                sweeps += [Backward(self, bar) for bar in loss_bars(records, self.unpack(final, model.n_controls))]
             elif isinstance(action, Reverse):
                 for sweep in sweeps:
                     sweep.run(ends(action.n0), ends(action.n1), chunk_states)

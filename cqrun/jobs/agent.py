@@ -6,8 +6,8 @@ that it must find again: the ranges of its observations, the length of the runs 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from cqrun.explain import listed
 from cqrun.jobs.acted_on import acted_on, require_same
 from cqrun.jobs.meaning import differences, meaning_of
 from cqrun.jobs.replay import kept_values, require_fitting
+from cqrun.jobs.side_by_side import Effort
 from cqrun.jobs.unknowns import make_params
 from cqrun.objectives.term import Objective, Track, TrackBar
 from cqrun.observers.matter import Matter, Unfit
@@ -60,23 +61,28 @@ class Mix:
     constraints: Mapping[str, float]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Attempt:
-    """One rollout under the policy.
+    """What is left of one rollout under the policy: not its grid, nor its records, which many episodes could not keep.
 
     Attributes:
         loss: of the objective.
-        terms: their values by name.
-        rollout, track: the rollout, and what the objective sees of it.
-        held, held_track: the constraints' terms by name, and what they see of it.
+        terms, held: values of its terms, and of the constraints', by name.
+        goals: of the episode.
+        activation: (T, A) as the policy decided.
+        saw: (T, Z) what the controller got.
+        growth_at: the control step where a gradient grew most, as `Rollout` has it.
+        effort: what its gradients cost.
     """
 
     loss: float
     terms: dict[str, float]
-    rollout: Rollout
-    track: Track
     held: dict[str, float]
-    held_track: Track
+    goals: Goals
+    activation: Array
+    saw: Array
+    growth_at: int = -1
+    effort: Effort = field(default_factory=Effort)
 
 
 class Agent:
@@ -259,9 +265,21 @@ class Agent:
 
     def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:
         """Return an episode that has been run, with its loss and what its constraints hold."""
-        track, held_track = (self.track(records, rollout, goals, asking=asking) for asking in (OBJECTIVE, CONSTRAINTS))
+        return self._judged(rollout, *self._tracks(rollout, records, goals))
+
+    def _tracks(self, rollout: Rollout, records: Records, goals: Goals) -> tuple[Track, Track]:
+        """Return a run as the objective sees it, and as the constraints do."""
+        return (
+            self.track(records, rollout, goals, asking=OBJECTIVE),
+            self.track(records, rollout, goals, asking=CONSTRAINTS),
+        )
+
+    def _judged(self, rollout: Rollout, track: Track, held_track: Track) -> Attempt:
         terms, held = self.objective.values(track), self.constraints.values(held_track)
-        return Attempt(self.objective.weighed(terms), terms, rollout, track, held, held_track)
+        policy: Any = rollout.policy
+        return Attempt(
+            self.objective.weighed(terms), terms, held, track.goals, rollout.activation.copy(), np.array(policy.saw)
+        )
 
     def attempt(
         self, values: Values, goals: Goals, threads: int, observe: Callable[[int, State], None] | None = None
@@ -288,18 +306,22 @@ class Agent:
         rollout = self.rollout(values, goals, threads, adjoint=True)
         rollout.model = replace(self.model, memory_budget=budget)
         found: list[Attempt] = []
-        bars: list[tuple[LossBar | None, Array | None]] = []
+        asked: list[tuple[bool, Array | None]] = []  # of each function, whether it has a sweep, and its design's bar
 
-        def loss_bars(records: Records, final: State) -> list[LossBar]:
-            found.append(self.judged(rollout, records, goals))
-            bars.extend(self._bars(records, found[0], mix) for mix in mixes(found[0]))
-            return [loss_bar for loss_bar, _ in bars if loss_bar is not None]
+        def loss_bars(records: Records, final: State) -> Iterator[LossBar]:
+            tracks = self._tracks(rollout, records, goals)
+            found.append(self._judged(rollout, *tracks))
+            for mix in mixes(found[0]):
+                loss_bar, design_bar = self._bars(records, *tracks, mix)
+                asked.append((loss_bar is not None, design_bar))
+                if loss_bar is not None:
+                    yield loss_bar
 
         own = {p: v for p, v in values.items() if not p.startswith(CONTROLLER)}
         _, sweeps = rollout.gradients(loss_bars)
         waiting, gradients = iter(sweeps), []
-        for loss_bar, design_bar in bars:
-            if loss_bar is None:  # of the design alone
+        for swept, design_bar in asked:
+            if not swept:  # of the design alone
                 inputs_bar, parameters_bar = Inputs.zeros_like(rollout.inputs), rollout.policy.parameters_zero()  # type: ignore[union-attr]
             else:
                 sweep = next(waiting)
@@ -308,9 +330,9 @@ class Agent:
                 self.built.assembly.add_design_bar(inputs_bar, design_bar)
             by_controller = {CONTROLLER + name: bar for name, bar in parameters_bar.items()}
             gradients.append(by_controller | self.built.assembly.gradient(own, inputs_bar))
-        return found[0], gradients
+        return replace(found[0], growth_at=rollout.growth_at, effort=Effort.of(rollout)), gradients
 
-    def _bars(self, records: Records, attempt: Attempt, mix: Mix) -> tuple[LossBar | None, Array | None]:
+    def _bars(self, records: Records, track: Track, held_track: Track, mix: Mix) -> tuple[LossBar | None, Array | None]:
         """Return the cotangents of what the rollout gives, and of the design (Q, N), for one function of an episode.
 
         None where it depends on nothing of that kind.
@@ -318,8 +340,8 @@ class Agent:
         full = Records(*(np.zeros_like(a) for a in (records.x, records.v, records.C, records.F)))
         whole, moves = TrackBar(), False
         for asking, bar in (
-            (OBJECTIVE, self.objective.loss_vjp(attempt.track, mix.loss) if mix.loss else TrackBar()),
-            (CONSTRAINTS, self.constraints.values_vjp(attempt.held_track, mix.constraints)),
+            (OBJECTIVE, self.objective.loss_vjp(track, mix.loss) if mix.loss else TrackBar()),
+            (CONSTRAINTS, self.constraints.values_vjp(held_track, mix.constraints)),
         ):
             for name in ("x", "v", "C", "F"):
                 part = getattr(bar, name)

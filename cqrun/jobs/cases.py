@@ -18,6 +18,7 @@ from cqrun.engine.model import Inputs, LossBar, Model, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import DataError, Problem, RolloutError, RunError, SceneError
 from cqrun.jobs.runs import data_files
+from cqrun.jobs.side_by_side import Effort
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.objectives.target import TargetObjective
 from cqrun.observers.markers import Points, centroid, markers, particles
@@ -104,8 +105,8 @@ class Case:
 
     def gradient(
         self, values: Mapping[str, Array], weights: Array, threads: int = 1, budget: int | None = None
-    ) -> tuple[float, dict[str, Array], Rollout]:
-        """Return sum of weights[k] * loss_k, its gradient by path, and the rollout."""
+    ) -> tuple[float, dict[str, Array], Effort]:
+        """Return sum of weights[k] * loss_k, its gradient by path, and what that cost."""
         model = self.built.model if budget is None else replace(self.built.model, memory_budget=budget)
         start = self.start_of(values)
         rollout = Rollout(model, self.inputs(values), threads=threads, adjoint=True)
@@ -129,7 +130,7 @@ class Case:
         gradient = self.built.assembly.gradient(values, inputs_bar)
         if self.start_path in gradient:
             gradient[str(self.start_path)] += found["start"]
-        return found["loss"], gradient, rollout
+        return found["loss"], gradient, Effort.of(rollout)
 
 
 def make_cases(built: Built, directory: Path | None = None) -> list[Case]:

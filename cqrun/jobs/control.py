@@ -21,7 +21,7 @@ from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.faint import faint
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.learned import blown_up, write_learned
-from cqrun.jobs.memory import gradient_plan
+from cqrun.jobs.memory import gradient_plan, gradients_at_once, require_records
 from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import (
     Progress,
@@ -35,7 +35,14 @@ from cqrun.jobs.runs import (
     stopping,
 )
 from cqrun.optimizers.base import Optimizer
-from cqrun.optimizers.constrained import VIOLATION, ConstrainedOptimizer, excess_told, ranked, report_names
+from cqrun.optimizers.constrained import (
+    VIOLATION,
+    ConstrainedOptimizer,
+    ReplayedConstrained,
+    excess_told,
+    ranked,
+    report_names,
+)
 from cqrun.registry import plugins
 from cqrun.scene.build import Built
 from cqrun.scene.load import dump, load_scene, resolve
@@ -95,7 +102,7 @@ def prepare(scene: Scene, threads: int, talk: Reporter, job: str = "control") ->
     """Return the problem of a scene, its optimizer chosen.
 
     Raises:
-        SceneError: it lacks something, its optimizer is not for it, or it has too little memory for gradients.
+        SceneError: it lacks something, its optimizer is not for it, or there is too little memory for it.
     """
     needed = NEEDED | (DESIGN if job == "codesign" else {})
     missing = [key for key in needed if not getattr(scene, key) and not (key == "objective" and scene.constraints)]
@@ -126,7 +133,19 @@ def prepare(scene: Scene, threads: int, talk: Reporter, job: str = "control") ->
     except UsageError as error:
         path = f"optimizer.{optimizer.name}"
         raise SceneError([Problem(scene.where(path), path, str(error))]) from error
+    count = min(problem.n_episodes, getattr(optimizer, "batch_size", None) or problem.n_episodes)
+    functions = differentiated(problem)
+    at_once = gradients_at_once([problem.model] * count, threads) if functions else min(threads, count)
+    require_records(problem, functions, at_once)
     return problem
+
+
+def differentiated(problem: EpisodeProblem) -> int:
+    """Return of how many functions of an episode the scene's optimizer takes gradients, all in one backward run."""
+    optimizer = optimizer_of(problem.built)
+    if not optimizer.gradients:
+        return 0
+    return 1 + (len(problem.constraint_names) if isinstance(optimizer, ReplayedConstrained) else 0)
 
 
 def optimizer_of(built: Built) -> Optimizer:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from cqrun.contract import Array
 from cqrun.design.params import REGULARISER
 from cqrun.errors import UsageError
 from cqrun.jobs.agent import Agent, Attempt, Goals, Mix, Values
-from cqrun.jobs.memory import least_budget, state_bytes
+from cqrun.jobs.memory import gradients_at_once
 from cqrun.jobs.side_by_side import Effort, side_by_side, the_value, trial
 from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import Built
@@ -165,8 +164,7 @@ class EpisodeProblem(Agent):
         Raises:
             RolloutError: one blows up.
         """
-        least = least_budget(state_bytes(self.model))
-        at_once = max(1, min(self.threads, len(goals), self.model.memory_budget // least))
+        at_once = gradients_at_once([self.model] * len(goals), self.threads)
         budget = self.model.memory_budget // at_once
 
         def task(goal: Goals) -> Callable[[int], tuple[Attempt, list[dict[str, Array]]]]:
@@ -178,7 +176,7 @@ class EpisodeProblem(Agent):
 
         found = side_by_side([task(goal) for goal in goals], self.threads, at_once)
         for attempt, _ in found:
-            self.effort.add(attempt.rollout)
+            self.effort.add(attempt.effort)
         functions = zip(*(gradients for _, gradients in found), strict=True)
         means = [{path: np.mean([g[path] for g in each], axis=0) for path in values} for each in functions]
         return [attempt for attempt, _ in found], means
@@ -257,10 +255,9 @@ class EpisodeProblem(Agent):
     def _note(self, attempts: Sequence[Attempt]) -> None:
         """Keep the means of the terms, where the first episode's gradient grew fastest [s], what controllers saw."""
         means = [float(np.mean([a.terms[name] for a in attempts])) for name in self.summands]
-        control = attempts[0].rollout.growth_at
+        control = attempts[0].growth_at
         self._terms = np.array([*means, control * self.matter.control_step if control >= 0 else np.nan])
-        policies: list[Any] = [a.rollout.policy for a in attempts]
-        self.saw = [np.array(policy.saw) for policy in policies]
+        self.saw = [a.saw for a in attempts]
 
     def term_values(self) -> Array:
         """Return the terms at the last evaluation, in the order of `term_names`."""

@@ -75,10 +75,10 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         shown = next((a for a in learned if isinstance(a, Attempt)), None)
         if shown is None:
             raise next(a.error for a in learned if isinstance(a, Lost))
-        write_activation(run.path / "activation.csv", problem.built, shown.rollout.activation)
-        rollout = problem.rollout(values, shown.track.goals, problem.threads)
+        write_activation(run.path / "activation.csv", problem.built, shown.activation)
+        rollout = problem.rollout(values, shown.goals, problem.threads)
         found = {path: value for path, value in values.items() if not path.startswith(CONTROLLER)}
-        told = problem.wanted(shown.track.goals) | as_found(found)
+        told = problem.wanted(shown.goals) | as_found(found)
         write_trajectory(run.path / "trajectory.h5", problem.built, rollout, provenance=told)
     run.write_result(result)
     return result
@@ -153,5 +153,5 @@ def _summary(problem: EpisodeProblem, attempts: Sequence[Attempt]) -> dict[str, 
     return {
         "loss": float(np.mean([a.loss for a in attempts])),
         "terms": {name: float(np.mean([a.terms[name] for a in attempts])) for name in problem.summands},
-        "episodes": [{"goals": _plain(a.track.goals), "loss": a.loss, "terms": a.terms} for a in attempts],
+        "episodes": [{"goals": _plain(a.goals), "loss": a.loss, "terms": a.terms} for a in attempts],
     }

@@ -18,10 +18,9 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.design.params import Params
 from cqrun.engine.model import Records
-from cqrun.engine.rollout import Rollout
 from cqrun.errors import UsageError
 from cqrun.jobs.cases import Case
-from cqrun.jobs.memory import least_budget, state_bytes
+from cqrun.jobs.memory import gradients_at_once
 from cqrun.jobs.side_by_side import Effort, side_by_side, the_value, trial
 from cqrun.objectives.markers import MarkerObjective
 from cqrun.objectives.uncertainty import Series
@@ -140,25 +139,19 @@ class FitProblem:
             RolloutError: a case blows up.
         """
         chosen, share = self._chosen(batch)
-        at_once = self._at_once(chosen)
+        at_once = gradients_at_once([self.cases[c].built.model for c in chosen], self.threads)
 
-        def task(case: int) -> Callable[[int], tuple[float, dict[str, Array], Rollout]]:
+        def task(case: int) -> Callable[[int], tuple[float, dict[str, Array], Effort]]:
             budget = self.cases[case].built.model.memory_budget // at_once
             return lambda threads: self.cases[case].gradient(values, share * self.weights[case], threads, budget)
 
         found = side_by_side([task(c) for c in chosen], self.threads, at_once)
         total = {path: np.zeros(np.shape(value)) for path, value in values.items()}
-        for _, gradient, rollout in found:
-            self.effort.add(rollout)
+        for _, gradient, effort in found:
+            self.effort.add(effort)
             for path in total:
                 total[path] = total[path] + gradient[path]
         return {self.cases[c].name: loss for c, (loss, _, _) in zip(chosen, found, strict=True)}, total
-
-    def _at_once(self, chosen: Sequence[int]) -> int:
-        """Return how many gradients may run side by side, so that the least states of each fit the budget."""
-        least = max(least_budget(state_bytes(self.cases[c].built.model)) for c in chosen)
-        budget = min(self.cases[c].built.model.memory_budget for c in chosen)
-        return max(1, min(self.threads, len(chosen), budget // least))
 
     def term_values(self) -> Array:
         """Return no terms: the loss has one."""

@@ -40,11 +40,15 @@ class Effort:
     recompute: float = 0.0
     peak: int = 0
 
-    def add(self, rollout: Rollout) -> None:
-        """Take a gradient's plan into account."""
-        if rollout.plan is not None:
-            self.recompute = max(self.recompute, rollout.plan.recompute)
-            self.peak = max(self.peak, rollout.plan.states * rollout.state_bytes)
+    @classmethod
+    def of(cls, rollout: Rollout) -> Effort:
+        """Return what a rollout's gradients cost."""
+        plan = rollout.plan
+        return cls() if plan is None else cls(plan.recompute, plan.states * rollout.state_bytes)
+
+    def add(self, other: Effort) -> None:
+        """Take other gradients into account."""
+        self.recompute, self.peak = max(self.recompute, other.recompute), max(self.peak, other.peak)
 
 
 @contextmanager

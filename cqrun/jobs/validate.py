@@ -13,17 +13,16 @@ from cqrun.explain import listed
 from cqrun.jobs.agent import Agent
 from cqrun.jobs.bodies import lies, made_of, point
 from cqrun.jobs.cases import Case, given_cases, own_warnings
-from cqrun.jobs.control import JOBS, optimizer_of
+from cqrun.jobs.control import JOBS, differentiated, optimizer_of
 from cqrun.jobs.control import prepare as prepare_control
 from cqrun.jobs.episodes import EpisodeProblem, has_episodes
 from cqrun.jobs.gradcheck import has_data
-from cqrun.jobs.memory import gradient_plan, state_bytes
+from cqrun.jobs.memory import GRADIENT, gradient_plan, state_bytes
 from cqrun.jobs.report import number
 from cqrun.jobs.reporter import Silent
 from cqrun.jobs.sysid import prepare, with_optimizer
 from cqrun.jobs.validate_control import control_lines, line
 from cqrun.objectives.markers import MarkerObjective
-from cqrun.optimizers.constrained import ReplayedConstrained
 from cqrun.scene.build import Built, build
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
@@ -33,9 +32,6 @@ from cqrun.units import format_bytes
 
 NANOSECONDS = {2: 30.0, 3: 95.0}
 """What a particle and substep typically take forward on one core, by the dimension (`cqrun bench` measures it)."""
-
-GRADIENT = 5.0
-"""What a gradient takes, in forward runs, where all states fit."""
 
 MILLI = 1e3
 
@@ -212,7 +208,7 @@ def _cost(built: Built, agent: Agent | None) -> Iterator[str]:
         if optimizer.gradients:
             episodes = min(agent.n_episodes, getattr(optimizer, "batch_size", None) or agent.n_episodes)
             of = f"{episodes} {'episode' if episodes == 1 else 'episodes'} with the gradient"
-            held = len(agent.constraint_names) if isinstance(optimizer, ReplayedConstrained) else 0
+            held = differentiated(agent) - 1
             sweeps = held * (GRADIENT - 1.0) * forward
             if held:
                 of += f" and {'that' if held == 1 else 'those'} of {held} constraint{'s' if held > 1 else ''}, at most"

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from cqrun.controllers.policy import remembered
 from cqrun.explain import listed
 from cqrun.jobs.agent import CONTROLLER, Agent
 from cqrun.jobs.bodies import point
-from cqrun.jobs.control import optimizer_of
+from cqrun.jobs.control import differentiated, optimizer_of
 from cqrun.jobs.episodes import EpisodeProblem
+from cqrun.jobs.memory import record_bytes
 from cqrun.jobs.report import number
-from cqrun.state import rows_of
 from cqrun.units import format_bytes
 
 
@@ -56,9 +55,9 @@ def _controller(agent: Agent) -> Iterator[str]:
     pairs = [f"{number(a)} to {number(b)}" for a, b in sorted(set(zip(low.tolist(), high.tolist(), strict=True)))]
     drives = f"{_count(len(low), 'activation')} within {listed(pairs)}"
     yield line("", f"from {sees} to {drives}, every {number(scene.time.control_step)} s")
-    dim, rows = agent.model.dim, agent.model.probe.shape[0] if agent.model.probe is not None else 0
-    kept = 8 * (agent.model.n_controls + 1) * (rows_of(dim)[-1] * rows + remembered(agent.observation, agent.limits))
-    yield line("", f"beside its states an episode keeps {format_bytes(kept)} of what is seen, remembered and judged")
+    functions = differentiated(agent) if isinstance(agent, EpisodeProblem) else 0
+    kept = format_bytes(record_bytes(agent, functions))
+    yield line("", f"beside its states an episode keeps {kept} of what is seen, remembered and judged")
 
 
 def _episodes(agent: EpisodeProblem) -> Iterator[str]:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import weakref
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from little_worlds import needs_jit
 
-from cqrun.errors import UsageError
+from cqrun.errors import SceneError, UsageError
+from cqrun.jobs.control import prepare
 from cqrun.jobs.episodes import EpisodeProblem
+from cqrun.jobs.memory import record_bytes
+from cqrun.jobs.reporter import Silent
 from cqrun.optimizers.base import TrialFailed
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
@@ -76,6 +81,38 @@ def test_every_term_is_evaluated_once(monkeypatch):
         monkeypatch.setattr(bound, "value", lambda track, name=name, own=bound.value: asked.append(name) or own(track))
     problem.value(problem.start)
     assert asked == list(problem.objective.terms)
+
+
+def test_an_episode_that_is_done_keeps_no_grid(monkeypatch):
+    problem, alive = finger(*DRAWN), []
+    rollout = problem.rollout
+
+    def made(*args, **kwargs):
+        assert not any(each() for each in alive), "the last one's arrays"
+        found = rollout(*args, **kwargs)
+        alive.append(weakref.ref(found))
+        return found
+
+    monkeypatch.setattr(problem, "rollout", made)
+    problem.value_and_grad(problem.start)
+    problem.value(problem.start)
+    assert len(alive) == 2 * problem.n_episodes
+
+
+def test_records_that_do_not_fit_are_refused(monkeypatch):
+    scene = load_scene(FINGER, [*SMALL, "objective.whole={stretch: {body: finger}}", "optimizer={adam: {}}"])
+    problem = prepare(scene, 1, Silent())
+    need = record_bytes(problem, 1)
+    for spare, refused in ((0, False), (-1, True)):
+        memory = SimpleNamespace(available=need + spare, total=2 * need)
+        with monkeypatch.context() as patch:
+            patch.setattr("cqrun.scene.build.memory_problems", lambda *_: [])
+            patch.setattr("psutil.virtual_memory", lambda memory=memory: memory)
+            if refused:
+                with pytest.raises(SceneError, match=r"objective.whole: 108 of .* at 8 control steps, by 1 ep"):
+                    prepare(scene, 1, Silent())
+            else:
+                prepare(scene, 1, Silent())
 
 
 @needs_jit

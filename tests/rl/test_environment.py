@@ -48,9 +48,10 @@ def test_it_moves_as_the_policy_does(env):
     while env.control < agent.model.n_controls:
         values = {p.removeprefix("controller."): v for p, v in agent.acting.items()}
         env.step(agent.controller.act(values, env.seen, env.control, 0.0))
-    whole = agent.attempt(agent.acting, env.goals, 1)
-    np.testing.assert_array_equal(env.rollout.records, whole.rollout.records)
-    assert env.loss == whole.loss
+    whole = agent.rollout(agent.acting, env.goals, 1)
+    found = agent.judged(whole, whole.run(), env.goals)
+    np.testing.assert_array_equal(env.rollout.records, whole.records)
+    assert env.loss == found.loss
 
 
 def test_an_action_that_is_not_finite_is_refused(env):
