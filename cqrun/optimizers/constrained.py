@@ -250,7 +250,8 @@ class ConstrainedTrials(Trials):
         answer = self.gradients(x.copy())
         self.iteration += 1
         self._tell(x, answer, found)
-        self._values = {x.tobytes(): self._values[x.tobytes()]}
+        # of the answer: gradients are kept longer than values, and a solver may come back to the point before last
+        self._values = {x.tobytes(): (float(answer["f"]), answer["c"])}
         self._at_limit()
 
     def _keep(self, x: Array, answer: dict[str, Array]) -> None:

@@ -12,7 +12,7 @@ from cqrun.contract import Array
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.optimizers.base import Problem, Status
 from cqrun.optimizers.constrained import ConstrainedTrials
-from cqrun.optimizers.slsqp import require_size
+from cqrun.optimizers.slsqp import require_room, require_size
 from cqrun.optimizers.two_searches import Feasible, TwoSearches
 from cqrun.registry import plugin
 
@@ -32,7 +32,7 @@ class Nlopt(TwoSearches):
     algorithm: Literal["slsqp", "mma", "auglag"] = Field("slsqp", description="which of its methods")
 
     def require(self, problem: Problem) -> None:
-        """Refuse, beside what the base refuses, what is too large, or has equalities that MMA cannot have.
+        """Refuse, beside what the base refuses, what is too large, or has equalities that a method cannot have.
 
         Raises:
             MissingExtra: the library `nlopt` is not installed. UsageError: as said.
@@ -44,6 +44,7 @@ class Nlopt(TwoSearches):
         c_low, c_high = problem.c_low, problem.c_high  # type: ignore[attr-defined]
         if self.algorithm == "mma" and np.any(c_low == c_high):
             raise UsageError("nlopt's mma takes no equalities: use slsqp or auglag, or `at_least` and `at_most`")
+        require_room(problem, self.name)
 
     def search(
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
