@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from toy_problems import Confined, solve
+from toy_problems import Confined, Told, solve
 
 from cqrun.errors import UsageError
-from cqrun.optimizers.constrained import ReplayedConstrained
+from cqrun.optimizers.constrained import ConstrainedTrials, ReplayedConstrained
 from cqrun.optimizers.nlopt import Nlopt
 from cqrun.optimizers.slsqp import Slsqp
 
@@ -29,6 +29,47 @@ def test_more_equalities_than_unknowns_are_refused(kind):
         kind.require(Overdetermined())
 
 
+class Incompatible(Told):
+    """Of one unknown, with two constraints that no value meets both; found by chance."""
+
+    term_names = ()
+    stochastic = False
+    n_batches = 1
+    constraint_names = ("above", "on")
+
+    def __init__(self):
+        self.start, self.lower, self.upper = np.array([0.7763356027377813]), np.array([-1.0]), np.array([2.0])
+        self.A = np.array([0.5706560135801596, 1.3826081419979863])
+        self.Q = np.array([0.07165612740859849, -0.45580987045490456])
+        self.c_low = np.array([-0.07022033568558819, -1.916230725399971])
+        self.c_high = np.array([np.inf, -1.916230725399971])
+
+    def term_values(self):
+        return np.zeros(0)
+
+    def values_and_constraints(self, x):
+        return 0.5 * float(x @ x), self.A * x + self.Q * x**2
+
+    def gradients_and_constraints(self, x):
+        f, c = self.values_and_constraints(x)
+        return f, x.copy(), c, (self.A + 2.0 * self.Q * x)[:, None]
+
+
+def test_a_line_search_that_asks_for_the_same_again_and_again_ends(tmp_path, monkeypatch):
+    values, calls = ConstrainedTrials.values, 0
+
+    def counted(self, x):
+        nonlocal calls
+        calls += 1
+        assert calls < 20_000, "it goes on for ever, and heeds neither limit nor stop"
+        return values(self, x)
+
+    monkeypatch.setattr(ConstrainedTrials, "values", counted)
+    outcome, _ = solve(tmp_path, Nlopt(max_iterations=100), Incompatible())
+    assert outcome.status == "infeasible"
+    assert "asks again and again for what it has been told" in outcome.message
+
+
 class Returning(ReplayedConstrained):
     """Accepts a point, another, and the first again."""
 
@@ -46,3 +87,23 @@ def test_a_solver_may_come_back_to_the_point_before_last(tmp_path):
     outcome, session = solve(tmp_path, Returning(), Confined())
     assert outcome.iterations == 3
     assert session.computed == 2
+
+
+class Raised(Confined):
+    """The valley, from so high that little changes of the loss are nothing beside it."""
+
+    def values_and_constraints(self, x):
+        f, c = super().values_and_constraints(x)
+        return f + 1e5, c
+
+    def gradients_and_constraints(self, x):
+        f, *others = super().gradients_and_constraints(x)
+        return f + 1e5, *others
+
+
+@pytest.mark.parametrize("algorithm", ["slsqp", "auglag"])
+def test_the_tolerance_of_the_loss_is_absolute(tmp_path, algorithm):
+    method = Nlopt(algorithm=algorithm, max_iterations=2000, function_tolerance=1e-6)
+    low, _ = solve(tmp_path / "low", method, Confined())
+    high, _ = solve(tmp_path / "high", method, Raised())
+    assert high.loss - 1e5 == pytest.approx(low.loss, abs=1e-3)
