@@ -292,10 +292,13 @@ class ReplayedConstrained(ConstrainedOptimizer, Replayed):
 
 
 def infeasible(problem: ConstrainedProblem, outcome: Outcome, c: Array, tolerance: float) -> Outcome:
-    """Return an outcome whose c (m,) violate constraints, with the verdict; a limit or a stall is no last word."""
+    """Return an outcome whose c (m,) violate constraints, with the verdict.
+
+    None is a last word: where constraints are curved, a point that violates them less may be beyond a ridge.
+    """
     hint = {
         "iteration_limit": "not met yet, more iterations may do: ",
         "stalled": "not met, and the search got stuck; another start or solver may do: ",
-    }.get(outcome.status, "")
+    }.get(outcome.status, "not met where the search converged; another start or solver may do: ")
     message = f"{hint}{verdict(problem, outcome.x, c, tolerance)} ({outcome.message})"
     return replace(outcome, status="infeasible", message=message)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from toy_problems import Confined, Told, solve
@@ -10,6 +12,7 @@ from cqrun.errors import UsageError
 from cqrun.optimizers.constrained import ConstrainedTrials, ReplayedConstrained
 from cqrun.optimizers.nlopt import Nlopt
 from cqrun.optimizers.slsqp import Slsqp
+from cqrun.optimizers.sqp import Sqp
 
 
 class Overdetermined(Confined):
@@ -68,6 +71,45 @@ def test_a_line_search_that_asks_for_the_same_again_and_again_ends(tmp_path, mon
     outcome, _ = solve(tmp_path, Nlopt(max_iterations=100), Incompatible())
     assert outcome.status == "infeasible"
     assert "asks again and again for what it has been told" in outcome.message
+
+
+class Dale(Told):
+    """A constraint that is met in one of two dales, while the start is in the other, whose floor is higher."""
+
+    term_names = ()
+    stochastic = False
+    n_batches = 1
+    constraint_names = ("deep",)
+
+    def __init__(self):
+        self.start, self.lower, self.upper = np.array([0.9, 0.2]), np.full(2, -2.0), np.full(2, 2.0)
+        self.c_low, self.c_high = np.array([-np.inf]), np.array([-1.2])
+
+    def term_values(self):
+        return np.zeros(0)
+
+    def values_and_constraints(self, x):
+        t = x[0]
+        return float(x @ x), np.array([t**4 - 2.0 * t**2 + 0.3 * t + x[1] ** 2])
+
+    def gradients_and_constraints(self, x):
+        f, c = self.values_and_constraints(x)
+        t = x[0]
+        return f, 2.0 * x, c, np.array([[4.0 * t**3 - 4.0 * t + 0.3, 2.0 * x[1]]])
+
+
+@pytest.mark.parametrize("first", [True, False], ids=["feasibility first", "at once"])
+@pytest.mark.parametrize("kind", [Sqp, Slsqp, Nlopt])
+def test_a_local_minimum_of_the_violation_is_no_last_word(tmp_path, kind, first):
+    assert Dale().values_and_constraints(np.array([-1.04, 0.0]))[1] < -1.2
+    outcome, _ = solve(tmp_path, kind(feasibility_first=first), Dale())
+    assert outcome.status == "infeasible"
+    assert re.match(r"not met[^:]*; another start or solver may do: constraint 'deep' is -0.705", outcome.message)
+
+
+def test_sqp_tells_a_point_that_no_small_step_betters_from_one_where_it_got_stuck(tmp_path):
+    outcome, _ = solve(tmp_path, Sqp(), Dale())
+    assert outcome.message.startswith("not met where the search converged; another start or solver may do: ")
 
 
 class Returning(ReplayedConstrained):
