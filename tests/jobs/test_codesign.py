@@ -279,8 +279,8 @@ def test_control_honours_constraints_too(finger, tmp_path):
 
 def test_validate_tells_the_constraints(finger):
     text = "\n".join(validate(finger))
-    assert "constraint tip (reach): at most 0.018" in text
-    assert "constraint up (height): at least 0.3, at most 0.9" in text
+    assert "constraint tip (reach): at most 0.018, met when missed by no more than 1e-08" in text
+    assert "constraint up (height): at least 0.3, at most 0.9, met when missed by no more than 1e-06" in text
 
 
 def test_a_run_whose_scene_was_edited_is_not_continued(finger, tmp_path):
