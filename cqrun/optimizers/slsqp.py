@@ -89,7 +89,7 @@ def require_size(problem: Problem, name: str, matrices: float = WORKSPACE) -> No
 
 
 def require_room(problem: Any, name: str) -> None:
-    """Refuse, with a UsageError, more equalities than unknowns: Kraft's method and NLopt give up before they begin."""
+    """Refuse, with a UsageError, more equalities than unknowns: these methods end before they begin."""
     equalities, n = int(np.sum(problem.c_low == problem.c_high)), len(problem.start)
     if equalities > n:
         unknowns = "unknown" if n == 1 else "unknowns"

@@ -13,6 +13,7 @@ from cqrun.optimizers.constrained import ConstrainedTrials, ReplayedConstrained
 from cqrun.optimizers.nlopt import Nlopt
 from cqrun.optimizers.slsqp import Slsqp
 from cqrun.optimizers.sqp import Sqp
+from cqrun.optimizers.trust_constr import TrustConstr
 
 
 class Overdetermined(Confined):
@@ -25,7 +26,7 @@ class Overdetermined(Confined):
         self.c_low = self.c_high = np.array([1.0, 2.0, 3.0])
 
 
-@pytest.mark.parametrize("kind", [Slsqp(), Nlopt(), Nlopt(algorithm="auglag")], ids=["slsqp", "nlopt", "auglag"])
+@pytest.mark.parametrize("kind", [Slsqp(), TrustConstr(), Nlopt(), Nlopt(algorithm="auglag")])
 def test_more_equalities_than_unknowns_are_refused(kind):
     """These methods give up before their first evaluation."""
     with pytest.raises(UsageError, match=f"{kind.name} takes no more equalities than unknowns, here 3 with 2 unknowns"):
