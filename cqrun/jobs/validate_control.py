@@ -39,7 +39,9 @@ def control_lines(agent: Agent) -> Iterator[str]:
     for name, held in scene.constraints.items():
         ends = {"at least": held.at_least, "at most": held.at_most, "equal to": held.equals}
         told = ", ".join(f"{word} {number(end)}" for word, end in ends.items() if end is not None)
-        yield line("constraint", f"{name} ({held.of.name}): {told}")
+        optimizer: Any = optimizer_of(agent.built)
+        within = number(optimizer.constraint_tolerance * held.scale)
+        yield line("constraint", f"{name} ({held.of.name}): {told}, met when missed by no more than {within}")
 
 
 def _controller(agent: Agent) -> Iterator[str]:

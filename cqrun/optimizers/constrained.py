@@ -250,7 +250,8 @@ class ConstrainedTrials(Trials):
         answer = self.gradients(x.copy())
         self.iteration += 1
         self._tell(x, answer, found)
-        self._values = {x.tobytes(): self._values[x.tobytes()]}
+        # of the answer: gradients are kept longer than values, and a solver may come back to the point before last
+        self._values = {x.tobytes(): (float(answer["f"]), answer["c"])}
         self._at_limit()
 
     def _keep(self, x: Array, answer: dict[str, Array]) -> None:
@@ -291,10 +292,13 @@ class ReplayedConstrained(ConstrainedOptimizer, Replayed):
 
 
 def infeasible(problem: ConstrainedProblem, outcome: Outcome, c: Array, tolerance: float) -> Outcome:
-    """Return an outcome whose c (m,) violate constraints, with the verdict; a limit or a stall is no last word."""
+    """Return an outcome whose c (m,) violate constraints, with the verdict.
+
+    None is a last word: where constraints are curved, a point that violates them less may be beyond a ridge.
+    """
     hint = {
         "iteration_limit": "not met yet, more iterations may do: ",
         "stalled": "not met, and the search got stuck; another start or solver may do: ",
-    }.get(outcome.status, "")
+    }.get(outcome.status, "not met where the search converged; another start or solver may do: ")
     message = f"{hint}{verdict(problem, outcome.x, c, tolerance)} ({outcome.message})"
     return replace(outcome, status="infeasible", message=message)

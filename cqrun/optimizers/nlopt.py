@@ -12,12 +12,19 @@ from cqrun.contract import Array
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.optimizers.base import Problem, Status
 from cqrun.optimizers.constrained import ConstrainedTrials
-from cqrun.optimizers.slsqp import require_size
+from cqrun.optimizers.slsqp import require_room, require_size
 from cqrun.optimizers.two_searches import Feasible, TwoSearches
 from cqrun.registry import plugin
 
 CONVERGED = (1, 2, 3, 4)
 """NLopt's results that mean a minimum: success, and its three tolerances."""
+
+PATIENCE = 500
+"""Calls in a row that ask for nothing but what is known, after which a search only goes round in circles."""
+
+
+class Circling(Exception):
+    """Leaves a search that goes round in circles, where no limit on iterations and no wish to stop would reach it."""
 
 
 @plugin("optimizer", "nlopt")
@@ -32,7 +39,7 @@ class Nlopt(TwoSearches):
     algorithm: Literal["slsqp", "mma", "auglag"] = Field("slsqp", description="which of its methods")
 
     def require(self, problem: Problem) -> None:
-        """Refuse, beside what the base refuses, what is too large, or has equalities that MMA cannot have.
+        """Refuse, beside what the base refuses, what is too large, or has equalities that a method cannot have.
 
         Raises:
             MissingExtra: the library `nlopt` is not installed. UsageError: as said.
@@ -44,24 +51,13 @@ class Nlopt(TwoSearches):
         c_low, c_high = problem.c_low, problem.c_high  # type: ignore[attr-defined]
         if self.algorithm == "mma" and np.any(c_low == c_high):
             raise UsageError("nlopt's mma takes no equalities: use slsqp or auglag, or `at_least` and `at_most`")
+        require_room(problem, self.name)
 
     def search(
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
     ) -> tuple[Status, str]:
         """Run NLopt once; in search of feasibility f counts as 0, and `Feasible` is raised on success."""
-        nlopt, begun, raised = library(), list[bool](), list[BaseException]()
-
-        def keeping(function: Callable[..., Any]) -> Callable[..., Any]:
-            """Keep what a function raises: a method inside a method loses it."""
-
-            def call(*args: Any) -> Any:
-                try:
-                    return function(*args)
-                except BaseException as error:
-                    raised.append(error)
-                    raise
-
-            return call
+        nlopt, begun, calls = library(), list[bool](), Calls(trials)
 
         def objective(x: Array, grad: Array) -> float:
             here = x.copy()  # NLopt's own memory, which changes
@@ -76,34 +72,60 @@ class Nlopt(TwoSearches):
 
         method = self._made(nlopt, len(x))
         if not feasibility:  # a constant would be converged at once
-            method.set_ftol_rel(self.function_tolerance)
+            method.set_ftol_abs(self.function_tolerance)
         method.set_lower_bounds(lower)
         method.set_upper_bounds(upper)
-        method.set_min_objective(keeping(objective))
-        _constrain(method, trials, 0.1 * self.constraint_tolerance, keeping)
+        method.set_min_objective(calls.kept(objective))
+        _constrain(method, trials, 0.1 * self.constraint_tolerance, calls.kept)
         try:
             method.optimize(np.clip(x, lower, upper))
         except Exception as error:  # its own classes differ from version to version
-            if raised:
-                raise raised[0] from None
-            if isinstance(error, nlopt.RoundoffLimited):
+            if calls.raised is None and isinstance(error, nlopt.RoundoffLimited):
                 return "converged", "NLopt: as far as rounding lets it come"
-            return "stalled", f"NLopt: {str(error) or 'failure'}"
-        if raised:
-            raise raised[0]
+            if calls.raised is None:
+                return "stalled", f"NLopt: {str(error) or 'failure'}"
+        if isinstance(calls.raised, Circling):
+            return "stalled", "NLopt: asks again and again for what it has been told"
+        if calls.raised is not None:
+            raise calls.raised
         code = int(method.last_optimize_result())
         return ("converged" if code in CONVERGED else "stalled"), f"NLopt: {nlopt_result(nlopt, code)}"
 
     def _made(self, nlopt: Any, n: int) -> Any:
         if self.algorithm == "auglag":
             inner = nlopt.opt(nlopt.LD_LBFGS, n)
-            inner.set_ftol_rel(self.function_tolerance)
+            inner.set_ftol_abs(self.function_tolerance)
             inner.set_maxeval(20)
             method = nlopt.opt(nlopt.AUGLAG, n)
             method.set_local_optimizer(inner)
         else:
             method = nlopt.opt({"slsqp": nlopt.LD_SLSQP, "mma": nlopt.LD_MMA}[self.algorithm], n)
         return method
+
+
+class Calls:
+    """NLopt's calls: the first error is kept, as a method inside a method loses it, and circles are left."""
+
+    def __init__(self, trials: ConstrainedTrials) -> None:
+        self.trials = trials
+        self.raised: BaseException | None = None
+        self._asked, self._idle = trials.asked, 0
+
+    def kept(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that does the same, and is watched."""
+
+        def call(*args: Any) -> Any:
+            self._idle = self._idle + 1 if self.trials.asked == self._asked else 0
+            self._asked = self.trials.asked
+            try:
+                if self._idle > PATIENCE:
+                    raise Circling
+                return function(*args)
+            except BaseException as error:
+                self.raised = self.raised or error
+                raise
+
+        return call
 
 
 def _constrain(

@@ -58,11 +58,14 @@ class Trials:
         problem: what is minimised.
         session: the log, the history and the wish to stop.
         max_iterations: accepted steps over all restarts.
+
+    Attributes:
+        asked: evaluations that were asked for, computed or replayed.
     """
 
     def __init__(self, problem: Problem, session: Session, max_iterations: int) -> None:
         self.problem, self.session, self.max_iterations = problem, session, max_iterations
-        self.iteration = 0
+        self.iteration = self.asked = 0
         self.best_x: Array | None = None
         self.best_loss = np.inf
         self._seen: dict[bytes, Seen] = {}
@@ -134,6 +137,7 @@ class Trials:
         if self.session.should_stop():
             raise Halt("stopped", f"asked to stop in iteration {self.iteration + 1}")
         self._last_x = x.copy()
+        self.asked += 1
         return self.session.evaluate(kind, x, compute)
 
     def _note_best(self, x: Array, loss: float) -> None:

@@ -31,9 +31,10 @@ class Slsqp(TwoSearches):
     """
 
     def require(self, problem: Problem) -> None:
-        """Refuse, beside what the base refuses, what is too large."""
+        """Refuse, beside what the base refuses, what is too large, and more equalities than unknowns."""
         super().require(problem)
         require_size(problem, self.name)
+        require_room(problem, self.name)
 
     def search(
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
@@ -84,4 +85,15 @@ def require_size(problem: Problem, name: str, matrices: float = WORKSPACE) -> No
         raise UsageError(
             f"{name} needs {needed} for matrices of {n:,} x {n:,} unknowns, and time as their cube; "
             f"beyond {MOST_UNKNOWNS:,} use sqp or augmented_lagrangian, or fewer unknowns (`per: group`, `per: field`)"
+        )
+
+
+def require_room(problem: Any, name: str) -> None:
+    """Refuse, with a UsageError, more equalities than unknowns: these methods end before they begin."""
+    equalities, n = int(np.sum(problem.c_low == problem.c_high)), len(problem.start)
+    if equalities > n:
+        unknowns = "unknown" if n == 1 else "unknowns"
+        raise UsageError(
+            f"{name} takes no more equalities than unknowns, here {equalities} with {n} {unknowns}: use sqp, or "
+            "`at_least` and `at_most` instead of `equals`"
         )

@@ -78,7 +78,8 @@ class Sqp(TwoSearches):
             little = LITTLE * self.constraint_tolerance if feasibility else self.function_tolerance if met else 0.0
             if promised <= little:
                 free = _step(B, here, ends, room, self.radius, rho)  # the radius may be what keeps the promise small
-                found = met and free.promised(B, here, ends, rho) <= self.function_tolerance
+                enough = little if feasibility else self.function_tolerance
+                found = (met or feasibility) and free.promised(B, here, ends, rho) <= enough
                 if met and not found and not anew:  # or what older steps say of the curvature
                     curvature.keep_last()
                     B, radius, anew = curvature.of(y), self.radius, True

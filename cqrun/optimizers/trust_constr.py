@@ -11,7 +11,7 @@ from pydantic import Field
 from cqrun.contract import Array
 from cqrun.optimizers.base import Problem, Status
 from cqrun.optimizers.constrained import ConstrainedTrials, Kkt, ReplayedConstrained
-from cqrun.optimizers.slsqp import require_size
+from cqrun.optimizers.slsqp import require_room, require_size
 from cqrun.registry import plugin
 
 INSIDE = 1e-6
@@ -31,9 +31,10 @@ class TrustConstr(ReplayedConstrained):
     step_tolerance: float = Field(1e-8, gt=0, description="converged when the trust region is smaller")
 
     def require(self, problem: Problem) -> None:
-        """Refuse what has no constraints to ask for, changes from iteration to iteration, or is too large."""
+        """Refuse, beside what the base refuses, what is too large, and more equalities than unknowns."""
         super().require(problem)
         require_size(problem, self.name, matrices=1.0)  # of its curvature; factors come on top
+        require_room(problem, self.name)
 
     def attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
         """Run scipy's method once."""

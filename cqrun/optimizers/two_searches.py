@@ -29,16 +29,19 @@ class TwoSearches(ReplayedConstrained):
     def search(
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
     ) -> tuple[Status, str]:
-        """Minimise once from x in a box; where only feasibility is sought f counts as 0, and success is `Feasible`."""
+        """Minimise once from x in a box; where only feasibility is sought f counts as 0, and success is `Feasible`.
+
+        Returned, `converged` then means that no small step lowers the violation: of curved constraints a local minimum.
+        """
 
     def attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
         """Search for a point that meets the constraints, then for a lower objective."""
         if self.feasibility_first and trials.violated(x) > self.constraint_tolerance:
-            message = ""
+            ended: tuple[Status, str] = "converged", ""
             with contextlib.suppress(Feasible):
-                _, message = self.search(trials, x, lower, upper, feasibility=True)
+                ended = self.search(trials, x, lower, upper, feasibility=True)
             assert trials.best_x is not None
             x = trials.best_x
             if trials.violated(x) > self.constraint_tolerance:
-                return "infeasible", message
+                return ended
         return self.search(trials, x, lower, upper, feasibility=False)

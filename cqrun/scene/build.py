@@ -59,7 +59,7 @@ def build(scene: Scene) -> Built:
     assembly = Assembly(scene, particles)
     limits = _possible(scene, _stiffest(scene, particles, assembly))
     warnings = [*particles.warnings, *_unused_episodes(scene), *_doubts(scene), *design_warnings(scene, particles)]
-    warnings += _truths_out_of_reach(scene)
+    warnings += [*_truths_out_of_reach(scene), *_loose_constraints(scene)]
     if scene.time.substeps == "auto":
         bounds = [*limits, *_possible(scene, _limits_of_data(scene, particles, assembly))]
         scene = with_values(scene, {"time.substeps": auto_substeps(scene.time.control_step, bounds)})
@@ -108,6 +108,22 @@ def _truths_out_of_reach(scene: Scene) -> list[Problem]:
             key = f"data.synthetic.truth.{path}"
             message = f"{value:g} lies outside the unknown's bounds {bounds[0]:g} to {bounds[1]:g}: no fit can find it"
             found.append(Problem(scene.where(key), key, message))
+    return found
+
+
+def _loose_constraints(scene: Scene) -> list[Problem]:
+    """Warn of constraints that count as met far from their ends: those of a small robot are small in SI units."""
+    tolerance = 0.0 if scene.optimizer is None else getattr(scene.optimizer.value, "constraint_tolerance", 0.0)
+    found = []
+    for name, held in scene.constraints.items():
+        if (end := held.loose_end(tolerance)) is not None:
+            value, path = getattr(held, end), f"constraints.{name}.{end}"
+            message = (
+                f"{value:g} counts as met when it is missed by {tolerance * held.scale:.3g}: the constraint_tolerance "
+                f"of {tolerance:g} is in units of the constraint's `scale`, {held.scale:g}; with `scale: "
+                f"{abs(value):g}` it would be {tolerance * abs(value):.3g}"
+            )
+            found.append(Problem(scene.where(path), path, message))
     return found
 
 

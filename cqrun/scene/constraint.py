@@ -13,6 +13,9 @@ from cqrun.explain import complaint, finding
 
 ENDS = ("at_least", "at_most", "equals")
 
+LOOSE = 0.5
+"""Part of an end; a constraint that counts as met further from it is hardly one."""
+
 
 class Constraint(Spec):
     """A quantity of a motion or of a design, and the ends between which it must be."""
@@ -41,6 +44,12 @@ class Constraint(Spec):
             told = f"{self.high:g} can never be met: no {self.of.name} is below {least:g}"
             raise complaint("Constraint", [finding(told, (end,))])
         return self
+
+    def loose_end(self, tolerance: float) -> str | None:
+        """Return the name of an end that `tolerance`, in units of the scale, makes next to nothing; None without."""
+        sizes = {name: abs(end) for name in ENDS if (end := getattr(self, name))}  # an end of 0 has no size
+        smallest = min(sizes, key=lambda name: sizes[name], default="")
+        return smallest if smallest and tolerance * self.scale > LOOSE * sizes[smallest] else None
 
     @property
     def low(self) -> float:

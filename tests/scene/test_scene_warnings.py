@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
-from small_finger import FINGER
+import pytest
+from small_finger import DESIGN, FINGER
 
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
@@ -41,6 +44,34 @@ def warned(text: str) -> str:
 def test_episodes_that_are_all_the_same():
     assert "episodes: counts for nothing" in warned(FINGER.replace(", spread: [0.05, 0.05]", ""))
     assert "counts for nothing" not in warned(FINGER)
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        (
+            "at_most: 1.0e-8",
+            "constraints.tip.at_most: 1e-08 counts as met when it is missed by 1e-06: the constraint_tolerance of "
+            "1e-06 is in units of the constraint's `scale`, 1; with `scale: 1e-08` it would be 1e-14",
+        ),
+        ("at_most: 1.0e-8, scale: 1.0e-8", ""),
+        ("at_most: 0, at_least: -1.0e-7", "constraints.tip.at_least: -1e-07 counts as met when it is missed by 1e-06"),
+        ("equals: 0", ""),
+        ("at_most: 0.018", ""),
+    ],
+)
+def test_a_constraint_whose_end_is_below_what_counts_as_met(said, told):
+    """Squares of a small robot's lengths are far below 1 in SI units, and a scale is 1 unless it is given."""
+    found = warned(DESIGN.replace("at_most: 0.018, scale: 0.01", said))
+    assert told in found
+    assert ("counts as met" in found) == bool(told)
+
+
+def test_no_scene_of_a_design_has_a_constraint_that_hardly_is_one():
+    for path in (Path(__file__).parents[2] / "scenes" / "codesign").glob("*.yaml"):
+        scene = load_scene(path)
+        tolerance = getattr(scene.optimizer.value, "constraint_tolerance", 0.0)
+        assert [held.loose_end(tolerance) for held in scene.constraints.values()] == [None] * len(scene.constraints)
 
 
 SOFT = "bodies.soft.material.elastic.fixed_corotated"
