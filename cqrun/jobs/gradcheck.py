@@ -6,8 +6,9 @@ differences D(h) = (f(x + h d) - f(x - h d)) / 2h are taken over a scan of steps
     E(h) = (16 D(h/4) - D(h)) / 15.
 
 Large steps err by curvature, small ones by rounding; in between lies a plateau. It is found without looking at the
-adjoint, where E changes least from one step to the next, and there the two must agree. Where a branch changes
-between the points (contact, stick and slip) the plateau begins at smaller steps.
+adjoint, where E changes least from one step to the next for its size, and there the two must agree. Where a branch
+changes between the points (contact, stick and slip) the plateau begins at smaller steps, so the scan goes on below its
+usual end while rounding is far off. Where there is none, differences are too rough to tell right from nearly right.
 
 With data the loss is that of the fit, its unknowns in scaled coordinates (bounds are 1 apart). With a controller and
 an objective it is that of the first episode, by the controller's parameters as they are, and the unknowns. Without, it
@@ -16,7 +17,7 @@ is a random linear function of the final state, by every number of the scene tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -48,8 +49,11 @@ from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
 from cqrun.store.run import RunDirectory
 
-STEPS = 1e-2 * 4.0 ** -np.arange(11)
-"""Steps of the central differences, 1e-2 to 1e-8, in scaled coordinates."""
+ALL_STEPS = 1e-2 * 4.0 ** -np.arange(19)
+"""Steps of the central differences in scaled coordinates, 1e-2 to 1e-13."""
+
+STEPS = ALL_STEPS[:11]
+"""Those that are always taken, down to 1e-8."""
 
 TOLERANCE = {"float64": 1e-5, "float32": 5e-2}
 """Largest relative difference on the plateau."""
@@ -59,6 +63,27 @@ NOISE = 100.0
 
 ROUGH = 1e-4
 """Largest relative scatter of a plateau within which adjoint and differences count as equal."""
+
+MOST = 10.0
+"""Times the root of the precision, the largest part of the loss that can be rounding."""
+
+FAR = 3.0
+"""Times a plateau's scatter beyond which an adjoint is wrong, however rough the differences are."""
+
+AGREES, FLAT, TOO_ROUGH, DISAGREES = "agrees", "flat", "too rough", "disagrees"
+TOLD = {
+    AGREES: "",
+    FLAT: "flat: nothing to compare",
+    TOO_ROUGH: "TOO ROUGH TO TELL",
+    DISAGREES: "DISAGREES",
+}
+"""Verdicts, and what the table says."""
+
+SUMMARY = {
+    AGREES: "adjoint and differences agree",
+    TOO_ROUGH: "differences are too rough to tell whether the adjoint is right",
+    DISAGREES: "adjoint and differences disagree",
+}
 
 FILE = "gradcheck.json"
 ALL = "all together"
@@ -75,10 +100,11 @@ class Row:
         differences: the same by differences, on the plateau; None where every step's rollout failed.
         error: |adjoint - differences| / the larger of the two, or None.
         step: of the plateau.
-        noise: what rounding can make of a difference there, or the scan's own scatter; both below it: flat, nothing to
-            compare.
+        noise: what rounding can make of a difference there, or the scan's own scatter.
         scan: E at every step; None where a rollout failed.
-        agrees: the two agree.
+        verdict: AGREES; FLAT: both are below what rounding makes, and there is nothing to compare; TOO_ROUGH: they
+            differ by no more than a few times the scan's scatter, which is large, or it is as large as they; DISAGREES.
+        agrees: the verdict is one of the first two.
     """
 
     block: str
@@ -89,6 +115,7 @@ class Row:
     step: float
     noise: float
     scan: list[float | None]
+    verdict: str
     agrees: bool
 
 
@@ -175,11 +202,17 @@ def check_gradient(
             raise talk.stop.stopped(f"{run.record['reason']}; `cqrun resume {run.path}` starts again")
         talk.advance(number, len(chosen), f"{number} of {len(chosen)} directions, now {block}")
         rows.append(check_direction(block, loss, value, gradient, d, built.scene.precision))
-    agrees = all(row.agrees for row in rows)
-    found = {"job": "gradcheck", "agrees": agrees, "loss": value, "of": loss.words, "steps": STEPS[:-1].tolist()}
+    agrees, steps = all(row.agrees for row in rows), ALL_STEPS[: max(len(row.scan) for row in rows)].tolist()
+    found = {"job": "gradcheck", "agrees": agrees, "loss": value, "of": loss.words, "steps": steps}
     write_json(run.path / FILE, found | {"rows": [asdict(row) for row in rows]})
-    run.finish("done" if agrees else "failed", "adjoint and differences " + ("agree" if agrees else "disagree"))
+    run.finish("done" if agrees else "failed", SUMMARY[_worst(row.verdict for row in rows)])
     return run.path, agrees
+
+
+def _worst(verdicts: Iterable[str]) -> str:
+    """Return the verdict on all directions together."""
+    held = set(verdicts)
+    return next((verdict for verdict in (DISAGREES, TOO_ROUGH) if verdict in held), AGREES)
 
 
 def directions(params: Params, rng: np.random.Generator) -> dict[str, Array]:
@@ -202,19 +235,27 @@ def directions(params: Params, rng: np.random.Generator) -> dict[str, Array]:
 def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Array, precision: str) -> Row:
     """Return what differences along one direction say of the gradient (n,)."""
     adjoint, count = float(gradient @ d), int(np.count_nonzero(d))
-    scan = extrapolated(lambda h: _central(loss, d, h))
-    best = plateau(scan)
-    differences, step = float(scan[best]), float(STEPS[best])
-    rounding = NOISE * float(np.finfo(precision).eps) * float(max(abs(value), loss.scale)) / step
-    noise = max(rounding, scatter(scan, best))
+    eps, large = float(np.finfo(precision).eps), float(max(abs(value), loss.scale))
+    rounding = NOISE * eps * large
+    scan = extrapolated(lambda h: _central(loss, d, h), rounding)
+    floor = max(rounding, rounding_alone(scan, MOST * eps**0.5 * large)) / ALL_STEPS[: len(scan)]
+    best = plateau(scan, floor)
+    differences, step = float(scan[best]), float(ALL_STEPS[best])
+    noise = max(float(floor[best]), scatter(scan, best))
     shown = [float(e) if np.isfinite(e) else None for e in scan]
     if not np.isfinite(differences):
-        return Row(block, count, adjoint, None, None, step, noise, shown, False)
-    size = max(abs(adjoint), abs(differences))
-    error = abs(adjoint - differences) / size if size > 0 else 0.0
-    near = abs(adjoint - differences) <= noise <= ROUGH * size
-    agrees = error <= TOLERANCE[precision] or near or size <= noise
-    return Row(block, count, adjoint, differences, error, step, noise, shown, agrees)
+        return Row(block, count, adjoint, None, None, step, noise, shown, DISAGREES, False)
+    size, off = max(abs(adjoint), abs(differences)), abs(adjoint - differences)
+    error = off / size if size > 0 else 0.0
+    if size <= floor[best]:
+        verdict = FLAT
+    elif error <= TOLERANCE[precision] or off <= noise <= ROUGH * size:
+        verdict = AGREES
+    elif noise > ROUGH * size and (off <= FAR * noise or noise > max(float(floor[best]), abs(differences))):
+        verdict = TOO_ROUGH
+    else:
+        verdict = DISAGREES
+    return Row(block, count, adjoint, differences, error, step, noise, shown, verdict, verdict in (AGREES, FLAT))
 
 
 def _central(loss: Loss, d: Array, h: float) -> float:
@@ -224,17 +265,53 @@ def _central(loss: Loss, d: Array, h: float) -> float:
         return float("nan")  # this step is too long for the scene; a shorter one serves
 
 
-def extrapolated(central: Callable[[float], float]) -> Array:
-    """Return E(h) at every step but the last, NaN where a rollout failed."""
-    D = np.array([central(float(h)) for h in STEPS])
-    return np.asarray((16.0 * D[1:] - D[:-1]) / 15.0)
+def extrapolated(central: Callable[[float], float], rounding: float = np.inf) -> Array:
+    """Return E(h) at every step but the last, NaN where a rollout failed.
+
+    Args:
+        central: the central difference D(h).
+        rounding: error of the loss that is expected; while its part in E is small and there is no plateau, steps go on.
+    """
+    D = [central(float(h)) for h in STEPS]
+    scan = _of_fourth_order(D)
+    for h in ALL_STEPS[len(STEPS) :]:
+        if _settled(scan, rounding / ALL_STEPS[: len(scan)]):
+            break
+        D.append(central(float(h)))
+        scan = _of_fourth_order(D)
+    return scan
 
 
-def plateau(scan: Array) -> int:
-    """Return where a scan changes least to both its neighbours."""
-    change = np.abs(np.diff(scan))
-    both = np.maximum(change[1:], change[:-1])
-    return 1 + int(np.nanargmin(both)) if np.isfinite(both).any() else len(scan) - 1
+def _of_fourth_order(D: Sequence[float]) -> Array:
+    return np.asarray((16.0 * np.array(D[1:]) - np.array(D[:-1])) / 15.0)
+
+
+def _settled(scan: Array, floor: Array) -> bool:
+    """Say whether smaller steps would tell no more: there is a plateau, or what changes is rounding, or they fail."""
+    if not np.abs(np.diff(scan[-3:])).max() > floor[-1]:
+        return True
+    best = plateau(scan, floor)
+    return bool(max(scatter(scan, best), float(floor[best])) <= ROUGH * abs(scan[best]))
+
+
+def rounding_alone(scan: Array, most: float) -> float:
+    """Return the loss's error, as seen, where a scan shows nothing else: E h is of one size everywhere; else 0.
+
+    So it is where a loss saturates, with an error larger than `most`.
+    """
+    level = np.nan_to_num(np.abs(scan) * ALL_STEPS[: len(scan)])
+    half = len(scan) // 2
+    seen = 3.0 * float(level[half:].max())
+    return seen if level[:half].max() <= seen <= most else 0.0
+
+
+def plateau(scan: Array, floor: Array | float = 0.0) -> int:
+    """Return where a scan changes least to both its neighbours, for its size; `floor` is what rounding makes of it."""
+    change, floor = np.abs(np.diff(scan)), np.broadcast_to(floor, scan.shape)[1:-1]
+    both = np.maximum(np.maximum(change[1:], change[:-1]), floor)
+    size = np.maximum(np.abs(scan[1:-1]), floor)
+    relative = np.divide(both, size, out=np.where(both == 0, 0.0, np.inf), where=size > 0)
+    return 1 + int(np.nanargmin(relative)) if np.isfinite(relative).any() else len(scan) - 1
 
 
 def scatter(scan: Array, best: int) -> float:
@@ -253,8 +330,12 @@ def lines_of(found: dict[str, Any]) -> list[str]:
         if row["differences"] is None:
             lines.append(f"{head}  every step's rollout failed: DISAGREES")
             continue
-        flat = max(abs(row["adjoint"]), abs(row["differences"])) <= row["noise"]
-        verdict = "DISAGREES" if not row["agrees"] else "flat: nothing to compare" if flat else ""
-        lines.append(f"{head}  {row['differences']:14.7e}  {row['error']:8.1e}  {row['step']:8.1e}  {verdict}".rstrip())
-    lines.append("adjoint and differences " + ("agree" if found["agrees"] else "DISAGREE"))
+        told = TOLD[_verdict(row)]
+        lines.append(f"{head}  {row['differences']:14.7e}  {row['error']:8.1e}  {row['step']:8.1e}  {told}".rstrip())
+    lines.append(SUMMARY[_worst(map(_verdict, found["rows"]))].replace("disagree", "DISAGREE"))
     return lines
+
+
+def _verdict(row: dict[str, Any]) -> str:
+    """Return a row's verdict; runs of older engines have none."""
+    return str(row.get("verdict", AGREES if row["agrees"] else DISAGREES))

@@ -12,7 +12,7 @@ from cqrun.design.params import Params
 from cqrun.errors import RunError, SceneError, Stopped, UsageError
 from cqrun.jobs import gradcheck
 from cqrun.jobs.checked_losses import Loss
-from cqrun.jobs.gradcheck import ALL, STEPS, check_direction, extrapolated, plateau, run_gradcheck
+from cqrun.jobs.gradcheck import ALL, STEPS, SUMMARY, TOO_ROUGH, check_direction, extrapolated, plateau, run_gradcheck
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
 from cqrun.store.run import read_record
@@ -154,6 +154,49 @@ def test_a_direction_whose_steps_all_fail_disagrees(fit, tmp_path, monkeypatch):
     assert not agrees
     assert found["rows"][0]["scan"] == [None] * (len(STEPS) - 1)
     assert report_lines(run)[2].endswith("every step's rollout failed: DISAGREES")
+
+
+def test_differences_that_are_too_rough_do_not_agree(fit, tmp_path, monkeypatch):
+    """They scatter by more than they are, at every step: no adjoint could be told right by them, or wrong."""
+    monkeypatch.setattr(gradcheck, "_central", lambda loss, d, h: (-1.0) ** round(float(np.log(h) / np.log(4.0))))
+    run, agrees, found = check(fit, tmp_path)
+    assert not agrees
+    assert {row["verdict"] for row in found["rows"]} == {TOO_ROUGH}
+    assert len(found["steps"]) > len(STEPS) - 1
+    lines = report_lines(run)
+    assert all(line.endswith("TOO ROUGH TO TELL") for line in lines[2:-1])
+    assert lines[-1] == read_record(run)["reason"] == SUMMARY[TOO_ROUGH]
+    with pytest.raises(RunError, match="too rough to tell whether the adjoint is right"):
+        run_resume(run, [], threads=1)
+
+
+def checked(value, x, adjoint):
+    """Return what differences of a function of one number at x say of a derivative."""
+    loss = Loss("f", Params(()), np.array([x]), lambda x: float(value(x[0])), lambda x: (0.0, np.zeros(1)), 1.0)
+    return check_direction("x", loss, float(value(x)), np.array([adjoint]), np.ones(1), "float64")
+
+
+@pytest.mark.parametrize("slope", [1e4, 1e6, 1e8])
+def test_a_loss_that_saturates_at_large_steps(slope):
+    """There E is its range by the step, and so least where the step is largest."""
+
+    def value(x):
+        return np.tanh(slope * (x - 0.4)) + 1.0
+
+    right, wrong = checked(value, 0.4, slope), checked(value, 0.4, 1.001 * slope)
+    assert (right.verdict, wrong.verdict) == ("agrees", "disagrees")
+    assert right.differences == pytest.approx(slope, rel=1e-6)
+
+
+def test_a_loss_with_steps_of_all_sizes():
+    """As contacts, sticks and slips make them, on a slope of 1."""
+
+    def value(x):
+        return x + sum(2.0**-k * (np.floor(x * 3.7 * 2.0**k + 0.37 * k) % 2) for k in range(1, 50))
+
+    for adjoint in (1.0, -3.0, 20.0):
+        assert not checked(value, 0.4137, adjoint).agrees
+    assert checked(value, 0.4137, 1.0).verdict == TOO_ROUGH
 
 
 @pytest.mark.parametrize(("off", "agrees"), [(0.0, True), (1.5e-5, True), (1e-3, False)])
