@@ -31,12 +31,14 @@ class Controller(Plugin):
     """Base of the plug-ins of kind `controller`.
 
     `bounded`: it gives numbers in [-1, 1], not activations. `closed_loop`: it looks at observations.
-    `unit_inputs`: what it starts with is for observations of about 1.
+    `unit_inputs`: what it starts with is for observations of about 1. `of_the_start`: fields that only say where its
+    parameters start.
     """
 
     bounded: ClassVar[bool] = True
     closed_loop: ClassVar[bool] = True
     unit_inputs: ClassVar[bool] = False
+    of_the_start: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def blocks(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +17,7 @@ from cqrun.registry import plugin
 class LinearTanh(Controller):
     """u = gain tanh(W z + b) of observations z; W starts normal with standard deviation `spread`, b zero, as in CQ1."""
 
+    of_the_start: ClassVar[tuple[str, ...]] = ("spread",)
     gain: float = Field(description="Largest |u|: the share of the actuators' ranges in use", gt=0, le=1, default=1.0)
     spread: float = Field(description="Standard deviation of the initial weights", ge=0, default=0.02)
 

@@ -22,6 +22,7 @@ class Sinusoid(Controller):
     """
 
     closed_loop: ClassVar[bool] = False
+    of_the_start: ClassVar[tuple[str, ...]] = ("spread",)
 
     count: int = Field(description="How many sinusoids", ge=1, default=8)
     frequency: float = quantity("Hz", "Frequency f of all of them", gt=0)

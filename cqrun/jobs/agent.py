@@ -23,6 +23,7 @@ from cqrun.engine.rollout import Rollout
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.acted_on import acted_on, require_same
+from cqrun.jobs.meaning import differences, meaning_of
 from cqrun.jobs.replay import kept_values
 from cqrun.jobs.unknowns import make_params
 from cqrun.objectives.term import Objective, Track, TrackBar
@@ -89,6 +90,7 @@ class Agent:
         params: the controller's parameters, then the scene's unknowns, as they start.
         acting: values by path that it acts with where nothing is learned: the controller's parameters as they start
             or as the file has them, and what was learned with them for every group or particle.
+        otherwise: a sentence where parameters in the file mean something else here than in their training.
         starts: of the scene's unknowns, from which changes count: in a replay those of the training, if the file says.
         model: the scene's, recording what observers and objective need.
 
@@ -105,6 +107,7 @@ class Agent:
         drive = built.assembly.actuation
         self.limits = Limits(drive.low, drive.high, drive.change)
         self.actuators = [part.name for part in drive.parts]
+        self.otherwise: list[str] = []
         said = None if trained is None else self._noted(trained)
         self.starts = starts_of(built, {} if said is None else said.get("starts", {}))
         self.matter = matter_of(built, self.starts)
@@ -171,11 +174,15 @@ class Agent:
             "half": self.observation.half.tolist(),
             "n_controls": self.learning.n_controls,
             "acted_on": acted_on(self.built),
+            "meaning": self._meaning(),
             "unknowns": _of_scene(values),
             "starts": _of_scene(self.starts),
         }
         with disk_errors(path):
             save_controller(path, parameters, meta)
+
+    def _meaning(self) -> dict[str, Any]:
+        return meaning_of(self.built, [block.name for block in self.blocks])
 
     def _noted(self, path: Path) -> dict[str, Any]:
         """Return what a file says of its controller; UsageError where that is not this scene's."""
@@ -204,6 +211,8 @@ class Agent:
                 f"observers give {self.observation.size}"
             )
         self.observation.middle, self.observation.half = middle, half
+        if "meaning" in said:
+            self.otherwise = differences(path, said["meaning"], self._meaning())
         known = {CONTROLLER + name: array for name, array in parameters.items()}
         sizes = {block.path: block.initial.shape for block in self.params.blocks}
         sizes |= {f.path: block.initial.shape for block in self.params.blocks for f in block.followers}

@@ -191,6 +191,10 @@ def simulate(run: RunDirectory, built: Built, agent: Agent | None, threads: int,
     else:
         rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, threads)
         seen = agent.wanted(agent.goals_in_the_middle)
+    otherwise = [] if agent is None else agent.otherwise
+    for sentence in otherwise:
+        talk.warn(sentence)
+        run.log(sentence)
     tell_bodies(built, run, talk, rollout.inputs)
     time, model = built.scene.time, built.model
     talk.phase(f"simulating {model.layout.n_particles} particles, {model.n_steps} substeps")
@@ -226,6 +230,7 @@ def simulate(run: RunDirectory, built: Built, agent: Agent | None, threads: int,
     for sentence in result["findings"]:
         talk.warn(sentence)
         run.log(sentence)
+    result["findings"] += otherwise
     run.write_result(result)
     run.finish("done", result["message"])
     return run.path

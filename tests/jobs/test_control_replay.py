@@ -14,6 +14,7 @@ import cqrun
 from cqrun.controllers.saved import read_controller, save_controller
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.figures.render import Wanted, render
+from cqrun.jobs.agent import Agent
 from cqrun.jobs.control import Keeping, run_control
 from cqrun.jobs.export import designed
 from cqrun.jobs.report import report_lines
@@ -225,6 +226,25 @@ def test_a_stopped_replay_runs_again_with_its_own_copy(trained, tmp_path):
 def test_a_controller_that_is_not_this_scenes_is_refused(trained, tmp_path, override, message):
     with pytest.raises(UsageError, match=rf"controller.npz: .*{message}"):
         replay(trained, tmp_path, override)
+
+
+def test_parameters_that_mean_something_else_are_told(trained, tmp_path):
+    """Ranges and the spread of the start say nothing of what was learned; an older file does not tell."""
+    gain, seen = "controller.linear_tanh.gain", "observers.parts.centroids.groups"
+    neither = ("controller.linear_tanh.spread=0.5", "observers.clock.clock.range=[0, 1]")
+    other = (f"{gain}=0.2", f"{seen}=[tip, left, right]", "actuators.muscle.muscle.rate=50", *neither)
+    listener = Listener()
+    run = replay(trained, tmp_path, *other, reporter=listener)
+    (told,) = (line for line in listener.said if "acts otherwise" in line)
+    assert told.startswith(f"warning: {trained}/controller.npz: acts otherwise than it was trained to: ")
+    assert f"{gain} was 1.0, is 0.2; {seen} was all, is ['tip', 'left', 'right']; " in told
+    assert told.endswith("actuators.muscle.muscle.rate was absent, is 50.0")
+    assert told.removeprefix("warning: ") in result_of(run)["findings"]
+    parameters, meta = read_controller(trained / "controller.npz")
+    del meta["meaning"]
+    save_controller(tmp_path / "older.npz", parameters, meta)
+    assert Agent(build(load_scene(trained / "scene.yaml", other)), tmp_path / "older.npz").otherwise == []
+    assert Agent(build(load_scene(trained / "scene.yaml", neither)), trained / "controller.npz").otherwise == []
 
 
 def test_elsewhere_what_lies_at_a_place_in_the_world_acts_on_others(tmp_path):
