@@ -213,17 +213,19 @@ class Agent:
         self.observation.middle, self.observation.half = middle, half
         if "meaning" in said:
             self.otherwise = differences(path, said["meaning"], self._meaning())
-        known = {CONTROLLER + name: array for name, array in parameters.items()}
+        return {CONTROLLER + name: array for name, array in parameters.items()} | self.fitting(path, kept_values(path))
+
+    def fitting(self, path: Path, learned: Values) -> dict[str, Array]:
+        """Return values that a file has of the scene's unknowns; UsageError where these have others in number."""
         sizes = {block.path: block.initial.shape for block in self.params.blocks}
         sizes |= {f.path: block.initial.shape for block in self.params.blocks for f in block.followers}
-        for name, array in kept_values(path).items():
+        for name, array in learned.items():
             if array.shape != sizes.get(name):
                 raise UsageError(
                     f"{path}: holds {array.size} numbers of {name} that were learned with the controller; this scene's "
                     f"unknowns have {sizes.get(name, 'none')}: bodies and particles must be those it was trained with"
                 )
-            known[name] = array
-        return known
+        return dict(learned)
 
     # --- rollouts -----------------------------------------------------------------------------------------------
 

@@ -54,6 +54,17 @@ def refuse_learned(file: Path, scene: Scene | None, overrides: Sequence[str]) ->
             )
 
 
+def design_in(file: Path, scene: Scene, overrides: Sequence[str]) -> dict[str, Array]:
+    """Return the values by path that were learned with a controller, without those that overrides replace.
+
+    Arguments and errors as `refuse_learned`.
+    """
+    refuse_learned(file, scene, overrides)
+    keys = [_spelt_out(scene, override.partition("=")[0].strip()) for override in overrides]
+    own = _learned(file)
+    return {path: value for path, value in own.items() if not any(f"{path}.".startswith(f"{key}.") for key in keys)}
+
+
 def _spelt_out(scene: Scene | None, key: str) -> str:
     """Return the long spelling of a key path, or the path itself where a scene has nothing there."""
     try:
