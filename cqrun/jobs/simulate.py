@@ -51,13 +51,13 @@ UNTRAINED = "the controller has learned nothing yet: it acts with the parameters
 
 
 def run_simulate(
-    source: Path,
+    source: Path | str,
     overrides: Sequence[str],
-    out: Path,
+    out: Path | str,
     *,
     fresh: bool = False,
     threads: int | None = None,
-    controller: Path | None = None,
+    controller: Path | str | None = None,
     reporter: Reporter | None = None,
 ) -> Path:
     """Run a scene forward with its own values; return the run's directory.
@@ -72,8 +72,11 @@ def run_simulate(
     Raises:
         SceneError, UsageError: bad input. RunError: it blew up. Stopped: it was asked to stop.
     """
+    source, out = Path(source), Path(out)
     talk, n_threads = reporter or Silent(), cores(threads)
-    trained = controller if controller is not None or not source.is_dir() else _controller_of(source, talk)
+    trained = None if controller is None else Path(controller)
+    if trained is None and source.is_dir():
+        trained = _controller_of(source, talk)
     unchanged = _unchanged(source)
     if trained is not None:
         refuse_learned(trained, unchanged, overrides)
