@@ -80,9 +80,9 @@ class Variant:
 
 
 def run_ablation(
-    source: Path,
+    source: Path | str,
     overrides: Sequence[str],
-    out: Path,
+    out: Path | str,
     *,
     seeds: int,
     fresh: bool = False,
@@ -103,6 +103,7 @@ def run_ablation(
     Raises:
         SceneError, UsageError: bad input. Stopped: asked to stop; the same command goes on. RunError: a run was killed.
     """
+    source, out = Path(source), Path(out)
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
     scene = load_scene(source, overrides)

@@ -219,10 +219,9 @@ class Agent:
         self.observation.middle, self.observation.half = middle, half
         if "meaning" in said:
             self.otherwise = differences(path, said["meaning"], self._meaning())
-        known = {CONTROLLER + name: array for name, array in parameters.items()}
         kept = kept_values(path)
         require_fitting(path, kept, self.params)
-        return known | kept
+        return {CONTROLLER + name: array for name, array in parameters.items()} | kept
 
     # --- rollouts -----------------------------------------------------------------------------------------------
 

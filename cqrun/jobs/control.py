@@ -72,9 +72,9 @@ FLAT = (
 
 
 def run_control(
-    source: Path,
+    source: Path | str,
     overrides: Sequence[str],
-    out: Path,
+    out: Path | str,
     *,
     fresh: bool = False,
     threads: int | None = None,
@@ -86,6 +86,7 @@ def run_control(
     Raises:
         SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
     """
+    source, out = Path(source), Path(out)
     talk, n_threads = reporter or Silent(), cores(threads)
     problem = prepare(load_scene(source, overrides), n_threads, talk, job)
     with open_run(

@@ -120,9 +120,9 @@ class Row:
 
 
 def run_gradcheck(
-    source: Path,
+    source: Path | str,
     overrides: Sequence[str],
-    out: Path,
+    out: Path | str,
     *,
     fresh: bool = False,
     threads: int | None = None,
@@ -133,6 +133,7 @@ def run_gradcheck(
     Raises:
         SceneError, UsageError: bad input. RunError: the scene blows up at its start. Stopped: asked to stop.
     """
+    source, out = Path(source), Path(out)
     talk = reporter or Silent()
     built = build_and_warn(load_scene(source, overrides), talk)
     gradient_plan(built)

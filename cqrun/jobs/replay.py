@@ -86,6 +86,17 @@ def refuse_learned(file: Path, learned: Learned, scene: Scene | None, overrides:
             )
 
 
+def design_in(file: Path, scene: Scene, overrides: Sequence[str]) -> dict[str, Array]:
+    """Return the values by path that were learned with a controller, without those that overrides replace.
+
+    Arguments and errors as `refuse_learned`.
+    """
+    learned = learned_in(file)
+    refuse_learned(file, learned, scene, overrides)
+    keys = [_spelt_out(scene, override.partition("=")[0].strip()) for override in overrides]
+    return {path: value for path, value in learned.items() if not any(f"{path}.".startswith(f"{key}.") for key in keys)}
+
+
 def _spelt_out(scene: Scene | None, key: str) -> str:
     """Return the long spelling of a key path, or the path itself where a scene has nothing there."""
     try:

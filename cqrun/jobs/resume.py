@@ -26,7 +26,7 @@ JOBS: dict[str, Resume] = {
 
 
 def run_resume(
-    run_dir: Path, overrides: Sequence[str], *, threads: int | None = None, reporter: Reporter | None = None
+    run_dir: Path | str, overrides: Sequence[str], *, threads: int | None = None, reporter: Reporter | None = None
 ) -> Path:
     """Continue the run in a directory; return it.
 
@@ -37,7 +37,7 @@ def run_resume(
         UsageError: it is no run, another process or engine holds it, or the overrides do not fit.
         RunError: the run failed. Stopped: it was asked to stop.
     """
-    with RunDirectory.resume(run_dir) as run:
+    with RunDirectory.resume(Path(run_dir)) as run:
         job = str(run.record.get("job"))
         if job not in JOBS:
             raise UsageError(f"{run_dir}: a run of '{job}', which this version of cqrun does not know")

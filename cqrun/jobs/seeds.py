@@ -45,9 +45,9 @@ INFEASIBLE = "infeasible"
 
 
 def run_seeds(
-    source: Path,
+    source: Path | str,
     overrides: Sequence[str],
-    out: Path,
+    out: Path | str,
     *,
     seeds: int,
     fresh: bool = False,
@@ -69,6 +69,7 @@ def run_seeds(
     Raises:
         SceneError, UsageError: bad input. Stopped: asked to stop; the same command goes on.
     """
+    source, out = Path(source), Path(out)
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
     at_once = min(seeds, n_threads if jobs is None else jobs)

@@ -62,13 +62,13 @@ UNTRAINED = "the controller has learned nothing yet: it acts with the parameters
 
 
 def run_simulate(
-    source: Path,
+    source: Path | str,
     overrides: Sequence[str],
-    out: Path,
+    out: Path | str,
     *,
     fresh: bool = False,
     threads: int | None = None,
-    controller: Path | None = None,
+    controller: Path | str | None = None,
     reporter: Reporter | None = None,
 ) -> Path:
     """Run a scene forward with its own values; return the run's directory.
@@ -84,9 +84,10 @@ def run_simulate(
     Raises:
         SceneError, UsageError: bad input. RunError: it blew up. Stopped: it was asked to stop.
     """
+    source, out = Path(source), Path(out)
     talk, n_threads = reporter or Silent(), cores(threads)
-    trained, identified = controller, None
-    if controller is None and source.is_dir():
+    trained, identified = None if controller is None else Path(controller), None
+    if trained is None and source.is_dir():
         identified = _identified_by(source, talk)
         trained = _controller_of(source, talk) if identified is None else None
     unchanged, file, learned = _unchanged(source), trained or identified, dict[str, Array]()

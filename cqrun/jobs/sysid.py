@@ -40,9 +40,9 @@ FEW = 10
 
 
 def run_sysid(
-    source: Path,
+    source: Path | str,
     overrides: Sequence[str],
-    out: Path,
+    out: Path | str,
     *,
     fresh: bool = False,
     threads: int | None = None,
@@ -53,6 +53,7 @@ def run_sysid(
     Raises:
         SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
     """
+    source, out = Path(source), Path(out)
     talk = reporter or Silent()
     built = prepare(load_scene(source, overrides), talk)
     cases, n_threads = given_cases(built), cores(threads)

@@ -72,9 +72,22 @@ def _document(source: Path | str | dict[str, Any]) -> tuple[Document, Path | Non
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise SceneError([Problem(str(path), "", f"the scene cannot be read: {reason}")]) from None
+        raise SceneError([Problem(str(path), "", f"the scene cannot be read: {_why_unread(path, error)}")]) from None
     return read(text, str(path)), path, text
+
+
+def _why_unread(path: Path, error: OSError | UnicodeDecodeError) -> str:
+    """Return why a file cannot be read, and of a directory what would be right."""
+    if isinstance(error, UnicodeDecodeError):
+        return "it is not UTF-8 text"
+    if not isinstance(error, IsADirectoryError):
+        return error.strerror or str(error)
+    if not (path / "run.json").is_file():
+        return "it is a directory; a scene is a YAML file"
+    return (
+        "it is the directory of a run; give the file of the scene that was run, or `cqrun resume RUN` goes on with the "
+        "run, and `cqrun simulate RUN` replays it"
+    )
 
 
 def _overridden(data: Any, overrides: Sequence[str]) -> tuple[Any, list[Override]]:

@@ -13,6 +13,7 @@ import cqrun
 from cqrun.errors import SceneError, UsageError
 from cqrun.jobs.control import run_control
 from cqrun.jobs.gradcheck import ALL, run_gradcheck
+from cqrun.jobs.resume import run_resume
 from cqrun.jobs.simulate import run_simulate
 from cqrun.store.history import read_history
 from cqrun.store.trajectory import read_trajectory
@@ -65,6 +66,16 @@ def test_simulate_is_the_job(problem, tmp_path):
     np.testing.assert_array_equal(motion.x, read_trajectory(run / "trajectory.h5").fields["x"])
     table = np.loadtxt(run / "activation.csv", delimiter=",", skiprows=1)
     np.testing.assert_array_equal(motion.activation, table[:, 1:])
+
+
+def test_jobs_take_text_for_paths(tmp_path):
+    short = ["time.duration=0.02", "optimizer.adam.max_iterations=1"]
+    run = run_control(str(written(tmp_path)), short, str(tmp_path / "out"), threads=1)
+    assert run.parent.name == "finger"
+    assert run_resume(str(run), [], threads=1) == run
+    again = run_simulate(str(run), [], str(tmp_path / "again"), threads=1)
+    other = run_simulate(str(run), [], str(tmp_path / "again"), controller=str(run / "controller.npz"), threads=1)
+    assert again == other
 
 
 def test_simulate_takes_parameters_and_goals(problem):

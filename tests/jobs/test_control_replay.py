@@ -237,7 +237,7 @@ def test_parameters_that_mean_something_else_are_told(trained, tmp_path):
     run = replay(trained, tmp_path, *other, reporter=listener)
     (told,) = (line for line in listener.said if "acts otherwise" in line)
     assert told.startswith(f"warning: {trained}/controller.npz: acts otherwise than it was trained to: ")
-    assert f"{gain} was 1.0, is 0.2; {seen} was absent, is ['tip', 'left', 'right']; " in told
+    assert f"{gain} was 1.0, is 0.2; {seen} was all, is ['tip', 'left', 'right']; " in told
     assert told.endswith("actuators.muscle.muscle.rate was absent, is 50.0")
     assert told.removeprefix("warning: ") in result_of(run)["findings"]
     parameters, meta = read_controller(trained / "controller.npz")

@@ -7,9 +7,15 @@ import sys
 
 import numpy as np
 import pytest
+from small_finger import DESIGN, STIFFNESS
 
 import cqrun
-from cqrun.errors import UsageError
+from cqrun.engine.model import Records
+from cqrun.errors import SceneError, UsageError
+from cqrun.jobs.agent import Agent
+from cqrun.jobs.runs import open_run
+from cqrun.scene.build import build
+from cqrun.scene.load import load_scene
 
 pytestmark = pytest.mark.rl
 FINGER = "scenes/control/finger.yaml"
@@ -63,12 +69,60 @@ def test_an_action_that_is_not_finite_is_refused(env):
     assert not failed
 
 
-def test_a_blow_up_ends_the_episode(env):
+def test_a_blow_up_ends_the_episode_and_never_pays(env):
+    """Not even where the loss only grows: the episode's rewards sum to less than there was at any step of any other."""
     env.reset(seed=1)
+    first, sums = env.loss, [0.0]
+    while not env.over:
+        sums.append(sums[-1] + env.step(np.full(2, -1.0))[1])
+    env.reset(seed=1)
+    so_far = env.step(np.ones(2))[1]
     env.states[...] = np.nan
-    *_, reward, failed, over, facts = env.step(np.zeros(2))
-    assert (reward, failed, over) == (0.0, True, False)
+    _, reward, failed, over, facts = env.step(np.zeros(2))
+    assert (failed, over) == (True, False)
     assert "not finite" in facts["failed"]
+    least, most = min(*sums, so_far), max(*sums, so_far)
+    assert so_far + reward == pytest.approx(least - (most - least) - first, rel=1e-12)
+
+
+def test_a_step_reads_its_own_record_alone(env, monkeypatch):
+    """The whole run's, copied at every step, took most of the time."""
+    env.reset(seed=1)
+    read, whole = [], Records.from_rows
+    monkeypatch.setattr(Records, "from_rows", lambda rows, dim: read.append(len(rows)) or whole(rows, dim))
+    env.step(np.ones(2))
+    assert read == [1]
+    assert env.track.x.shape[1] == env.agent.objective.rows.shape[0]
+
+
+def test_constraints_are_refused_and_a_design_that_is_not_learned_is_told():
+    with pytest.raises(SceneError, match="constraints: an environment honours no constraints: make them terms of the"):
+        cqrun.environment(DESIGN, threads=1)
+    with pytest.warns(UserWarning, match=f"unknowns: {STIFFNESS} stay at their start: an environment learns no design"):
+        cqrun.environment(DESIGN, ["constraints={}"], threads=1)
+
+
+def test_a_run_acts_with_what_it_has_designed(tmp_path):
+    strength = "actuators.muscle.muscle.strength"
+    scene = load_scene(DESIGN, ["constraints={}", f"unknowns.{strength}={{bounds: [2, 6]}}"])
+    with open_run("finger", scene, tmp_path, job="codesign", threads=1, fresh=False) as begun:
+        run = begun.path
+    with pytest.raises(UsageError, match=r"has found no design yet .*; -o unknowns={} takes its scene's own"):
+        cqrun.environment(run, threads=1)
+    agent = Agent(build(scene))
+    learned = {block.path: 1.1 * block.initial for block in agent.params.blocks}
+    agent.save(run / "controller.npz", learned)
+    env = cqrun.environment(str(run), threads=1)
+    env.reset(seed=0)
+    own = {path: learned[path] for path in (STIFFNESS, strength)}
+    inputs, wanted = env.rollout.inputs, agent.built.assembly.inputs(own)
+    np.testing.assert_array_equal(inputs.strength, wanted.strength)
+    np.testing.assert_array_equal(inputs.terms[0][0], wanted.terms[0][0])
+    assert cqrun.environment(run, [f"{strength}=5"], threads=1).design.keys() == {STIFFNESS}
+    with pytest.raises(UsageError, match="has a value of it for every group or particle"):
+        cqrun.environment(run, [f"{STIFFNESS}=12"], threads=1)
+    with pytest.raises(UsageError, match=r"holds 48 numbers of .* bodies and particles must be those"):
+        cqrun.environment(run, ["bodies.finger.sampling.lattice.count=3"], threads=1)
 
 
 def test_a_step_out_of_turn_is_told(env):

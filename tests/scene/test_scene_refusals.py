@@ -246,6 +246,12 @@ def test_everything_is_told_at_once_by_line_then_by_override(refused: Refused) -
 
 
 def test_a_missing_file_and_a_wrong_encoding_are_told(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    with pytest.raises(SceneError, match=r"run: the scene cannot be read: it is a directory; a scene is a YAML file"):
+        load_scene(tmp_path / "run")
+    (tmp_path / "run" / "run.json").write_text("{}")
+    with pytest.raises(SceneError, match=r"it is the directory of a run; give the file of the scene that was run, or"):
+        load_scene(tmp_path / "run")
     with pytest.raises(SceneError, match=r"none.yaml: the scene cannot be read: No such file"):
         load_scene(tmp_path / "none.yaml")
     (tmp_path / "latin.yaml").write_bytes(b"title: \xe9\n")
