@@ -366,4 +366,5 @@ def matter_of(built: Built, starts: Values) -> Matter:
         recorded=lambda file, units, marker: marker_path(scene.resolve_path(file), units, marker),
         design=built.assembly.design(inputs),
         regions=tuple(scene.regions),
+        neutral=built.assembly.actuation.neutral,
     )
