@@ -3,7 +3,8 @@
 R is the rotation nearest to F: it maximises tr(R^T F) over det R = 1, also where det F < 0 (the smallest
 singular value then counts negative: "signed singular values"). In 2D it is closed. In 3D Newton's iteration
 R <- (R + R^-T) / 2 (Higham, Computing the polar decomposition, SIAM J. Sci. Stat. Comput. 1986) is run to
-convergence; where it would end at a reflection, or has not converged after 10 steps, R comes from a 4 x 4 eigenproblem.
+convergence; where it would end at a reflection, where det F is but round-off, or where it has not converged after 10
+steps, R comes from a 4 x 4 eigenproblem.
 
 Derivative: dR = R [w]x with (tr(S) I - S) w = axial(R^T dF), so the denominators are s_i + s_j: smooth at
 F = I and at equal singular values, singular only where two signed singular values cancel.
@@ -110,6 +111,18 @@ def _tolerance_overload(a):
     return lambda a: value
 
 
+def _rounding(a: Any) -> float:
+    """Of |F|^3: a determinant below it is round-off, as of a matrix of rank 1, where Newton ends anywhere."""
+    return 1e-15 if np.asarray(a).dtype.itemsize >= 8 else 5e-7
+
+
+@overload(_rounding)
+def _rounding_overload(a):
+    real = a.real if isinstance(a, Lanes) else a
+    value = 1e-15 if real == types.float64 else 5e-7
+    return lambda a: value
+
+
 @register_jitable
 def _polar_3d(F: Any) -> Any:
     J = det(F)
@@ -122,7 +135,8 @@ def _polar_3d(F: Any) -> Any:
         small = _below(inner(step, step), J * 0.0 + _tolerance(J))
         if all_lanes(small):
             break
-    proper = small & _below(J * 0.0, J)
+    size = inner(F, F)
+    proper = small & _below(_rounding(J) * (size * sqrt(size)), J)
     return R if all_lanes(proper) else _mend(F, R, proper)
 
 

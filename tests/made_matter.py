@@ -33,7 +33,7 @@ def made_matter(dim: int) -> Matter:
     return Matter(
         x, np.ones(len(x)), size, CONTROL_STEP, N_CONTROLS, bodies, {"arm": groups, "ball": {}}, select,
         {"target": dim, "pace": 1}, N_ACTUATORS, design=1.5 + np.linspace(0.0, 1.0, 4 * len(x)).reshape(4, -1),
-        recorded=lambda file, units, marker: (np.linspace(0.0, 0.4, 9), seen),
+        recorded=lambda file, units, marker: (np.linspace(0.0, 0.4, 9), seen), neutral=np.array([0.0, 1.0, 0.5]),
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from cqrun.compile import kernel
 from cqrun.lanes import lane_width
 from cqrun.packed import load, pack, store, unpack
 from cqrun.polar import nearest_rotation, polar, polar_vjp
-from cqrun.tensor import inner
+from cqrun.tensor import det, inner
 
 
 def rotations(n: int, dim: int, rng: np.random.Generator) -> np.ndarray:
@@ -110,6 +110,20 @@ def test_its_adjoint(values, dim, rng):
     F_bar = as_matrices(polar_vjp(as_tuple(F), R, as_tuple(R_bar)))
     forward, backward = (jvp(F, F_dot) * R_bar).sum((1, 2)), (F_bar * F_dot).sum((1, 2))
     np.testing.assert_allclose(backward, forward, rtol=0, atol=1e-9 * np.abs(forward).max())
+
+
+@pytest.mark.parametrize(("real", "close"), [(np.float64, 1e-12), (np.float32, 1e-5)])
+def test_of_rank_one_it_is_a_nearest_rotation_whatever_sign_rounding_gives_det_F(real, close, rng):
+    """Newton may end at a reflection there, and at a rotation that is not nearest. Of a b^T tr(R^T F) is |a| |b|."""
+    a, b = rng.normal(size=(2, 300, 3, 1))
+    F = a / np.linalg.norm(a, axis=1, keepdims=True) * np.swapaxes(b, 1, 2) / np.linalg.norm(b, axis=1)[:, None]
+    F = F.astype(real)
+    signs = np.sign(det(as_tuple(F)))
+    assert min((signs > 0).sum(), (signs < 0).sum()) > 80
+    with np.errstate(all="ignore"):  # where rounding gives nought Newton divides by it
+        R = as_matrices(polar(as_tuple(F)))
+    np.testing.assert_allclose(np.linalg.det(R.astype(float)), 1.0, atol=close)
+    np.testing.assert_allclose((R * F).sum((1, 2)), 1.0, atol=close)
 
 
 def test_its_derivative_is_not_the_one_of_the_published_code(rng):

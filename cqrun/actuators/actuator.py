@@ -33,8 +33,9 @@ class Actuator(Plugin):
 
     body: str = Field(description="Body it lies in")
     rate: float | None = quantity(
-        "1/s", "Greatest change of the activation in a second; any if absent", gt=0, default=None
-    )
+        "1/s", "Greatest change of the activation in a second, at first from where it does nothing; any if absent",
+        gt=0, default=None,
+    )  # fmt: skip
 
     scale: ClassVar[str] = ""
     """The differentiable field that an activation is multiplied by."""
@@ -165,16 +166,14 @@ class DirectedStress(RegionActuator):
         return np.outer(n, n)
 
 
-def held_to(
-    wanted: Array, previous: Array | None, low: Array, high: Array, change: Array
-) -> tuple[Array, Array, Array]:
+def held_to(wanted: Array, previous: Array, low: Array, high: Array, change: Array) -> tuple[Array, Array, Array]:
     """Return activations within their limits, and within `change` of the previous ones; and the derivatives.
 
     At a limit the derivative by what is wanted is 1 towards the inside, so that an optimizer finds its way back.
 
     Args:
         wanted: activations asked for (A,).
-        previous: those of the control step before (A,), or None at the first, where any may be had.
+        previous: those of the control step before (A,), at the first those of actuators that do nothing.
         low, high: limits (A,).
         change: greatest change in a control step (A,), infinite where there is none.
 
@@ -183,8 +182,6 @@ def held_to(
     """
     clipped = np.clip(wanted, low, high)
     by_wanted = ((wanted >= low) & (wanted <= high)).astype(float)
-    if previous is None:
-        return clipped, by_wanted, np.zeros_like(clipped)
     given = np.clip(clipped, previous - change, previous + change)
     late = given != clipped
     return given, np.where(late, 0.0, by_wanted), late.astype(float)

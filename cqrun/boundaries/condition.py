@@ -62,6 +62,8 @@ class BoundaryCondition(Plugin):
             raise ValueError("give exactly one of `face` and `region`")
         if self.face is not None and self.normal is not None:
             raise ValueError("`normal` belongs to a region; a face has its own")
+        if self.region is not None and self.thickness > 0:
+            raise ValueError("`thickness` belongs to a face; a region says itself how far it reaches")
         if self.lacks_normal and not getattr(self.region.value, "is_name", False):  # the scene knows what it stands for
             raise ValueError(self.lack)
         if self.normal is not None and not np.isclose(np.linalg.norm(self.normal), 1.0, atol=1e-6):

@@ -42,7 +42,7 @@ class Controller(Plugin):
 
     @abstractmethod
     def blocks(
-        self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, rng: np.random.Generator
+        self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, neutral: Array, rng: np.random.Generator
     ) -> list[ParameterBlock]:
         """Return the parameters, as they start.
 
@@ -51,6 +51,7 @@ class Controller(Plugin):
             n_out: number of actuators A.
             n_controls: control steps in a run.
             low, high: (A,) the actuators' ranges.
+            neutral: (A,) activations within them that do nothing, or as little as they may.
             rng: what random parameters are drawn from.
 
         Raises:

@@ -22,7 +22,7 @@ class LinearTanh(Controller):
     spread: float = Field(description="Standard deviation of the initial weights", ge=0, default=0.02)
 
     def blocks(
-        self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, rng: np.random.Generator
+        self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, neutral: Array, rng: np.random.Generator
     ) -> list[ParameterBlock]:
         self.require_observations(n_in)
         weights = self.spread * rng.normal(size=(n_out, n_in))

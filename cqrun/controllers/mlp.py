@@ -35,7 +35,7 @@ class Mlp(Controller):
     )  # fmt: skip
 
     def blocks(
-        self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, rng: np.random.Generator
+        self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, neutral: Array, rng: np.random.Generator
     ) -> list[ParameterBlock]:
         self.require_observations(n_in)
         widths, found = [n_in, *self.hidden, n_out], []

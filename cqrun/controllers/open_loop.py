@@ -28,12 +28,12 @@ class OpenLoop(Controller):
     every: int = Field(description="Control steps from one knot to the next", ge=1, default=1)
     interpolate: Literal["hold", "linear"] = Field(description="Between knots", default="hold")
     initial: float | None = quantity(
-        "1", "Activation at the start of the optimization; absent: 0, or the end of the range next to it", default=None
+        "1", "Activation at the start of the optimization; absent: each actuator's own that does nothing", default=None
     )
     noise: float = quantity("1", "Standard deviation of a random part of it, kept in range", ge=0, default=0.0)
 
     def blocks(
-        self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, rng: np.random.Generator
+        self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, neutral: Array, rng: np.random.Generator
     ) -> list[ParameterBlock]:
         if self.initial is not None and not np.all((low <= self.initial) & (self.initial <= high)):
             raise UsageError(
@@ -42,7 +42,8 @@ class OpenLoop(Controller):
             )
         whole, past = divmod(n_controls - 1, self.every)
         shape = (whole + 1 + (self.interpolate == "linear" and past > 0), n_out)
-        start = np.full(shape, 0.0 if self.initial is None else self.initial) + self.noise * rng.normal(size=shape)
+        initial = np.broadcast_to(neutral if self.initial is None else self.initial, shape)
+        start = initial + self.noise * rng.normal(size=shape)
         low, high = np.broadcast_to(low, shape).copy(), np.broadcast_to(high, shape).copy()
         return [ParameterBlock("knots", np.clip(start, low, high), low, high)]
 

@@ -2,7 +2,8 @@
 
     z = observe(record, memory),  u = controller(z, t),  a_k = held(u mapped to the limits, a_{k-1})
 
-The memory is that of the observers and then, where an actuator has a rate, the activations of the step before.
+The memory is that of the observers and then, where an actuator has a rate, the activations of the step before: at the
+first step those of actuators that do nothing.
 """
 
 from __future__ import annotations
@@ -21,11 +22,18 @@ from cqrun.state import State, rows_of
 
 @dataclass(frozen=True)
 class Limits:
-    """Least and greatest activations (A,), and the greatest change in a control step (A,), infinite where any."""
+    """What activations may be, each (A,).
+
+    Attributes:
+        low, high: the least and the greatest.
+        change: the greatest change in a control step, infinite where any.
+        neutral: those that do nothing, or as little as they may: before the first control step.
+    """
 
     low: Array
     high: Array
     change: Array
+    neutral: Array
 
     @property
     def slow(self) -> bool:
@@ -51,7 +59,7 @@ class ControlPolicy:
         dim: of the world.
 
     Attributes:
-        n_memory: length of the memory, zero at the start.
+        memory: (M,) what it remembers at the start.
         saw: what the controller got (Z,), an entry for every control step that it acted in.
     """
 
@@ -63,7 +71,9 @@ class ControlPolicy:
         self.limits, self.goals, self.control_step, self.dim = limits, goals, control_step, dim
         self.saw: list[Array] = []
         self.slow = limits.slow
-        self.n_memory = remembered(observation, limits)
+        self.memory = np.zeros(remembered(observation, limits))
+        if self.slow:
+            self.memory[observation.n_memory :] = limits.neutral
         half = 0.5 * (limits.high - limits.low)
         self._scale, self._shift = (half, limits.low + half) if controller.bounded else (np.ones_like(half), 0.0 * half)
 
@@ -72,15 +82,15 @@ class ControlPolicy:
         z, remembered = self.seen(control, record, memory, state)
         self.saw.append(z)
         u = self.controller.act(self.parameters, z, control, control * self.control_step)
-        return self.driven(control, u, remembered, memory)
+        return self.driven(u, remembered, memory)
 
     def seen(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
         """Return what the observers see, and what they remember of it."""
         return self.observation.observe(self._moment(control, record, memory, state))
 
-    def driven(self, control: int, u: Array, remembered: Array, memory: Array) -> tuple[Array, Array]:
+    def driven(self, u: Array, remembered: Array, memory: Array) -> tuple[Array, Array]:
         """Return the activations that a controller's answer u (A,) gives, and the next memory."""
-        given, _, _ = self._held(control, u, memory)
+        given, _, _ = self._held(u, memory)
         return given, np.concatenate([remembered, given]) if self.slow else remembered
 
     def act_vjp(
@@ -90,7 +100,7 @@ class ControlPolicy:
         """Return the cotangents of record, memory and state; add those of the parameters to `parameters_bar`."""
         moment, time = self._moment(control, record, memory, state), control * self.control_step
         z, _ = self.observation.observe(moment)
-        _, by_wanted, by_previous = self._held(control, self.controller.act(self.parameters, z, control, time), memory)
+        _, by_wanted, by_previous = self._held(self.controller.act(self.parameters, z, control, time), memory)
         n = self.observation.n_memory
         given_bar = activation_bar + memory_bar[n:] if self.slow else activation_bar
         z_bar = self.controller.act_vjp(
@@ -108,9 +118,9 @@ class ControlPolicy:
         """Return cotangents of the controller's parameters to add to, by block."""
         return {name: np.zeros_like(value) for name, value in self.parameters.items()}
 
-    def _held(self, control: int, u: Array, memory: Array) -> tuple[Array, Array, Array]:
-        previous = memory[self.observation.n_memory :] if self.slow and control > 0 else None
+    def _held(self, u: Array, memory: Array) -> tuple[Array, Array, Array]:
         limits = self.limits
+        previous = memory[self.observation.n_memory :] if self.slow else limits.neutral
         return held_to(self._shift + self._scale * u, previous, limits.low, limits.high, limits.change)
 
     def _moment(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> Moment:

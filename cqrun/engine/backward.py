@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,7 +44,9 @@ class Backward:
         zeros = [[np.zeros_like(theta) for theta in group] for group in rollout.inputs.terms]
         self.groups_bar = rollout.kernel_groups(zeros, self.drive_bar)
         self.coefficient_bar = np.zeros(len(rollout.model.conditions))
-        self.sizes: dict[int, float] = {}
+        self.before: dict[int, float] = {}
+        self.after: dict[int, float] = {}
+        self.whole = aligned(self.q_bar.shape, self.q_bar.dtype)
         self.parameters_bar: Any = None if rollout.policy is None else rollout.policy.parameters_zero()
         self._begin(loss_bar)
 
@@ -60,6 +61,8 @@ class Backward:
             self.records_bar += loss_bar.records.to_rows()
         if loss_bar.activation is not None:
             self.drive_bar.activation[...] = loss_bar.activation
+        if rollout.policy is not None:
+            self.after[rollout.model.n_controls] = self._size(self.records_bar[-1])
 
     def _add_state(self, bar: State) -> None:
         layout, real = self.rollout.model.layout, self.rollout.model.real
@@ -82,24 +85,33 @@ class Backward:
     def growth(self) -> tuple[float, int]:
         """The factor by which |q_bar| grows most across a control step on the way back, and which step that is.
 
-        (0, -1) without a policy, or where the loss does not depend on the motion.
+        What the loss adds at the end of a step counts for its beginning, and is no growth. (0, -1) without a policy, or
+        where the loss does not depend on the motion.
         """
-        steps = sorted(self.sizes, reverse=True)
-        grown = [(self.sizes[b] / self.sizes[a], b) for a, b in itertools.pairwise(steps) if self.sizes[a] > 0]
+        grown = [(size / self.after[k + 1], k) for k, size in self.before.items() if self.after.get(k + 1, 0.0) > 0]
         return max(grown, key=lambda each: each[0], default=(0.0, -1))
 
     def _blame(self, control: int, q: Array) -> None:
         """Carry the cotangent of a control step's activations back through the policy."""
         r = self.rollout
         assert r.policy is not None
-        self.sizes[control] = float(np.linalg.norm(self.q_bar))
         record_bar, self.memory_bar, state_bar = r.policy.act_vjp(
             control, r.records[control], r.memory[control], lambda: r.unpack(q, control),
             self.drive_bar.activation[control], self.memory_bar, self.parameters_bar,
         )  # fmt: skip
-        self.records_bar[control] += record_bar
         if state_bar is not None:
             self._add_state(state_bar)
+        self.before[control] = self._size(record_bar)
+        self.records_bar[control] += record_bar
+        self.after[control] = self._size(self.records_bar[control])
+
+    def _size(self, record_bar: Array) -> float:
+        """Return |q_bar| as it is once the cotangent of a record is added, which the next substep backwards does."""
+        if not record_bar.any():
+            return float(np.linalg.norm(self.q_bar))
+        self.whole[...] = self.q_bar
+        record_vjp(self.rollout.probe, self.whole, record_bar)
+        return float(np.linalg.norm(self.whole))
 
     def _reverse(self, begin: int, end: int, states: Array) -> None:
         r = self.rollout

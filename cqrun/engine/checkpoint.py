@@ -79,6 +79,13 @@ def make_plan(n_steps: int, state_bytes: int, budget: int) -> Plan:
     return best
 
 
+def _taken(spare: list[Array]) -> Array | None:
+    try:
+        return spare.pop()
+    except IndexError:  # asked beforehand, another thread might take the last one in between
+        return None
+
+
 @contextmanager
 def borrowed(spare: list[Array], shape: tuple[int, ...], real: Any) -> Iterator[Array]:
     """Give memory for states, which the next gradient will use again.
@@ -89,7 +96,7 @@ def borrowed(spare: list[Array], shape: tuple[int, ...], real: Any) -> Iterator[
         spare: bytes that are not in use; several threads may share it.
     """
     need = prod(shape) * np.dtype(real).itemsize
-    held = spare.pop() if spare else None
+    held = _taken(spare)
     if held is None or held.nbytes < need:
         held = None  # given back first: never both
         held = aligned((need,), np.uint8)

@@ -111,7 +111,7 @@ class Agent:
         assert scene.controller is not None
         self.controller: Any = scene.controller.value
         drive = built.assembly.actuation
-        self.limits = Limits(drive.low, drive.high, drive.change)
+        self.limits = Limits(drive.low, drive.high, drive.change, drive.neutral)
         self.actuators = [part.name for part in drive.parts]
         self.otherwise: list[str] = []
         said = None if trained is None else self._noted(trained)
@@ -152,9 +152,12 @@ class Agent:
 
     def _params(self) -> Params:
         rng = np.random.default_rng([self.built.scene.seed])
-        low, high, n_in = self.limits.low, self.limits.high, self.observation.size
+        limits, n_in = self.limits, self.observation.size
         self.blocks = self._bind(
-            "controller", lambda: self.controller.blocks(n_in, len(low), self.learning.n_controls, low, high, rng)
+            "controller",
+            lambda: self.controller.blocks(
+                n_in, len(limits.low), self.learning.n_controls, limits.low, limits.high, limits.neutral, rng
+            ),
         )
         own: list[Block] = [
             Plain(CONTROLLER + b.name, b.lower, b.upper, False, np.array(b.initial)) for b in self.blocks
@@ -247,7 +250,7 @@ class Agent:
             self.observation, self.controller, parameters, self.limits, goals, self.matter.control_step, self.model.dim
         )
         inputs = self.built.assembly.inputs({p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
-        inputs.state.memory = np.zeros(policy.n_memory)
+        inputs.state.memory = policy.memory.copy()
         return Rollout(self.model, inputs, threads=threads, adjoint=adjoint, policy=policy)
 
     def track(
@@ -386,4 +389,5 @@ def matter_of(built: Built, starts: Values) -> Matter:
         recorded=lambda file, units, marker: marker_path(scene.resolve_path(file), units, marker),
         design=built.assembly.design(inputs),
         regions=tuple(scene.regions),
+        neutral=built.assembly.actuation.neutral,
     )

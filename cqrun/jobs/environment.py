@@ -127,7 +127,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
         if not np.isfinite(u).all():
             raise UsageError(f"step: an action has finite numbers, not {u}")
         rollout.activation[control], rollout.memory[control + 1] = self.policy.driven(
-            control, np.clip(u, -1.0, 1.0), self.remembered, rollout.memory[control]
+            np.clip(u, -1.0, 1.0), self.remembered, rollout.memory[control]
         )
         rollout.decided = control + 1
         try:

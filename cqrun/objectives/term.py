@@ -10,7 +10,7 @@ negative.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -108,6 +108,14 @@ class ObjectiveTerm(Plugin):
         Raises:
             UsageError: a name, or a number of particles, that does not fit the scene.
         """
+
+    def doubts(self, neutral: Mapping[str, float]) -> Iterator[tuple[str, str]]:
+        """Yield what is likely a slip: the field's name, and what is wrong with it.
+
+        Args:
+            neutral: actuator -> the activation at which it does nothing.
+        """
+        yield from ()
 
 
 class Objective:

@@ -38,6 +38,7 @@ class Matter:
         select: (body or None, region or None) -> indices of the particles there.
         goals: goal -> number of its entries.
         n_actuators: A.
+        neutral: (A,) activations that do nothing, or as little as they may.
         resolve: a file as named in the scene -> where it is.
         recorded: (file as named in the scene, its units or None, marker) -> times (T,) at which the marker was seen
             [s], and where (T, D) [m]; UsageError where there is no such file or marker.
@@ -58,6 +59,7 @@ class Matter:
     recorded: Callable[[str, str | None, str], tuple[Array, Array]] = _none_recorded
     design: Array = field(default_factory=lambda: np.zeros((0, 0)))
     regions: Sequence[str] = ()
+    neutral: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def n_particles(self) -> int:

@@ -50,6 +50,8 @@ class Actuation:
         self.parts = tuple(self._parts())
         limits = np.array([part.spec.limits for part in self.parts]).reshape(-1, 2)
         self.low, self.high = limits[:, 0], limits[:, 1]
+        # what does nothing, or as little as it may
+        self.neutral = np.clip([part.spec.neutral for part in self.parts], self.low, self.high)
         step = scene.time.control_step
         self.change = np.array([np.inf if p.spec.rate is None else p.spec.rate * step for p in self.parts])
 
@@ -153,8 +155,7 @@ class Actuation:
     def _wanted(self, sequence: int, values: Values) -> Array:
         """Return what the signals ask for (T, A); a part without one is to do nothing, or as little as it may."""
         steps, spec = self.scene.time.control_steps, self.scene.activation
-        neutral = np.array([part.spec.neutral for part in self.parts])
-        wanted = np.tile(np.clip(neutral, self.low, self.high), (steps, 1))
+        wanted = np.tile(self.neutral, (steps, 1))
         if spec is None:
             return wanted
         span = self._span(spec)
@@ -183,11 +184,10 @@ class Actuation:
     def _held(self, wanted: Array) -> tuple[Array, Array, Array]:
         """Return activations and their derivatives by what is wanted, and by those of the step before, each (T, A)."""
         if not np.isfinite(self.change).any():
-            given, by_wanted, _ = held_to(wanted, None, self.low, self.high, self.change)
-            return given, by_wanted, np.zeros_like(wanted)
+            return held_to(wanted, self.neutral, self.low, self.high, self.change)
         given, by_wanted, by_previous = (np.zeros_like(wanted) for _ in range(3))
         for t, row in enumerate(wanted):
-            previous = given[t - 1] if t else None
+            previous = given[t - 1] if t else self.neutral
             given[t], by_wanted[t], by_previous[t] = held_to(row, previous, self.low, self.high, self.change)
         return given, by_wanted, by_previous
 

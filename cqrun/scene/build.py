@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
@@ -128,13 +129,18 @@ def _loose_constraints(scene: Scene) -> list[Problem]:
 
 
 def _doubts(scene: Scene) -> list[Problem]:
-    """Return what the controller doubts about itself."""
-    if scene.controller is None:
-        return []
-    path = f"controller.{scene.controller.name}"
-    controller: Any = scene.controller.value
-    found = controller.doubts(scene.time.control_step)
-    return [Problem(scene.where(f"{path}.{field}"), f"{path}.{field}", message) for field, message in found]
+    """Return what the controller, and terms of the objective and the constraints, doubt about themselves."""
+    asked: list[tuple[str, Iterator[tuple[str, str]]]] = []
+    if scene.controller is not None:
+        controller: Any = scene.controller.value
+        asked.append((f"controller.{scene.controller.name}", controller.doubts(scene.time.control_step)))
+    actuators: dict[str, Any] = {name: chosen.value for name, chosen in scene.actuators.items()}
+    neutral = {name: actuator.neutral for name, actuator in actuators.items()}
+    terms: dict[str, Any] = {f"objective.{name}.{c.name}": c.value for name, c in scene.objective.items()}
+    terms |= {f"constraints.{name}.of.{c.of.name}": c.of.value for name, c in scene.constraints.items()}
+    asked += [(path, term.doubts(neutral)) for path, term in terms.items()]
+    told = ((f"{path}.{field}", message) for path, found in asked for field, message in found)
+    return [Problem(scene.where(path), path, message) for path, message in told]
 
 
 def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[GroupModel, ...]:

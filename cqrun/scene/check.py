@@ -16,11 +16,12 @@ from cqrun.choice import Chosen
 from cqrun.contract import Array
 from cqrun.errors import Problem, UsageError
 from cqrun.geometry.file_shape import FileShape
+from cqrun.geometry.half_space import HalfSpace
 from cqrun.geometry.place import Place
 from cqrun.geometry.region import Region
 from cqrun.geometry.shape import Shape, cell_centres, counted_volume, finite_bounds
 from cqrun.scene.keypath import joined
-from cqrun.scene.regions import BodyPoints
+from cqrun.scene.regions import BodyPoints, boundary
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import parts
 
@@ -300,6 +301,27 @@ def walls_outside(scene: Scene) -> Iterator[Problem]:
                 )
                 yield _problem(scene, f"world.size.{axis}", message)
                 break
+
+
+def planes_between_nodes(scene: Scene) -> Iterator[Problem]:
+    """Yield warnings for half-spaces across an axis that no row of nodes meets: what they hold begins below them."""
+    dx = scene.world.dx
+    for name, chosen in scene.boundaries.items():
+        shape = getattr(getattr(boundary(scene, name), "region", None), "value", None)
+        across = np.flatnonzero(shape.normal) if isinstance(shape, HalfSpace) else np.zeros(0)
+        if len(across) != 1:
+            continue
+        axis = int(across[0])
+        outward, place = float(np.sign(shape.normal[axis])), shape.point[axis]
+        row = outward * place / dx
+        if abs(row - round(row)) > ROUNDED * max(1.0, abs(row)):
+            inner, outer = (outward * dx * side + 0.0 for side in (np.floor(row), np.ceil(row)))
+            message = (
+                f"its plane at {'xyz'[axis]} = {place:.6g} m lies between two rows of nodes: what it holds begins at "
+                f"{inner:.6g} m, {abs(place - inner):.3g} m behind it; put it at {inner:.6g} or {outer:.6g} m, or give "
+                f"a dx of which {place:.6g} m is a multiple"
+            )
+            yield _problem(scene, f"boundaries.{name}.{chosen.name}.region", message)
 
 
 def bodies_that_hold_on(scene: Scene, points: Points, volumes: Mapping[str, Array]) -> Iterator[Problem]:

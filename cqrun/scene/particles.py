@@ -16,6 +16,7 @@ from cqrun.scene.check import (
     file_problems,
     geometry_problems,
     misfits,
+    planes_between_nodes,
     sparse_bodies,
     walls_outside,
 )
@@ -100,7 +101,7 @@ def sample(scene: Scene) -> Particles:
     if problems:
         raise SceneError(problems)
     warnings += [*sparse_bodies(scene, volumes), *bodies_that_hold_on(scene, points, volumes)]
-    warnings += [*misfits(scene, points, volumes), *walls_outside(scene)]
+    warnings += [*misfits(scene, points, volumes), *walls_outside(scene), *planes_between_nodes(scene)]
     room = {name: np.ones(len(volumes[name])) for name in names}
     for name in names:
         spacing[name] = float(volumes[name].mean() ** (1 / scene.dim))

@@ -126,9 +126,9 @@ STEP = 1e-6
 
 
 def held(wanted: float, previous: float | None) -> tuple[float, float, float]:
-    """Return the activation that is given, and its derivatives by what is wanted and by the one before."""
-    before = None if previous is None else np.array([previous])
-    return tuple(float(a[0]) for a in held_to(np.array([wanted]), before, LOW, HIGH, CHANGE))
+    """Return the activation given, and its derivatives by what is wanted and by the one before; None: no rate."""
+    before, change = (0.0, np.array([np.inf])) if previous is None else (previous, CHANGE)
+    return tuple(float(a[0]) for a in held_to(np.array([wanted]), np.array([before]), LOW, HIGH, change))
 
 
 def sides(wanted: float, previous: float | None, *, by_previous: bool = False) -> tuple[float, float]:
@@ -144,7 +144,7 @@ def sides(wanted: float, previous: float | None, *, by_previous: bool = False) -
 @pytest.mark.parametrize(
     ("wanted", "previous", "given"),
     [
-        (0.4, None, 0.4), (1.3, None, 1.0), (-0.2, None, 0.0),  # the first step has no rate
+        (0.4, None, 0.4), (1.3, None, 1.0), (-0.2, None, 0.0),
         (0.4, 0.3, 0.4), (0.9, 0.3, 0.5), (0.1, 0.5, 0.3), (0.45, 0.5, 0.45),
         (1.3, 0.95, 1.0), (1.3, 0.6, 0.8), (-0.5, 0.1, 0.0), (-0.5, 0.7, 0.5),
     ],

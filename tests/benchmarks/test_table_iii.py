@@ -228,10 +228,11 @@ class Finger:
         tip = sparse.csr_array((np.full(1600, 1 / 1600), (np.zeros(1600, int), groups["tip"])), shape=(1, 4800))
         self.model = replace(model, probe=sparse.csr_array(sparse.vstack([self.observation.rows, tip]).tocsr()))
         n = len(model.actuators)
-        self.limits = Limits(np.full(n, -1.0), np.ones(n), np.full(n, np.inf))
+        self.limits = Limits(np.full(n, -1.0), np.ones(n), np.full(n, np.inf), np.zeros(n))
         rng = np.random.default_rng(7)
         self.controller = LinearTanh()
-        blocks = self.controller.blocks(self.observation.size, n, steps, self.limits.low, self.limits.high, rng)
+        limits = self.limits.low, self.limits.high, self.limits.neutral
+        blocks = self.controller.blocks(self.observation.size, n, steps, *limits, rng)
         self.weights = {block.name: block.initial for block in blocks}
         self.way = {name: rng.normal(size=a.shape) for name, a in self.weights.items()}
 

@@ -266,6 +266,10 @@ def test_all_faces_are_one_plane_each(dim):
         ({"face": "x_min", "normal": [1.0, 0.0]}, "`normal` belongs to a region"),
         ({"region": {"box": {"corner": [0.0, 0.0], "size": [1.0, 1.0]}}}, "needs `normal`, a unit vector, for slip"),
         (
+            {"region": {"half_space": {"point": [0.0, 0.2], "normal": [0.0, 1.0]}}, "thickness": 0.1},
+            "`thickness` belongs to a face; a region says itself how far it reaches",
+        ),
+        (
             {"region": {"box": {"corner": [0.0, 0.0], "size": [1.0, 1.0]}}, "normal": [1.0, 1.0]},
             "`normal` must have length 1",
         ),

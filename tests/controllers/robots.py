@@ -93,11 +93,12 @@ def observation_of(matter: Matter, rng: np.random.Generator) -> Observation:
 
 def limits_of(*, slow: bool) -> Limits:
     """Return the limits of the rich scene's actuators; `slow` ones of each kind have a rate."""
-    low, change = np.full(9, -1.0), np.full(9, np.inf)
+    low, change, neutral = np.full(9, -1.0), np.full(9, np.inf), np.full(9, 0.07)  # no kink
     low[ACTUATORS["pressure"]] = low[ACTUATORS["cable"]] = 0.0
+    neutral[ACTUATORS["cable"]] = 0.45
     if slow:
         change[[0, 2, 4, 6, 8]] = (0.05, 0.02, 0.03, 10.0, 0.1)
-    return Limits(low, np.ones(9), change)
+    return Limits(low, np.ones(9), change, neutral)
 
 
 @dataclass
@@ -154,9 +155,9 @@ def robot(controller: Controller, dim: int = 2, *, slow: bool = True, controls: 
     observation = observation_of(matter_of(model, inputs), rng)
     rows = sparse.vstack([observation.rows, model.probe]).tocsr()
     model, limits = replace(model, probe=sparse.csr_array(rows)), limits_of(slow=slow)
-    blocks = controller.blocks(observation.size, 9, controls, limits.low, limits.high, rng)
+    blocks = controller.blocks(observation.size, 9, controls, limits.low, limits.high, limits.neutral, rng)
     found = Robot(model, inputs, observation, controller, {b.name: b.initial.copy() for b in blocks}, limits)
-    inputs.state.memory = np.zeros(found.policy().n_memory)
+    inputs.state.memory = found.policy().memory
     found.bars = {
         "records": random_records(Records.zeros(controls, rows.shape[0], dim), rng),
         "state": random_state(inputs.state, rng),

@@ -35,7 +35,7 @@ def make(name: str, k: int) -> Controller:
 
 
 def started(controller: Controller, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    blocks = controller.blocks(N_IN, N_OUT, N_CONTROLS, LOW, HIGH, rng)
+    blocks = controller.blocks(N_IN, N_OUT, N_CONTROLS, LOW, HIGH, np.zeros(N_OUT), rng)
     return {block.name: block.initial for block in blocks}
 
 
@@ -72,7 +72,7 @@ def test_dot_product(name, k, control, rng):
 @EVERY
 def test_what_it_says_of_itself_is_so(name, k, rng):
     controller = make(name, k)
-    blocks = controller.blocks(N_IN, N_OUT, N_CONTROLS, LOW, HIGH, rng)
+    blocks = controller.blocks(N_IN, N_OUT, N_CONTROLS, LOW, HIGH, np.zeros(N_OUT), rng)
     parameters = {block.name: block.initial for block in blocks}
     assert len(parameters) == len(blocks)
     for block in blocks:

@@ -17,8 +17,9 @@ LOW, HIGH = np.array([0.0, -1.0]), np.array([1.0, 1.0])
 NOTHING = np.zeros(0)
 
 
-def blocks_of(controller, rng, *, n_in=4, n_controls=7, low=LOW, high=HIGH):
-    return {b.name: b for b in controller.blocks(n_in, len(low), n_controls, low, high, rng)}
+def blocks_of(controller, rng, *, n_in=4, n_controls=7, low=LOW, high=HIGH, neutral=0.0):
+    does_nothing = np.clip(neutral, low, high)
+    return {b.name: b for b in controller.blocks(n_in, len(low), n_controls, low, high, does_nothing, rng)}
 
 
 def acts(controller, knots, controls):
@@ -60,6 +61,9 @@ def test_open_loop_has_the_knots_that_act_and_no_more(rng, n_controls, every, ho
 def test_open_loop_starts_in_range(rng):
     low, high = np.array([0.2, -1.0]), np.array([1.0, -0.5])
     np.testing.assert_array_equal(blocks_of(OpenLoop(), rng, low=low, high=high)["knots"].initial[0], [0.2, -0.5])
+    slack = blocks_of(OpenLoop(), rng, neutral=[1.0, 0.0])["knots"].initial
+    np.testing.assert_array_equal(slack, np.tile([1.0, 0.0], (7, 1)))
+    np.testing.assert_array_equal(blocks_of(OpenLoop(initial=0.3), rng, neutral=[1.0, 0.0])["knots"].initial, 0.3)
     noisy = blocks_of(OpenLoop(initial=0.9, noise=0.5), rng)["knots"].initial
     assert ((noisy >= LOW) & (noisy <= HIGH)).all()
     assert noisy.std() > 0.1

@@ -71,12 +71,12 @@ class Shuffler:
         self.observation = Observation({"parts": seen[0].bind(matter), "clock": seen[1].bind(matter)}, len(self.x))
         self.model = self.watched(self.model)
         low, change = np.array([-1.0, -1.0, 0.0, 0.0, -1.0]), np.array([0.15, np.inf, np.inf, 0.2, np.inf])
-        self.limits = Limits(low, np.ones(5), change)
+        self.limits = Limits(low, np.ones(5), change, np.array([0.0, 0.0, 0.0, 1.0, 0.0]))
         self.controller = LinearTanh(spread=0.3)
         self.parameters = {
-            b.name: b.initial for b in self.controller.blocks(self.observation.size, 5, controls, low, low, rng)
+            b.name: b.initial for b in self.controller.blocks(self.observation.size, 5, controls, low, low, low, rng)
         }
-        self.inputs.state.memory = np.zeros(self.policy(self.parameters).n_memory)
+        self.inputs.state.memory = self.policy(self.parameters).memory
         self.way = {name: rng.normal(size=value.shape) for name, value in self.parameters.items()}
 
     def built(self, specs: list[tuple[Any, np.ndarray]], controls: int) -> tuple[Model, Inputs]:
@@ -123,9 +123,8 @@ class Shuffler:
         """Return the branches of contact and cables, control step by control step, and which actuators were late."""
         inputs = copy.deepcopy(self.inputs)
         _, _, taken = reference.rollout(self.model, inputs, self.policy(self.moved(h)))
-        change = np.diff(inputs.activation, axis=0, prepend=0.0)
+        change = np.diff(inputs.activation, axis=0, prepend=self.limits.neutral[None])
         late = np.sign(change) * (np.abs(change) > self.limits.change - 1e-12)
-        late[0] = 0.0
         return [str(taken[k * SUBSTEPS : (k + 1) * SUBSTEPS]) + str(late[k]) for k in range(len(late))], late
 
 
@@ -153,6 +152,7 @@ def taylor_rate(controls: int, *, terrain: bool) -> tuple[float, float]:
     if terrain:
         assert robot.touches_hills(), "the block has left its hills"
     assert set(np.unique(np.abs(late))) == {0.0, 1.0}
+    assert late[0].any(), "no actuator is late at the first step"
     remainders: list[float] = []
     for h in STEPS:
         if robot.branches(h)[0] == taken:

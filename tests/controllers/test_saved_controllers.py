@@ -15,7 +15,7 @@ from cqrun.errors import UsageError
 
 
 def blocks(rng, hidden=5):
-    return Mlp(hidden=[hidden]).blocks(4, 2, 10, -np.ones(2), np.ones(2), rng)
+    return Mlp(hidden=[hidden]).blocks(4, 2, 10, -np.ones(2), np.ones(2), np.zeros(2), rng)
 
 
 @pytest.fixture

@@ -102,6 +102,17 @@ def test_memory_is_used_again():
     assert sorted(held.nbytes for held in spare)[-1] == 800
 
 
+def test_two_threads_may_reach_for_the_same_memory():
+    """One that was asked for while there still was some, as another thread took it."""
+
+    class Taken(list):
+        def __bool__(self) -> bool:
+            return True
+
+    with borrowed(Taken(), (3, 4), np.float64) as own:
+        assert own.shape == (3, 4)
+
+
 @pytest.mark.parametrize("snapshots", [1, 2, 3, 5, 8])
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 7, 12, 31, 60])
 def test_the_promised_work_is_that_of_the_schedule(n, snapshots):

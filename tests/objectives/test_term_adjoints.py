@@ -40,7 +40,7 @@ def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
             {"body": "ball", "target": "arm", "target_group": "left", "squared": False},
         ],
         "rest": [{"body": "arm"}, {"body": "arm", "group": "tip", "particles": True}],
-        "effort": [{}],
+        "effort": [{}, {"counted_from": "neutral"}],
         "mass": [{"body": "arm"}, {"body": "arm", "group": "tip"}],
         "volume": [{"body": "ball"}],
         "unchanged": [

@@ -97,6 +97,16 @@ def test_effort_is_the_integral_of_the_squares():
     assert value(term("effort", over="maximum"), activation=u) == 9.0
 
 
+def test_effort_counts_from_zero_or_from_where_actuators_do_nothing():
+    """The last two actuators do nothing at 1 and at .5."""
+    idle = np.tile([0.0, 1.0, 0.5], (N_CONTROLS, 1))
+    for fields in ({}, {"counted_from": "zero"}):
+        assert value(term("effort", **fields), activation=idle) == pytest.approx(CONTROL_STEP * N_CONTROLS * 1.25)
+    assert value(term("effort", counted_from="neutral"), activation=idle) == 0.0
+    pulled = idle - [0.0, 1.0, 0.0]
+    assert value(term("effort", counted_from="neutral"), activation=pulled) == pytest.approx(CONTROL_STEP * N_CONTROLS)
+
+
 def test_track_of_a_path_that_is_followed():
     start = MATTER.x[MATTER.members("arm")].mean(axis=0)
     path = [[0.0, *start], [1.0, start[0] + 0.4, start[1]]]

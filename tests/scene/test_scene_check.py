@@ -161,6 +161,28 @@ def test_walls_that_stand_outside_the_world_are_told(dx: float, boundary: dict[s
         assert message.endswith("give dx = 0.030303 m, or a size of 0.99 m")
 
 
+@pytest.mark.parametrize(
+    ("plane", "named", "told"),
+    [
+        ({"point": [0, 0.199], "normal": [0, 1]}, False, "y = 0.199 m .* begins at 0.18 m, 0.019 m .* 0.18 or 0.21 m"),
+        ({"point": [0.95, 0], "normal": [-2, 0]}, False, "x = 0.95 m .* begins at 0.96 m, 0.01 m .* 0.96 or 0.93 m"),
+        ({"point": [0, 0.01], "normal": [0, 1]}, True, "y = 0.01 m .* begins at 0 m, 0.01 m .* 0 or 0.03 m"),
+        ({"point": [0, 0.21], "normal": [0, 1]}, False, None),
+        ({"point": [0.93, 0], "normal": [-1, 0]}, True, None),
+        ({"point": [0, 0.199], "normal": [0.6, 0.8]}, False, None),  # a slope: nodes are where they are
+    ],
+)
+def test_planes_between_nodes_are_told(plane: dict[str, Any], named: bool, told: str | None) -> None:
+    data = two_balls().model_dump(exclude_none=True)
+    ground: Any = {"half_space": plane}
+    data["world"]["dx"], data["regions"] = 0.03, {"ground": ground}
+    data["boundaries"] = {"floor": {"slip": {"region": "ground" if named else ground}}}
+    messages = [str(p) for p in check.planes_between_nodes(load_scene(data))]
+    assert len(messages) == (told is not None)
+    for message in messages:
+        assert re.fullmatch(rf"scene: boundaries\.floor\.slip\.region: its plane at {told}, or give a dx .*", message)
+
+
 class Pull(Plugin):
     """A load of this test's own."""
 

@@ -125,6 +125,19 @@ def test_substeps_that_the_bounds_of_unknowns_outgrow():
     assert "at the unknowns' bounds" not in warned(FINGER.replace("substeps: 2", f"substeps: {enough - 1}"))
 
 
+def test_effort_that_rewards_cables_for_pulling():
+    """A cable does nothing at 1: counted from zero that is the greatest effort, which must be asked for."""
+    slack = FINGER.replace(MUSCLE, f"{MUSCLE}\n{CABLES}")
+    held = f"{slack}constraints:\n  weak: {{of: {{effort: {{}}}}, at_most: 1}}\n"
+    told = warned(slack)
+    assert "objective.effort.effort.counted_from: counts from zero" in told
+    assert "another activation (one: 1, other: 1): say `counted_from: neutral`" in told
+    assert "constraints.weak.of.effort.counted_from: counts from zero" in warned(held)
+    for origin in ("zero", "neutral"):
+        assert "counts from zero" not in warned(slack.replace("weight: 1.0e-3", f"counted_from: {origin}"))
+    assert "counts from zero" not in warned(FINGER)
+
+
 def test_a_sinusoid_that_control_steps_cannot_follow():
     def told(frequency: float) -> str:
         scene = load_scene(FINGER, ["controller=null", f"controller={{sinusoid: {{frequency: {frequency}}}}}"])
