@@ -308,8 +308,7 @@ def planes_between_nodes(scene: Scene) -> Iterator[Problem]:
     dx = scene.world.dx
     for name, chosen in scene.boundaries.items():
         shape = getattr(getattr(boundary(scene, name), "region", None), "value", None)
-        across = np.flatnonzero(shape.normal) if isinstance(shape, HalfSpace) else np.zeros(0)
-        if len(across) != 1:
+        if not isinstance(shape, HalfSpace) or len(across := np.flatnonzero(shape.normal)) != 1:
             continue
         axis = int(across[0])
         outward, place = float(np.sign(shape.normal[axis])), shape.point[axis]
