@@ -99,32 +99,25 @@ def _polar_2d_vjp(F: Any, R: Any, R_bar: Any) -> Any:
     return scale(turn, inner(R_bar, turn) / away_from_zero(r))
 
 
-def _tolerance(a: Any) -> float:
-    """Newton converges quadratically: a last correction below the root of round-off is enough."""
-    return 1e-16 if np.asarray(a).dtype.itemsize >= 8 else 1e-8
+def _of_precision(a: Any, double: float, single: float) -> float:
+    """Return one of two constants, by the precision of a number or of lanes."""
+    return double if np.asarray(a).dtype.itemsize >= 8 else single
 
 
-@overload(_tolerance)
-def _tolerance_overload(a):
+@overload(_of_precision)
+def _of_precision_overload(a, double, single):
     real = a.real if isinstance(a, Lanes) else a
-    value = 1e-16 if real == types.float64 else 1e-8
-    return lambda a: value
-
-
-def _rounding(a: Any) -> float:
-    """Of |F|^3: a determinant below it is round-off, as of a matrix of rank 1, where Newton ends anywhere."""
-    return 1e-15 if np.asarray(a).dtype.itemsize >= 8 else 5e-7
-
-
-@overload(_rounding)
-def _rounding_overload(a):
-    real = a.real if isinstance(a, Lanes) else a
-    value = 1e-15 if real == types.float64 else 5e-7
-    return lambda a: value
+    if real == types.float64:
+        return lambda a, double, single: double
+    return lambda a, double, single: single
 
 
 @register_jitable
 def _polar_3d(F: Any) -> Any:
+    # Newton converges quadratically: a last correction below the root of round-off is enough
+    converged = _of_precision(F[0], 1e-16, 1e-8)
+    # of |F|^3: a determinant below it is round-off, as of a matrix of rank 1, where Newton ends anywhere
+    rounding = _of_precision(F[0], 1e-15, 5e-7)
     J = det(F)
     R = F
     small = _below(J, J)
@@ -132,11 +125,11 @@ def _polar_3d(F: Any) -> Any:
         following = scale(add(R, scale(cofactor(R), 1.0 / det(R))), 0.5)
         step = sub(following, R)
         R = following
-        small = _below(inner(step, step), J * 0.0 + _tolerance(J))
+        small = _below(inner(step, step), J * 0.0 + converged)
         if all_lanes(small):
             break
     size = inner(F, F)
-    proper = small & _below(_rounding(J) * (size * sqrt(size)), J)
+    proper = small & _below(rounding * (size * sqrt(size)), J)
     return R if all_lanes(proper) else _mend(F, R, proper)
 
 
