@@ -233,7 +233,7 @@ def _recorded(built: Built, name: str, spec: RecordingSpec) -> Case:
     objective = MarkerObjective(
         observer, measured.names, measured.time, measured.values, control_step=step, steps=steps,
         start=begins, start_bounds=bounds_of(scene, start_path),
-        skip=spec.skip, absolute=measured.absolute, weight=spec.weight, source=measured.source,
+        skip=spec.skip, still=measured.still, absolute=measured.absolute, weight=spec.weight, source=measured.source,
     )  # fmt: skip
     if still is not None:
         earliest, latest = objective.start_bounds

@@ -232,9 +232,13 @@ class FitProblem:
         """Return each marker's coordinates among the residuals, and a target's as series of one frame."""
         out: list[Series] = []
         begin = 0
-        for k, objective in enumerate(o for case in self.cases for o in case.objectives):
+        objectives = [o for case in self.cases for o in case.objectives]
+        scales = [
+            s for case, weights in zip(self.cases, self.weights, strict=True) for s in self._scales(case, weights)
+        ]
+        for k, (objective, scale) in enumerate(zip(objectives, scales, strict=True)):
             if isinstance(objective, MarkerObjective):
-                out += [Series(part + begin, frames, k) for part, frames in objective.series()]
+                out += [Series(part + begin, frames, k, scale * still) for part, frames, still in objective.series()]
                 begin += objective.count * objective.data.shape[2]
             else:
                 size = len(objective.goal)

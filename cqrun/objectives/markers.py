@@ -50,6 +50,7 @@ class MarkerObjective:
         seen: (F, M) of bool.
         names: M markers.
         count: number of seen markers and frames together.
+        still: (T_s, M, D) displacements in the still frames [m]; T_s = 0 where there are none.
         weight: of this recording among others.
     """
 
@@ -65,6 +66,7 @@ class MarkerObjective:
         start: float,
         start_bounds: tuple[float, float] | None = None,
         skip: float = 0.0,
+        still: Array | None = None,
         absolute: bool = False,
         weight: float = 1.0,
         source: str = "recording",
@@ -80,6 +82,7 @@ class MarkerObjective:
             start: time of the release in the recording [s].
             start_bounds: where `start` may go if it is an unknown [s].
             skip: time after the release that does not count [s].
+            still: (T_s, M, D) still frames' displacements, whose mean `values` are from [m]; NaN where not seen.
             source: how errors name the recording.
 
         Raises:
@@ -92,6 +95,7 @@ class MarkerObjective:
         self.times = np.asarray(time, dtype=float)[frames]
         self.seen = ~np.isnan(values[frames]).any(axis=2)
         self.data = np.where(self.seen[..., None], values[frames], 0.0)
+        self.still = np.zeros((0, *self.data.shape[1:])) if still is None else still
         self.count = int(self.seen.sum())
         if self.count == 0:
             raise DataError(
@@ -144,13 +148,21 @@ class MarkerObjective:
         by_marker = [float(np.sqrt(s / n)) if n else float("nan") for s, n in zip(squared.sum(0), frames, strict=True)]
         return Misfit(float(np.sqrt(squared.sum() / self.count)), dict(zip(self.names, by_marker, strict=True)))
 
-    def series(self) -> list[tuple[Array, Array]]:
-        """Return where each marker's coordinates stand among the residuals, each in order of time, and their frames."""
+    def series(self) -> list[tuple[Array, Array, Array]]:
+        """Return each marker's coordinates: their places among the residuals, their frames, their still values.
+
+        Places and frames are in order of time.
+        """
         dim = self.data.shape[2]
         place = np.full(self.seen.shape, -1)
         place[self.seen] = np.arange(self.count)
-        tracks = [(column[column >= 0], np.flatnonzero(column >= 0)) for column in place.T]
-        return [(dim * track + axis, frames) for track, frames in tracks if track.size for axis in range(dim)]
+        tracks = [(m, column[column >= 0], np.flatnonzero(column >= 0)) for m, column in enumerate(place.T)]
+        return [
+            (dim * track + axis, frames, self.still[:, m, axis])
+            for m, track, frames in tracks
+            if track.size
+            for axis in range(dim)
+        ]
 
 
 def _frames(time: Array, start: float, bounds: tuple[float, float], length: float, skip: float, source: str) -> Array:

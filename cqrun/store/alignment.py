@@ -65,6 +65,7 @@ class Measured:
         names: M markers.
         rest: (M, D) rest positions in the scene's frame [m].
         values: (T, M, D) displacements from the still mean, or positions if `absolute` [m]; NaN where unseen.
+        still: (T_s, M, D) the still frames' own displacements [m]; NaN where unseen, T_s = 0 without such frames.
         absolute: whether `values` are positions in the scene's frame.
         alignment: None if the recording was in the scene's frame already.
         source: where it came from, as errors name it.
@@ -74,6 +75,7 @@ class Measured:
     names: tuple[str, ...]
     rest: Array
     values: Array
+    still: Array
     absolute: bool
     alignment: Alignment | None
     source: str
@@ -102,15 +104,17 @@ def measure(recording: Recording, markers: Mapping[str, Array], still: tuple[flo
         raise DataError(f"{chosen.source}: the recording is {chosen.dim}D and the scene {rest.shape[1]}D")
     _check_seen(chosen)
     if still is None:
-        return Measured(chosen.time, chosen.names, rest, chosen.positions, True, None, chosen.source)
-    mean = still_mean(chosen, still)
+        return Measured(
+            chosen.time, chosen.names, rest, chosen.positions, np.zeros((0, *rest.shape)), True, None, chosen.source
+        )
+    frames, mean = still_frames(chosen, still), still_mean(chosen, still)
     alignment = align(mean, rest, chosen.names, chosen.source)
     values = (chosen.positions - mean) @ alignment.rotation.T
-    return Measured(chosen.time, chosen.names, rest, values, False, alignment, chosen.source)
+    return Measured(chosen.time, chosen.names, rest, values, values[frames], False, alignment, chosen.source)
 
 
-def still_mean(recording: Recording, still: tuple[float, float]) -> Array:
-    """Return each marker's mean position (M, D) over the frames with still[0] <= time <= still[1] [m]."""
+def still_frames(recording: Recording, still: tuple[float, float]) -> Array:
+    """Return which frames (T,) of bool have still[0] <= time <= still[1]."""
     first, last = still
     begin, end = recording.time[0], recording.time[-1]
     slack = 1e-6 * (end - begin) / (recording.time.size - 1)
@@ -119,13 +123,18 @@ def still_mean(recording: Recording, still: tuple[float, float]) -> Array:
             f"{recording.source}: the still frames, {first:g} to {last:g} s, do not lie "
             f"inside the recording, {begin:g} to {end:g} s"
         )
-    frames = (recording.time >= first - slack) & (recording.time <= last + slack)
+    return np.asarray((recording.time >= first - slack) & (recording.time <= last + slack))
+
+
+def still_mean(recording: Recording, still: tuple[float, float]) -> Array:
+    """Return each marker's mean position (M, D) over the frames with still[0] <= time <= still[1] [m]."""
+    frames = still_frames(recording, still)
     seen = recording.seen()[frames]
     for name, count in zip(recording.names, seen.sum(axis=0), strict=True):
         if count == 0:
             raise DataError(
-                f"{recording.source}: marker '{name}' is not seen in any still frame, {first:g} "
-                f"to {last:g} s; choose other still frames or leave the marker out"
+                f"{recording.source}: marker '{name}' is not seen in any still frame, {still[0]:g} "
+                f"to {still[1]:g} s; choose other still frames or leave the marker out"
             )
     shown = np.where(seen[..., None], recording.positions[frames], 0.0)
     return np.asarray(shown.sum(axis=0) / seen.sum(axis=0)[:, None])

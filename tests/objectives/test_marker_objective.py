@@ -168,7 +168,14 @@ def test_series_are_single_coordinates_in_order_of_time(rng):
     r = objective.residuals(record, 0.3)
     errors = objective.tracks(record, 0.3) - objective.data
     series = objective.series()
-    assert sorted(np.concatenate([where for where, _ in series])) == list(range(r.size))
-    where, frames = series[3 * 1 + 2]
+    assert sorted(np.concatenate([where for where, _, _ in series])) == list(range(r.size))
+    where, frames, still = series[3 * 1 + 2]
+    assert still.size == 0
     np.testing.assert_array_equal(r[where], errors[frames, 1, 2])
     np.testing.assert_array_equal(frames, np.flatnonzero(objective.seen[:, 1]))
+
+
+def test_series_have_the_still_values_of_their_marker_and_axis(rng):
+    still = rng.normal(size=(5, 3, 3))
+    series = make(rng, still=still).series()
+    np.testing.assert_array_equal(series[3 * 1 + 2][2], still[:, 1, 2])

@@ -136,7 +136,7 @@ def test_autocorrelation_time(rng, phi, expected):
 def test_autocorrelation_time_is_robust(rng):
     assert autocorrelation_time(np.zeros(50)) == 1.0
     assert autocorrelation_time(rng.normal(size=3)) == 1.0
-    assert autocorrelation_time(np.ones(50)) == 25.0
+    assert autocorrelation_time(np.ones(50)) == 50.0
     assert autocorrelation_time((-1.0) ** np.arange(50)) == 1.0
 
 
@@ -246,6 +246,15 @@ def test_barely_told_apart_and_wider_than_the_bounds(rng):
     assert None not in found.intervals.values()
     found = intervals(J, 30 * rng.normal(size=360), SERIES, unknowns)
     assert any(f.startswith("eta: its interval is wider than its bounds") for f in found.findings)
+
+
+@pytest.mark.parametrize(("value", "end"), [(0.51, "lower bound, 0.5"), (1.99, "upper bound, 2")])
+def test_an_interval_past_a_bound_is_told(rng, value, end):
+    J = rng.normal(size=(360, 1))
+    for noise, told in ((1.0, 1), (0.01, 0)):
+        found = intervals(J, noise * rng.normal(size=360), SERIES, [Unknown("viscosity", value, 0.5, 2.0, True)])
+        assert len(found.findings) == told
+        assert all(f"reaches past its {end}: the data allow values that the bounds do not" in f for f in found.findings)
 
 
 def test_open_by_hundreds_of_powers_of_ten(rng):

@@ -131,6 +131,19 @@ def test_unknown_marker_other_dimension_never_seen(rng):
         measure(recording, REST[3], (0.0, 0.9))
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_still_frames_tell_how_well_their_mean_is_known(rng, dim):
+    """Their displacements are about the mean that was taken off; positions in the scene's own frame have none."""
+    recording, _ = recorded(dim, rng, noise=1e-4)
+    recording.positions[3, 1] = np.nan
+    measured = measure(recording, REST[dim], (0.0, 0.9))
+    assert measured.still.shape == (10, len(REST[dim]), dim)
+    assert np.isnan(measured.still[3, 1]).all()
+    np.testing.assert_allclose(np.nanmean(measured.still, axis=0), 0, atol=1e-12)
+    assert np.nanstd(measured.still) == pytest.approx(1e-4, rel=0.4)
+    assert measure(recording, REST[dim], None).still.shape == (0, len(REST[dim]), dim)
+
+
 def test_still_frames(rng):
     recording, _ = recorded(3, rng)
     for still in ((-0.5, 0.5), (0.5, 5.0), (0.5, 0.5)):
