@@ -17,10 +17,11 @@ import numpy as np
 
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.cases import make_cases
-from cqrun.jobs.findings import find_intervals, list_unknowns
+from cqrun.jobs.findings import find_jacobian, list_unknowns
 from cqrun.jobs.problem import FitProblem
 from cqrun.jobs.runs import cores
 from cqrun.jobs.unknowns import make_params
+from cqrun.objectives.uncertainty import intervals
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
@@ -63,7 +64,8 @@ def draw(seed: int, overrides: list[str]) -> dict[str, Any]:
     optimizer: Any = scene.optimizer.value
     outcome = optimizer.minimise(problem, Memory())
     unknowns = list_unknowns(problem, outcome.x)
-    found = find_intervals(problem, outcome.x, unknowns)
+    jacobian = find_jacobian(problem, outcome.x, unknowns)
+    found = intervals(jacobian, problem.residuals(outcome.x), problem.series(), unknowns)
     truth = scene.data.synthetic.truth
     return {
         "seed": seed,

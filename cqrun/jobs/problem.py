@@ -11,6 +11,7 @@ share the threads where these are more. Neither changes a bit of the result.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -227,6 +228,18 @@ class FitProblem:
         points = [x, *(x + step * unit for step, unit in zip(steps, np.eye(len(x)), strict=True))]
         r, *moved = self.residuals_at(points)
         return r, np.stack([(m - r) / step for m, step in zip(moved, steps, strict=True)], axis=1)
+
+    def with_half_substep(self) -> FitProblem:
+        """Return the same fit with twice the substeps: its residuals differ by what the substep does to the model."""
+
+        def halved(case: Case) -> Case:
+            model = case.built.model
+            model = replace(model, dt=0.5 * model.dt, substeps=2 * model.substeps)
+            return replace(case, built=replace(case.built, model=model))
+
+        finer = FitProblem([halved(case) for case in self.cases], self.params, threads=self.threads)
+        finer.interrupt = self.interrupt
+        return finer
 
     def series(self) -> list[Series]:
         """Return each marker's coordinates among the residuals, and a target's as series of one frame."""

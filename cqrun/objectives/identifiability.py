@@ -110,6 +110,25 @@ def find_directions(jacobian: Array, unknowns: Sequence[Unknown]) -> Directions:
     return Directions(inverse, int(kept.sum()), reasons, tuple(findings), s)
 
 
+def follow(jacobian: Array, residuals: Array, unknowns: Sequence[Unknown]) -> Array:
+    """Return the values (p,) that fit best within the bounds where residuals become these, to first order.
+
+    Args:
+        jacobian: (n, p) dr/dz in working coordinates.
+        residuals: (n,) with the values that the unknowns have.
+        unknowns: p of them; one whose column is nought stays.
+    """
+    from scipy.optimize import lsq_linear
+
+    here, (low, high) = np.array([u.coordinate for u in unknowns]), np.array([u.ends for u in unknowns]).T
+    moved = here.copy()
+    free = np.any(jacobian != 0.0, axis=0)
+    if free.any():
+        bounds = ((low - here)[free], (high - here)[free])
+        moved[free] += lsq_linear(jacobian[:, free], -residuals, bounds, method="bvls").x
+    return np.array([u.from_coordinate(z) for u, z in zip(unknowns, moved, strict=True)])
+
+
 def _combination(change: Array, share: Array, unknowns: Sequence[Unknown]) -> str:
     """Return a sentence on a combination of unknowns that does nothing.
 

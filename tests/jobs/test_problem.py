@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_beam import record, recorded
 
 from cqrun.errors import CrushedError, RolloutError
 from cqrun.jobs.cases import Case, make_cases
@@ -77,6 +78,25 @@ def test_a_trial_that_blows_up_spoils_no_other(problem, monkeypatch):
     assert value == problem.value(x)
     with pytest.raises(TrialFailed):
         problem.value(bad)
+
+
+def test_still_values_are_scaled_like_their_residuals(fit, tmp_path):
+    files = record(fit, tmp_path / "data", copies=2)
+    entries = {"still": "[0, 0.03]", "start": "0.03", "length": "0.06"}
+    built = build(load_scene(recorded(fit, dict(zip("ab", files, strict=True)), **entries),
+                             ["data.recordings.b.weight=3", "data.recordings.b.length=0.05"]))  # fmt: skip
+    cases = make_cases(built)
+    problem = FitProblem(cases, make_params(built))
+    values = problem.values(problem.start)
+    plain = np.concatenate([case.residuals(case.run(values), values)[0] for case in cases])
+    scales = problem.residuals(problem.start) / plain
+    series = problem.series()
+    assert len({s.recording for s in series}) == len(np.unique(scales.round(9))) == 2
+    for k, s in enumerate(series):
+        marker, axis = divmod(k % 4, 2)
+        still = cases[s.recording].measured[0].still
+        assert len(still) > 1
+        np.testing.assert_allclose(s.still, scales[s.where[0]] * still[:, marker, axis], rtol=1e-12)
 
 
 def test_a_crushed_marker_fails_the_trial_not_the_run(problem, monkeypatch):

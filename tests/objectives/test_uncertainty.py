@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cqrun.objectives.identifiability import Unknown
+from cqrun.objectives.identifiability import Unknown, follow
 from cqrun.objectives.uncertainty import Series, autocorrelation_time, central_jacobian, intervals
 
 TRUTH = {"amplitude": 1.0, "decay": 1.2, "frequency": 8.0}
@@ -246,6 +246,20 @@ def test_barely_told_apart_and_wider_than_the_bounds(rng):
     assert None not in found.intervals.values()
     found = intervals(J, 30 * rng.normal(size=360), SERIES, unknowns)
     assert any(f.startswith("eta: its interval is wider than its bounds") for f in found.findings)
+
+
+def test_where_the_optimum_goes_when_residuals_change(rng):
+    """A linear fit's is exact, within bounds; an unknown at its bound, whose column is nought, stays."""
+    J, z = np.c_[rng.normal(size=(40, 2)), np.zeros(40)], np.array([0.3, np.log(2.0), 1.0])
+    r = rng.normal(size=40)
+    unknowns = [Unknown("a", 0.3, -9, 9), Unknown("E", 2.0, 0.1, 100, True), Unknown("c", 1.0, 0, 1)]
+    best = z - np.linalg.lstsq(J, r, rcond=None)[0]
+    np.testing.assert_allclose(follow(J, r, unknowns), [best[0], np.exp(best[1]), 1.0], rtol=1e-12)
+    bound = 1.9 if best[1] < z[1] else 2.1  # between the value and where it would go
+    assert abs(np.log(bound) - z[1]) < abs(best[1] - z[1])
+    unknowns[1] = Unknown("E", 2.0, min(bound, 1.99), max(bound, 2.01), True)
+    alone = 0.3 - J[:, 0] @ (r + J[:, 1] * (np.log(bound) - z[1])) / (J[:, 0] @ J[:, 0])
+    np.testing.assert_allclose(follow(J, r, unknowns), [alone, bound, 1.0], rtol=1e-12)
 
 
 @pytest.mark.parametrize(("value", "end"), [(0.51, "lower bound, 0.5"), (1.99, "upper bound, 2")])
