@@ -47,7 +47,7 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
     """Write the controller, its first episode and result.json; return the result.
 
     Raises:
-        RolloutError: under what was learned every episode blows up.
+        RolloutError: under what was learned every episode that it was learned from blows up.
     """
     values, failed = problem.values(outcome.x), outcome.status == "failed"
     result: dict[str, Any] = {
@@ -72,7 +72,7 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         result |= {stage: _summary(problem, _done(attempts)) for stage, attempts in tried.items()}
         result["blew_up"] = {stage: lost for stage, attempts in tried.items() if (lost := _lost(attempts))}
         result["constraints"] = _before_and_after(problem, _done(tried["start"]), _done(tried["trained"]))
-        shown = next((a for a in learned if isinstance(a, Attempt)), None)
+        shown = next((a for a in tried["trained"] if isinstance(a, Attempt)), None)
         if shown is None:
             raise next(a.error for a in learned if isinstance(a, Lost))
         write_activation(run.path / "activation.csv", problem.built, shown.activation)
