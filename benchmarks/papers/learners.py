@@ -203,9 +203,18 @@ class Learners(Figure):
                 counts = self.counts(table, GRADIENT, threshold)
                 told = f"{np.sum(counts <= limit)} of {len(counts)} seeds, in the median {_count(ours)}"
                 checks[f"below {threshold:g} within {limit:g} episodes (paper): {told}"] = ours <= limit
+        if size is Size.PAPER and (printed := self.printed_end()) is not None:
+            ends = [float(measure[-1]) for _, measure in self.smoothed(table).get(GRADIENT, [])]
+            told = f"in the end {np.median(ends):.2g} (median of {len(ends)} seeds), paper {printed:g}"
+            checks[told] = bool(np.median(ends) <= 1.1 * printed)
         if PPO not in table["method"]:
             checks["PPO was run"] = False
         return judged(checks)
+
+    def printed_end(self) -> float | None:
+        """Return where the paper's gradient ends, if that is printed: its last point, below every threshold."""
+        below = [y for _, y in self.printed.get(GRADIENT, ()) if y < min(self.thresholds)]
+        return below[-1] if below else None
 
     def allowed(self, threshold: float) -> float | None:
         """Return the paper's episodes of the gradient to a threshold, or None."""

@@ -20,6 +20,9 @@ UNDRAWN = {PICTURES: "0"}
 FAILED, USAGE, STOPPED = 1, 2, 75
 """How cqrun ends: runs failed or no design will do, which is a result too; bad input; it was asked to stop."""
 
+HELD = "another process works on this run"
+"""What cqrun says of such a run: one that goes on though who began it was killed, as a rule."""
+
 GRACE = 120.0
 """Seconds that a run has to finish its iteration when its time is over."""
 
@@ -33,8 +36,14 @@ OVER = threading.Event()
 """Set when everything is asked to stop."""
 
 
-def for_so_long(command: list[str], end: float, tell: Callable[[], None]) -> tuple[int, str]:
-    """Run a command, telling how far it is; ask it to stop when its time is over.
+def nothing(*_: object) -> None:
+    """Tell nothing, and look at nothing."""
+
+
+def for_so_long(
+    command: list[str], end: float, tell: Callable[[], None] = nothing, look: Callable[[int], None] = nothing
+) -> tuple[int, str]:
+    """Run a command, telling how far it is and looking at its process; ask it to stop when its time is over.
 
     Return its exit status, STOPPED if it ended because it was asked to, and what it said.
     """
@@ -51,7 +60,7 @@ def for_so_long(command: list[str], end: float, tell: Callable[[], None]) -> tup
                 said, _ = process.communicate(timeout=min(end - now, BEAT))
                 return process.returncode, said
             except subprocess.TimeoutExpired:
-                continue
+                look(process.pid)
         process.send_signal(signal.SIGTERM)
         try:
             said, _ = process.communicate(timeout=GRACE)
@@ -66,16 +75,29 @@ def for_so_long(command: list[str], end: float, tell: Callable[[], None]) -> tup
         raise
 
 
-def with_memory(command: list[str]) -> tuple[int, float]:
-    """Run a command that prints nothing; return its exit status and the most memory it had [GB], 0 if not told."""
-    process = subprocess.Popen(command, cwd=ROOT, env=os.environ | UNDRAWN, stdout=subprocess.DEVNULL)
+def when_free(
+    name: str, command: list[str], end: float, tell: Callable[[], None] = nothing, look: Callable[[int], None] = nothing
+) -> tuple[int, str]:
+    """Run a command as `for_so_long` does, once no other process holds its run."""
+    code, said = for_so_long(command, end, tell, look)
+    while code in (FAILED, USAGE) and HELD in said:
+        print(f"    {name}: {said.strip()}\n    waiting for it", flush=True)
+        if OVER.wait(min(LOOK, max(0.0, end - time.monotonic()))) or time.monotonic() >= end:
+            return STOPPED, said
+        code, said = for_so_long(command, end, tell, look)
+    return code, said
+
+
+def with_memory(name: str, command: list[str], end: float) -> tuple[int, str, float]:
+    """Run a command as `when_free` does; return also the most memory it had [GB], 0 if not told."""
     memory = 0.0
-    while process.poll() is None:
-        if OVER.is_set():
-            process.terminate()
-        memory = _peak(process.pid, memory)
-        time.sleep(BEAT)
-    return process.returncode, memory
+
+    def look(pid: int) -> None:
+        nonlocal memory
+        memory = _peak(pid, memory)
+
+    code, said = when_free(name, command, end, look=look)
+    return code, said, memory
 
 
 def _peak(pid: int, before: float) -> float:

@@ -22,7 +22,7 @@ from typing import Any
 
 import yaml
 
-from benchmarks.papers.process import FAILED, LOOK, OVER, ROOT, STOPPED, USAGE, for_so_long
+from benchmarks.papers.process import FAILED, ROOT, STOPPED, USAGE, when_free
 from cqrun.errors import CqrunError
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine
@@ -40,9 +40,6 @@ TICK = 30.0
 
 CLOCKS = threading.Lock()
 """Held while a clock is written."""
-
-HELD = "another process works on this run"
-"""What cqrun says of such a run: one that goes on though who began it was killed, as a rule."""
 
 KILLED = "the same command goes on with it"
 """What cqrun says of a run that was killed, for want of memory as a rule: it failed, and is not finished."""
@@ -274,15 +271,10 @@ class Runs(Work):
             left = span(self.left(folder) / share)
             print(f"    {self.name}: {self.progress(folder)}, {minutes:.0f} min; about {left} left", flush=True)
 
-        code, said = for_so_long(command, end, tell)
+        code, said = when_free(self.name, command, end, tell)
         if code in (FAILED, USAGE) and "made by another engine" in said:
             self.start_over(folder)
-            code, said = for_so_long(command, end, tell)
-        while code in (FAILED, USAGE) and HELD in said:
-            print(f"    {self.name}: {said.strip()}\n    waiting for it", flush=True)
-            if OVER.wait(min(LOOK, max(0.0, end - time.monotonic()))) or time.monotonic() >= end:
-                return False
-            code, said = for_so_long(command, end, tell)
+            code, said = when_free(self.name, command, end, tell)
         if code not in (0, FAILED, STOPPED):
             raise WorkError(f"{self.name}: `{self.command}` ended with {code}\n{said}")
         if code == FAILED and KILLED in said:

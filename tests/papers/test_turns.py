@@ -103,12 +103,23 @@ def test_the_memory_of_a_command_is_its_own_and_it_is_stopped_with_everything(mo
     monkeypatch.setattr(process, "BEAT", 0.02)
     ours = bytearray(b"1") * 600_000_000  # which a child does not count
     busy = "import sys, time; print(1); b = b'1' * 300_000_000; time.sleep(0.5); sys.exit(3)"
-    code, memory = with_memory([sys.executable, "-c", busy])
-    assert (code, len(ours)) == (3, 600_000_000)
+    code, said, memory = with_memory("busy", [sys.executable, "-c", busy], time.monotonic() + 60.0)
+    assert (code, said, len(ours)) == (3, "1\n", 600_000_000)
     assert 0.3 < memory < 0.4
+    asleep = [sys.executable, "-c", "import time; time.sleep(60)"]
+    assert with_memory("asleep", asleep, time.monotonic())[0] == STOPPED
     OVER.set()
-    assert with_memory([sys.executable, "-c", "import time; time.sleep(60)"])[0] == -signal.SIGTERM
+    assert with_memory("asleep", asleep, time.monotonic() + 60.0)[0] == STOPPED
     OVER.clear()
+
+
+def test_what_is_timed_waits_for_a_run_whose_parent_was_killed(monkeypatch):
+    """The child of a command that was killed by SIGKILL alone goes on, and holds its run."""
+    answers = [(2, "error: another process works on this run (pid 7)"), (0, "")]
+    monkeypatch.setattr(process, "for_so_long", lambda *_: answers.pop(0))
+    monkeypatch.setattr(process, "LOOK", 0.0)
+    assert with_memory("biped", [], time.monotonic() + 60.0)[0] == 0
+    assert not answers
 
 
 def test_asked_to_stop_the_command_asks_its_runs_and_goes_on_later(tmp_path):

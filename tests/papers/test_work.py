@@ -155,7 +155,7 @@ def test_a_run_is_a_command_that_a_reader_can_type(tmp_path):
 
 def test_seeds_and_variants_run_side_by_side(tmp_path, monkeypatch):
     asked = []
-    monkeypatch.setattr("benchmarks.papers.work.for_so_long", lambda words, *_: asked.append(words) or (0, ""))
+    monkeypatch.setattr("benchmarks.papers.process.for_so_long", lambda words, *_: asked.append(words) or (0, ""))
     monkeypatch.setattr("benchmarks.papers.work.cores", lambda threads: 4)
     for seeds, options, share in ((0, (), 1.0), (1, (), 0.5), (3, (), 1.0), (1, ("--ablate",), 1.0)):
         replace(TEAR, seeds=seeds, options=options).go_on(tmp_path, 1.0, 2, share)
@@ -172,8 +172,8 @@ def test_a_run_that_cannot_be_ends_with_its_command(tmp_path):
 def test_a_run_that_another_process_holds_is_waited_for(tmp_path, monkeypatch, capsys):
     """Whoever began it was killed, and it goes on alone."""
     answers = [(1, "tear: another process works on this run (pid 7)"), (0, "")]
-    monkeypatch.setattr("benchmarks.papers.work.for_so_long", lambda *_: answers.pop(0))
-    monkeypatch.setattr("benchmarks.papers.work.LOOK", 0.0)
+    monkeypatch.setattr("benchmarks.papers.process.for_so_long", lambda *_: answers.pop(0))
+    monkeypatch.setattr("benchmarks.papers.process.LOOK", 0.0)
     assert TEAR.do(tmp_path / "tear", 100.0, 1)
     assert "waiting for it" in capsys.readouterr().out
     answers.append((1, "tear: another process works on this run (pid 7)"))
@@ -182,7 +182,7 @@ def test_a_run_that_another_process_holds_is_waited_for(tmp_path, monkeypatch, c
 
 def test_a_run_that_was_killed_is_not_finished(tmp_path, monkeypatch, capsys):
     answers = [(1, "1 of 2 runs failed; was killed (SIGKILL); the same command goes on with it"), (1, "it blew up")]
-    monkeypatch.setattr("benchmarks.papers.work.for_so_long", lambda *_: answers.pop(0))
+    monkeypatch.setattr("benchmarks.papers.process.for_so_long", lambda *_: answers.pop(0))
     assert not TEAR.do(tmp_path / "tear", 100.0, 1)
     assert "was killed" in capsys.readouterr().out
     ended(tmp_path / "tear", "failed")
@@ -191,7 +191,7 @@ def test_a_run_that_was_killed_is_not_finished(tmp_path, monkeypatch, capsys):
 
 def test_a_seed_that_never_began_is_missed(tmp_path, monkeypatch):
     """Its process ended before it had a record; the others are no result without it."""
-    monkeypatch.setattr("benchmarks.papers.work.for_so_long", lambda *_: (1, "the disk is full"))
+    monkeypatch.setattr("benchmarks.papers.process.for_so_long", lambda *_: (1, "the disk is full"))
     two = replace(TEAR, seeds=2)
     ended(tmp_path / "tear", "iteration_limit")
     with pytest.raises(WorkError, match="the disk is full"):
@@ -210,7 +210,7 @@ def ended(folder, status, name="0123456789ab"):
 @pytest.mark.parametrize("status", ["", "new", "running", "stopped"])
 def test_a_run_that_ends_before_it_is_done_is_no_result(tmp_path, monkeypatch, status):
     """As where the disk is full: cqrun ends with 1 there, too."""
-    monkeypatch.setattr("benchmarks.papers.work.for_so_long", lambda *_: (1, "no space left"))
+    monkeypatch.setattr("benchmarks.papers.process.for_so_long", lambda *_: (1, "no space left"))
     if status:
         ended(tmp_path / "tear", status)
     with pytest.raises(WorkError, match=r"ended with 1 before it was done\nno space left"):

@@ -7,7 +7,7 @@ SMALL = ("bodies.finger.sampling.lattice.count=20",)
 TOLERANCE = {
     Size.QUICK: "the gradient passes each threshold in fewer episodes than PPO (and CMA-ES, where that is shown)",
     Size.PAPER: "the gradient passes each threshold in fewer episodes than PPO (and CMA-ES, where that is shown), and "
-    "in no more than the paper's",
+    "in no more than the paper's, and ends no more than a tenth farther away than the paper's",
 }
 
 
@@ -29,18 +29,18 @@ class FixedGoal(Learners):
     )
     scene, label, optimizer, small = "control/finger", "distance of the tip [m]", "sgd", SMALL
     episodes = {
-        GRADIENT: {Size.QUICK: 60, Size.PAPER: 60},
+        GRADIENT: {Size.QUICK: 60, Size.PAPER: 350},
         CMA: {Size.QUICK: 480, Size.PAPER: 2400},
         PPO: {Size.QUICK: 300, Size.PAPER: 1500},
     }
     minutes = {
-        GRADIENT: {Size.QUICK: 0.3, Size.PAPER: 1},
+        GRADIENT: {Size.QUICK: 0.3, Size.PAPER: 6},
         CMA: {Size.QUICK: 0.3, Size.PAPER: 10},
         PPO: {Size.QUICK: 0.8, Size.PAPER: 25},
     }
     thresholds = (0.02, 0.01)
     windows = {GRADIENT: 10, PPO: 10}
-    printed = {GRADIENT: [(21, 0.02), (31, 0.01)], PPO: [(108, 0.02), (127, 0.01)]}
+    printed = {GRADIENT: [(21, 0.02), (31, 0.01), (350, 0.0066)], PPO: [(108, 0.02), (127, 0.01), (350, 0.0045)]}
 
 
 class RandomGoal(Learners):
@@ -60,11 +60,11 @@ class RandomGoal(Learners):
         ".0036 to .0076 m"
     )
     scene, label, optimizer, small = "control/finger_random", "distance of the tip [m]", "adam", SMALL
-    episodes = {GRADIENT: {Size.QUICK: 200, Size.PAPER: 300}, PPO: {Size.QUICK: 600, Size.PAPER: 1500}}
-    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 6}, PPO: {Size.QUICK: 1.6, Size.PAPER: 25}}
+    episodes = {GRADIENT: {Size.QUICK: 200, Size.PAPER: 1500}, PPO: {Size.QUICK: 600, Size.PAPER: 1500}}
+    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 30}, PPO: {Size.QUICK: 1.6, Size.PAPER: 25}}
     thresholds = (0.01, 0.005)
     windows = {GRADIENT: 100, PPO: 100}
-    printed = {GRADIENT: [(132, 0.01), (203, 0.005)], PPO: [(656, 0.01), (1384, 0.005)]}
+    printed = {GRADIENT: [(132, 0.01), (203, 0.005), (1500, 0.0025)], PPO: [(656, 0.01), (1384, 0.005), (1500, 0.005)]}
 
 
 class WideGoal(Learners):
@@ -83,8 +83,8 @@ class WideGoal(Learners):
         "the end is not judged: the gradient has fewer episodes here than in the paper (600 of 3,500)"
     )
     scene, label, optimizer, small = "control/finger_wide", "distance of the tip [m]", "adam", SMALL
-    episodes = {GRADIENT: {Size.QUICK: 200, Size.PAPER: 600}, PPO: {Size.QUICK: 600, Size.PAPER: 3500}}
-    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 12}, PPO: {Size.QUICK: 1.5, Size.PAPER: 60}}
+    episodes = {GRADIENT: {Size.QUICK: 200, Size.PAPER: 3500}, PPO: {Size.QUICK: 600, Size.PAPER: 3500}}
+    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 70}, PPO: {Size.QUICK: 1.5, Size.PAPER: 60}}
     thresholds = (0.015, 0.01)
     windows = {GRADIENT: 100, PPO: 100}
-    printed = {GRADIENT: [(282, 0.015), (438, 0.01)], PPO: [(1322, 0.015)]}
+    printed = {GRADIENT: [(282, 0.015), (438, 0.01), (3500, 0.0077)], PPO: [(1322, 0.015), (3500, 0.0125)]}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.learning import SINGLE
-from benchmarks.papers.process import with_memory
+from benchmarks.papers.process import STOPPED, with_memory
 from benchmarks.papers.work import SCENES, Found, Measurement, Work, WorkError
 from cqrun.figures.style import COLOURS, INK, log_ticks, new_figure, titled
 from cqrun.scene.build import build
@@ -115,12 +116,15 @@ def _measure(folder: Path, deadline: float, size: Size) -> bool:
         if time.monotonic() > deadline:
             return False
         overrides = (*SINGLE, *(SMALL[scene] if size is Size.QUICK else ()))
-        write_json(file, {"robot": scene.rpartition("/")[2], "printed": printed} | _timed(scene, overrides, folder))
+        timed = _timed(scene, overrides, folder, deadline)
+        if timed is None:
+            return False
+        write_json(file, {"robot": scene.rpartition("/")[2], "printed": printed} | timed)
     return True
 
 
-def _timed(name: str, overrides: Sequence[str], folder: Path) -> dict[str, object]:
-    """Run a few iterations of a scene alone on all cores; return what they took, the median."""
+def _timed(name: str, overrides: Sequence[str], folder: Path, deadline: float) -> dict[str, object] | None:
+    """Run a few iterations of a scene alone on all cores; return what they took, the median, or None out of time."""
     path = SCENES / f"{name}.yaml"
     scene = load_scene(path, list(overrides))
     assert scene.optimizer is not None
@@ -128,10 +132,13 @@ def _timed(name: str, overrides: Sequence[str], folder: Path) -> dict[str, objec
     out = folder / path.stem
     assert scene.job is not None
     command = [sys.executable, "-m", "cqrun", scene.job, str(path), "--quiet", "--fresh", "--out", str(out)]
+    command += [word for override in words for word in ("-o", override)]
     load = os.getloadavg()[0]
-    code, memory = with_memory(command + [word for override in words for word in ("-o", override)])
+    code, said, memory = with_memory(path.stem, command, deadline)
+    if code == STOPPED:
+        return None
     if code:
-        raise WorkError(f"{' '.join(command)} ended with {code}")
+        raise WorkError(f"{shlex.join(command)} ended with {code}\n{said}")
     (history,) = out.rglob("history.csv")
     with history.open(newline="") as lines:
         seconds = float(np.median(np.diff([float(row["seconds"]) for row in csv.DictReader(lines)])))
