@@ -134,13 +134,18 @@ class Rebuild:
 
 
 def show(figure: Figure, size: Size, runs: Path, out: Path) -> None:
-    """Publish a figure, but never a part of it over the whole; keep what it needs to go on."""
+    """Publish a figure, but never a part of it over a whole, be that of work that has changed; keep what goes on."""
     works = figure.work(size)
     is_whole = all(work.done(runs / work.name) is not None for work in works)
-    if not is_whole and is_complete(figure, size, published(figure, size, out)):
+    record = published(figure, size, out)
+    verdict, stays = None, not is_whole and record is not None and record["done"][0] == record["done"][1]
+    if stays and is_complete(figure, size, record):
         print("    what is published is complete, and stays", flush=True)
         return
-    verdict = publish(figure, size, runs, out)
+    if stays:
+        print("    what is published is of other work, but whole: it stays until this is", flush=True)
+    else:
+        verdict = publish(figure, size, runs, out)
     if verdict is not None:
         print(f"    {size}: {verdict}", flush=True)
     elif is_whole:

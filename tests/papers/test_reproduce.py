@@ -101,7 +101,7 @@ def test_what_another_engine_has_begun_is_left_alone(two_figures, tmp_path, caps
 
 def test_a_part_is_not_written_over_the_whole(two_figures, tmp_path, capsys):
     """A fresh clone has the figures that are committed, and none of their runs."""
-    _, words = two_figures
+    toys, words = two_figures
     assert [command.main(words) for _ in range(3)] == [75, 75, 0]
     files = sorted((tmp_path / "out" / "quick").glob("*.*"))
     before = [file.read_bytes() for file in files]
@@ -109,6 +109,15 @@ def test_a_part_is_not_written_over_the_whole(two_figures, tmp_path, capsys):
     assert command.main(words) == 75
     assert "what is published is complete, and stays" in capsys.readouterr().out
     assert [file.read_bytes() for file in files] == before
+    for toy in toys.values():  # a scene has changed: what was measured stays until all of it is measured again
+        toy.works = tuple(replace(work, told=f"{work.told} again") for work in toy.works)
+    assert command.main(words) == 75
+    assert "it stays until this is" in capsys.readouterr().out
+    assert [file.read_bytes() for file in files] == before
+    assert list((tmp_path / "out" / "quick" / "unfinished").glob("*.tar.xz"))
+    assert [command.main(words) for _ in range(2)] == [75, 0]
+    record = json.loads((tmp_path / "out" / "quick" / "one.json").read_text())
+    assert all(work["command"].endswith("again") for work in record["works"].values())
 
 
 def test_work_that_figures_share_is_counted_once(two_figures, capsys):
