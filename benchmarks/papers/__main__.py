@@ -22,7 +22,7 @@ from benchmarks.papers.process import ROOT, STOPPED
 from benchmarks.papers.publish import publish_again, published
 from benchmarks.papers.rebuild import Rebuild
 from benchmarks.papers.work import span
-from cqrun.errors import CqrunError
+from cqrun.errors import CqrunError, UsageError
 from cqrun.store.atomic import make_directory
 
 FIGURES_DIR = ROOT / "results" / "figures"
@@ -53,14 +53,21 @@ def main(words: Sequence[str] | None = None) -> int:
     chosen, size = [FIGURES[name] for name in options.only or FIGURES], Size(options.size)
     try:
         if not options.list:
-            for folder in (options.out / size, options.runs / size):
-                make_directory(folder)
+            make_directory(options.out / size)
+            _make_runs(options.runs / size)
         return _run(chosen, size, options)
     except CqrunError as error:
         parser.exit(2, f"error: {error}\n")
     except BrokenPipeError:  # `--list | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+
+
+def _make_runs(folder: Path) -> None:
+    try:
+        make_directory(folder)
+    except CqrunError as error:
+        raise UsageError(str(error).replace("--out", "--runs")) from error
 
 
 def _run(chosen: Sequence[Figure], size: Size, options: argparse.Namespace) -> int:

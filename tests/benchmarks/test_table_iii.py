@@ -123,7 +123,7 @@ def test_a_in_float32(steps, bounces):
     assert relative_error(gradient, steps) <= 3 * PAPER_A1[steps]
 
 
-def billiards(steps: int, v: np.ndarray) -> tuple[Model, Inputs]:
+def billiards(steps: int, v: np.ndarray, real: type = np.float64) -> tuple[Model, Inputs]:
     """Return B: disc A spins, and flies with mean velocity v at disc B, between walls of friction .5."""
     draw = random.Random(100)
     a, spin = ball(2, 200, [4 / 30, 13.75 / 30], draw)
@@ -133,8 +133,9 @@ def billiards(steps: int, v: np.ndarray) -> tuple[Model, Inputs]:
         Wall(Friction, (0, 1), below(1, 0.02), 0.5), Wall(Friction, (0, -1), above(1, 0.96), 0.5),
     ]  # fmt: skip
     model, inputs = world(
-        [a, b], size=[1.0, 1.0], dx=0.01, dt=DT_B, substeps=steps, controls=1, E=1.0, nu=0.3, walls=walls
-    )
+        [a, b], size=[1.0, 1.0], dx=0.01, dt=DT_B, substeps=steps, controls=1, E=1.0, nu=0.3, walls=walls,
+        real=real,
+    )  # fmt: skip
     inputs.state.v[:200] = spin + v
     return model, inputs
 
@@ -147,7 +148,7 @@ def miss(last: State) -> np.ndarray:
     return last.x[200:].mean(0) - GOAL
 
 
-def gradient_of_billiards(steps: int) -> np.ndarray:
+def gradient_of_billiards(steps: int, real: type = np.float64) -> np.ndarray:
     """Return the gradient of |centre of B - goal|^2 by the velocity of A."""
 
     def loss_bar(records: object, last: State) -> LossBar:
@@ -155,7 +156,7 @@ def gradient_of_billiards(steps: int) -> np.ndarray:
         bar.x[200:] = 2 * miss(last) / 200
         return LossBar(final=bar)
 
-    _, bar = Rollout(*billiards(steps, V), adjoint=True).gradient(loss_bar)
+    _, bar = Rollout(*billiards(steps, V, real), adjoint=True).gradient(loss_bar)
     return bar.state.v[:200].sum(0)
 
 
@@ -202,7 +203,7 @@ def test_b_by_the_papers_own_differences():
 class Finger:
     """C: two muscles bend a finger; tanh(W z + b) of the centroids' positions and velocities and of the goal."""
 
-    def __init__(self, steps: int) -> None:
+    def __init__(self, steps: int, real: type = np.float64) -> None:
         boxes = [([0.4, 0.1], [0.1, 0.4]), ([0.5, 0.1], [0.1, 0.4]), ([0.4, 0.5], [0.2, 0.2])]
         # 40 x 40 in each box: a lattice of cells as long and as wide in parts of the box
         unit = lattice([0.0, 0.0], [1.0, 1.0], 1 / 40)
@@ -216,7 +217,7 @@ class Finger:
         along = np.diag([0.0, 1.0])
         model, self.inputs = world(
             x, size=[1.0, 1.0], dx=1 / 40, dt=DT_B, substeps=1, controls=steps, E=10.0, nu=0.3, walls=walls,
-            muscles=((groups["left"], along), (groups["right"], along)),
+            muscles=((groups["left"], along), (groups["right"], along)), real=real,
         )  # fmt: skip
         self.inputs.strength[:] = 4.0
         matter = Matter(

@@ -9,7 +9,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +36,10 @@ PRINTED = {
     "B": {100: 2.39e-8, 1000: 2.83e-8},
     "C": {1: 5.63e-6, 10: 2.24e-7, 100: 6.97e-7, 1000: 1.76e-6},
 }
+PRECISIONS = {"float64": np.float64, "float32": np.float32}
+WAY = np.array([0.6, 0.8])
+"""The direction of the first disc's velocity along which the gradient is compared."""
+
 SINGLE_IN_PRINT = ("A1", "A2")
 """Cases that the paper has in float32."""
 
@@ -60,7 +64,8 @@ class Accuracy(Figure):
     }
     left_open = (
         "truth is exact for A, and a complex step through the equations in plain NumPy for B and C, where the "
-        "paper has differences. In float32 all errors of A are rounding: ours is larger than the paper's after 100 "
+        "paper has differences; these two are measured in float32 as well, and not judged there, where the paper has "
+        "no such numbers. In float32 all errors of A are rounding: ours is larger than the paper's after 100 "
         "steps, and a fifth of it after 1,000"
     )
 
@@ -116,7 +121,10 @@ class Accuracy(Figure):
 def _near_truth(table: Table) -> Iterator[tuple[str, bool]]:
     """Yield the checks that errors are those of the precision, whatever the paper's are."""
     for precision, greatest in (("float64", 1e-8), ("float32", 1e-4)):
-        worst = float(table["error"][table["precision"] == precision].max())
+        judged_ones = (table["precision"] == precision) & (
+            np.isin(table["case"], SINGLE_IN_PRINT) if precision == "float32" else True
+        )
+        worst = float(table["error"][judged_ones].max())
         yield f"{precision}: {worst:.1e} at most, asked {greatest:g}", worst <= greatest
 
 
@@ -142,11 +150,13 @@ def _errors(setups: Any, counts: Sequence[int]) -> dict[str, Callable[[], float]
     found: dict[str, Callable[[], float]] = {}
     for steps in counts:
         for case, bounces in (("A1", False), ("A2", True)):
-            for precision, real in (("float64", np.float64), ("float32", np.float32)):
+            for precision, real in PRECISIONS.items():
                 found[f"{case}-{precision}-{steps}"] = partial(_of_ball, setups, steps, bounces, real)
-        if steps >= 100:  # before, nothing has reached the second disc
-            found[f"B-float64-{steps}"] = partial(_of_billiards, setups, steps)
-        found[f"C-float64-{steps}"] = partial(_of_finger, setups, steps)
+        true_slopes = {case: cache(partial(truth, setups, steps)) for case, truth in TRUTHS.items()}
+        for precision, real in PRECISIONS.items():
+            if steps >= 100:  # before, nothing has reached the second disc
+                found[f"B-{precision}-{steps}"] = partial(_of_billiards, setups, steps, real, true_slopes["B"])
+            found[f"C-{precision}-{steps}"] = partial(_of_finger, setups, steps, real, true_slopes["C"])
     return found
 
 
@@ -155,12 +165,16 @@ def _of_ball(setups: Any, steps: int, bounces: bool, real: Any) -> float:
     return float(setups.relative_error(gradient, steps))
 
 
-def _of_billiards(setups: Any, steps: int) -> float:
-    way = np.array([0.6, 0.8])
-    truth = setups.true_slope_of_billiards(steps, way)
-    return abs(float(setups.gradient_of_billiards(steps) @ way) / truth - 1.0)
+def _of_billiards(setups: Any, steps: int, real: Any, truth: Callable[[], float]) -> float:
+    return abs(float(setups.gradient_of_billiards(steps, real) @ WAY) / truth() - 1.0)
 
 
-def _of_finger(setups: Any, steps: int) -> float:
-    finger = setups.Finger(steps)
-    return abs(float(finger.slope() / finger.truth()) - 1.0)
+def _of_finger(setups: Any, steps: int, real: Any, truth: Callable[[], float]) -> float:
+    return abs(float(setups.Finger(steps, real).slope() / truth()) - 1.0)
+
+
+TRUTHS: dict[str, Callable[[Any, int], float]] = {
+    "B": lambda setups, steps: float(setups.true_slope_of_billiards(steps, WAY)),
+    "C": lambda setups, steps: float(setups.Finger(steps).truth()),
+}
+"""Derivatives along a direction by a complex step, which take longer than all gradients."""

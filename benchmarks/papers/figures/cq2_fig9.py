@@ -27,7 +27,7 @@ class Creature(Distances):
     final, interval, seconds = 0.27, (0.06, 0.50), 38.0
     variants = (
         Variant("velocity .05", {Size.QUICK: QUICK, Size.PAPER: SINGLE}, {Size.QUICK: 2, Size.PAPER: 3},
-                {Size.QUICK: 2.7, Size.PAPER: 60}),
-        Variant("velocity .025", {Size.PAPER: (*SINGLE, *_velocity(0.025))}, {Size.PAPER: 1}, {Size.PAPER: 20}),
-        Variant("velocity .1", {Size.PAPER: (*SINGLE, *_velocity(0.1))}, {Size.PAPER: 1}, {Size.PAPER: 20}),
+                {Size.QUICK: 2.7, Size.PAPER: 130}),
+        Variant("velocity .025", {Size.PAPER: (*SINGLE, *_velocity(0.025))}, {Size.PAPER: 1}, {Size.PAPER: 45}),
+        Variant("velocity .1", {Size.PAPER: (*SINGLE, *_velocity(0.1))}, {Size.PAPER: 1}, {Size.PAPER: 45}),
     )  # fmt: skip
