@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.histories import first_below, runs_below, smooth
 from benchmarks.papers.process import STOPPED, for_so_long
+from benchmarks.papers.train_ppo import checkpoint_of, episodes_in
 from benchmarks.papers.work import SCENES, Found, Measurement, Runs, Work, WorkError
 from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, new_figure, titled
@@ -124,7 +125,12 @@ class Learners(Figure):
         """Train PPO from one seed; say whether there was time enough."""
         words = [SCENES / f"{self.scene}.yaml", self.episodes[PPO][size], seed, file, head, *self._ppo_overrides(size)]
         command = [sys.executable, "-m", "benchmarks.papers.train_ppo", *map(str, words)]
-        code, said = for_so_long(command, deadline, lambda: None)
+
+        def tell() -> None:
+            done = episodes_in(checkpoint_of(file))
+            print(f"    PPO of seed {seed}: {done} of {self.episodes[PPO][size]} episodes", flush=True)
+
+        code, said = for_so_long(command, deadline, tell)
         if code not in (0, STOPPED):
             raise WorkError(f"PPO of seed {seed} ended with {code}\n{said}")
         return code == 0

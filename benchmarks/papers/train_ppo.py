@@ -2,26 +2,50 @@
 
 PPO in a scene, as stable-baselines3 has it: the loss at the end of every episode, as it explores, to FILE, below HEAD.
 In a process of its own, on one thread: torch's random numbers are one stream a process, and its sums hang on threads.
+Killed, it goes on from FILE.checkpoint, written after every ten episodes, and finds the same numbers.
 """
 
 from __future__ import annotations
 
+import copy
+import io
+import pickle
+import random
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from cqrun.store.atomic import write_text
+import numpy as np
+
+from cqrun.store.atomic import write_bytes, write_text
+
+AT_ONCE = 10
+"""Episodes between two updates of the networks."""
 
 
 def main(words: Sequence[str]) -> None:
     """Train as the words say."""
     scene, episodes, seed, file, head, *overrides = words
-    losses = train_ppo(Path(scene), overrides, int(episodes), int(seed))
+    kept = checkpoint_of(Path(file))
+    losses = train_ppo(Path(scene), overrides, int(episodes), int(seed), kept)
     write_text(Path(file), "\n".join([head, *(f"{loss:.6g}" for loss in losses)]) + "\n")
+    kept.unlink(missing_ok=True)
 
 
-def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int) -> list[float]:
+def checkpoint_of(file: Path) -> Path:
+    """Return where training that is to end in a file goes on from."""
+    return file.with_name(f"{file.name}.checkpoint")
+
+
+def episodes_in(kept: Path) -> int:
+    """Return how many episodes a checkpoint holds; 0 without one."""
+    return len(pickle.loads(kept.read_bytes())["losses"]) if kept.exists() else 0
+
+
+def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int, kept: Path) -> list[float]:
     """Return the loss at the end of every episode."""
+    import gymnasium
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -29,20 +53,70 @@ def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int) -
 
     import cqrun
 
-    torch.set_num_threads(1)
-    losses: list[float] = []
+    class Remembering(gymnasium.Wrapper[Any, Any, Any, Any]):
+        """Keeps what an episode's goals were drawn with, so that it can be begun again."""
+
+        drawn_with: Any = None
+
+        def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+            if seed is None:
+                self.drawn_with = copy.deepcopy(self.unwrapped.np_random.bit_generator.state)
+            return super().reset(seed=seed, options=options)
 
     class Keep(BaseCallback):
+        """Counts episodes, and writes a checkpoint where one has just begun."""
+
         def _on_step(self) -> bool:
             over = zip(self.locals["dones"], self.locals["infos"], strict=True)
             losses.extend(facts["loss"] for done, facts in over if done)
             return len(losses) < episodes
 
-    env = VecNormalize(DummyVecEnv([lambda: cqrun.environment(scene, list(overrides), threads=1)]))
-    steps = env.envs[0].agent.model.n_controls
-    model = PPO("MlpPolicy", env, n_steps=10 * steps, batch_size=5 * steps // 2, device="cpu", seed=seed)
-    model.learn(episodes * steps, callback=Keep())
+        def _on_rollout_start(self) -> None:
+            if world.drawn_with is not None and own.control == 0:  # an episode that blew up shifts the next ones
+                write_bytes(kept, pickle.dumps(state()))
+
+    def state() -> dict[str, Any]:
+        networks = io.BytesIO()
+        model.save(networks)
+        return {
+            "losses": losses, "networks": networks.getvalue(), "scales": pickle.dumps(env),
+            "random": (torch.get_rng_state().numpy(), np.random.get_state(), random.getstate()),  # noqa: NPY002
+            "world": (world.drawn_with, own.least, own.most),
+        }  # fmt: skip
+
+    torch.set_num_threads(1)
+    losses: list[float] = []
+    world = Remembering(cqrun.environment(scene, list(overrides), threads=1))
+    own: Any = world.unwrapped
+    steps = own.agent.model.n_controls
+    worlds = DummyVecEnv([lambda: world])
+    if not kept.exists():
+        env = VecNormalize(worlds)
+        model = PPO("MlpPolicy", env, n_steps=AT_ONCE * steps, batch_size=5 * steps // 2, device="cpu", seed=seed)
+    else:
+        told = pickle.loads(kept.read_bytes())
+        losses = told["losses"]
+        model, env = _taken_up(told, worlds, world)
+    model.learn(episodes * steps - model.num_timesteps, callback=Keep(), reset_num_timesteps=not losses)
     return losses
+
+
+def _taken_up(told: dict[str, Any], worlds: Any, world: Any) -> tuple[Any, Any]:
+    """Return networks and scaled worlds as a checkpoint has them; put random numbers and the episode back."""
+    import torch
+    from stable_baselines3 import PPO
+
+    env = pickle.loads(told["scales"])
+    env.set_venv(worlds)
+    model = PPO.load(io.BytesIO(told["networks"]), env=env, device="cpu", force_reset=False)
+    worlds.reset()  # takes the seed that loading has left for it
+    own = world.unwrapped
+    own.np_random.bit_generator.state, own.least, own.most = told["world"]
+    world.reset()
+    torch.set_rng_state(torch.from_numpy(told["random"][0]))
+    np.random.set_state(told["random"][1])  # noqa: NPY002  what stable-baselines3 draws from
+    random.setstate(told["random"][2])
+    return model, env
 
 
 if __name__ == "__main__":

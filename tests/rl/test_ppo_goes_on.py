@@ -1,0 +1,38 @@
+"""The papers' PPO, killed and begun again, finds what it would have found (extra `rl`; `make test-rl`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.papers import train_ppo as training
+from cqrun.store.atomic import write_bytes
+
+pytestmark = pytest.mark.rl
+SCENE = Path("scenes/control/finger_random.yaml")
+SMALL = ["bodies.finger.sampling.lattice.count=8", "time.duration=0.05"]
+
+
+class Killed(Exception):
+    pass
+
+
+@pytest.mark.parametrize("after", [1, 2])
+def test_killed_and_begun_again_it_finds_the_same(tmp_path, monkeypatch, after):
+    whole = training.train_ppo(SCENE, SMALL, 40, 3, tmp_path / "whole.checkpoint")
+    written = []
+
+    def write(file, data):
+        write_bytes(file, data)
+        written.append(file)
+        if len(written) == after:
+            raise Killed
+
+    kept = tmp_path / "half.checkpoint"
+    monkeypatch.setattr(training, "write_bytes", write)
+    with pytest.raises(Killed):
+        training.train_ppo(SCENE, SMALL, 40, 3, kept)
+    assert 0 < training.episodes_in(kept) < 40
+    assert training.train_ppo(SCENE, SMALL, 40, 3, kept) == whole
+    assert len(whole) == 40
