@@ -53,7 +53,7 @@ class RealBeam(Figure):
         size: "fitted: .6 mm bare and 2.0 mm loaded at most; predicted: 2.5 mm; E from 230 to 360 kPa" for size in Size
     }
     left_open = (
-        "the fits take hours and need the recordings, so what `python benchmarks/real_beam.py` found is shown. Those on "
+        "the fits take hours and need the recordings: what `python benchmarks/real_beam.py` found is shown. Those on "
         "3.75 mm are of an older engine, whose intervals took an error that stays for several, and were too narrow"
     )
 
