@@ -41,6 +41,7 @@ def plot(
     runs = [run for run in runs if not run.is_file()] or runs
     with plugins_allowed(allow_plugins):
         one = len(runs) == 1 and show is None
-        paths = draw_run(runs[0], KINDS) if one else draw_several(runs, out, KINDS, show)
+        place = runs[0] / "figures" if len(runs) == 1 and out == FIGURES else out
+        paths = draw_run(runs[0], KINDS) if one else draw_several(runs, place, KINDS, show)
     for path in paths:
         typer.echo(path)

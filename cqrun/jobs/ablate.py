@@ -277,7 +277,9 @@ def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str
     results = {v.name: [_result(run.run) for run in runs[v.name] if has_ended(run)] for v in variants}
     compared = next(iter(scene.objective))
     sense = scene.objective[compared].value.sense  # type: ignore[attr-defined]
-    met = {name: sum(one["status"] != INFEASIBLE for one in each) for name, each in results.items()}
+    feasible = {name: [one for one in each if one["status"] != INFEASIBLE] for name, each in results.items()}
+    met = {name: len(each) for name, each in feasible.items()}
+    shown = {name: each or results[name] for name, each in feasible.items()}
     values = {
         name: [one["trained"]["terms"][compared] for one in each]
         for name, each in results.items()
@@ -294,7 +296,7 @@ def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str
                 "runs": [str(run.run) for run in runs[v.name]],
                 "failed": {run.name: run.failure for run in runs[v.name] if not has_ended(run)},
                 "feasible": met[v.name] if scene.constraints else None,
-                "terms": _means(results[v.name], scene.objective, lambda one, name: one["trained"]["terms"][name]),
+                "terms": _means(shown[v.name], scene.objective, lambda one, name: one["trained"]["terms"][name]),
                 "constraints": _means(
                     results[v.name], scene.constraints, lambda one, name: one["constraints"][name]["value"]
                 ),

@@ -211,7 +211,10 @@ def summary_lines(path: Path) -> list[str]:
     seeds = list(summary["seeds"].values())
     ended = [entry for entry in seeds if entry["status"] != "failed"]
     good = [entry for entry in ended if entry["status"] != INFEASIBLE] or ended
-    lines = [f"{len(good)} of {len(seeds)} seeds learned; mean and {summary['confidence']:.0%} interval over them", ""]
+    told = f"mean and {summary['confidence']:.0%} interval over them"
+    lines = [f"{len(good)} of {len(seeds)} seeds learned; {told}", ""]
+    if good and all(entry["status"] == INFEASIBLE for entry in good):
+        lines = [f"0 of {len(seeds)} seeds meet their constraints; {told} all the same", ""]
     stages = list(summary["all"])
     if stages:
         head = ("term", *(STAGES[stage] for stage in stages))

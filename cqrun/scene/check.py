@@ -202,10 +202,18 @@ def _empty(
         yield _problem(scene, path, str(error))
         return
     if filled and not held:  # a body without particles is told of by itself
+        named = isinstance(region, str)  # of a body, in the coordinates of its shape
         extents = [
-            f"'{name}' lies within {_corner(x.min(axis=0))} to {_corner(x.max(axis=0))} m" for name, x in filled.items()
+            f"'{name}' lies within {_corner(x.min(axis=0))} to {_corner(x.max(axis=0))} m{where}"
+            for name in filled
+            for x, where in [_as_described(scene, points, name) if named else (filled[name], "")]
         ]
         yield _problem(scene, path, f"{what} no particle: {', '.join(extents)}")
+
+
+def _as_described(scene: Scene, points: Points, body: str) -> tuple[Array, str]:
+    """Return a body's particles in the coordinates of its shape, and what is said of these."""
+    return points[body].local, " before it is placed" if scene.bodies[body].place is not None else ""
 
 
 def _corner(x: Array) -> str:

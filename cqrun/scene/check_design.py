@@ -130,7 +130,7 @@ def _lopsided(scene: Scene, particles: Particles, path: str, mirror: str) -> Ite
 def _between(rest: _Rest, path: str) -> Array:
     """Return the values between its bounds of an unknown that are tried while the others are at their starts."""
     lower, upper = rest.scene.unknowns[path].bounds
-    turns = int(np.ceil((upper - lower) / TURN)) if leaf(rest.scene, path).unit == "deg" else 1
+    turns = max(2, int(np.ceil((upper - lower) / TURN))) if leaf(rest.scene, path).unit == "deg" else 1
     return np.linspace(lower, upper, 1 + max(turns, rest.strides(path)))[1:-1]
 
 

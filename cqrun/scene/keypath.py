@@ -88,6 +88,8 @@ def is_named(loc: Loc) -> bool:
     """Say whether a place is an entry of a mapping whose names a user gives, or a term of a material."""
     if len(loc) == 4 and loc[0] == "bodies" and loc[2] == "material":
         return loc[3] not in ("density", "elastic")
+    if len(loc) == 4 and loc[0] == "bodies" and loc[2] in ("parts", "groups", "material_of"):
+        return True
     return joined(loc[:-1]) in NAMED
 
 

@@ -82,6 +82,12 @@ def test_the_loss_is_a_name_too(capsys, twin, tmp_path):
     assert (code, out.splitlines()) == (0, [str(tmp_path / f"compare_twin.{kind}") for kind in MAGIC])
 
 
+def test_what_one_run_shows_is_in_its_figures(capsys, tmp_path, rng):
+    twin = made_twin(tmp_path, rng, name="twin/aaaaaaaaaaaa")
+    code, out, _ = command(capsys, "plot", twin, "--show", "loss")
+    assert (code, out.splitlines()) == (0, [str(twin / "figures" / f"compare_twin.{kind}") for kind in MAGIC])
+
+
 def test_a_picture_of_other_runs_is_not_overwritten(twin, tmp_path, rng):
     """Scenes of one name; the same runs, in whatever order, are one picture."""
     variant, copy = (made_twin(tmp_path / place, rng, name=f"twin/{k * 12}") for place, k in (("a", "a"), ("b", "a")))

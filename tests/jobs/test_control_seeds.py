@@ -93,7 +93,7 @@ def test_means_are_of_the_seeds_that_meet_their_constraints_if_any_does(tmp_path
         found[name] = _summary("finger", some)
         path.write_text(json.dumps(found[name]))
         lines = summary_lines(path)
-        assert lines[0].startswith({"mixed": "2 of 3", "infeasible": "1 of 1"}[name])
+        assert lines[0].startswith({"mixed": "2 of 3", "infeasible": "0 of 1 seeds meet"}[name])
         assert "seed 0 does not meet its constraints" in lines
     assert found["mixed"]["all"]["trained"]["loss"] == interval([4.0, 6.0])
     assert found["mixed"]["seeds"][0]["trained"] == {"tip": 1.0, "loss": 1.0}

@@ -119,6 +119,10 @@ BAD_TOGETHER = {
         {"bodies.a.place.angle": [0, 360]},
         "at 30 bodies.a.place reaches x = -0.",
     ),
+    "an angle half way between near bounds": (
+        {"bodies.a.place.angle": [30, 60]},
+        "at 45 bodies.a.place reaches x = -0.",
+    ),
     "past another body": (
         {CORNER: [0.02, 0.72]},
         f"unknowns.{CORNER}.bounds: at 0.253333 bodies.b.shape overlaps the body 'a'",
@@ -140,6 +144,9 @@ def test_bounds_that_only_together_or_between_them_cannot_be(name):
     bodies = {"a": box(0.125, per_cell=3 if "sparse" in name else 16), "b": box(0.625)}
     if "angle" in name:
         bodies["a"] |= {"place": {"angle": 0.0}}
+    if "half way" in name:
+        square = {"box": {"corner": [-0.2, -0.2], "size": [0.4, 0.4]}}
+        bodies = {"a": box(0.0, per_cell=16) | {"shape": square, "place": {"offset": [0.268, 0.5], "angle": 30.0}}}
     if "past" in name:
         bodies["b"] = box(0.45)
     with pytest.raises(SceneError, match=re.escape(message)):

@@ -154,5 +154,9 @@ def test_null_removes_a_named_part(beam: str) -> None:
     assert load_scene(beam, [f"unknowns.{paths[0]}=null"]).unknowns.keys() == set(paths[1:])
     assert not load_scene(beam, ["boundaries.clamp=null"]).boundaries
     assert not load_scene(beam, ["unknowns=null"]).unknowns  # a section, too
+    group = "bodies.beam.groups.mine"
+    added = f"{group}={{box: {{corner: [0, 0], size: [1, 1]}}}}"
+    assert "mine" in load_scene(beam, [added]).bodies["beam"].groups
+    assert "mine" not in load_scene(beam, [added, f"{group}=null"]).bodies["beam"].groups
     with pytest.raises(SceneError, match=r"-o loads.wind=null: loads.wind: cannot be removed: there is no 'wind'"):
         load_scene(beam, ["loads.air={damping: {rate: 1.0}}", "loads.wind=null"])

@@ -22,7 +22,7 @@ class SwingingArm(Violations):
     }
     left_open = (
         "the control step, strength, goal, thresholds and sizes of the links; the solver, which is ours, and stalls "
-        "with neither fixed arm at either size"
+        "with neither fixed arm at either size; at paper size as it was before it had second-order corrections"
     )
     scene = "codesign/arm_3d"
     modulus = "bodies.arm.material.elastic.neo_hookean.youngs_modulus"

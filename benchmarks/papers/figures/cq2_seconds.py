@@ -103,8 +103,11 @@ class Seconds(Figure):
         if size is Size.QUICK:
             timed = zip(table["robot"], table["ns"], strict=True)
             return judged({f"{robot}: {ns:.0f} ns a particle and substep": bool(ns > 0) for robot, ns in timed})
-        rows = zip(table["robot"], table["seconds"], table["printed"], strict=True)
-        return judged({f"{robot} {ours:.3g} s, paper {theirs:g}": ours <= theirs for robot, ours, theirs in rows})
+        rows = zip(table["robot"], table["seconds"], table["printed"], table["memory"], strict=True)
+        return judged({
+            f"{robot} {ours:.3g} s, paper {theirs:g}; {memory:.2g} GB at most": ours <= theirs
+            for robot, ours, theirs, memory in rows
+        })  # fmt: skip
 
 
 def _measure(folder: Path, deadline: float, size: Size) -> bool:
