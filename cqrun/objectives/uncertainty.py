@@ -18,7 +18,7 @@ Displacements are taken from a mean over still frames, whose error is one offset
 var(mean) (sum_t a(t))^2, from how the still frames themselves scatter, again apart or together.
 
 Intervals are Student's, in the logarithm of log-scaled unknowns, with Satterthwaite's degrees of freedom (1946).
-Where errors remember longer than the recording lasts they fall short still: about 88 % at phi = .99 in 120 frames.
+Where errors remember many times longer than the recording lasts they fall short, and no residual shows it.
 """
 
 from __future__ import annotations

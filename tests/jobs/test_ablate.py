@@ -135,6 +135,15 @@ def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     assert "0 of 2" in text
     assert "freeing it adds" in text  # the density, to the stiffness
     assert draw_ablation(path)[0].stat().st_size > 10_000
+    one, other = (Path(run) for run in variants["youngs_modulus"]["runs"])
+    result = result_of(one)
+    terms = {name: value + 9.0 for name, value in result["trained"]["terms"].items()}
+    (one / "result.json").write_text(json.dumps(result | {"status": "infeasible", "trained": {"terms": terms}}))
+    members = {"youngs_modulus": [Member(run.name, run, [], 1) for run in (one, other)]}
+    loaded = load_scene(scene)
+    (variant,) = (v for v in variants_of(loaded) if v.name == "youngs_modulus")
+    means = ablate.summary("finger", loaded, [variant], members)["variants"]["youngs_modulus"]["terms"]
+    assert {name: mean["mean"] for name, mean in means.items()} == result_of(other)["trained"]["terms"]
 
 
 def test_that_no_run_meets_the_constraints_is_a_failure(tmp_path):

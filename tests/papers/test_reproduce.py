@@ -49,6 +49,13 @@ def test_no_time_is_no_work(tmp_path, capsys):
     assert "not all is done: the same command goes on" in capsys.readouterr().out
 
 
+def test_a_place_for_runs_that_cannot_be_is_told_by_its_option(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SystemExit):
+        command.main(["--only", "cq2_fracture", "--runs", str(tmp_path / "file"), "--out", str(tmp_path / "o")])
+    assert "choose another place with --runs" in capsys.readouterr().err
+
+
 @pytest.fixture
 def two_figures(tmp_path, monkeypatch):
     """The command's figures are two that count, to three each, and the words that run both."""

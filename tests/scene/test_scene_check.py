@@ -103,6 +103,9 @@ def test_groups_without_particles_are_named_with_where_the_body_is() -> None:
     }
     (message,) = told(two_balls(groups=groups))
     assert message.startswith("scene: bodies.right.groups.out: holds no particle: 'right' lies within (0.505, ")
+    (placed,) = told(two_balls(groups=groups, place={"offset": [0.1, 0.0]}))  # groups are in the shape's coordinates
+    assert "'right' lies within (0.505, " in placed
+    assert placed.endswith("m before it is placed")
 
 
 @pytest.mark.parametrize(("per_cell", "warned"), [(4, False), (9, False), (3.9, True), (1, True)])
