@@ -19,7 +19,7 @@ from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Figure, Size
 from benchmarks.papers.page import write_page
 from benchmarks.papers.process import ROOT, STOPPED
-from benchmarks.papers.publish import publish_again, published
+from benchmarks.papers.publish import is_complete, publish_again, published
 from benchmarks.papers.rebuild import Rebuild
 from benchmarks.papers.work import span
 from cqrun.errors import CqrunError, UsageError
@@ -42,6 +42,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=_count, default=2, help="runs side by side")
     parser.add_argument("--runs", type=Path, default=ROOT / "results" / "papers", help="where the runs are kept")
     parser.add_argument("--out", type=Path, default=FIGURES_DIR, help="where the figures go")
+    parser.add_argument("--unpublished", action="store_true", help="leave out what is published whole in --out")
     parser.add_argument("--list", action="store_true", help="list the figures and how long they take")
     parser.add_argument(
         "--judge", action="store_true", help="only draw and judge anew what was published, from its CSV"
@@ -52,6 +53,9 @@ def main(words: Sequence[str] | None = None) -> int:
         signal.signal(number, lambda *_: sys.exit(STOPPED))  # so that runs are asked to stop, too
     chosen, size = [FIGURES[name] for name in options.only or FIGURES], Size(options.size)
     try:
+        if options.unpublished:
+            whole = {figure.id for figure in chosen if is_complete(figure, size, published(figure, size, options.out))}
+            chosen = [figure for figure in chosen if figure.id not in whole]
         if not options.list:
             make_directory(options.out / size)
             _make_runs(options.runs / size)

@@ -157,6 +157,8 @@ def _missing(scene: Scene, path: str, loc: list[int | str], rest: str, node: Any
     key, inside = rest.partition(".")[0], children(node)
     if isinstance(node, Terms) and key in plugins(TERMS):
         return f"{place} has no '{key}': write the term there first, with a value to start from"
+    if node is None and loc:
+        return f"{place} is not set in this scene: write it there first, with a value of '{rest}' to start from"
     beside = suggest(key, map(str, inside))
     known = (leaf for leaf in leaves(scene) if not leaf.startswith(("unknowns.", "data.synthetic.truth.")))
     near = beside if key == rest else suggest(path, known) or beside

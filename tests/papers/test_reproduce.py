@@ -127,6 +127,19 @@ def test_a_part_is_not_written_over_the_whole(two_figures, tmp_path, capsys):
     assert all(work["command"].endswith("again") for work in record["works"].values())
 
 
+def test_what_is_published_whole_may_be_left_out(two_figures, tmp_path, capsys):
+    """A fresh clone goes on with what nobody has had yet; without the option it does everything once more."""
+    toys, words = two_figures
+    assert [command.main([*words, "--only", "one"]) for _ in range(3)] == [75, 75, 0]
+    shutil.rmtree(tmp_path / "runs")
+    assert [command.main([*words, "--unpublished"]) for _ in range(3)] == [75, 75, 0]
+    assert "1 figures, size quick" in capsys.readouterr().out
+    assert not (tmp_path / "runs" / "quick" / "one").exists()
+    assert (tmp_path / "out" / "quick" / "two.png").exists()
+    toys["one"].works = (replace(toys["one"].works[0], told="count one again"),)  # what is published is of other work
+    assert command.main([*words, "--unpublished"]) == 75
+
+
 def test_work_that_figures_share_is_counted_once(two_figures, capsys):
     toys, words = two_figures
     toys["two"].works = toys["one"].works

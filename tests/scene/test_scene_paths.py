@@ -42,6 +42,10 @@ def test_get_runs_through_choices_terms_lists_and_keys_with_dots(beam: str) -> N
             "bodies.beam.material.incompressibility.bulk",
             "'bodies.beam.material' has no 'incompressibility': write the term there first, with a value to start from",
         ),
+        (
+            "bodies.beam.place.offset.0",
+            "is not set in this scene: write it there first, with a value of 'offset.0' to start from",
+        ),
         ("world.gravity.2", "'world.gravity' has no '2'"),
         ("wrld", "the scene has no 'wrld' (did you mean 'world'?); there are: cqrun, title"),
         ("", "is an empty path"),
