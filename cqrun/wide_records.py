@@ -4,6 +4,7 @@ load_records, load_neighbours, store_neighbours, load_pairs
                                     as many records as fill one lane value
 filled, spread, sums                such lane values of one number, of an entry, of sums of entries
 load_each, load_wide, store_wide    one record of each of several arrays, as one value; such values in one array
+prefetch_each                       a hint that such a record is read soon
 """
 
 from __future__ import annotations
@@ -216,6 +217,10 @@ def load_each(arrays: Any, n: int) -> Any:
     return np.concatenate([a[n] for a in arrays])
 
 
+def prefetch_each(arrays: Any, n: int) -> None:
+    """Have record n of every array of a tuple brought to the cache while other work is done; it changes no value."""
+
+
 def load_wide(a: np.ndarray, n: int, like: Any) -> Any:
     """Return entry n of an (m, 4) array that holds values as long as `like` one after the other."""
     return a.reshape(-1, len(like))[n].copy()
@@ -242,6 +247,23 @@ def _load_each(typingctx: Any, arrays: Any, n: Any) -> Any:
 
 
 @intrinsic
+def _prefetch_each(typingctx: Any, arrays: Any, n: Any) -> Any:
+    byte, number = ir.IntType(8), ir.IntType(32)
+    to_read, to_keep, of_data = number(0), number(3), number(1)  # as LLVM's `prefetch` counts them
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        where = byte.as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [where, number, number, number])
+        hint = builder.module.declare_intrinsic("llvm.prefetch", [where], kind)
+        for k, array in enumerate(arrays):
+            pointer = address_of(context, builder, array, builder.extract_value(args[0], k), args[1], byte)
+            builder.call(hint, [pointer, to_read, to_keep, of_data])
+        return context.get_dummy_value()
+
+    return signature(types.none, arrays, types.intp), codegen
+
+
+@intrinsic
 def _load_wide(typingctx: Any, a: Any, n: Any, like: Any) -> Any:
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = address_of(context, builder, a, args[0], args[1], args[2].type)
@@ -253,6 +275,11 @@ def _load_wide(typingctx: Any, a: Any, n: Any, like: Any) -> Any:
 @overload(load_each)
 def _load_each_overload(arrays, n):
     return lambda arrays, n: _load_each(arrays, n)
+
+
+@overload(prefetch_each)
+def _prefetch_each_overload(arrays, n):
+    return lambda arrays, n: _prefetch_each(arrays, n)
 
 
 @overload(load_wide)

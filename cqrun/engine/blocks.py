@@ -31,9 +31,9 @@ class Blocks(NamedTuple):
 
     shape: Array  # (3,) blocks along the three loop axes; 1 first in 2D
     home: Array  # (n,) block of each particle
-    order: Array  # (n,) particles by block
-    start: Array  # (b + 1,) where a block's particles begin in `order`
-    cursor: Array  # (b,) scratch
+    order: Array  # (n,) particles in the order in which they scatter: by colour, then block, then index
+    start: Array  # (b + 1,) where the particles of each block of `work` begin in `order`
+    cursor: Array  # (b,) scratch: particles of each block, then where its next one goes
     work: Array  # (b,) blocks with particles, by colour
     colour: Array  # (9,) where each of the 8 colours begins in `work`
     nodes: Array  # (b,) blocks whose nodes may hold mass
@@ -55,43 +55,43 @@ def make_blocks(shape: tuple[int, int, int], n: int) -> Blocks:
 @kernel
 def sort_particles(blocks: Blocks, place: Array) -> None:
     """Sort particles by block (a stable counting sort) and list the work; `place` (n, 4) in cells."""
-    n, b = place.shape[0], len(blocks.cursor)
+    n = place.shape[0]
     ny, nz = blocks.shape[1], blocks.shape[2]
-    start, home = blocks.start, blocks.home
-    start[:] = 0
+    home, cursor = blocks.home, blocks.cursor
+    cursor[:] = 0
     for p in range(n):
         i = int(place[p, 0] - 0.5) // BLOCK
         j = int(place[p, 1] - 0.5) // BLOCK
         k = int(place[p, 2] - 0.5) // BLOCK
         block = (i * ny + j) * nz + k
         home[p] = block
-        start[block + 1] += 1
-    for block in range(b):
-        start[block + 1] += start[block]
-        blocks.cursor[block] = start[block]
-    for p in range(n):
-        block = home[p]
-        blocks.order[blocks.cursor[block]] = p
-        blocks.cursor[block] += 1
+        cursor[block] += 1
     _list_work(blocks)
+    for p in range(n):
+        blocks.order[cursor[home[p]]] = p
+        cursor[home[p]] += 1
     _list_nodes(blocks)
     blocks.travel[0] = 0.0
 
 
 @kernel
 def _list_work(blocks: Blocks) -> None:
+    """List the blocks with particles, colour by colour, and give each its place in `order`."""
     ny, nz = blocks.shape[1], blocks.shape[2]
-    n_work = 0
+    n_work = total = 0
     for colour in range(8):
         blocks.colour[colour] = n_work
         for i in range((colour >> 2) & 1, blocks.shape[0], 2):
             for j in range((colour >> 1) & 1, ny, 2):
                 for k in range(colour & 1, nz, 2):
                     block = (i * ny + j) * nz + k
-                    if blocks.start[block + 1] > blocks.start[block]:
-                        blocks.work[n_work] = block
+                    count = blocks.cursor[block]
+                    if count > 0:
+                        blocks.work[n_work], blocks.start[n_work] = block, total
+                        blocks.cursor[block] = total
                         n_work += 1
-    blocks.colour[8] = n_work
+                        total += count
+    blocks.colour[8], blocks.start[n_work] = n_work, total
 
 
 @kernel

@@ -38,8 +38,7 @@ def scatter_blocks(
         if n_work > 0:
             lo, hi = share(n_work, thread, n_threads)
             for index in range(begin + lo, begin + hi):
-                block = blocks.work[index]
-                first, last = blocks.start[block], blocks.start[block + 1]
+                first, last = blocks.start[index], blocks.start[index + 1]
                 scatter(grid, values, affines, work.place, blocks.order, first, last, setting.strides, setting.dims)
             barrier(work.arrivals, n_threads)
 

@@ -35,12 +35,16 @@ from cqrun.wide_records import (
     load_pairs,
     load_records,
     load_wide,
+    prefetch_each,
     records_in_lane,
     spread,
     store_neighbours,
     store_wide,
     sums,
 )
+
+AHEAD = 16
+"""How many particles before its turn what one scatters is asked for: blocks lie apart, so no processor foresees it."""
 
 
 @kernel
@@ -80,6 +84,17 @@ def stencil(place: Array, p: int, strides: Any) -> Any:
 
 
 @kernel
+def prefetch_fields(place: Array, values: Any, affines: Any, p: int, n: int, in_3d: bool) -> None:
+    """Ask for what `scatter` reads of particle p of n."""
+    prefetch_each((place,), p)
+    prefetch_each(values, p)
+    if in_3d:
+        prefetch_each(affines, p)
+    prefetch_each(affines, n + p)
+    prefetch_each(affines, 2 * n + p)
+
+
+@kernel
 def scatter(
     grid: Array, values: Any, affines: Any, place: Array, order: Array, lo: int, hi: int, strides: Any, dims: Any
 ) -> None:
@@ -95,6 +110,7 @@ def scatter(
     in_3d = len(dims) == 3
     for index in range(lo, hi):
         p = order[index]
+        prefetch_fields(place, values, affines, order[min(index + AHEAD, n - 1)], n, in_3d)
         first, f = stencil(place, p, strides)
         W = weights(f)
         w0, w1, w2 = lane(W[0], 2), lane(W[1], 2), lane(W[2], 2)
@@ -103,7 +119,7 @@ def scatter(
         c1, c2 = b2 * w1, (b2 + b2) * w2
         for i in range(3 if in_3d else 1):
             w_i = lane(W[i], 0) if in_3d else 1.0
-            a_i = a + b0 * i
+            a_i = a + b0 * i if in_3d else a
             for j in range(3):
                 w = w_i * lane(W[j], 1)
                 a_j = a_i + b1 * j
@@ -190,7 +206,7 @@ def gather_vjp(
         for i in range(3 if in_3d else 1):
             w_i, d_i = (spread(W[i], 0), spread(S[i], 0)) if in_3d else (one, zero)
             s, s1, s2, h, h1, h2 = zero, zero, zero, zero, zero, zero
-            a_i, e_i = a + b0 * i, e + c0 * i
+            a_i, e_i = (a + b0 * i, e + c0 * i) if in_3d else (a, e)
             for j in range(3):
                 w_j, d_j = spread(W[j], 1), spread(S[j], 1)
                 node = i * strides[0] + j * strides[1]

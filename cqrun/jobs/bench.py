@@ -27,8 +27,8 @@ from cqrun.state import Layout, ParticleFields, State
 from cqrun.store.atomic import disk_errors, make_directory, write_json
 from cqrun.store.provenance import versions
 
-SIZES = ((2, 80), (3, 20), (3, 40), (3, 80))
-"""(dimension, particles along an edge): 6,400 in 2D; 8,000, 64,000 and 512,000 in 3D."""
+SIZES = ((2, 80), (3, 20), (3, 40), (3, 80), (2, 320))
+"""(dimension, particles along an edge): 6,400 in 2D; 8,000, 64,000 and 512,000 in 3D; 102,400 in 2D."""
 
 SUBSTEPS = 8
 REPEAT = 9
