@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import platform
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,9 @@ SIZES = ((2, 80), (3, 20), (3, 40), (3, 80), (2, 320))
 
 SUBSTEPS = 8
 REPEAT = 9
+COPIED = 128 << 20
+"""Bytes that a core copies at a time to measure the memory's speed: more than the last cache holds."""
+
 PARTS = 8
 """Of the block, whose centroids are recorded."""
 
@@ -101,6 +105,17 @@ def empty_world(edge: int, repeat: int) -> float:
     return float(np.median(ratios[1:]))
 
 
+def memory_speed(threads: int) -> float:
+    """Return how much so many cores read and write together as they copy what no cache holds [GB/s]: no pass does more.
+
+    The median of repetitions.
+    """
+    arrays = [(np.ones(COPIED, np.uint8), np.ones(COPIED, np.uint8)) for _ in range(threads)]
+    with ThreadPoolExecutor(threads) as pool:
+        seconds = [timed(lambda: list(pool.map(lambda pair: np.copyto(*pair), arrays))) for _ in range(REPEAT)]
+    return 2.0 * COPIED * threads / float(np.median(seconds)) * 1e-9
+
+
 def machine() -> dict[str, Any]:
     """Return what the figures depend on."""
     model = platform.processor()
@@ -133,6 +148,9 @@ def run_bench(output: Path | None, *, threads: int | None = None, quick: bool = 
                 }  # fmt: skip
                 result["rows"].append(row)
                 print(_line(row), flush=True)
+    result["memory_GB_per_s"] = {str(n): memory_speed(n) for n in ((threads,) if threads else (1, 2))}
+    for n, speed in result["memory_GB_per_s"].items():
+        print(f"memory copied by {n} thread{'s' if n != '1' else ''}: {speed:.3g} GB/s, read and written")
     result["two_corners_over_small_world"] = empty_world(8 if quick else CORNERS_LIMIT, repeat)
     print(f"two bodies in opposite corners of 8 times the volume: {result['two_corners_over_small_world']:.3f}")
     if output is not None:

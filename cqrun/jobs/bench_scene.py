@@ -17,7 +17,7 @@ from cqrun.engine.blocks import SORT_EVERY
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError, RunError
 from cqrun.fingerprint import engine_hash
-from cqrun.jobs.bench import REPEAT, machine, require_writable
+from cqrun.jobs.bench import REPEAT, machine, memory_speed, require_writable
 from cqrun.jobs.excerpt import Excerpt
 from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.memory import gradient_plan
@@ -71,7 +71,8 @@ def run_bench_scene(
         "scene": source.name, "overrides": list(overrides), "machine": machine(), "engine": engine_hash(),
         "versions": versions(), "dimension": model.dim, "particles": model.layout.n_particles,
         "substeps": model.n_steps, "precision": np.dtype(model.real).name, "threads": rollout.threads,
-        "lane_width": lane_width(model.real), "recompute": plan.recompute, "seconds": seconds, **found,
+        "lane_width": lane_width(model.real), "recompute": plan.recompute, "seconds": seconds,
+        "memory_GB_per_s": memory_speed(rollout.threads), **found,
     }  # fmt: skip
     if output is not None:
         write_json(output, told)
@@ -120,6 +121,7 @@ def table(told: dict[str, Any]) -> Iterator[str]:
             yield f"  {share.name:<26}{share.nanoseconds:8.1f}  {share.share:5.0%}"
     seconds = told["seconds"]
     again = "" if told["recompute"] == 1 else f", where {told['recompute']:.2f} substeps forward are run for each"
+    yield f"memory copied by {threads}: {told['memory_GB_per_s']:.3g} GB/s, read and written"
     yield f"one rollout {_time(seconds['forward'])}; with its gradient {_time(seconds['gradient'])}{again}"
 
 

@@ -39,6 +39,7 @@ def few(monkeypatch):
     """Measure each pass twice."""
     for module in (blocks, bench_scene):
         monkeypatch.setattr(module, "REPEAT", 1)
+    monkeypatch.setattr(blocks, "COPIED", 1 << 20)
 
 
 @pytest.mark.parametrize(("text", "passes"), [(BEAM, PASSES), (BEAM, CHAINED), (FINGER, ACTING), (PUSHED, PUSHING)])
@@ -64,6 +65,8 @@ def test_every_pass_has_a_line_and_a_share(tmp_path, text, passes, monkeypatch):
         assert any(line.startswith(f"  {name} ") for line in lines)
     particle_steps = 1e-9 * told["particles"] * told["substeps"]
     assert told["recompute"] == 1.0
+    assert 0.01 < told["memory_GB_per_s"] < 10_000.0
+    assert f"memory copied by 1 thread: {told['memory_GB_per_s']:.3g} GB/s, read and written" in lines
     assert told["seconds"] == pytest.approx({
         "forward": particle_steps * told["forward"],
         "gradient": particle_steps * (told["store"] + told["backward"]),
@@ -102,6 +105,7 @@ def test_blocks(tmp_path, monkeypatch, capsys):
     ]  # fmt: skip
     assert all(set(row["passes"]) == PASSES | {"record", "record_vjp"} for row in told["rows"])
     assert excerpt_of_block(2, 6, np.float64, 1).n == 36
+    assert list(told["memory_GB_per_s"]) == ["1"]
     assert str(output) in capsys.readouterr().out
 
 
