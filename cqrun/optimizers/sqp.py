@@ -4,7 +4,7 @@ An iteration solves, with rollouts linearised at x and B the Hessian of the Lagr
 
     minimise g.d + d.B d / 2   over   c_low <= c + J d <= c_high,   the box,   |d| <= radius
 
-and takes the step if the merit f + rho sum |violation| falls by enough of what that promised. Where it falls little, a
+and takes the step if the merit f + rho sum |violation| falls by enough of what that promised. Where it does not, a
 second step reckons with how the constraints bend along the first: without it steps along curved constraints stay short
 and end outside (the Maratos effect). Else the radius shrinks, as it does where a trial blows up.
 Quadratic programs cost nothing beside a rollout. J. Nocedal, S. Wright: Numerical optimization (2006), sections 7.2
@@ -93,10 +93,9 @@ class Sqp(TwoSearches):
                 continue
             last = ""
             fallen = here.merit(rho, low, high) - there.merit(rho, low, high)
-            if fallen < POOR * promised and not feasibility and violation(there.c, low, high).any():
+            if not fallen > TAKEN * promised and not feasibility and violation(there.c, low, high).any():
                 other = _corrected(trials, B, here, there, room, radius, rho)
-                if other is not there:
-                    curvature.learn(d, there.g - here.g, there.J - here.J)
+                if other is not there:  # learned from in the trial's stead: two almost alike drive older steps out
                     there, d = other, other.x - x
                     fallen = here.merit(rho, low, high) - there.merit(rho, low, high)
             if fallen < POOR * promised:
