@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import LinearConstraint, minimize
 from toy_problems import Confined, Nearest, Rosenbrock, Told, solve
 
+from cqrun.optimizers import sqp
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
 from cqrun.optimizers.sqp import Curvature, Sqp
 
@@ -188,3 +189,23 @@ def test_steps_along_a_curved_constraint_are_corrected(tmp_path, monkeypatch):
     monkeypatch.setattr("cqrun.optimizers.sqp._corrected", lambda trials, B, here, there, *_: there)
     without, _ = solve(tmp_path / "without", optimizer, OnACircle())
     assert outcome.iterations < 0.7 * without.iterations
+
+
+def test_of_a_corrected_step_one_trial_is_learned(tmp_path, monkeypatch):
+    """Both are almost alike: they drove older steps out of the curvature, and an arm's effort fell half as fast."""
+    pairs, learned = [], []
+    corrected, learn = sqp._corrected, sqp.Curvature.learn
+
+    def noting(trials, B, here, there, *others):
+        other = corrected(trials, B, here, there, *others)
+        if other is not there:
+            pairs.append((there.x - here.x, other.x - here.x))
+        return other
+
+    monkeypatch.setattr(sqp, "_corrected", noting)
+    monkeypatch.setattr(sqp.Curvature, "learn", lambda self, s, *changes: learned.append(s) or learn(self, s, *changes))
+    solve(tmp_path, Sqp(max_iterations=100, constraint_tolerance=1e-8), OnACircle())
+    assert pairs
+    for trial, taken in pairs:
+        assert any(np.array_equal(s, taken) for s in learned)
+        assert not any(np.allclose(s, trial, rtol=0.0, atol=1e-13) for s in learned)
