@@ -44,7 +44,7 @@ from cqrun.wide_records import (
 )
 
 AHEAD = 16
-"""How many particles before its turn what one scatters is asked for: blocks lie apart, so no processor foresees it."""
+"""How many particles before its turn what one scatters is asked for, since the blocks of a colour lie apart."""
 
 
 @kernel

@@ -106,9 +106,9 @@ def empty_world(edge: int, repeat: int) -> float:
 
 
 def memory_speed(threads: int) -> float:
-    """Return how much so many cores read and write together as they copy what no cache holds [GB/s]: no pass does more.
+    """Return how much so many cores read and write together as they copy what no cache holds [GB/s].
 
-    The median of repetitions.
+    The median of repetitions. A pass that streams through the memory does hardly more.
     """
     arrays = [(np.ones(COPIED, np.uint8), np.ones(COPIED, np.uint8)) for _ in range(threads)]
     with ThreadPoolExecutor(threads) as pool:

@@ -192,7 +192,7 @@ def test_steps_along_a_curved_constraint_are_corrected(tmp_path, monkeypatch):
 
 
 def test_of_a_corrected_step_one_trial_is_learned(tmp_path, monkeypatch):
-    """Both are almost alike: they drove older steps out of the curvature, and an arm's effort fell half as fast."""
+    """Both are almost alike: they drove older steps out of the curvature, and an arm's effort fell more slowly."""
     pairs, learned = [], []
     corrected, learn = sqp._corrected, sqp.Curvature.learn
 

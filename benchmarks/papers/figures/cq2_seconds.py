@@ -58,8 +58,8 @@ class Seconds(Figure):
         "seconds are wall time over iterations, read off the figures' upper axes. Ours depend on the host: these are "
         "of one with AVX2 on a slow day. Another took 1.8, 6.7, 47, 24, 1.2, 5.9, 9.3 and 10.3 s, the last four with "
         "finer cells than they have now (1/64 the biped's, 1/30 the others'); the first scene, as it was there and "
-        "with the engine of then, takes 2.1 times as long here (3.9 s; today's 3.7, in turns). What large robots wait "
-        "for is the memory: benchmarks/measured/profiles says what takes the time, pass by pass (cqrun bench SCENE "
+        "with the engine of then, takes 2.1 times as long here (3.9 s; today's 3.7, in turns). "
+        "benchmarks/measured/profiles says what takes the time, pass by pass, on the other (cqrun bench SCENE "
         "-o precision=float32 -o memory=8GiB --threads 2 --output FILE). Of the hills' 20,000 substeps, .8 are run "
         "twice, for their states do not fit"
     )
