@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cqrun.cli.options import AllowPlugins, Run
+from cqrun.cli.options import AllowPlugins, Quiet, Run
 from cqrun.errors import UsageError
 
 
@@ -20,13 +20,19 @@ def export(
         Path | None, typer.Option("--out", metavar="DIR", help="Where to; into the run's design/ if not given.")
     ] = None,
     allow_plugins: AllowPlugins = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Write the body that a run has designed: per-particle CSV with units, VTKHDF for ParaView, surface or outline."""
+    """Write the body that a run has designed: per-particle CSV with units, VTKHDF for ParaView, surface or outline.
+
+    Of a run that is not finished the best design so far is written.
+    """
     if not design:
         raise UsageError("say what to export: --design")
+    from cqrun.cli.progress import reporting
     from cqrun.jobs.export import export_design
     from cqrun.scene.plugin_files import plugins_allowed
 
-    with plugins_allowed(allow_plugins):
-        for path in export_design(run, out or run / "design"):
-            typer.echo(path)
+    with plugins_allowed(allow_plugins), reporting(quiet) as reporter:
+        paths = export_design(run, out or run / "design", reporter)
+    for path in paths:
+        typer.echo(path)

@@ -18,12 +18,16 @@ import numpy as np
 from cqrun.contract import Array
 from cqrun.design.spread import field
 from cqrun.errors import MissingExtra, UsageError
+from cqrun.jobs.agent import FILE
+from cqrun.jobs.control import JOBS
+from cqrun.jobs.replay import learned_in
+from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.jobs.runs import scene_in
 from cqrun.jobs.unknowns import values_found
 from cqrun.scene.build import Built, build
 from cqrun.scene.paths import leaf
 from cqrun.store.atomic import make_directory, write_bytes, write_table
-from cqrun.store.run import read_record
+from cqrun.store.run import FINISHED, read_record
 from cqrun.store.vtkhdf import write_points
 
 CELL = 2.0
@@ -36,13 +40,13 @@ HALVINGS = 20
 """At most, in search of that surface."""
 
 
-def export_design(run: Path, out: Path) -> list[Path]:
-    """Write the design of a run into a directory; return the files.
+def export_design(run: Path, out: Path, reporter: Reporter | None = None) -> list[Path]:
+    """Write the design of a run into a directory, of one that is not finished the best so far; return the files.
 
     Raises:
         UsageError: it is no run, or has not found anything yet. RunError: the disk is full.
     """
-    built, values = designed(run)
+    built, values = designed(run, reporter or Silent())
     make_directory(out)
     columns, written = table(built, values), [out / "design.csv", out / "design.vtkhdf"]
     inputs = built.assembly.inputs(values)
@@ -58,25 +62,28 @@ def export_design(run: Path, out: Path) -> list[Path]:
     return written
 
 
-def designed(run: Path) -> tuple[Built, dict[str, Array]]:
+def designed(run: Path, talk: Reporter) -> tuple[Built, dict[str, Array]]:
     """Return the scene of a run, and the values that were found for its unknowns and what follows them.
 
     Raises:
         UsageError: it is no run, has found nothing, or a file that its scene is read with has changed since.
     """
-    record = read_record(run)
-    result = run / "result.json"
-    if not result.is_file():
+    record, result, best = read_record(run), run / "result.json", run / FILE
+    status, job = record["status"], record["job"]
+    so_far = status not in FINISHED and job in JOBS and best.is_file()
+    if not so_far and not result.is_file():
         raise UsageError(
-            f"{run}: has no result yet ({record['status']}): a design is exported when the run has ended; the command "
-            "that began it goes on with it"
+            f"{run}: has no design yet ({status}): no iteration is finished; the command that began it goes on with it"
         )
     scene = scene_in(run)
     if not scene.unknowns:
         raise UsageError(f"{run}: its scene has no `unknowns`: nothing was designed")
+    if so_far:
+        talk.phase("the run is not finished: its best design so far is exported")
+        return build(scene), learned_in(best)
     found = json.loads(result.read_text()).get("unknowns")
     if found is None:
-        raise UsageError(f"{run}: is a run of {record['job']}, which designs nothing: export the run that it replays")
+        raise UsageError(f"{run}: is a run of {job}, which designs nothing: export the run that it replays")
     built = build(scene)
     return built, values_found(scene, built.particles, found)
 

@@ -12,13 +12,16 @@ import trimesh
 from small_beam import Listener, changed, result_of
 from small_finger import FINGER
 
-from cqrun.errors import MissingExtra, UsageError
+from cqrun.errors import MissingExtra, Stopped, UsageError
 from cqrun.figures.colours import material_of
 from cqrun.figures.run_data import read_run
+from cqrun.jobs.agent import FILE
 from cqrun.jobs.bodies import point
 from cqrun.jobs.control import run_control
 from cqrun.jobs.export import _outline, _surface, designed, export_design, table
+from cqrun.jobs.replay import learned_in
 from cqrun.jobs.report import number
+from cqrun.jobs.reporter import Silent
 from cqrun.jobs.simulate import run_simulate
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
@@ -28,10 +31,9 @@ TALL, ABOVE = "bodies.finger.parts.tip.box.size.1", "bodies.finger.material.dens
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """Return a run of the small finger: stiffness a particle, and a tip whose height the density follows."""
-    folder = tmp_path_factory.mktemp("export")
-    path = folder / "finger.yaml"
+def scene(tmp_path_factory):
+    """Return the small finger: stiffness a particle, and a tip whose height the density follows."""
+    path = tmp_path_factory.mktemp("export") / "finger.yaml"
     unknowns = (
         f"unknowns:\n  {E}: {{bounds: [5, 20], per: particle}}\n"
         f"  {TALL}: {{bounds: [0.5, 1], initial: 0.8, also: {{{ABOVE}: {{factor: 0.5, offset: 0.5}}}}}}\n"
@@ -40,7 +42,13 @@ def run(tmp_path_factory):
     changed(path, "duration: 0.1", "duration: 0.05")
     changed(path, ", spread: [0.05, 0.05]", "")
     changed(path, "episodes: {count: 2, unseen: 1}\n", "")
-    return run_control(path, [], folder / "out", threads=1, job="codesign")
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(scene):
+    """Return a run of the scene."""
+    return run_control(scene, [], scene.parent / "out", threads=1, job="codesign")
 
 
 def test_the_table_has_the_designed_body(run, tmp_path):
@@ -60,6 +68,21 @@ def test_the_table_has_the_designed_body(run, tmp_path):
     assert {row["muscle.left strength [Pa]"] for row in rows if row["groups"] == "left"} == {"4.0"}
     assert {row["muscle.left strength [Pa]"] for row in rows if row["groups"] != "left"} == {""}
     assert all(float(row["mass [kg/m]"]) == pytest.approx(tall * (0.5 * tall + 0.5)) for row in tip)  # unit mass
+
+
+def test_the_best_design_so_far_of_a_run_that_was_stopped(scene, tmp_path):
+    with pytest.raises(Stopped):
+        run_control(scene, [], tmp_path, threads=1, job="codesign", reporter=Listener(stop_after=2))
+    (stopped,) = (tmp_path / "finger").iterdir()
+    listener = Listener()
+    table, *_ = export_design(stopped, tmp_path / "design", listener)
+    assert listener.said == ["the run is not finished: its best design so far is exported"]
+    stiffness = [float(row["fixed_corotated.youngs_modulus [Pa]"]) for row in csv.DictReader(table.read_text().splitlines())]
+    best = learned_in(stopped / FILE)
+    assert stiffness == best[E].tolist()
+    assert np.ptp(stiffness) > 0
+    ended = run_control(scene, [], tmp_path, threads=1, job="codesign")
+    assert result_of(ended)["unknowns"][E]["value"] != stiffness
 
 
 def test_paraviews_file_has_the_same(run, tmp_path):
@@ -154,7 +177,7 @@ def test_what_is_told_of_a_replay_is_of_the_body_that_acts(run, tmp_path):
     """Its scene says neither how tall the tip is nor how stiff each particle."""
     listener = Listener()
     again = run_simulate(run, [], tmp_path, threads=1, reporter=listener)
-    built, values = designed(run)
+    built, values = designed(run, Silent())
     inputs = built.assembly.inputs(values)
     m, x = inputs.fields.mass, inputs.state.x
     assert m.sum() != pytest.approx(built.assembly.inputs({}).fields.mass.sum(), rel=1e-3)
@@ -171,7 +194,7 @@ def test_what_is_told_of_a_replay_is_of_the_body_that_acts(run, tmp_path):
 def test_a_design_is_replayed_with_its_geometry(run, tmp_path):
     """The trained body is that of the run, not one sampled anew; and its geometry cannot be another."""
     again = run_simulate(run, [], tmp_path, threads=1)
-    _, values = designed(run)
+    _, values = designed(run, Silent())
     assert values[TALL] == result_of(run)["unknowns"][TALL]["value"]
     (first, last) = (h5py.File(path / "trajectory.h5")["particles/x"][-1] for path in (run, again))
     np.testing.assert_array_equal(first, last)
