@@ -29,6 +29,7 @@ from cqrun.wide_records import (
     load_pairs,
     load_records,
     load_wide,
+    prefetch_each,
     records_in_lane,
     spread,
     store_neighbours,
@@ -201,6 +202,27 @@ def test_records_of_two_arrays_as_one_value(real, body, rng):
     body(a, b, one, two)
     np.testing.assert_allclose(one, one_after, rtol=4 * np.finfo(real).eps)
     np.testing.assert_allclose(two, two_after, rtol=4 * np.finfo(real).eps, atol=4 * np.finfo(real).eps)
+
+
+@kernel
+def asked_for(a, b, out):
+    """Ask for records of one array and of two before one is read."""
+    prefetch_each((a,), 3)
+    prefetch_each((a, b), 4)
+    store_wide(out, 0, load_wide(a, 3, load_each((a,), 3)))
+
+
+@REALS
+@pytest.mark.parametrize("body", [asked_for, getattr(asked_for, "py_func", asked_for)], ids=["compiled", "plain"])
+def test_what_is_asked_for_is_hinted_and_changes_nothing(real, body, rng):
+    a, b = (rng.normal(size=(5, 4)).astype(real) for _ in range(2))
+    before, out = (a.copy(), b.copy()), np.zeros((1, 4), real)
+    body(a, b, out)
+    np.testing.assert_array_equal(out[0], a[3])
+    np.testing.assert_array_equal((a, b), before)
+    if hasattr(body, "inspect_llvm"):
+        (code,) = [text for kinds, text in body.inspect_llvm().items() if kinds[0].dtype.bitwidth == 8 * a.itemsize]
+        assert code.count("call void @llvm.prefetch") >= 3
 
 
 @kernel

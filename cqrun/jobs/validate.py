@@ -213,7 +213,9 @@ def _cost(built: Built, agent: Agent | None) -> Iterator[str]:
             if held:
                 of += f" and {'that' if held == 1 else 'those'} of {held} constraint{'s' if held > 1 else ''}, at most"
             cost = _seconds(episodes * (backward + sweeps))
-            yield line("", f"an iteration of {optimizer.name}: {of}{' ' if held else ', '}{cost}")
+            yield line(
+                "", f"{'a trial' if held else 'an iteration'} of {optimizer.name}: {of}{' ' if held else ', '}{cost}"
+            )
         else:
             of = f"{agent.n_episodes} {'episode' if agent.n_episodes == 1 else 'episodes'} forward"
             yield line("", f"a trial of {optimizer.name}: {of}, {_seconds(agent.n_episodes * forward)}")

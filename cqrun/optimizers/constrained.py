@@ -233,7 +233,7 @@ class ConstrainedTrials(Trials):
                 return {"f": np.array(f), "g": g, "c": c, "J": J, "terms": np.array(self.problem.term_values(), float)}
 
             answer = self._ask("gradients", x, compute)
-            # with the last one: a corrected trial that is no better goes back to it
+            # with the last one: NLopt's SLSQP comes back to the point before
             self._gradients = dict([*self._gradients.items()][-1:]) | {key: answer}
             self._keep(x, answer)
             if not self._started:

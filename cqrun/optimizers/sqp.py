@@ -4,9 +4,10 @@ An iteration solves, with rollouts linearised at x and B the Hessian of the Lagr
 
     minimise g.d + d.B d / 2   over   c_low <= c + J d <= c_high,   the box,   |d| <= radius
 
-and takes the step if the merit f + rho sum |violation| falls by enough of what that promised. Where it does not, a
-second step reckons with how the constraints bend along the first: without it steps along curved constraints stay short
-and end outside (the Maratos effect). Else the radius shrinks, as it does where a trial blows up.
+and takes the step if the merit f + rho sum |violation| falls by enough of what that promised. A step that would be
+refused is corrected by how the constraints were found to bend along it, where slopes at its end say that this helps:
+without that, steps along curved constraints stay short and end outside (the Maratos effect). The radius shrinks where a
+step promised far too much, and where a trial blows up. The search for feasibility corrects nothing.
 Quadratic programs cost nothing beside a rollout. J. Nocedal, S. Wright: Numerical optimization (2006), sections 7.2
 (compact L-BFGS, eq 7.24), 15.5 and 15.6 (second-order correction), 18.2 (damping) and 18.5 (S l1 QP).
 """
@@ -91,11 +92,10 @@ class Sqp(TwoSearches):
             except TrialFailed as failure:
                 radius, last = 0.5 * length, f"; the last trial: {failure}"
                 continue
-            last = ""
-            fallen = here.merit(rho, low, high) - there.merit(rho, low, high)
+            last, fallen = "", here.merit(rho, low, high) - there.merit(rho, low, high)
             if not fallen > TAKEN * promised and not feasibility and violation(there.c, low, high).any():
-                other = _corrected(trials, B, here, there, room, radius, rho)
-                if other is not there:  # learned from in the trial's stead: two almost alike drive older steps out
+                other = _corrected(trials, B, here, there, room, radius, rho, TAKEN * promised)
+                if other is not there:  # learned from in the trial's stead
                     there, d = other, other.x - x
                     fallen = here.merit(rho, low, high) - there.merit(rho, low, high)
             if fallen < POOR * promised:
@@ -158,12 +158,18 @@ def _steered(
 
 def _corrected(
     trials: ConstrainedTrials, B: LowRank, here: _Point, there: _Point, room: tuple[Array, Array], radius: float,
-    rho: float,
+    rho: float, enough: float,
 ) -> _Point:  # fmt: skip
-    """Return where a step ends that meets what the constraints were found to be at `there`, or that if it is better."""
+    """Return where a step ends that meets what the constraints were found to be at `there`, or that if it is better.
+
+    It is tried where the slopes at `there`, which are known, foresee that the merit falls by enough.
+    """
     low, high = trials.problem.c_low, trials.problem.c_high
     constant = there.c - here.J @ (there.x - here.x)
     x = here.x + _step(B, here, (low - constant, high - constant), room, radius, rho).d
+    foreseen = there.moved(x - there.x)
+    if not here.merit(rho, low, high) - foreseen.merit(rho, low, high) > enough:
+        return there
     try:
         other = _Point.of(x, trials.gradients(x), feasibility=False)
     except TrialFailed:
@@ -184,6 +190,10 @@ class _Point(NamedTuple):
     def of(cls, x: Array, answer: dict[str, Array], feasibility: bool) -> _Point:
         f, g = (0.0, np.zeros(len(x))) if feasibility else (float(answer["f"]), answer["g"])
         return cls(x, f, g, answer["c"], answer["J"])
+
+    def moved(self, e: Array) -> _Point:
+        """Return what slopes foresee at x + e."""
+        return _Point(self.x + e, self.f + float(self.g @ e), self.g, self.c + self.J @ e, self.J)
 
     def merit(self, rho: float, low: Array, high: Array) -> float:
         return self.f + rho * float(np.sum(violation(self.c, low, high)))

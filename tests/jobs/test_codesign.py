@@ -281,9 +281,9 @@ def test_validate_tells_the_constraints(finger):
     text = "\n".join(validate(finger))
     assert "constraint tip (reach): at most 0.018, met when missed by no more than 1e-08" in text
     assert "constraint up (height): at least 0.3, at most 0.9, met when missed by no more than 1e-06" in text
-    assert re.search(r"an iteration of slsqp: .* and those of 2 constraints, at most", text)
+    assert re.search(r"a trial of slsqp: .* and those of 2 constraints, at most", text)
     other = "\n".join(validate(finger, ["optimizer={trust_constr: {}}"]))
-    assert re.search(r"an iteration of trust_constr: .* and those of 2 constraints, at most", other)
+    assert re.search(r"a trial of trust_constr: .* and those of 2 constraints, at most", other)
 
 
 def test_a_run_whose_scene_was_edited_is_not_continued(finger, tmp_path):

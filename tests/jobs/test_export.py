@@ -77,7 +77,9 @@ def test_the_best_design_so_far_of_a_run_that_was_stopped(scene, tmp_path):
     listener = Listener()
     table, *_ = export_design(stopped, tmp_path / "design", listener)
     assert listener.said == ["the run is not finished: its best design so far is exported"]
-    stiffness = [float(row["fixed_corotated.youngs_modulus [Pa]"]) for row in csv.DictReader(table.read_text().splitlines())]
+    stiffness = [
+        float(row["fixed_corotated.youngs_modulus [Pa]"]) for row in csv.DictReader(table.read_text().splitlines())
+    ]
     best = learned_in(stopped / FILE)
     assert stiffness == best[E].tolist()
     assert np.ptp(stiffness) > 0

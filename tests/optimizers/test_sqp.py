@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, minimize
-from toy_problems import Confined, Nearest, Rosenbrock, Told, solve
+from toy_problems import Confined, Killed, Nearest, OnACircle, Rosenbrock, Told, bits, history_rows, solve
 
 from cqrun.optimizers import sqp
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
@@ -162,33 +162,75 @@ def test_a_minimum_is_not_called_stalled(n, tmp_path):
     np.testing.assert_allclose(outcome.x, 1.0, atol=1e-2)
 
 
-class OnACircle(Confined):
-    """Maratos' example in 12 dimensions: 2 (x.x - 1) - x_1 where x.x is 1 (Nocedal and Wright, example 15.4)."""
+def uncorrected(trials, B, here, there, *_):
+    return there
 
-    constraint_names = ("circle",)
 
-    def __init__(self):
-        super().__init__(12)
-        self.start = np.full(12, 12.0**-0.5) * np.where(np.arange(12) % 2, 1.0, -1.0)
-        self.c_low = self.c_high = np.array([1.0])
-
-    def values_and_constraints(self, x):
-        return 2.0 * (x @ x - 1.0) - x[0], np.array([x @ x])
-
-    def gradients_and_constraints(self, x):
-        f, c = self.values_and_constraints(x)
-        return f, 4.0 * x - np.eye(len(x))[0], c, 2.0 * x[None]
+EXACT = Sqp(max_iterations=100, constraint_tolerance=1e-8)
 
 
 def test_steps_along_a_curved_constraint_are_corrected(tmp_path, monkeypatch):
     """Without it they stay short, and end outside: an arm once kept the design of iteration 10 of 100."""
-    optimizer = Sqp(max_iterations=100, constraint_tolerance=1e-8)
-    outcome, _ = solve(tmp_path / "with", optimizer, OnACircle())
+    outcome, session = solve(tmp_path / "with", EXACT, OnACircle(seed=2))
     assert outcome.status == "converged", outcome.message
     np.testing.assert_allclose(outcome.x, np.eye(12)[0], atol=1e-3)
-    monkeypatch.setattr("cqrun.optimizers.sqp._corrected", lambda trials, B, here, there, *_: there)
-    without, _ = solve(tmp_path / "without", optimizer, OnACircle())
+    monkeypatch.setattr(sqp, "_corrected", uncorrected)
+    without, other = solve(tmp_path / "without", EXACT, OnACircle(seed=2))
     assert outcome.iterations < 0.7 * without.iterations
+    assert session.computed < 0.7 * other.computed  # an iteration with a correction has more trials
+
+
+def test_a_correction_is_not_tried_where_it_cannot_help(tmp_path, monkeypatch):
+    """Steps that are refused along straight constraints miss these by rounding alone, and cost no second rollout."""
+    missed = []
+
+    def noting(trials, B, here, there, *others):
+        missed.append(there.c - np.clip(there.c, trials.problem.c_low, trials.problem.c_high))
+        return corrected(trials, B, here, there, *others)
+
+    corrected = sqp._corrected
+    monkeypatch.setattr(sqp, "_corrected", noting)
+    _, session = solve(tmp_path / "with", EXACT, Confined(30, radius=2.5))
+    assert missed
+    assert np.abs(missed).max() < 1e-8
+    monkeypatch.setattr(sqp, "_corrected", uncorrected)
+    _, other = solve(tmp_path / "without", EXACT, Confined(30, radius=2.5))
+    assert session.computed == other.computed
+
+
+def test_only_a_step_that_would_be_refused_is_corrected(tmp_path, monkeypatch):
+    """One that falls a little short is good enough, and the radius shrinks."""
+    fallen, corrected = [], sqp._corrected
+
+    def noting(trials, B, here, there, room, radius, rho, enough):
+        ends = trials.problem.c_low, trials.problem.c_high
+        fallen.append(here.merit(rho, *ends) - there.merit(rho, *ends) > enough)
+        return corrected(trials, B, here, there, room, radius, rho, enough)
+
+    monkeypatch.setattr(sqp, "_corrected", noting)
+    solve(tmp_path, EXACT, OnACircle(50, seed=1))
+    assert fallen
+    assert not any(fallen)
+
+
+def test_killed_at_every_evaluation_it_takes_the_same_corrected_steps(tmp_path, monkeypatch):
+    taken, corrected = [], sqp._corrected
+
+    def noting(trials, B, here, there, *others):
+        other = corrected(trials, B, here, there, *others)
+        taken.append(other is not there)
+        return other
+
+    monkeypatch.setattr(sqp, "_corrected", noting)
+    whole, session = solve(tmp_path / "whole", EXACT, OnACircle())
+    assert any(taken)
+    for _ in range(session.computed - 1):
+        with pytest.raises(Killed):
+            solve(tmp_path / "cut", EXACT, OnACircle(fuse=1))
+    cut, last = solve(tmp_path / "cut", EXACT, OnACircle(fuse=1))
+    assert last.computed == 1
+    assert bits(cut) == bits(whole)
+    assert history_rows(tmp_path / "cut") == history_rows(tmp_path / "whole")
 
 
 def test_of_a_corrected_step_one_trial_is_learned(tmp_path, monkeypatch):
@@ -204,7 +246,7 @@ def test_of_a_corrected_step_one_trial_is_learned(tmp_path, monkeypatch):
 
     monkeypatch.setattr(sqp, "_corrected", noting)
     monkeypatch.setattr(sqp.Curvature, "learn", lambda self, s, *changes: learned.append(s) or learn(self, s, *changes))
-    solve(tmp_path, Sqp(max_iterations=100, constraint_tolerance=1e-8), OnACircle())
+    solve(tmp_path, EXACT, OnACircle())
     assert pairs
     for trial, taken in pairs:
         assert any(np.array_equal(s, taken) for s in learned)

@@ -104,6 +104,32 @@ class Confined(Told, Rosenbrock):
         return f, c, g + weigh(c) @ J
 
 
+class OnACircle(Confined):
+    """Maratos' example in n dimensions: 2 (x.x - 1) - x_1 where x.x is 1 (Nocedal and Wright, example 15.4).
+
+    Args:
+        seed: of a start on the circle; without one it is far round it.
+    """
+
+    constraint_names = ("circle",)
+
+    def __init__(self, n: int = 12, seed: int | None = None, **more):
+        super().__init__(n, **more)
+        self.start = (
+            np.where(np.arange(n) % 2, 1.0, -1.0) if seed is None else np.random.default_rng(seed).normal(size=n)
+        )
+        self.start = self.start / np.linalg.norm(self.start)
+        self.c_low = self.c_high = np.array([1.0])
+
+    def values_and_constraints(self, x):
+        self._evaluate(x)
+        return 2.0 * (x @ x - 1.0) - x[0], np.array([x @ x])
+
+    def gradients_and_constraints(self, x):
+        f, c = self.values_and_constraints(x)
+        return f, 4.0 * x - np.eye(len(x))[0], c, 2.0 * x[None]
+
+
 class Nearest(Told):
     """The point nearest to `aim` where w.x is at most `most`: (aim - w max(0, w.aim - most) / w.w), by projection."""
 
