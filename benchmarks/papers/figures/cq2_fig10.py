@@ -23,8 +23,8 @@ class SwingingArm(Violations):
     left_open = (
         "the control step, strength, goal, thresholds and sizes of the links; the solver, which is ours, and stalls "
         "with neither fixed arm at either size; at paper size as it was while it also tried corrections that slopes "
-        "foresee to be of no use. Efforts still fall after 97 iterations, and how far depends on the way there: without "
-        "corrections they came to .095 and .128, a ratio of .742"
+        "foresee to be of no use. Efforts still fall after 97 iterations, and how far depends on the way there: "
+        "without corrections they came to .095 and .128, a ratio of .742"
     )
     scene = "codesign/arm_3d"
     modulus = "bodies.arm.material.elastic.neo_hookean.youngs_modulus"
