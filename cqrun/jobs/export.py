@@ -46,7 +46,7 @@ def export_design(run: Path, out: Path, reporter: Reporter | None = None) -> lis
     Raises:
         UsageError: it is no run, or has not found anything yet. RunError: the disk is full.
     """
-    built, values = designed(run, reporter or Silent())
+    built, values = designed(run, reporter)
     make_directory(out)
     columns, written = table(built, values), [out / "design.csv", out / "design.vtkhdf"]
     inputs = built.assembly.inputs(values)
@@ -62,7 +62,7 @@ def export_design(run: Path, out: Path, reporter: Reporter | None = None) -> lis
     return written
 
 
-def designed(run: Path, talk: Reporter) -> tuple[Built, dict[str, Array]]:
+def designed(run: Path, reporter: Reporter | None = None) -> tuple[Built, dict[str, Array]]:
     """Return the scene of a run, and the values that were found for its unknowns and what follows them.
 
     Raises:
@@ -79,7 +79,7 @@ def designed(run: Path, talk: Reporter) -> tuple[Built, dict[str, Array]]:
     if not scene.unknowns:
         raise UsageError(f"{run}: its scene has no `unknowns`: nothing was designed")
     if so_far:
-        talk.phase("the run is not finished: its best design so far is exported")
+        (reporter or Silent()).phase("the run is not finished: its best design so far is exported")
         return build(scene), learned_in(best)
     found = json.loads(result.read_text()).get("unknowns")
     if found is None:

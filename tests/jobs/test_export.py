@@ -21,7 +21,6 @@ from cqrun.jobs.control import run_control
 from cqrun.jobs.export import _outline, _surface, designed, export_design, table
 from cqrun.jobs.replay import learned_in
 from cqrun.jobs.report import number
-from cqrun.jobs.reporter import Silent
 from cqrun.jobs.simulate import run_simulate
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
@@ -179,7 +178,7 @@ def test_what_is_told_of_a_replay_is_of_the_body_that_acts(run, tmp_path):
     """Its scene says neither how tall the tip is nor how stiff each particle."""
     listener = Listener()
     again = run_simulate(run, [], tmp_path, threads=1, reporter=listener)
-    built, values = designed(run, Silent())
+    built, values = designed(run)
     inputs = built.assembly.inputs(values)
     m, x = inputs.fields.mass, inputs.state.x
     assert m.sum() != pytest.approx(built.assembly.inputs({}).fields.mass.sum(), rel=1e-3)
@@ -196,7 +195,7 @@ def test_what_is_told_of_a_replay_is_of_the_body_that_acts(run, tmp_path):
 def test_a_design_is_replayed_with_its_geometry(run, tmp_path):
     """The trained body is that of the run, not one sampled anew; and its geometry cannot be another."""
     again = run_simulate(run, [], tmp_path, threads=1)
-    _, values = designed(run, Silent())
+    _, values = designed(run)
     assert values[TALL] == result_of(run)["unknowns"][TALL]["value"]
     (first, last) = (h5py.File(path / "trajectory.h5")["particles/x"][-1] for path in (run, again))
     np.testing.assert_array_equal(first, last)
