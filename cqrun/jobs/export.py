@@ -72,9 +72,7 @@ def designed(run: Path, reporter: Reporter | None = None) -> tuple[Built, dict[s
     status, job = record["status"], record["job"]
     so_far = status not in FINISHED and job in JOBS and best.is_file()
     if not so_far and not result.is_file():
-        raise UsageError(
-            f"{run}: has no design yet ({status}): no iteration is finished; the command that began it goes on with it"
-        )
+        raise UsageError(f"{run}: has no design yet ({status}); the command that began it goes on with it")
     scene = scene_in(run)
     if not scene.unknowns:
         raise UsageError(f"{run}: its scene has no `unknowns`: nothing was designed")

@@ -212,10 +212,8 @@ def _cost(built: Built, agent: Agent | None) -> Iterator[str]:
             sweeps = held * (GRADIENT - 1.0) * forward
             if held:
                 of += f" and {'that' if held == 1 else 'those'} of {held} constraint{'s' if held > 1 else ''}, at most"
-            cost = _seconds(episodes * (backward + sweeps))
-            yield line(
-                "", f"{'a trial' if held else 'an iteration'} of {optimizer.name}: {of}{' ' if held else ', '}{cost}"
-            )
+            once, cost = "a trial" if held else "an iteration", _seconds(episodes * (backward + sweeps))
+            yield line("", f"{once} of {optimizer.name}: {of}{' ' if held else ', '}{cost}")
         else:
             of = f"{agent.n_episodes} {'episode' if agent.n_episodes == 1 else 'episodes'} forward"
             yield line("", f"a trial of {optimizer.name}: {of}, {_seconds(agent.n_episodes * forward)}")

@@ -115,10 +115,9 @@ class OnACircle(Confined):
 
     def __init__(self, n: int = 12, seed: int | None = None, **more):
         super().__init__(n, **more)
-        self.start = (
-            np.where(np.arange(n) % 2, 1.0, -1.0) if seed is None else np.random.default_rng(seed).normal(size=n)
-        )
-        self.start = self.start / np.linalg.norm(self.start)
+        far = np.where(np.arange(n) % 2, 1.0, -1.0)
+        start = far if seed is None else np.random.default_rng(seed).normal(size=n)
+        self.start = start / np.linalg.norm(start)
         self.c_low = self.c_high = np.array([1.0])
 
     def values_and_constraints(self, x):
