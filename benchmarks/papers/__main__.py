@@ -18,10 +18,10 @@ from pathlib import Path
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Figure, Size
 from benchmarks.papers.page import write_page
-from benchmarks.papers.process import ROOT, STOPPED
+from benchmarks.papers.process import FAILED, ROOT, STOPPED
 from benchmarks.papers.publish import is_complete, publish_again, published
 from benchmarks.papers.rebuild import Rebuild
-from benchmarks.papers.work import span
+from benchmarks.papers.work import WorkError, span
 from cqrun.errors import CqrunError, UsageError
 from cqrun.store.atomic import make_directory
 
@@ -54,8 +54,7 @@ def main(words: Sequence[str] | None = None) -> int:
     chosen, size = [FIGURES[name] for name in options.only or FIGURES], Size(options.size)
     try:
         if options.unpublished:
-            whole = {figure.id for figure in chosen if is_complete(figure, size, published(figure, size, options.out))}
-            chosen = [figure for figure in chosen if figure.id not in whole]
+            chosen = [figure for figure in chosen if not _is_published(figure, size, options.out)]
         if not options.list:
             make_directory(options.out / size)
             _make_runs(options.runs / size)
@@ -65,6 +64,14 @@ def main(words: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # `--list | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+
+
+def _is_published(figure: Figure, size: Size, out: Path) -> bool:
+    """Say whether a figure is published whole; one that cannot be read is not."""
+    try:
+        return is_complete(figure, size, published(figure, size, out))
+    except WorkError:
+        return False
 
 
 def _make_runs(folder: Path) -> None:
@@ -86,9 +93,9 @@ def _run(chosen: Sequence[Figure], size: Size, options: argparse.Namespace) -> i
     status = 0
     if not (options.page or options.judge):
         status = Rebuild(chosen, size, options.runs / size, options.out, options.minutes, options.jobs).run()
-    page = write_page(options.out)
-    print(f"\n{page}")
-    return status
+    damaged = write_page(options.out)
+    print(f"\n{options.out / 'index.html'}", *damaged, sep="\n")
+    return FAILED if damaged else status
 
 
 def _minutes(word: str) -> float:
@@ -115,10 +122,17 @@ def _list(figures: Sequence[Figure], runs: Path, out: Path) -> None:
             works = figure.work(size)
             done = sum(work.done(runs / size / work.name) is not None for work in works)
             minutes = sum(work.minutes for work in works)
-            record = published(figure, size, out)
-            told = f"published: {record['verdict']}" if record is not None else "not published"
+            told = _told_of(figure, size, out)
             names = "; ".join(work.name for work in works)
             print(f"    {size:<6} {span(minutes):>8}, {told}; {done} of {len(works)} done here: {names}")
+
+
+def _told_of(figure: Figure, size: Size, out: Path) -> str:
+    try:
+        record = published(figure, size, out)
+    except WorkError as error:
+        return str(error)
+    return "not published" if record is None else f"published: {record['verdict']}"
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table
 from benchmarks.papers.histories import kept, runs_below
+from benchmarks.papers.wholeness import watched
 from benchmarks.papers.work import Found
 from cqrun.contract import Array
 from cqrun.figures.bodies import plot_body, snapshots, window_of
@@ -16,7 +17,6 @@ from cqrun.figures.quantities import length_unit
 from cqrun.figures.run_data import RunData, read_run
 from cqrun.figures.style import COLOURS, new_figure
 from cqrun.figures.views import views, window
-from cqrun.observers.fracture import Fracture
 from cqrun.scene.particles import sample
 
 if TYPE_CHECKING:
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 
 WIDE = 9.0
 """Width of the picture [inch]."""
-
-WHOLE = "the body stays whole and nowhere inside out"
-"""What `Frames.whole` asks, in words."""
 
 GROUND = 2.0
 """Cells below the lowest particle that are seen at least: a body rests about one above its floor."""
@@ -67,10 +64,7 @@ class Frames(Figure):
         return read_run(max(runs, key=lambda run: sign * kept(run, self.term)).path)
 
     def table(self, found: Found, size: Size) -> Table:
-        """Return time [s], the mean place of the group, and how whole the body is, at each frame.
-
-        `fracture` is the share of neighbouring particles that share no node of the grid any more.
-        """
+        """Return time [s], the mean place of the group, and how whole the body is, at each frame."""
         run = self.best(found)
         if run is None:
             return {}
@@ -79,20 +73,7 @@ class Frames(Figure):
         own = np.arange(part.start, part.stop) if self.group is None else particles.groups(self.body)[self.group]
         path = trajectory.fields["x"][:, own].mean(axis=1)
         table = {"time": np.asarray(trajectory.time), **{"xyz"[d]: path[:, d] for d in range(path.shape[1])}}
-        table["least_volume_ratio"] = trajectory.fields["J"][:, part].min(axis=1)
-        watched = Fracture.of(particles.x, {self.body: part}, particles.spacing, run.scene.world.dx)
-        lost = np.array([watched.count(x)[self.body] for x in trajectory.fields["x"]])
-        return table | {"fracture": lost / len(watched.pairs[self.body])}
-
-    def whole(self, table: Table) -> dict[str, bool]:
-        """Return the checks that the body is of one piece and nowhere inside out, at every frame."""
-        if "fracture" not in table:
-            return {"whether the body stays whole was not recorded": False}
-        torn, least = float(table["fracture"].max()), float(table["least_volume_ratio"].min())
-        return {
-            f"the body stays whole: {torn:.2%} of its neighbours part": torn == 0.0,
-            f"nowhere is it inside out: volumes are {least:.2f} of their own at least": least > 0.0,
-        }
+        return table | watched(run, self.body)
 
     def moments(self, table: Table) -> Array:
         """Return which of the table's frames are drawn: spread over the time, unless more is known."""

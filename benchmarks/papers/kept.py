@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.papers.work import CLOCK, DONE, SCENES, Work, WorkError, check_worth
+from benchmarks.papers.work import CLOCK, DONE, SCENES, WORTH, Work, WorkError, check_worth
 from cqrun.fingerprint import engine_hash
 from cqrun.store.atomic import make_directory, write_bytes
 from cqrun.store.run import FINISHED, read_record
@@ -41,7 +41,8 @@ def archive_of(work: Work, folder: Path) -> Path:
 def keep(work: Work, runs: Path, archive: Path) -> None:
     """Pack what was begun, if anything was, and not before the work changed.
 
-    An archive of the same work that holds more of it, from another machine or engine, stays.
+    An archive of the same work that holds more of it, from another machine or engine, stays. One of what the work was
+    before it changed is put aside if it took long.
     """
     root = runs / work.name
     if not work.begun(root):
@@ -52,6 +53,10 @@ def keep(work: Work, runs: Path, archive: Path) -> None:
         if there["fingerprint"] == work.fingerprint() and (is_done, there["seconds"]) > mine:
             print(f"    {archive} holds more of {work.name} than {root}, and stays", flush=True)
             return
+        if there["fingerprint"] != work.fingerprint() and there["seconds"] > WORTH:
+            aside = archive.with_name(f"{work.name}.was-{there['fingerprint']}-{there['engine']}.tar.xz")
+            print(f"    {work.name} has changed: what it was is put aside in {aside}", flush=True)
+            archive.replace(aside)
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:xz") as tar:
         for path in _small(root):
@@ -126,6 +131,8 @@ def restore(work: Work, runs: Path, archive: Path) -> bool:
         return False
     clock, is_done = _contents(archive)
     if clock["fingerprint"] != work.fingerprint():
+        if clock["seconds"] > WORTH:
+            print(f"    {archive} is of what {work.name} was before it changed, and is not taken up", flush=True)
         return False
     if clock["engine"] != engine_hash() and not is_done:
         check_worth(archive, clock)

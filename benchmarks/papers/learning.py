@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.histories import Curves, curves, rows, runs_below, settled
+from benchmarks.papers.wholeness import WHOLE, asked_whole, checks, worst
 from benchmarks.papers.work import Found, Runs, Work
 from cqrun.figures.style import COLOURS, GREY, clock_ticks, new_figure, titled
 
@@ -40,6 +41,7 @@ class Distances(Figure):
         scene: below scenes/.
         job: its command.
         term: of the objective that is the distance [m].
+        body: that is asked to stay whole.
         variants: the verdict is on the first that the size has, our choice of what the paper leaves open.
         iterations: the paper's.
         final: the paper's final mean.
@@ -50,6 +52,7 @@ class Distances(Figure):
     scene: ClassVar[str]
     job: ClassVar[str] = "control"
     term: ClassVar[str] = "far"
+    body: ClassVar[str]
     variants: ClassVar[Sequence[Variant]]
     iterations: ClassVar[int] = 100
     final: ClassVar[float]
@@ -57,9 +60,9 @@ class Distances(Figure):
     seconds: ClassVar[float]
 
     tolerance: ClassVar[dict[Size, str]] = {
-        Size.QUICK: "the distance grows: by seed, the end is above the start",
+        Size.QUICK: f"the distance grows: by seed, the end is above the start; {WHOLE}",
         Size.PAPER: "at no more iterations, the mean over seeds is the paper's or more; in part within its 90 % "
-        "interval, exceeded above that",
+        f"interval, exceeded above that; {WHOLE}",
     }
 
     def work(self, size: Size) -> Sequence[Work]:
@@ -74,12 +77,13 @@ class Distances(Figure):
         return f"{Path(self.scene).name}_{variant.label.replace(' ', '_')}"
 
     def table(self, found: Found, size: Size) -> Table:
-        """Return variant, seed, iteration, seconds, value [m]."""
+        """Return variant, seed, iteration, seconds, value [m]; in a seed's last row, how whole its best run is."""
         parts: list[dict[str, object]] = []
         for variant in self.variants:
             if self._name(variant) in found:
-                runs = settled(runs_below(found[self._name(variant)]))
-                parts += rows(variant.label, runs, {run.seed: run.history[self.term] for run in runs})
+                for run in settled(runs_below(found[self._name(variant)])):
+                    own = list(rows(variant.label, [run], {run.seed: run.history[self.term]}))
+                    parts += [*own[:-1], own[-1] | worst(run.path, self.body)]
         return stacked(iter(parts))
 
     def draw(self, table: Table, size: Size, found: Found) -> Picture:
@@ -107,12 +111,14 @@ class Distances(Figure):
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge the first variant that there is."""
-        found = curves(table, next(v.label for v in self.variants if v.label in table["variant"]))
+        label = next(v.label for v in self.variants if v.label in table["variant"])
+        found = curves(table, label)
+        own = {name: column[table["variant"] == label] for name, column in table.items()}
+        whole = checks(own, len(found.value))
         first, last = found.value[:, 0], found.value[:, -1]
         if size is Size.QUICK:
-            return judged({f"{first.mean():.2f} -> {last.mean():.2f} m in {found.value.shape[1] - 1} iterations": bool(
-                np.all(last > first)
-            )})  # fmt: skip
+            told = f"{first.mean():.2f} -> {last.mean():.2f} m in {found.value.shape[1] - 1} iterations"
+            return asked_whole(judged({told: bool(np.all(last > first))}), whole)
         low, high = self.interval
         mean, half = float(found.mean[-1]), float(found.half[-1])
         seeds = len(found.value)
@@ -124,7 +130,7 @@ class Distances(Figure):
             f"{ours}{early}, paper {self.final:g}": mean >= self.final,
             f"no less than the paper's 90 % interval, {low:g} to {high:g}{beyond}": mean >= low,
         })  # fmt: skip
-        return replace(verdict, judgement=Judgement.EXCEEDED) if mean > high else verdict
+        return asked_whole(replace(verdict, judgement=Judgement.EXCEEDED) if mean > high else verdict, whole)
 
 
 def draw_curves(axes: Axes, found: Curves, label: str, colour: str, *, band: bool = True) -> None:

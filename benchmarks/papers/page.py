@@ -11,7 +11,8 @@ from jinja2 import Environment, StrictUndefined
 
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import OWN, Figure, Judgement, Size
-from benchmarks.papers.publish import picture_of, published
+from benchmarks.papers.publish import data_of, picture_of, published
+from benchmarks.papers.work import WorkError
 from cqrun.store.atomic import make_directory, write_text
 
 PAGE, GALLERY = (Path(__file__).with_name(name) for name in ("page.html.j2", "gallery.md.j2"))
@@ -24,11 +25,11 @@ KINDS = {
 }
 """The page's class of each verdict."""
 
-NOTHING = "not run"
+NOTHING, DAMAGED = "not run", "damaged"
 
 
-def write_page(out: Path) -> Path:
-    """Write index.html and README.md beside what was published below `out`; return the former's path."""
+def write_page(out: Path) -> list[str]:
+    """Write index.html and README.md beside what was published below `out`; return what of that is damaged."""
     rows = [_row(figure, out) for figure in FIGURES.values()]
     totals = {size.value: _total(rows, k) for k, size in enumerate(Size)}
     make_directory(out)
@@ -37,7 +38,7 @@ def write_page(out: Path) -> Path:
             autoescape=template is PAGE, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
         )
         write_text(out / name, environment.from_string(template.read_text()).render(rows=rows, totals=totals))
-    return out / "index.html"
+    return [result["error"] for row in rows for result in row["results"] if result["error"]]
 
 
 def _row(figure: Figure, out: Path) -> dict[str, Any]:
@@ -52,9 +53,15 @@ def _row(figure: Figure, out: Path) -> dict[str, Any]:
 
 
 def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
-    record = published(figure, size, out)
+    try:
+        record = published(figure, size, out)
+        picture = "" if record is None else base64.b64encode(picture_of(figure, size, out)).decode()
+        if record is not None:
+            data_of(figure, size, out, record)
+    except WorkError as error:  # the other figures are shown
+        return _empty(size, DAMAGED, "missed", str(error))
     if record is None:
-        return {"size": size.value, "verdict": NOTHING, "kind": "none", "picture": "", "works": {}}
+        return _empty(size, NOTHING, "none", "")
     minutes = {name: work["minutes"] for name, work in record["works"].items()}
     machines = {f"{machine['cores']} cores of {machine['processor']}" for machine in record["machines"]}
     judgement = Judgement(record["verdict"])
@@ -62,7 +69,8 @@ def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
         "size": size.value,
         "verdict": judgement.value,
         "kind": KINDS[judgement],
-        "picture": base64.b64encode(picture_of(figure, size, out)).decode(),
+        "picture": picture,
+        "error": "",
         "checks": record["checks"],
         "done": _done(record, judgement),
         "asked": record["asked"],
@@ -72,6 +80,10 @@ def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
         "engine": ", ".join(record["engine"]),
         "commands": [work["command"] for work in record["works"].values()],
     }
+
+
+def _empty(size: Size, verdict: str, kind: str, error: str) -> dict[str, Any]:
+    return {"size": size.value, "verdict": verdict, "kind": kind, "picture": "", "works": {}, "error": error}
 
 
 def _done(record: dict[str, Any], judgement: Judgement) -> str:
@@ -99,4 +111,5 @@ def _total(rows: list[dict[str, Any]], size: int) -> str:
 
 def _counted(results: list[dict[str, Any]]) -> str:
     counts = Counter(result["verdict"] for result in results)
-    return ", ".join(f"{counts[name]} {name}" for name in (*(j.value for j in Judgement), NOTHING) if counts[name])
+    names = (*(judgement.value for judgement in Judgement), DAMAGED, NOTHING)
+    return ", ".join(f"{counts[name]} {name}" for name in names if counts[name])

@@ -111,10 +111,7 @@ def publish_again(figure: Figure, size: Size, out: Path) -> Verdict | None:
     record = published(figure, size, out)
     if record is None:
         return None
-    data = out / size / f"{figure.id}.csv"
-    if not data.exists() or _digest(data) != record["data"]:
-        raise WorkError(f"{data}: not the numbers that were published; {_again(figure, size)}")
-    table = read_table(data)
+    table = read_table(data_of(figure, size, out, record))
     if not figure.needs_runs:
         with styled():
             save(figure.draw(table, size, {}), out / size / figure.id, KINDS)
@@ -133,6 +130,18 @@ def published(figure: Figure, size: Size, out: Path) -> dict[str, Any] | None:
         return json.loads(file.read_text()) if file.exists() else None
     except ValueError as error:
         raise WorkError(f"{file}: not JSON ({error}); {_again(figure, size)}") from None
+
+
+def data_of(figure: Figure, size: Size, out: Path, record: dict[str, Any]) -> Path:
+    """Return the CSV of a figure that was published.
+
+    Raises:
+        WorkError: it is not there, or not the one that the record is of.
+    """
+    data = out / size / f"{figure.id}.csv"
+    if not data.exists() or _digest(data) != record["data"]:
+        raise WorkError(f"{data}: not the numbers that were published; {_again(figure, size)}")
+    return data
 
 
 def picture_of(figure: Figure, size: Size, out: Path) -> bytes:

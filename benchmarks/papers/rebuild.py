@@ -6,6 +6,7 @@ import time
 import traceback
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from benchmarks.papers.figure import Figure, Size
 from benchmarks.papers.kept import archive_of, keep, restore
@@ -71,15 +72,24 @@ class Rebuild:
     def _prepare(self) -> None:
         """Find what is to be done; unpack what was begun elsewhere."""
         for figure in self.figures:
-            works = figure.work(self.size)
-            for work in works:
-                if told := self._restored(work):
-                    self._elsewhere[figure.id] = told
-            todo = [work for work in works if figure.id not in self._elsewhere and not self._is_done(work)]
-            self._awaited[figure.id] = {work.name for work in todo}
-            self._works |= {work.name: work for work in todo if work.name not in self._works}
+            try:
+                self._await(figure)
+            except Exception as error:  # a damaged file of its work
+                self._tell(figure.id, error)
         self.errors += self._elsewhere.values()
         print(f"{len(self.figures)} figures, size {self.size}: about {span(self._left())} of work left on two cores")
+
+    def _await(self, figure: Figure) -> None:
+        """Find what is to be done for a figure."""
+        works = figure.work(self.size)
+        for work in works:
+            if told := self._restored(work):
+                self._elsewhere[figure.id] = told
+        todo = [work for work in works if figure.id not in self._elsewhere and not self._is_done(work)]
+        for work in todo:
+            work.spent(self.runs / work.name)  # raises where its clock cannot be read
+        self._awaited[figure.id] = {work.name for work in todo}
+        self._works |= {work.name: work for work in todo if work.name not in self._works}
 
     def _restored(self, work: Work) -> str:
         """Unpack work that was begun elsewhere; return why it cannot be, if it cannot."""
@@ -134,16 +144,16 @@ class Rebuild:
 
 
 def show(figure: Figure, size: Size, runs: Path, out: Path) -> None:
-    """Publish a figure, but never a part of it over a whole, be that of work that has changed; keep what goes on."""
+    """Publish a figure, but never less of it over more, be that of work that has changed; keep what goes on."""
     works = figure.work(size)
     is_whole = all(work.done(runs / work.name) is not None for work in works)
-    record = published(figure, size, out)
-    verdict, stays = None, not is_whole and record is not None and record["done"][0] == record["done"][1]
-    if stays and is_complete(figure, size, record):
+    record = None if is_whole else published(figure, size, out)  # a whole replaces even one that cannot be read
+    if record is not None and is_complete(figure, size, record):
         print("    what is published is complete, and stays", flush=True)
         return
-    if stays:
-        print("    what is published is of other work, but whole: it stays until this is", flush=True)
+    verdict = None
+    if record is not None and (why := _outweighs(record, works, runs)):
+        print(f"    what is published {why}", flush=True)
     else:
         verdict = publish(figure, size, runs, out)
     if verdict is not None:
@@ -156,6 +166,17 @@ def show(figure: Figure, size: Size, runs: Path, out: Path) -> None:
             archive.unlink(missing_ok=True)
         else:
             keep(work, runs, archive)
+
+
+def _outweighs(record: dict[str, Any], works: Sequence[Work], runs: Path) -> str:
+    """Return why what was published stays beside a part of the work; empty if it does not."""
+    if record["done"][0] == record["done"][1]:
+        return "is of other work, but whole: it stays until this is"
+    before = sum(work["minutes"] for work in record["works"].values())
+    now = sum(work.spent(runs / work.name) for work in works) / 60.0
+    if before <= now:
+        return ""
+    return f"was {span(before)} of work: it stays until there is more than that, and here are {span(now)}"
 
 
 def _line(error: Exception) -> str:

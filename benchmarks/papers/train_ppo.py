@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.store.atomic import write_bytes, write_text
+from cqrun.store.lock import DirectoryLock
 
 AT_ONCE = 10
 """Episodes between two updates of the networks."""
@@ -28,9 +29,11 @@ def main(words: Sequence[str]) -> None:
     """Train as the words say."""
     scene, episodes, seed, file, head, *overrides = words
     kept = checkpoint_of(Path(file))
+    lock = DirectoryLock(Path(file).parent)  # whoever began it may have been killed, and it goes on
     losses = train_ppo(Path(scene), overrides, int(episodes), int(seed), kept)
     write_text(Path(file), "\n".join([head, *(f"{loss:.6g}" for loss in losses)]) + "\n")
     kept.unlink(missing_ok=True)
+    lock.release()
 
 
 def checkpoint_of(file: Path) -> Path:

@@ -345,6 +345,7 @@ class Measurement(Work):
         told: what a reader would type.
         sources: files whose change makes it another measurement.
         settings: words of which the same is true.
+        parts: how many there are of it, such as seeds; with more of them it goes on.
         alone: whether the whole machine is wanted, as where seconds are what is measured.
     """
 
@@ -352,6 +353,7 @@ class Measurement(Work):
     told: str
     sources: tuple[Path, ...] = ()
     settings: tuple[str, ...] = ()
+    parts: int = 1
     alone: bool = False
 
     @property
@@ -367,6 +369,15 @@ class Measurement(Work):
     def fingerprint(self) -> str:
         """Return what its result depends on besides the engine, as hex digits."""
         return _hash(*(word.encode() for word in (self.told, *self.settings)), *map(_content, self.sources))
+
+    def done(self, folder: Path) -> dict[str, Any] | None:
+        """Return what `done.json` says, or None where this is not done, or fewer parts of it."""
+        facts = super().done(folder)
+        return facts if facts is not None and facts.get("parts", 1) >= self.parts else None
+
+    def facts(self) -> dict[str, Any]:
+        """Return the command and its parts."""
+        return super().facts() | {"parts": self.parts}
 
     def go_on(self, folder: Path, seconds: float, jobs: int, share: float) -> bool:
         """Measure for so long at most; say whether it is finished. Rows of two engines are not mixed."""

@@ -102,6 +102,27 @@ def test_work_that_has_changed_or_is_another_engines_is_not_taken(learned, tmp_p
     assert restore(LEARNED, tmp_path, archive)  # finished
 
 
+def test_an_archive_of_other_work_is_told_of_and_put_aside(learned, tmp_path, capsys):
+    """Hours of it may be all that there is."""
+    _, archive = learned
+    runs, rich = tmp_path / "runs", tmp_path / "finger.tar.xz"
+    restore(LEARNED, runs, archive)
+    clock = runs / LEARNED.name / CLOCK
+    clock.write_text(json.dumps(json.loads(clock.read_text()) | {"seconds": 36_000.0}))
+    keep(LEARNED, runs, rich)
+    packed = rich.read_bytes()
+    changed = replace(LEARNED, overrides=(*SHORT, "time.substeps=2"))
+    other = tmp_path / "other"
+    assert not restore(changed, other, rich)
+    assert "finger.tar.xz is of what finger was before it changed, and is not taken up" in capsys.readouterr().out
+    assert changed.do(other / LEARNED.name, 300.0, 2)
+    keep(changed, other, rich)
+    (aside,) = tmp_path.glob("finger.was-*.tar.xz")
+    assert aside.read_bytes() == packed
+    assert rich.read_bytes() != packed
+    assert str(aside) in capsys.readouterr().out
+
+
 def test_an_archive_that_holds_more_stays(learned, tmp_path, monkeypatch, capsys):
     """Hours of another machine, by another engine, were once written over by a second of this one's."""
     _, archive = learned

@@ -65,7 +65,7 @@ def two_figures(tmp_path, monkeypatch):
         toy.id = name
         toys[name] = toy
     monkeypatch.setattr(command, "FIGURES", toys)
-    monkeypatch.setattr(command, "write_page", lambda out: out)
+    monkeypatch.setattr(command, "write_page", lambda out: [])
     return toys, ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
 
 
@@ -127,6 +127,52 @@ def test_a_part_is_not_written_over_the_whole(two_figures, tmp_path, capsys):
     assert all(work["command"].endswith("again") for work in record["works"].values())
 
 
+def test_a_small_part_is_not_written_over_a_larger_one(two_figures, tmp_path, capsys):
+    """Twenty seconds of a paper-size figure were once published over an hour of it."""
+    toys, words = two_figures
+    assert command.main([*words, "--only", "one"]) == 75
+    record = tmp_path / "out" / "quick" / "one.json"
+    told = json.loads(record.read_text())
+    told["works"]["one"]["minutes"] = 50.0
+    record.write_text(json.dumps(told))
+    for again in ("", " differently"):  # the same work from the start, and other work
+        toys["one"].works = (replace(toys["one"].works[0], told=f"count one{again}"),)
+        shutil.rmtree(tmp_path / "runs")
+        assert command.main([*words, "--only", "one"]) == 75
+        assert "was 50 min of work: it stays until there is more than that" in capsys.readouterr().out
+        assert json.loads(record.read_text()) == told
+    assert [command.main([*words, "--only", "one"]) for _ in range(2)] == [75, 0]  # the whole is more than any part
+    assert json.loads(record.read_text())["done"] == [1, 1]
+
+
+@pytest.mark.parametrize("file", ["runs/quick/one/clock.json", "out/quick/one.json", "out/quick/unfinished/one.tar.xz"])
+def test_a_damaged_file_stops_only_its_figure(two_figures, tmp_path, capsys, file):
+    _, words = two_figures
+    assert command.main(words) == 75
+    if "unfinished" in file:
+        shutil.rmtree(tmp_path / "runs" / "quick" / "one")
+    (tmp_path / file).write_bytes(b"")
+    later = 0 if file.endswith("one.json") else 1  # what is published is done anew; what goes on is for its owner
+    assert [command.main(words) for _ in range(3)] == [1, later, later]
+    told = capsys.readouterr().out
+    assert (tmp_path / file).name in told
+    assert "quick: reproduced: they grow (yes)" in told
+    assert (tmp_path / "out" / "quick" / "two.png").exists()
+
+
+def test_what_is_published_and_damaged_is_told_on_the_page(tmp_path, capsys):
+    shutil.copytree(PUBLISHED, tmp_path / "figures")
+    (tmp_path / "figures" / "quick" / "cq2_fig5.json").write_text("<<<<<<< ours")
+    (tmp_path / "figures" / "quick" / "cq2_fig6.png").unlink()
+    (tmp_path / "figures" / "quick" / "cq2_fig7.csv").write_text("variant\n")
+    assert command.main(["--page", "--out", str(tmp_path / "figures")]) == 1
+    told, page = capsys.readouterr().out, (tmp_path / "figures" / "index.html").read_text()
+    for name in ("cq2_fig5.json: not JSON", "cq2_fig6.png: is not there", "cq2_fig7.csv: not the numbers"):
+        assert name in told
+        assert name in page
+    assert "3 damaged" in page
+
+
 def test_what_is_published_whole_may_be_left_out(two_figures, tmp_path, capsys):
     """A fresh clone goes on with what nobody has had yet; without the option it does everything once more."""
     toys, words = two_figures
@@ -167,7 +213,8 @@ def test_the_gallery_is_of_what_is_committed(tmp_path):
 
 
 def test_the_page_stands_alone(tmp_path):
-    page = write_page(tmp_path).read_text()
+    write_page(tmp_path)
+    page = (tmp_path / "index.html").read_text()
     assert all(f'id="{figure.id}"' in page for figure in FIGURES.values())
     assert not re.findall(r'(?:src|href)="(?:https?:)?//', page)
     assert "Not run yet: <code>python -m benchmarks.papers --only cq1_table2</code>" in page
@@ -177,7 +224,9 @@ def test_the_page_stands_alone(tmp_path):
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="Debian's package chromium is absent")
 def test_the_page_in_a_browser(tmp_path, width):
     """Every picture is loaded, and nothing is wider than the window or than where it stands."""
-    page = write_page(PUBLISHED if list(PUBLISHED.glob("quick/*.json")) else tmp_path).read_text()
+    shutil.copytree(PUBLISHED, tmp_path / "figures")
+    write_page(tmp_path / "figures")
+    page = (tmp_path / "figures" / "index.html").read_text()
     script = """<script>addEventListener("load", () => {
       const shown = i => i.naturalWidth > 0 && i.getBoundingClientRect().width > 0;
       parent.document.title = JSON.stringify({width: innerWidth,

@@ -217,6 +217,17 @@ def test_a_run_that_ends_before_it_is_done_is_no_result(tmp_path, monkeypatch, s
         TEAR.go_on(tmp_path / "tear", 100.0, 1, 1.0)
 
 
+def test_more_parts_go_on(tmp_path):
+    """As with seeds: what PPO has learned from one is not what three have."""
+    folder = tmp_path / "count"
+    while not COUNT.do(folder, 1.0, 1):
+        pass
+    assert COUNT.done(folder) is not None
+    more = replace(COUNT, parts=2)
+    assert more.done(folder) is None
+    assert more.begun(folder)
+
+
 def test_rows_of_two_engines_are_not_mixed(tmp_path, monkeypatch):
     assert not COUNT.do(tmp_path / "count", 9.0, 1)
     monkeypatch.setattr("benchmarks.papers.work.engine_hash", lambda: "another")

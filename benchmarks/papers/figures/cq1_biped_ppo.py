@@ -1,6 +1,6 @@
 """CQ1 V-B: a biped learns to walk, by the gradient and by PPO."""
 
-from benchmarks.papers.figure import Size
+from benchmarks.papers.figure import Size, Table, Verdict, judged
 from benchmarks.papers.learners import CMA, GRADIENT, PPO, Learners
 
 
@@ -11,9 +11,14 @@ class BipedAgainstPPO(Learners):
     title = "A biped learns to walk, with and without the gradient"
     source = "CQ1 V-B"
     paper = "the gradient walks well within 20 minutes; PPO moves nearly at random after more than 4 hours"
-    tolerance = {size: "the gradient passes each threshold in fewer episodes than PPO and CMA-ES" for size in Size}
+    tolerance = {
+        Size.QUICK: "the gradient passes each threshold in fewer episodes than PPO and CMA-ES",
+        Size.PAPER: "the gradient passes each threshold in fewer episodes than PPO and CMA-ES; in part at best, for "
+        "the paper counts minutes",
+    }
     left_open = (
-        "time is counted in episodes: they cost the gradient about three times a plain rollout. Losses are means over "
+        "time is counted in episodes: they cost the gradient about three times a plain rollout, by which CMA-ES is at "
+        "-.2 sooner. PPO was given 1,000 episodes, not four hours. Losses are means over "
         "ten episodes; of CMA-ES every sixteen the best one counts, and after 2,400 it is lower (-.71 to -.86) than "
         "the gradient after its 100 (-.26 to -.63 without the mean)"
     )
@@ -33,3 +38,10 @@ class BipedAgainstPPO(Learners):
     seeds, trials = {Size.QUICK: 2, Size.PAPER: 10}, {Size.QUICK: 2, Size.PAPER: 3}
     thresholds = (-0.1, -0.2)
     windows = {GRADIENT: 10, PPO: 10}
+
+    def judge(self, table: Table, size: Size) -> Verdict:
+        """Judge episodes; the paper's minutes and hours are not met with that."""
+        checks = dict(super().judge(table, size).checks)
+        if size is Size.PAPER:
+            checks["counted in minutes, PPO for more than 4 hours, as in the paper"] = False
+        return judged(checks)

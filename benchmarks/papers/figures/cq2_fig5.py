@@ -29,6 +29,12 @@ DRAWN = {"youngs_modulus": ("E / 10", 0.1), "density": ("mass", 1.0), "poissons_
 FLOOR = 3.2e-3
 """Of the loss: twice the noise's variance."""
 
+SOON = 100
+"""Epochs after which the paper's values are near the truth."""
+
+PRINTED_LOSS = (203, 3.32)
+"""The paper's last epoch, and 1,000 times its loss."""
+
 
 class FingerMaterial(Figure):
     """Loss, mass, Poisson's ratio and Young's modulus against the epoch."""
@@ -39,17 +45,19 @@ class FingerMaterial(Figure):
     paper = "E 20, mass 2.33, nu .25 from 15, 3.0, .3 within about 100 epochs; the loss ends at 3.32e-3 after 203"
     tolerance = {
         Size.QUICK: "every value within 5 % of the truth",
-        Size.PAPER: "every value within 3 % of the truth, the loss within 5 % of the noise's floor",
+        Size.PAPER: "every value within 3 % of the truth, and within 10 % after 100 epochs; of what the loss has above "
+        "the noise's floor at first, nine tenths are gone in the end",
     }
     left_open = (
-        "the cables' places and stiffness, and the noise: .04 m is chosen for its floor to lie near the paper's loss. "
-        "The paper's legend swaps mass and Poisson's ratio; here it is mended"
+        "the cables' places and stiffness, and the noise: .04 m is chosen for its floor to lie near the paper's loss, "
+        "which therefore is drawn and not judged. The paper's legend swaps mass and Poisson's ratio; here it is mended"
     )
 
     def work(self, size: Size) -> Sequence[Work]:
         """Return the fit: at quick size of fewer copies and frames."""
         small = ("data.synthetic.copies=2", "data.synthetic.key_frames=50", "optimizer.adam.max_iterations=120")
-        return [Runs("finger_material", 1.0, "sysid", SCENE, small if size is Size.QUICK else ())]
+        minutes, overrides = (1.0, small) if size is Size.QUICK else (3.0, ())
+        return [Runs("finger_material", minutes, "sysid", SCENE, overrides)]
 
     def table(self, found: Found, size: Size) -> Table:
         """Return epoch, loss [m^2], youngs_modulus, density, poissons_ratio, seconds."""
@@ -76,6 +84,7 @@ class FingerMaterial(Figure):
             axes.plot(table["epoch"], factor * table[name], color=colour, label=label)
             axes.axhline(factor * TRUTH[name], color=colour, lw=0.8, ls=":")
         axes.plot([], [], color=GREY, lw=0.8, ls=":", label="truth, and the noise's floor")
+        axes.plot(*PRINTED_LOSS, "D", color=COLOURS[3], mec="white", ms=7, label="1000 loss, paper")
         axes.set_ylim(0, 4)
         axes.set_xlabel("epoch")
         axes.legend(ncols=2)
@@ -90,6 +99,10 @@ class FingerMaterial(Figure):
             for name, truth in TRUTH.items()
         }
         if size is Size.PAPER:
-            loss = float(table["loss"][-1])
-            checks[f"loss {loss:.3g}, the noise's floor {FLOOR:g}"] = abs(loss / FLOOR - 1.0) <= 0.05
+            at = int(np.flatnonzero(table["epoch"] == SOON)[0])
+            off = {name: abs(table[name][at] / truth - 1.0) for name, truth in TRUTH.items()}
+            slowest = max(off, key=lambda name: off[name])
+            checks[f"after {SOON} epochs within 10 %: {slowest} {off[slowest]:.1%}"] = off[slowest] <= 0.1
+            first, last = (float(table["loss"][k]) - FLOOR for k in (0, -1))
+            checks[f"the loss above the noise's floor: {first:.2g} -> {last:.2g}"] = last <= 0.1 * first
         return judged(checks)

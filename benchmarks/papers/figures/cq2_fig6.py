@@ -19,11 +19,11 @@ class CableBiped(Distances):
     source = "CQ2 Fig 6"
     paper = "from -.10 to .58 m (90 %: .47 to .80) in 100 iterations, 12 s each; mean of 10 runs"
     left_open = "the cables' stiffness: 4.3e5, at which u = 0 leaves .70 of a leg; half and double are shown too"
-    scene = "control/biped_cable"
+    scene, body = "control/biped_cable", "biped"
     final, interval, seconds = 0.58, (0.47, 0.80), 12.0
     variants = (
         Variant("stiffness 4.3e5", {Size.QUICK: QUICK, Size.PAPER: SINGLE}, {Size.QUICK: 2, Size.PAPER: 10},
-                {Size.QUICK: 2.2, Size.PAPER: 35}),
-        Variant("half", {Size.PAPER: (*SINGLE, *_stiffness(2.15e5))}, {Size.PAPER: 3}, {Size.PAPER: 10}),
-        Variant("double", {Size.PAPER: (*SINGLE, *_stiffness(8.6e5))}, {Size.PAPER: 3}, {Size.PAPER: 10}),
+                {Size.QUICK: 2.2, Size.PAPER: 70}),
+        Variant("half", {Size.PAPER: (*SINGLE, *_stiffness(2.15e5))}, {Size.PAPER: 3}, {Size.PAPER: 21}),
+        Variant("double", {Size.PAPER: (*SINGLE, *_stiffness(8.6e5))}, {Size.PAPER: 3}, {Size.PAPER: 21}),
     )  # fmt: skip

@@ -30,13 +30,14 @@ class TerrainBiped(Distances):
         "the hills, half and twice as high too; where several seeds or other hills are shown a quarter of the "
         "particles, 20 substeps and softer hills (E = 60); and the start, the feet .065 m above the crests. Where it "
         "starts on them it holds on to them, as bodies of particles do that share nodes at rest, and learns to come "
-        ".07 m far (five seeds at a quarter; .03 with velocities of .05 m/s for the network's 1)"
+        ".07 m far (five seeds at a quarter; .03 with velocities of .05 m/s for the network's 1). One seed, not ten, "
+        "as it is hours. None of what was tried comes near 1.61 m; the paper's hills and start are not known"
     )
-    scene = "control/biped_terrain"
+    scene, body = "control/biped_terrain", "biped"
     iterations = 300
     final, interval, seconds = 1.61, (1.50, 1.72), 20.0
     variants = (
-        Variant("paper size", {Size.PAPER: SINGLE}, {Size.PAPER: 1}, {Size.PAPER: 600}),
+        Variant("paper size", {Size.PAPER: SINGLE}, {Size.PAPER: 1}, {Size.PAPER: 320}),
         Variant("a quarter", {Size.QUICK: QUICK, Size.PAPER: (*SMALL, *SINGLE)}, {Size.QUICK: 2, Size.PAPER: 5},
                 {Size.QUICK: 3, Size.PAPER: 120}),
         Variant("half as high", {Size.PAPER: _hills(0.0075)}, {Size.PAPER: 1}, {Size.PAPER: 24}),
