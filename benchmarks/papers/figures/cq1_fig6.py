@@ -64,7 +64,7 @@ class Quadruped(ToGoal):
         "time.substeps=2",
         "optimizer.sgd.max_iterations=12",
     )
-    minutes = 100.0
+    minutes = 125.0
 
 
 class Crawler(ToGoal):
@@ -86,4 +86,4 @@ class Crawler(ToGoal):
         "time.substeps=2",
         "optimizer.sgd.max_iterations=20",
     )
-    seeds, minutes = 10, 120.0
+    seeds, minutes = 10, 200.0

@@ -60,7 +60,7 @@ class RandomGoal(Learners):
     )
     scene, label, optimizer, small = "control/finger_random", "distance of the tip [m]", "adam", SMALL
     episodes = {GRADIENT: {Size.QUICK: 200, Size.PAPER: 1500}, PPO: {Size.QUICK: 600, Size.PAPER: 1500}}
-    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 30}, PPO: {Size.QUICK: 1.6, Size.PAPER: 25}}
+    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 40}, PPO: {Size.QUICK: 1.6, Size.PAPER: 16}}
     thresholds = (0.01, 0.005)
     windows = {GRADIENT: 100, PPO: 100}
     printed = {GRADIENT: [(132, 0.01), (203, 0.005), (1500, 0.0025)], PPO: [(656, 0.01), (1384, 0.005), (1500, 0.005)]}
@@ -83,7 +83,7 @@ class WideGoal(Learners):
     )
     scene, label, optimizer, small = "control/finger_wide", "distance of the tip [m]", "adam", SMALL
     episodes = {GRADIENT: {Size.QUICK: 200, Size.PAPER: 3500}, PPO: {Size.QUICK: 600, Size.PAPER: 3500}}
-    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 70}, PPO: {Size.QUICK: 1.5, Size.PAPER: 60}}
+    minutes = {GRADIENT: {Size.QUICK: 0.4, Size.PAPER: 95}, PPO: {Size.QUICK: 1.5, Size.PAPER: 38}}
     thresholds = (0.015, 0.01)
     windows = {GRADIENT: 100, PPO: 100}
     printed = {GRADIENT: [(282, 0.015), (438, 0.01), (3500, 0.0077)], PPO: [(1322, 0.015), (3500, 0.0125)]}

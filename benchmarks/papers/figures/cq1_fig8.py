@@ -31,7 +31,7 @@ class TwoLinkArm(Violations):
         "the best design that meets them is kept"
     )
     quick = QUICK
-    minutes = {Size.QUICK: 1.2, Size.PAPER: 4.0}
+    minutes = {Size.QUICK: 1.2, Size.PAPER: 1.5}
     printed = {
         DESIGNED: [(0, 0.063), (10, 1e-3), (26, 9.4e-5), (31, 1.0e-6)],
         "fixed 100 %": [(45, 8.6e-4)],

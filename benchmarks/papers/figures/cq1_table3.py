@@ -83,7 +83,7 @@ class Accuracy(Figure):
     def work(self, size: Size) -> Sequence[Work]:
         """Return the measurement: quick, up to 100 steps."""
         told = f"python -m benchmarks.papers --size {size} --only {self.id}"
-        minutes = 2.4 if size is Size.QUICK else 20.0
+        minutes = 2.4 if size is Size.QUICK else 2.0
         settings = (repr(_steps(size)), repr(WAY))
         return [
             Measurement("accuracy", minutes, lambda folder, end: _measure(folder, end, size), told, SOURCES, settings)

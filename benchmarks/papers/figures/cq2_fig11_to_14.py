@@ -75,7 +75,7 @@ class QuadrupedAblation(Ablation):
     quick = (*SMALL, "bodies.quadruped.sampling.lattice.count=5", "optimizer.adam.max_iterations=25")
     paper_size = some("quadruped", 10)
     seeds = {Size.QUICK: 1, Size.PAPER: 3}
-    minutes = {Size.QUICK: 1.5, Size.PAPER: 200.0}
+    minutes = {Size.QUICK: 1.5, Size.PAPER: 160.0}
     rate = {Size.QUICK: 0.005, Size.PAPER: 0.005}
     printed = (0.92, 0.98, 0.99, 1.03, 1.03, 1.05, 1.07, 1.09)
     gain = 0.18

@@ -57,19 +57,19 @@ class Seconds(Figure):
         Size.PAPER: "on two cores in float32, no slower than the paper's GPU",
     }
     left_open = (
-        "seconds are wall time over iterations, read off the figures' upper axes. Ours depend on the host: these are "
-        "of one with AVX2 on a slow day. Another took 1.8, 6.7, 47, 24, 1.2, 5.9, 9.3 and 10.3 s, the last four with "
-        "finer cells than they have now (1/64 the biped's, 1/30 the others'); the first scene, as it was there and "
-        "with the engine of then, takes 2.1 times as long here (3.9 s; today's 3.7, in turns). "
-        "benchmarks/measured/profiles says what takes the time, pass by pass, on the other (cqrun bench SCENE "
-        "-o precision=float32 -o memory=8GiB --threads 2 --output FILE). Of the hills' 20,000 substeps, .8 are run "
-        "twice, for their states do not fit"
+        "seconds are wall time over iterations, read off the figures' upper axes. Ours depend on the host and its day: "
+        "these are of one with AVX2, which on a slow day took 4.85, 15.4, 76.7, 46.2, 2.93, 11.5, 15.8 and 19.0 s. One "
+        "with AVX-512 took 1.8, 6.7, 47, 24, 1.2, 5.9, 9.3 and 10.3 s, the last four with finer cells than they have "
+        "now (1/64 the biped's, 1/30 the others'). benchmarks/measured/profiles says what takes the time of the last "
+        "three, pass by pass, on the host of this table (cqrun bench SCENE -o precision=float32 -o memory=8GiB "
+        "--threads 2 --output FILE): most of a gradient is gathers and scatters between particles and nodes. Of the "
+        "hills' 20,000 substeps, .8 are run twice, for their states do not fit"
     )
 
     def work(self, size: Size) -> Sequence[Work]:
         """Return the measurement."""
         told = f"python -m benchmarks.papers --size {size} --only {self.id}"
-        minutes = 1.3 if size is Size.QUICK else 25.0
+        minutes = 1.3 if size is Size.QUICK else 19.0
         return [
             Measurement(
                 "seconds",
