@@ -18,9 +18,10 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.histories import first_below, runs_below, smooth
+from benchmarks.papers.measurement import Measurement
 from benchmarks.papers.process import STOPPED, when_free
 from benchmarks.papers.train_ppo import checkpoint_of, episodes_in
-from benchmarks.papers.work import SCENES, Found, Measurement, Runs, Work, WorkError
+from benchmarks.papers.work import SCENES, Found, Runs, Work, WorkError
 from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, new_figure, titled
 from cqrun.store.atomic import write_text

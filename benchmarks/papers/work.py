@@ -1,6 +1,6 @@
-"""What takes time behind a figure: runs of cqrun and measurements. Each has a folder, and goes on where it stopped.
+"""What takes time behind a figure: runs of cqrun, and measurements (measurement.py).
 
-A folder's `clock.json` says what was begun, by which engine, and how long it has taken, pauses left out; `done.json`
+Each has a folder, and goes on where it stopped. A folder's `clock.json` says what was begun, by which engine, and how long it has taken, pauses left out; `done.json`
 is written last, and adds the machine. Work whose command or scene has changed is done anew, and what it was is put
 aside if it took long; that which wants more seeds goes on.
 """
@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -240,7 +240,7 @@ class Runs(Work):
         scene = {key: value for key, value in yaml.safe_load(self.path.read_text()).items() if key not in replaced}
         whole = [self.job, self.scene, self.overrides, self.options, scene]
         files = sorted(_named(scene, self.path.parent))
-        return _hash(json.dumps(whole, sort_keys=True).encode(), *(file.read_bytes() for file in files))
+        return digest(json.dumps(whole, sort_keys=True).encode(), *(file.read_bytes() for file in files))
 
     def done(self, folder: Path) -> dict[str, Any] | None:
         """Return what `done.json` says, or None where this is not done, or for fewer seeds."""
@@ -336,65 +336,8 @@ def _named(value: object, base: Path) -> Iterator[Path]:
         yield from _named(each, base)
 
 
-@dataclass(frozen=True)
-class Measurement(Work):
-    """A function of ours that measures something.
-
-    Attributes:
-        measure: (folder, deadline of time.monotonic) -> whether it is finished; it keeps what it has in the folder.
-        told: what a reader would type.
-        sources: files whose change makes it another measurement.
-        settings: words of which the same is true.
-        parts: how many there are of it, such as seeds; with more of them it goes on.
-        alone: whether the whole machine is wanted, as where seconds are what is measured.
-    """
-
-    measure: Callable[[Path, float], bool]
-    told: str
-    sources: tuple[Path, ...] = ()
-    settings: tuple[str, ...] = ()
-    parts: int = 1
-    alone: bool = False
-
-    @property
-    def is_alone(self) -> bool:
-        """Say whether the whole machine is wanted."""
-        return self.alone
-
-    @property
-    def command(self) -> str:
-        """What a reader would type."""
-        return self.told
-
-    def fingerprint(self) -> str:
-        """Return what its result depends on besides the engine, as hex digits."""
-        return _hash(*(word.encode() for word in (self.told, *self.settings)), *map(_content, self.sources))
-
-    def done(self, folder: Path) -> dict[str, Any] | None:
-        """Return what `done.json` says, or None where this is not done, or fewer parts of it."""
-        facts = super().done(folder)
-        return facts if facts is not None and facts.get("parts", 1) >= self.parts else None
-
-    def facts(self) -> dict[str, Any]:
-        """Return the command and its parts."""
-        return super().facts() | {"parts": self.parts}
-
-    def go_on(self, folder: Path, seconds: float, jobs: int, share: float) -> bool:
-        """Measure for so long at most; say whether it is finished. Rows of two engines are not mixed."""
-        if self.engine(folder) != engine_hash():
-            self.start_over(folder)
-        return self.measure(folder, time.monotonic() + seconds)
-
-
-def _content(path: Path) -> bytes:
-    """Return what a file says: of a scene not its comments, nor its optimizer, which no measurement uses."""
-    if path.suffix == ".yaml":
-        scene = {key: value for key, value in yaml.safe_load(path.read_text()).items() if key != "optimizer"}
-        return json.dumps(scene, sort_keys=True).encode()
-    return path.read_bytes()
-
-
-def _hash(*parts: bytes) -> str:
+def digest(*parts: bytes) -> str:
+    """Return a hash of what work depends on, as hex digits."""
     return hashlib.sha256(b"\0".join(parts)).hexdigest()[:12]
 
 

@@ -230,7 +230,8 @@ def test_more_parts_go_on(tmp_path):
 
 def test_rows_of_two_engines_are_not_mixed(tmp_path, monkeypatch):
     assert not COUNT.do(tmp_path / "count", 9.0, 1)
-    monkeypatch.setattr("benchmarks.papers.work.engine_hash", lambda: "another")
+    for module in ("work", "measurement"):
+        monkeypatch.setattr(f"benchmarks.papers.{module}.engine_hash", lambda: "another")
     assert not COUNT.do(tmp_path / "count", 9.0, 1)
     assert [file.name for file in (tmp_path / "count").glob("*.txt")] == ["0.txt"]
     assert COUNT.engine(tmp_path / "count") == "another"

@@ -17,8 +17,9 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.learning import SINGLE
+from benchmarks.papers.measurement import Measurement
 from benchmarks.papers.process import STOPPED, with_memory
-from benchmarks.papers.work import SCENES, Found, Measurement, Work, WorkError
+from benchmarks.papers.work import SCENES, Found, Work, WorkError
 from cqrun.figures.style import COLOURS, INK, log_ticks, new_figure, titled
 from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
