@@ -1,8 +1,8 @@
 """What takes time behind a figure: runs of cqrun, and measurements (measurement.py).
 
-Each has a folder, and goes on where it stopped. A folder's `clock.json` says what was begun, by which engine, and how long it has taken, pauses left out; `done.json`
-is written last, and adds the machine. Work whose command or scene has changed is done anew, and what it was is put
-aside if it took long; that which wants more seeds goes on.
+Each has a folder, and goes on where it stopped. A folder's `clock.json` says what was begun, by which engine, and how
+long it has taken, pauses left out; `done.json` is written last, and adds the machine. Work whose command or scene has
+changed is done anew, and what it was is put aside if it took long; that which wants more seeds goes on.
 """
 
 from __future__ import annotations
