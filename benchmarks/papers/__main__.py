@@ -19,7 +19,7 @@ from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Figure, Size
 from benchmarks.papers.page import write_page
 from benchmarks.papers.process import FAILED, ROOT, STOPPED
-from benchmarks.papers.publish import is_complete, publish_again, published
+from benchmarks.papers.publish import data_of, is_complete, picture_of, publish_again, published
 from benchmarks.papers.rebuild import Rebuild
 from benchmarks.papers.work import WorkError, span
 from cqrun.errors import CqrunError, UsageError
@@ -69,7 +69,11 @@ def main(words: Sequence[str] | None = None) -> int:
 def _is_published(figure: Figure, size: Size, out: Path) -> bool:
     """Say whether a figure is published whole; one that cannot be read is not."""
     try:
-        return is_complete(figure, size, published(figure, size, out))
+        record = published(figure, size, out)
+        if record is not None:
+            data_of(figure, size, out, record)
+            picture_of(figure, size, out)
+        return is_complete(figure, size, record)
     except WorkError:
         return False
 
@@ -86,16 +90,19 @@ def _run(chosen: Sequence[Figure], size: Size, options: argparse.Namespace) -> i
     if options.list:
         _list(chosen, options.runs, options.out)
         return 0
-    if options.judge:
-        for figure in chosen:
+    status = 0
+    for figure in chosen if options.judge else ():
+        try:
             if (verdict := publish_again(figure, size, options.out)) is not None:
                 print(f"{figure.id}, {size}: {verdict}")
-    status = 0
+        except WorkError as error:  # the others are judged
+            print(f"{figure.id}, {size}: error: {error}")
+            status = FAILED
     if not (options.page or options.judge):
         status = Rebuild(chosen, size, options.runs / size, options.out, options.minutes, options.jobs).run()
     damaged = write_page(options.out)
     print(f"\n{options.out / 'index.html'}", *damaged, sep="\n")
-    return FAILED if damaged else status
+    return status or (FAILED if damaged else 0)
 
 
 def _minutes(word: str) -> float:

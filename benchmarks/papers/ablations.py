@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 import yaml
 
-from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, lowered, stacked
 from benchmarks.papers.histories import Run, curves, rows, runs_below
-from benchmarks.papers.wholeness import WHOLE, asked_whole, checks, worst
+from benchmarks.papers.wholeness import WHOLE, checks, worst
 from benchmarks.papers.work import Found, Runs, Work
 from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, INK, clock_ticks, new_figure, titled, whole_ticks
@@ -131,7 +131,7 @@ class Ablation(Figure):
         judged_ones = np.isin(table["variant"], (CONTROL, ALL))
         whole = checks({name: column[judged_ones] for name, column in table.items()}, len(control) + len(every))
         if size is Size.QUICK:
-            return asked_whole(judged(_farther(control, every)), whole)
+            return lowered(judged(_farther(control, every)), whole)
         between = f" ({gain['low']:+.0%} to {gain['high']:+.0%})" if gain["low"] is not None else ""
         told = f"gain of {_seeds(len(every))} {gain['mean']:+.0%}{between}, paper {self.gain:+.0%}"
         wanted, farthest = self.printed[0], self.printed[-1]
@@ -145,7 +145,7 @@ class Ablation(Figure):
             **fewer,
         })  # fmt: skip
         exceeds = verdict.judgement is Judgement.MET and every.mean() > 1.1 * farthest
-        return asked_whole(replace(verdict, judgement=Judgement.EXCEEDED) if exceeds else verdict, whole)
+        return lowered(replace(verdict, judgement=Judgement.EXCEEDED) if exceeds else verdict, whole)
 
     def _order(self, table: Table) -> dict[str, bool]:
         """Return what each kind adds, in words, and whether that is in the paper's order; nothing if that has none."""

@@ -67,6 +67,12 @@ def judged(checks: Mapping[str, bool]) -> Verdict:
     return Verdict(judgement, checks)
 
 
+def lowered(verdict: Verdict, checks: Mapping[str, bool]) -> Verdict:
+    """Return a verdict with checks that can only make it worse: where one fails, it is met in part at best."""
+    fails = verdict.judgement is not Judgement.MISSED and not all(checks.values())
+    return Verdict(Judgement.PARTLY if fails else verdict.judgement, {**verdict.checks, **checks})
+
+
 class Figure(ABC):
     """A figure or table of a paper.
 

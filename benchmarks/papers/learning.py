@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, stacked
+from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, lowered, stacked
 from benchmarks.papers.histories import Curves, curves, rows, runs_below, settled
-from benchmarks.papers.wholeness import WHOLE, asked_whole, checks, worst
+from benchmarks.papers.wholeness import WHOLE, checks, worst
 from benchmarks.papers.work import Found, Runs, Work
 from cqrun.figures.style import COLOURS, GREY, clock_ticks, new_figure, titled
 
@@ -118,7 +118,7 @@ class Distances(Figure):
         first, last = found.value[:, 0], found.value[:, -1]
         if size is Size.QUICK:
             told = f"{first.mean():.2f} -> {last.mean():.2f} m in {found.value.shape[1] - 1} iterations"
-            return asked_whole(judged({told: bool(np.all(last > first))}), whole)
+            return lowered(judged({told: bool(np.all(last > first))}), whole)
         low, high = self.interval
         mean, half = float(found.mean[-1]), float(found.half[-1])
         seeds = len(found.value)
@@ -130,7 +130,7 @@ class Distances(Figure):
             f"{ours}{early}, paper {self.final:g}": mean >= self.final,
             f"no less than the paper's 90 % interval, {low:g} to {high:g}{beyond}": mean >= low,
         })  # fmt: skip
-        return asked_whole(replace(verdict, judgement=Judgement.EXCEEDED) if mean > high else verdict, whole)
+        return lowered(replace(verdict, judgement=Judgement.EXCEEDED) if mean > high else verdict, whole)
 
 
 def draw_curves(axes: Axes, found: Curves, label: str, colour: str, *, band: bool = True) -> None:

@@ -52,7 +52,7 @@ class Measurement(Work):
     def done(self, folder: Path) -> dict[str, Any] | None:
         """Return what `done.json` says, or None where this is not done, or fewer parts of it."""
         facts = super().done(folder)
-        return facts if facts is not None and facts.get("parts", 1) >= self.parts else None
+        return facts if facts is not None and facts.get("parts", self.parts) >= self.parts else None
 
     def facts(self) -> dict[str, Any]:
         """Return the command and its parts."""

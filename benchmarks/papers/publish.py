@@ -8,12 +8,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, read_table, write_table
+from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, lowered, read_table, write_table
 from benchmarks.papers.work import Work, WorkError
 from cqrun.figures.style import save, styled
 from cqrun.store.atomic import make_directory, write_json
 
 KINDS = ("png", "pdf")
+RECORDED = ("verdict", "checks", "asked", "data", "done", "failed", "works", "engine", "machines")
+"""What the record of a figure has."""
+
 T = TypeVar("T")
 
 
@@ -24,8 +27,7 @@ def publish(figure: Figure, size: Size, runs: Path, out: Path) -> Verdict | None
         runs: holds the folders of the work of this size.
         out: results/figures.
     """
-    works = figure.work(size)
-    found = {work.name: runs / work.name for work in works if work.begun(runs / work.name)}
+    works, found = figure.work(size), begun(figure, size, runs)
     done = {work.name: facts for work in works if (facts := work.done(runs / work.name)) is not None}
     complete = len(done) == len(works)
     table = figure.table(found, size) if complete else so_far(lambda: figure.table(found, size)) if found else None
@@ -51,6 +53,11 @@ def publish(figure: Figure, size: Size, runs: Path, out: Path) -> Verdict | None
         "machines": [facts["machine"] for facts in done.values()],
     }
     return _judge(figure, table, size, record, folder)
+
+
+def begun(figure: Figure, size: Size, runs: Path) -> dict[str, Path]:
+    """Return the folders of a figure's work that is begun, by its name."""
+    return {work.name: runs / work.name for work in figure.work(size) if work.begun(runs / work.name)}
 
 
 def identity(works: Sequence[Work]) -> dict[str, dict[str, Any]]:
@@ -82,11 +89,12 @@ def verdict_on(figure: Figure, table: Table, size: Size, record: dict[str, Any])
     """
     complete = is_complete(figure, size, record)
     found = figure.judge(table, size) if complete else so_far(lambda: figure.judge(table, size))
-    checks = dict(found.checks) if found is not None else {}
     if record["failed"]:
-        checks[f"no run fails ({len(record['failed'])} did: {record['failed'][0].partition(';')[0]})"] = False
-        found = judged(checks)
-    return found if complete and found is not None else Verdict(Judgement.UNFINISHED, checks)
+        told = f"no run fails ({len(record['failed'])} did: {record['failed'][0].partition(';')[0]})"
+        found = lowered(found if found is not None else judged({}), {told: False})
+    if complete and found is not None:
+        return found
+    return Verdict(Judgement.UNFINISHED, found.checks if found is not None else {})
 
 
 def _judge(figure: Figure, table: Table, size: Size, record: dict[str, Any], folder: Path) -> Verdict:
@@ -123,13 +131,16 @@ def published(figure: Figure, size: Size, out: Path) -> dict[str, Any] | None:
     """Return the record of a figure that was published, or None.
 
     Raises:
-        WorkError: it is not JSON.
+        WorkError: it is not JSON, or lacks what a record has.
     """
     file = out / size / f"{figure.id}.json"
     try:
-        return json.loads(file.read_text()) if file.exists() else None
+        record = json.loads(file.read_text()) if file.exists() else None
     except ValueError as error:
         raise WorkError(f"{file}: not JSON ({error}); {_again(figure, size)}") from None
+    if record is not None and (lacking := [key for key in RECORDED if key not in record]):
+        raise WorkError(f"{file}: lacks {', '.join(lacking)}; {_again(figure, size)}")
+    return record
 
 
 def data_of(figure: Figure, size: Size, out: Path, record: dict[str, Any]) -> Path:

@@ -11,7 +11,7 @@ from typing import Any
 from benchmarks.papers.figure import Figure, Size
 from benchmarks.papers.kept import archive_of, keep, restore
 from benchmarks.papers.process import FAILED, STOPPED
-from benchmarks.papers.publish import is_complete, publish, published
+from benchmarks.papers.publish import begun, is_complete, publish, published, so_far
 from benchmarks.papers.turns import in_turn
 from benchmarks.papers.work import Work, WorkError, span
 from cqrun.errors import CqrunError
@@ -154,6 +154,7 @@ def show(figure: Figure, size: Size, runs: Path, out: Path) -> None:
     verdict = None
     if record is not None and (why := _outweighs(record, works, runs)):
         print(f"    what is published {why}", flush=True)
+        so_far(lambda: figure.table(begun(figure, size, runs), size))  # notes of motions, which are not packed
     else:
         verdict = publish(figure, size, runs, out)
     if verdict is not None:
@@ -174,7 +175,8 @@ def _outweighs(record: dict[str, Any], works: Sequence[Work], runs: Path) -> str
         return "is of other work, but whole: it stays until this is"
     before = sum(work["minutes"] for work in record["works"].values())
     now = sum(work.spent(runs / work.name) for work in works) / 60.0
-    if before <= now:
+    done = sum(work.done(runs / work.name) is not None for work in works)
+    if (record["done"][0], before) <= (done, now):
         return ""
     return f"was {span(before)} of work: it stays until there is more than that, and here are {span(now)}"
 

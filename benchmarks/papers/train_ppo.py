@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.errors import CqrunError
 from cqrun.store.atomic import write_bytes, write_text
 from cqrun.store.lock import DirectoryLock
 
@@ -30,6 +31,8 @@ def main(words: Sequence[str]) -> None:
     scene, episodes, seed, file, head, *overrides = words
     kept = checkpoint_of(Path(file))
     lock = DirectoryLock(Path(file).parent)  # whoever began it may have been killed, and it goes on
+    if Path(file).exists():  # by then it had come to its end
+        return
     losses = train_ppo(Path(scene), overrides, int(episodes), int(seed), kept)
     write_text(Path(file), "\n".join([head, *(f"{loss:.6g}" for loss in losses)]) + "\n")
     kept.unlink(missing_ok=True)
@@ -123,4 +126,7 @@ def _taken_up(told: dict[str, Any], worlds: Any, world: Any) -> tuple[Any, Any]:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    try:
+        main(sys.argv[1:])
+    except CqrunError as error:
+        sys.exit(str(error))

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.papers.figure import Judgement, Verdict
 from cqrun.contract import Array
 from cqrun.figures.run_data import RunData, read_run
 from cqrun.observers.fracture import Fracture
 from cqrun.scene.particles import sample
+from cqrun.store.atomic import write_json
+from cqrun.store.run import FINISHED, read_record
 
 WHOLE = "the body stays whole and nowhere inside out"
 """What `checks` asks, in words."""
+
+NOTE = "whole.json"
+"""Beside a run: how whole its bodies stay."""
 
 
 def watched(run: RunData, body: str) -> dict[str, Array]:
@@ -30,19 +35,20 @@ def watched(run: RunData, body: str) -> dict[str, Array]:
 
 
 def worst(run: Path, body: str) -> dict[str, float]:
-    """Return the worst of `watched` over the motion that a run has kept; nothing where it has none, as elsewhere."""
+    """Return the worst of `watched` over the motion that a run has kept; nothing where nobody has looked at it.
+
+    It is noted beside the run, whose motion is not packed for other machines.
+    """
+    note = run / NOTE
+    if note.exists():
+        return dict(json.loads(note.read_text()))
     if not (run / "trajectory.h5").exists():
         return {}
     seen = watched(read_run(run), body)
-    return {"least_volume_ratio": float(seen["least_volume_ratio"].min()), "fracture": float(seen["fracture"].max())}
-
-
-def asked_whole(verdict: Verdict, whole: Mapping[str, bool]) -> Verdict:
-    """Return a verdict with the checks on its bodies: where they fail it is met in part at best."""
-    judgement = verdict.judgement
-    if judgement is not Judgement.MISSED and not all(whole.values()):
-        judgement = Judgement.PARTLY
-    return Verdict(judgement, {**verdict.checks, **whole})
+    found = {"least_volume_ratio": float(seen["least_volume_ratio"].min()), "fracture": float(seen["fracture"].max())}
+    if read_record(run)["status"] in FINISHED:
+        write_json(note, found)
+    return found
 
 
 def checks(table: Mapping[str, Array], motions: int = 1) -> dict[str, bool]:
@@ -51,10 +57,10 @@ def checks(table: Mapping[str, Array], motions: int = 1) -> dict[str, bool]:
     Rows without numbers (NaN) are of no motion; where a table has fewer numbers than motions, some were not recorded.
     """
     torn = table.get("fracture", np.empty(0))
-    known = int(np.count_nonzero(np.isfinite(torn)))
-    if known < motions:
+    seen = np.isfinite(torn)
+    if np.count_nonzero(seen) < motions:
         return {"whether the body stays whole was not recorded": False}
-    most, least = float(np.nanmax(torn)), float(np.nanmin(table["least_volume_ratio"]))
+    most, least = float(torn[seen].max()), float(table["least_volume_ratio"][seen].min())  # NaN is not above nothing
     return {
         f"the body stays whole: {most:.2%} of its neighbours part": most == 0.0,
         f"nowhere is it inside out: volumes are {least:.2f} of their own at least": least > 0.0,

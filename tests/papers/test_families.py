@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from benchmarks.papers import kept, wholeness
 from benchmarks.papers.ablations import ORDER, Ablation
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Judgement, Size, read_table, stacked, write_table
@@ -138,6 +139,29 @@ def test_a_body_that_is_torn_or_inside_out_or_was_not_watched_is_not_whole():
     assert judgement(fracture=0.01, least_volume_ratio=0.1) is Judgement.PARTLY
     assert judgement(fracture=0.0, least_volume_ratio=-0.04) is Judgement.PARTLY
     assert judgement() is Judgement.PARTLY
+
+
+def test_what_was_seen_of_a_motion_is_noted_beside_the_run(tmp_path, monkeypatch):
+    """Motions are not packed for other machines, and what a finished run's was like is."""
+    write_json(tmp_path / "run.json", {"status": "running", "seconds": 5.0})
+    monkeypatch.setattr(wholeness, "read_run", lambda run: run)
+    seen = {"least_volume_ratio": np.array([0.9, 0.4]), "fracture": np.array([0.0, 0.2])}
+    monkeypatch.setattr(wholeness, "watched", lambda run, body: seen)
+    found = {"least_volume_ratio": 0.4, "fracture": 0.2}
+    assert wholeness.worst(tmp_path, "a") == {}
+    (tmp_path / "trajectory.h5").touch()
+    assert wholeness.worst(tmp_path, "a") == found
+    assert not (tmp_path / wholeness.NOTE).exists()  # it goes on
+    write_json(tmp_path / "run.json", {"status": "iteration_limit", "seconds": 5.0})
+    assert wholeness.worst(tmp_path, "a") == found
+    (tmp_path / "trajectory.h5").unlink()
+    assert wholeness.worst(tmp_path, "a") == found
+    assert (tmp_path / wholeness.NOTE).suffix in kept.TEXT
+
+
+def test_volumes_that_are_no_numbers_are_not_whole():
+    table = {"fracture": np.zeros(2), "least_volume_ratio": np.array([0.5, np.nan])}
+    assert list(wholeness.checks(table, 2).values()) == [True, False]
 
 
 def test_a_table_comes_back(tmp_path):

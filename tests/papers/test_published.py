@@ -70,6 +70,8 @@ def test_what_fails_or_has_changed_is_not_reproduced(tmp_path):
     toy, table = Toy(COUNT), {"k": np.arange(3.0)}
     record = {"done": [1, 1], "failed": [], "works": identity([COUNT])}
     assert verdict_on(toy, table, Size.QUICK, record).judgement is Judgement.MET
+    missed = verdict_on(toy, {"k": np.zeros(2)}, Size.QUICK, record | {"failed": ["it blew up"]})
+    assert missed.judgement is Judgement.MISSED  # a failure makes nothing better
     failed = verdict_on(toy, table, Size.QUICK, record | {"failed": ["it blew up"]})
     assert failed.judgement is Judgement.PARTLY
     assert failed.checks["no run fails (1 did: it blew up)"] is False

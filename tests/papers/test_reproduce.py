@@ -171,6 +171,17 @@ def test_what_is_published_and_damaged_is_told_on_the_page(tmp_path, capsys):
         assert name in told
         assert name in page
     assert "3 damaged" in page
+    words = ["--only", "cq2_fig7", "cq2_fracture", "--out", str(tmp_path / "figures")]
+    assert command.main(["--judge", *words]) == 1  # the others are judged
+    told = capsys.readouterr().out
+    assert "cq2_fig7, quick: error: " in told
+    assert "cq2_fracture, quick: reproduced" in told
+    assert command.main(["--minutes", "0", "--unpublished", "--runs", str(tmp_path / "runs"), *words]) == 75
+    assert "1 figures, size quick" in capsys.readouterr().out  # what cannot be read is not published
+    record = tmp_path / "figures" / "quick" / "cq2_fig8.json"
+    record.write_text("{}")
+    assert command.main(["--page", "--out", str(tmp_path / "figures")]) == 1
+    assert "cq2_fig8.json: lacks verdict" in (tmp_path / "figures" / "README.md").read_text()
 
 
 def test_what_is_published_whole_may_be_left_out(two_figures, tmp_path, capsys):

@@ -13,12 +13,14 @@ from dataclasses import replace
 import pytest
 from toys import COUNT, TEAR
 
-from benchmarks.papers import rebuild
+from benchmarks.papers import rebuild, train_ppo
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Size
-from benchmarks.papers.process import ROOT, STOPPED, for_so_long
+from benchmarks.papers.process import HELD, ROOT, STOPPED, for_so_long
 from benchmarks.papers.work import CLOCK, DONE, WorkError
+from cqrun.errors import UsageError
 from cqrun.store.atomic import write_json
+from cqrun.store.lock import DirectoryLock
 
 
 def test_work_goes_on_where_it_stopped(tmp_path):
@@ -225,7 +227,11 @@ def test_more_parts_go_on(tmp_path):
     assert COUNT.done(folder) is not None
     more = replace(COUNT, parts=2)
     assert more.done(folder) is None
-    assert more.begun(folder)
+    (folder / "2.txt").unlink()  # what the next part writes
+    assert more.do(folder, 1.0, 1)
+    assert more.done(folder)["parts"] == 2
+    write_json(folder / DONE, {"fingerprint": more.fingerprint()})  # written before there were parts
+    assert more.done(folder) is not None
 
 
 def test_rows_of_two_engines_are_not_mixed(tmp_path, monkeypatch):
@@ -301,3 +307,18 @@ def test_killed_half_way_it_goes_on(tmp_path):
     assert first.stat().st_mtime_ns == stamp
     assert "reproduced" in done.stdout
     assert (tmp_path / "out" / "index.html").exists()
+
+
+def test_who_was_killed_may_train_on_alone_and_is_waited_for(tmp_path, monkeypatch):
+    """Its orphan holds the folder; what it has found by its end is not trained once more."""
+    learned = tmp_path / "finger-0.csv"
+    words = ["finger.yaml", "3", "0", str(learned), "measure of it"]
+    monkeypatch.setattr(train_ppo, "train_ppo", lambda *_: [0.5, 0.25])
+    lock = DirectoryLock(tmp_path)
+    with pytest.raises(UsageError, match=HELD):
+        train_ppo.main(words)
+    lock.release()
+    train_ppo.main(words)
+    assert learned.read_text() == "measure of it\n0.5\n0.25\n"
+    monkeypatch.setattr(train_ppo, "train_ppo", lambda *_: 1 / 0)
+    train_ppo.main(words)

@@ -1,6 +1,6 @@
 """CQ1 V-B: a biped learns to walk, by the gradient and by PPO."""
 
-from benchmarks.papers.figure import Size, Table, Verdict, judged
+from benchmarks.papers.figure import Size, Table, Verdict, lowered
 from benchmarks.papers.learners import CMA, GRADIENT, PPO, Learners
 
 
@@ -18,7 +18,7 @@ class BipedAgainstPPO(Learners):
     }
     left_open = (
         "time is counted in episodes: they cost the gradient about three times a plain rollout, by which CMA-ES is at "
-        "-.2 sooner. PPO was given 1,000 episodes, not four hours. Losses are means over "
+        "both thresholds sooner. PPO was given 1,000 episodes, not four hours. Losses are means over "
         "ten episodes; of CMA-ES every sixteen the best one counts, and after 2,400 it is lower (-.71 to -.86) than "
         "the gradient after its 100 (-.26 to -.63 without the mean)"
     )
@@ -41,7 +41,7 @@ class BipedAgainstPPO(Learners):
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge episodes; the paper's minutes and hours are not met with that."""
-        checks = dict(super().judge(table, size).checks)
-        if size is Size.PAPER:
-            checks["counted in minutes, PPO for more than 4 hours, as in the paper"] = False
-        return judged(checks)
+        verdict = super().judge(table, size)
+        if size is Size.QUICK:
+            return verdict
+        return lowered(verdict, {"counted in minutes, PPO for more than 4 hours, as in the paper": False})

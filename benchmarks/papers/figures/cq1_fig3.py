@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks.papers.figure import Size, Table, Verdict, judged
+from benchmarks.papers.figure import Size, Table, Verdict, judged, lowered
 from benchmarks.papers.frames import Frames
 from benchmarks.papers.wholeness import WHOLE, checks
 from benchmarks.papers.work import Runs
@@ -43,10 +43,8 @@ class LegActuated(Frames):
         """Judge how far the core bends: to the right, as the left chamber grows."""
         far = float(table["x"][-1] - table["x"][0])
         lasted = float(table["time"][-1])
-        return judged({
-            f"the core's middle moves {far:.2f} cm away in {lasted:g} s": far > 0.5,
-            **checks(table),
-        })  # fmt: skip
+        verdict = judged({f"the core's middle moves {far:.2f} cm away in {lasted:g} s": far > 0.5})
+        return lowered(verdict, checks(table))
 
 
 class LegDropped(Frames):
@@ -82,10 +80,10 @@ class LegDropped(Frames):
         lowest = int(y.argmin())
         back = float(y[lowest:].max() - y[lowest])
         pressed = float(table["least_volume_ratio"][~falling].min())
-        return judged({
+        verdict = judged({
             f"falls freely within {error:.2g} cm for .1 s": error < 0.05,
             f"is lowest after {time[lowest]:.3f} s, {y[0] - y[lowest]:.1f} cm lower": y[0] - y[lowest] > 14.0,
             f"is squeezed, to {pressed:.2f} of its volume where most": pressed < 0.95,
             f"springs back by {back:.2f} cm": back > 0.1,
-            **checks(table),
         })  # fmt: skip
+        return lowered(verdict, checks(table))

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from benchmarks.papers.figure import Size, Table, Verdict, judged
+from benchmarks.papers.figure import Size, Table, Verdict, judged, lowered
 from benchmarks.papers.frames import Frames
 from benchmarks.papers.learning import SINGLE
 from benchmarks.papers.wholeness import WHOLE, checks
@@ -43,7 +43,7 @@ class ToGoal(Frames):
         """Judge how near to the goal the head ends, and in how many pieces the body."""
         gap = np.linalg.norm(np.stack([table[axis] for axis in "xyz"], axis=1) - GOAL, axis=1)
         told = f"head to goal {gap[0]:.2f} -> {gap[-1]:.2f} m"
-        return judged({told: bool(gap[-1] < (gap[0] if size is Size.QUICK else NEAR))} | checks(table))
+        return lowered(judged({told: bool(gap[-1] < (gap[0] if size is Size.QUICK else NEAR))}), checks(table))
 
 
 class Quadruped(ToGoal):
