@@ -19,7 +19,7 @@ from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Figure, Size
 from benchmarks.papers.page import write_page
 from benchmarks.papers.process import FAILED, ROOT, STOPPED
-from benchmarks.papers.publish import data_of, is_complete, picture_of, publish_again, published
+from benchmarks.papers.publish import is_complete, publish_again, published, shown
 from benchmarks.papers.rebuild import Rebuild
 from benchmarks.papers.work import WorkError, span
 from cqrun.errors import CqrunError, UsageError
@@ -69,11 +69,7 @@ def main(words: Sequence[str] | None = None) -> int:
 def _is_published(figure: Figure, size: Size, out: Path) -> bool:
     """Say whether a figure is published whole; one that cannot be read is not."""
     try:
-        record = published(figure, size, out)
-        if record is not None:
-            data_of(figure, size, out, record)
-            picture_of(figure, size, out)
-        return is_complete(figure, size, record)
+        return is_complete(figure, size, shown(figure, size, out))
     except WorkError:
         return False
 

@@ -11,7 +11,7 @@ from jinja2 import Environment, StrictUndefined
 
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import OWN, Figure, Judgement, Size
-from benchmarks.papers.publish import data_of, picture_of, published
+from benchmarks.papers.publish import picture_of, shown
 from benchmarks.papers.work import WorkError
 from cqrun.store.atomic import make_directory, write_text
 
@@ -54,10 +54,7 @@ def _row(figure: Figure, out: Path) -> dict[str, Any]:
 
 def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
     try:
-        record = published(figure, size, out)
-        picture = "" if record is None else base64.b64encode(picture_of(figure, size, out)).decode()
-        if record is not None:
-            data_of(figure, size, out, record)
+        record = shown(figure, size, out)
     except WorkError as error:  # the other figures are shown
         return _empty(size, DAMAGED, "missed", str(error))
     if record is None:
@@ -69,7 +66,7 @@ def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
         "size": size.value,
         "verdict": judgement.value,
         "kind": KINDS[judgement],
-        "picture": picture,
+        "picture": base64.b64encode(picture_of(figure, size, out)).decode(),
         "error": "",
         "checks": record["checks"],
         "done": _done(record, judgement),

@@ -143,6 +143,19 @@ def published(figure: Figure, size: Size, out: Path) -> dict[str, Any] | None:
     return record
 
 
+def shown(figure: Figure, size: Size, out: Path) -> dict[str, Any] | None:
+    """Return the record of a figure that was published with all that belongs to it, or None.
+
+    Raises:
+        WorkError: the record cannot be read, or the CSV or the PNG is not there or not its own.
+    """
+    record = published(figure, size, out)
+    if record is not None:
+        data_of(figure, size, out, record)
+        picture_of(figure, size, out)
+    return record
+
+
 def data_of(figure: Figure, size: Size, out: Path, record: dict[str, Any]) -> Path:
     """Return the CSV of a figure that was published.
 

@@ -178,7 +178,8 @@ def _outweighs(record: dict[str, Any], works: Sequence[Work], runs: Path) -> str
     done = sum(work.done(runs / work.name) is not None for work in works)
     if (record["done"][0], before) <= (done, now):
         return ""
-    return f"was {span(before)} of work: it stays until there is more than that, and here are {span(now)}"
+    told = f"has {record['done'][0]} of {record['done'][1]} parts of the work done, {span(before)}"
+    return f"{told}: it stays until there is more, and here are {done} done, {span(now)}"
 
 
 def _line(error: Exception) -> str:

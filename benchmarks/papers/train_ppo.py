@@ -31,12 +31,13 @@ def main(words: Sequence[str]) -> None:
     scene, episodes, seed, file, head, *overrides = words
     kept = checkpoint_of(Path(file))
     lock = DirectoryLock(Path(file).parent)  # whoever began it may have been killed, and it goes on
-    if Path(file).exists():  # by then it had come to its end
-        return
-    losses = train_ppo(Path(scene), overrides, int(episodes), int(seed), kept)
-    write_text(Path(file), "\n".join([head, *(f"{loss:.6g}" for loss in losses)]) + "\n")
-    kept.unlink(missing_ok=True)
-    lock.release()
+    try:
+        if not Path(file).exists():  # it may have come to its end since
+            losses = train_ppo(Path(scene), overrides, int(episodes), int(seed), kept)
+            write_text(Path(file), "\n".join([head, *(f"{loss:.6g}" for loss in losses)]) + "\n")
+            kept.unlink(missing_ok=True)
+    finally:
+        lock.release()
 
 
 def checkpoint_of(file: Path) -> Path:

@@ -40,13 +40,11 @@ def worst(run: Path, body: str) -> dict[str, float]:
     It is noted beside the run, whose motion is not packed for other machines.
     """
     note = run / NOTE
-    if note.exists():
-        return dict(json.loads(note.read_text()))
     if not (run / "trajectory.h5").exists():
-        return {}
+        return dict(json.loads(note.read_text())) if note.exists() else {}
     seen = watched(read_run(run), body)
     found = {"least_volume_ratio": float(seen["least_volume_ratio"].min()), "fracture": float(seen["fracture"].max())}
-    if read_record(run)["status"] in FINISHED:
+    if read_record(run)["status"] in FINISHED and np.all(np.isfinite(list(found.values()))):
         write_json(note, found)
     return found
 

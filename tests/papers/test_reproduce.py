@@ -139,7 +139,10 @@ def test_a_small_part_is_not_written_over_a_larger_one(two_figures, tmp_path, ca
         toys["one"].works = (replace(toys["one"].works[0], told=f"count one{again}"),)
         shutil.rmtree(tmp_path / "runs")
         assert command.main([*words, "--only", "one"]) == 75
-        assert "was 50 min of work: it stays until there is more than that" in capsys.readouterr().out
+        assert (
+            "has 0 of 1 parts of the work done, 50 min: it stays until there is more, and here are 0 done"
+            in capsys.readouterr().out
+        )
         assert json.loads(record.read_text()) == told
     assert [command.main([*words, "--only", "one"]) for _ in range(2)] == [75, 0]  # the whole is more than any part
     assert json.loads(record.read_text())["done"] == [1, 1]
