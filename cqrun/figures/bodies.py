@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_DOTS = 40_000
-"""More particles than this are drawn thinned out, each dot larger."""
+"""More dots than this are drawn thinned out, each larger."""
 
 PANEL = 3.0
 """Width of a panel [inch]."""
@@ -63,7 +63,7 @@ def snapshots(frames: Frames, shown: Sequence[int] | None = None) -> list[Snapsh
     if count == 0:
         raise UsageError(f"{TRAJECTORY}: no frame in it yet, so there is nothing to draw")
     rest = frames.read("x", 0)
-    dots = Dots.of(rest, frames.bodies)
+    dots = Dots.of(rest, frames.bodies).thinned(rest, MOST_DOTS)
     return [
         Snapshot(float(frames.time[k]), x, np.sqrt(np.sum((x - rest) ** 2, axis=1)), dots, frames.provenance)
         for k in (sorted({0, count // 2, count - 1}) if shown is None else shown)
@@ -137,11 +137,10 @@ def plot_body(
     from matplotlib import colormaps
 
     x = shot.dots.positions(shot.x)
-    stride = -(-len(x) // MOST_DOTS)
-    order = far_to_near(x, look)[::stride]
+    order = far_to_near(x, look)
     if look.names:
         plot_held(axes, held(scene, look, corners, shot.x.mean(axis=0)), unit.factor)
-    size = unit.factor * stride ** (1.0 / scene.dim) * shot.dots.size[order]
+    size = unit.factor * shot.dots.size[order]
     dots = add_dots(axes, size, edge=0.15 if scene.dim == 3 else 0.0, cover=COVER_3D if scene.dim == 3 else COVER)
     dots.set_offsets(unit.factor * x[order] @ look.axes.T)
     dots.set_cmap(colormaps[AMOUNT_MAP].with_extremes(bad=PALE))

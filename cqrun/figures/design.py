@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.contract import Array
-from cqrun.figures.bodies import PANEL, Snapshot, farthest_frame, plot_body, snapshots, window_of
+from cqrun.figures.bodies import MOST_DOTS, PANEL, Snapshot, farthest_frame, plot_body, snapshots, window_of
 from cqrun.figures.colours import MATERIAL, material_of
 from cqrun.figures.dots import Dots
 from cqrun.figures.quantities import length_unit, shown_unit
@@ -67,7 +67,8 @@ def draw_shape(run: RunData) -> Figure:
     particles = sample(run.scene)
     x, _ = Geometry(run.scene, particles).at_rest({path: np.array(v) for path, v in _shape_before(run).items()})
     bodies = {name: particles.of(name) for name in run.scene.bodies}
-    before = Snapshot(0.0, x, np.zeros(len(x)), Dots.of(x, bodies), after.told)
+    dots = Dots.of(x, bodies).thinned(x, MOST_DOTS)
+    before = Snapshot(0.0, x, np.zeros(len(x)), dots, after.told)
     both = np.concatenate([before.x, after.x])
     looks = views(run.scene, both)
     windows = of_equal_width([window(both, look, room_around(both, after.dots.size)) for look in looks])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,6 +76,19 @@ class Dots:
             own = self.source[moved]
             out[moved] += self.place[moved, axis, None] * (x[self.beside[own, axis]] - x[own])
         return np.asarray(out)
+
+    def thinned(self, rest: Array, most: int) -> Dots:
+        """Return about `most` of these dots, each larger, if there are more; `rest` (N, D) is the undeformed body.
+
+        The first in every cell of a grid is kept: every so many in a row may be whole layers.
+        """
+        many, dim = len(self.source), rest.shape[1]
+        if many <= most:
+            return self
+        at, edge = self.positions(rest), float(np.median(self.size)) * (many / most) ** (1.0 / dim)
+        cells = np.floor((at - at.min(axis=0)) / edge).astype(int)
+        kept = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+        return replace(self, source=self.source[kept], size=np.maximum(self.size[kept], edge), place=self.place[kept])
 
 
 def _neighbours(own: Array) -> tuple[Array, Array, Array]:

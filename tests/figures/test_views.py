@@ -101,6 +101,23 @@ def test_dots_fill_a_lattice_evenly(counts, steps, each, size):
     assert (high <= x.max(axis=0) + half + 1e-12).all()
 
 
+@pytest.mark.parametrize("most", [500, 2000, 5000])
+def test_thinned_dots_leave_no_layer_out(most):
+    """A body of 20 x 20 x 20 that had lost layers seemed to have holes and eroded edges."""
+    x = lattice((20, 20, 20), (0.1, 0.1, 0.1))
+    dots = Dots.of(x, {"a": slice(0, len(x))})
+    few = dots.thinned(x, most)
+    assert 0.7 * most < len(few.source) < 1.6 * most
+    assert dots.thinned(x, 8000) is dots
+    at, reach = few.positions(x), few.size[0]
+    assert few.size.min() == few.size.max() > 0.1
+    np.testing.assert_allclose(len(x) * 0.1**3 / reach**3, most)  # as much volume
+    apart = np.sqrt(np.sum((x[:, None] - at[None]) ** 2, axis=2)).min(axis=1)
+    assert apart.max() <= np.sqrt(3) * reach
+    np.testing.assert_array_less(np.abs(at.min(axis=0) - x.min(axis=0)), 1e-12)
+    assert (x.max(axis=0) - at.max(axis=0)).max() < reach
+
+
 def test_bodies_have_dots_of_their_own_and_a_lone_particle_the_others(rng):
     grid = lattice((5, 5), (1.0, 1.0))
     x = np.concatenate([grid, 100 + 0.2 * grid, [[50.0, 50.0]]])
