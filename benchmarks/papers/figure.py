@@ -81,7 +81,8 @@ class Figure(ABC):
         title: what it shows.
         source: where in the papers.
         paper: what is printed there, in words and numbers.
-        tolerance: what is asked at each size for the verdict, fixed before any run.
+        tolerance: what is asked at each size for the verdict, declared before a run; of what was settled after runs
+            had been seen `left_open` tells.
         left_open: what the paper does not say and we chose, or why a number is not met; may be empty.
         needs_runs: its picture cannot be drawn from the table alone.
     """

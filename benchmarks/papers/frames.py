@@ -100,13 +100,14 @@ class Frames(Figure):
             dots.set_rasterized(True)  # thousands of them
             path = np.stack([table[axis] for axis in "xyz" if axis in table], axis=1)
             upto = table["time"] <= shot.time + 1e-9
-            axes.plot(*(unit.factor * (path @ look.axes.T)[upto]).T, color=COLOURS[1], lw=1.0)
+            (line,) = axes.plot(*(unit.factor * (path @ look.axes.T)[upto]).T, color=COLOURS[1], lw=1.0)
             axes.set_title(f"t = {shot.time:.3g} s")
-            axes.locator_params(axis="x", nbins=4 if self.columns < 5 else 1, min_n_ticks=1)
+            axes.locator_params(axis="x", nbins=4 if self.columns < 5 else 2, min_n_ticks=1)
             axes.set_xlabel(axes.get_xlabel().replace("(m)", f"[{self.unit}]"))
             axes.set_ylabel(axes.get_ylabel().replace("(m)", f"[{self.unit}]"))
         for axes in panels[self.count :]:
             axes.remove()
+        picture.legend([line], [f"path of the {self.group or self.body}'s middle"], loc="outside lower center")
         colours = picture.colorbar(dots, ax=list(panels[: self.count]), shrink=0.85, pad=0.015, aspect=28)
         colours.set_label(f"moved by [{self.unit}]")
         colours.outline.set_visible(False)

@@ -11,7 +11,7 @@ from jinja2 import Environment, StrictUndefined
 
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import OWN, Figure, Judgement, Size
-from benchmarks.papers.publish import picture_of, shown
+from benchmarks.papers.publish import is_as_asked, picture_of, shown
 from benchmarks.papers.work import WorkError
 from cqrun.store.atomic import make_directory, write_text
 
@@ -69,7 +69,7 @@ def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
         "picture": base64.b64encode(picture_of(figure, size, out)).decode(),
         "error": "",
         "checks": record["checks"],
-        "done": _done(record, judgement),
+        "done": _done(record, is_as_asked(figure, size, record)),
         "asked": record["asked"],
         "time": _time(sum(minutes.values())) if machines else "shown is what there is so far",
         "works": minutes,
@@ -83,12 +83,11 @@ def _empty(size: Size, verdict: str, kind: str, error: str) -> dict[str, Any]:
     return {"size": size.value, "verdict": verdict, "kind": kind, "picture": "", "works": {}, "error": error}
 
 
-def _done(record: dict[str, Any], judgement: Judgement) -> str:
-    """Return how much of the work is done, if not all is."""
+def _done(record: dict[str, Any], as_asked: bool) -> str:
+    """Return how much of the work is done, if not all is, and whether it is the work that is asked today."""
     done, whole = record["done"]
-    if done < whole:
-        return f"{done} of {whole} parts of the work are done"
-    return "what is asked has changed since" if judgement is Judgement.UNFINISHED else ""
+    told = [f"{done} of {whole} parts of the work are done"] if done < whole else []
+    return "; ".join(told if as_asked else [*told, "what is asked has changed since"])
 
 
 def _time(minutes: float) -> str:

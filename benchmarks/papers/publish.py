@@ -69,6 +69,11 @@ def is_complete(figure: Figure, size: Size, record: dict[str, Any] | None) -> bo
     """Say whether what was published is of the whole work, as that is today."""
     if record is None or record["done"][0] < record["done"][1]:
         return False
+    return is_as_asked(figure, size, record)
+
+
+def is_as_asked(figure: Figure, size: Size, record: dict[str, Any]) -> bool:
+    """Say whether the work of what was published, done or not, is what is asked today."""
     told = {name: {key: of[key] for key in ("command", "fingerprint")} for name, of in record["works"].items()}
     return told == identity(figure.work(size))
 

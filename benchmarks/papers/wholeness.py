@@ -18,6 +18,9 @@ from cqrun.store.run import FINISHED, read_record
 WHOLE = "the body stays whole and nowhere inside out"
 """What `checks` asks, in words."""
 
+BEST = "in each run's best motion "
+"""Put before that where distances are of the last motion: a run keeps its best one, which may be another."""
+
 NOTE = "whole.json"
 """Beside a run: how whole its bodies stay."""
 
@@ -49,17 +52,20 @@ def worst(run: Path, body: str) -> dict[str, float]:
     return found
 
 
-def checks(table: Mapping[str, Array], motions: int = 1) -> dict[str, bool]:
+def checks(table: Mapping[str, Array], motions: int = 1, which: str = "") -> dict[str, bool]:
     """Return the checks that bodies are of one piece and nowhere inside out, of so many motions in a table.
 
     Rows without numbers (NaN) are of no motion; where a table has fewer numbers than motions, some were not recorded.
+
+    Args:
+        which: says which motions they are.
     """
     torn = table.get("fracture", np.empty(0))
     seen = np.isfinite(torn)
     if np.count_nonzero(seen) < motions:
-        return {"whether the body stays whole was not recorded": False}
+        return {f"{which}whether the body stays whole was not recorded": False}
     most, least = float(torn[seen].max()), float(table["least_volume_ratio"][seen].min())  # NaN is not above nothing
     return {
-        f"the body stays whole: {most:.2%} of its neighbours part": most == 0.0,
+        f"{which}the body stays whole: {most:.2%} of its neighbours part": most == 0.0,
         f"nowhere is it inside out: volumes are {least:.2f} of their own at least": least > 0.0,
     }

@@ -15,6 +15,7 @@ import typer
 
 from cqrun import __version__
 from cqrun.cli.options import DEFAULT_OUT, Out
+from cqrun.fingerprint import engine_hash
 
 REQUIREMENT = re.compile(r"""^([A-Za-z0-9_.-]+)[^;]*(?:;.*extra\s*==\s*['"]([^'"]+)['"])?""")
 
@@ -54,6 +55,7 @@ def _machine() -> Iterator[tuple[str, str]]:
 
     memory = psutil.virtual_memory()
     yield "cqrun", __version__
+    yield "engine", engine_hash()
     yield "Python", f"{sys.version.split()[0]} on {platform.platform()}"
     yield "cores", f"{_cores()} usable, {psutil.cpu_count(logical=False)} physical in all"
     yield "load", " ".join(f"{value:.1f}" for value in psutil.getloadavg()) + " (1, 5, 15 minutes)"

@@ -67,8 +67,8 @@ def draw_shape(run: RunData) -> Figure:
     particles = sample(run.scene)
     x, _ = Geometry(run.scene, particles).at_rest({path: np.array(v) for path, v in _shape_before(run).items()})
     bodies = {name: particles.of(name) for name in run.scene.bodies}
-    dots = Dots.of(x, bodies).thinned(x, MOST_DOTS)
-    before = Snapshot(0.0, x, np.zeros(len(x)), dots, after.told)
+    fill = Dots.of(x, bodies).thinned(x, MOST_DOTS)
+    before = Snapshot(0.0, x, np.zeros(len(x)), fill, after.told)
     both = np.concatenate([before.x, after.x])
     looks = views(run.scene, both)
     windows = of_equal_width([window(both, look, room_around(both, after.dots.size)) for look in looks])

@@ -131,8 +131,11 @@ def whole_ticks(axis: Axis) -> None:
     axis.set_major_locator(MaxNLocator(nbins=6, integer=True))
 
 
-def clock_ticks(axis: Axis, iteration: Array, seconds: Array) -> str:
-    """Write the wall time [s] below each iteration; return the unit that it is written in."""
+def clock_ticks(axis: Axis, iteration: Array, seconds: Array, last: float = 0.0) -> str:
+    """Write the wall time [s] below each iteration; return the unit that it is written in.
+
+    Iterations beyond, up to `last`, have none.
+    """
     from matplotlib.ticker import FuncFormatter
 
     unit = time_unit(float(seconds[-1]))
@@ -140,7 +143,7 @@ def clock_ticks(axis: Axis, iteration: Array, seconds: Array) -> str:
 
     def text(tick: float, _: int) -> str:
         if not iteration[0] <= tick <= iteration[-1]:
-            return ""
+            return f"{tick:g}\n" if iteration[-1] < tick <= last else ""
         return f"{tick:g}\n{unit.factor * np.interp(tick, iteration, seconds):.{digits}f}"
 
     axis.set_major_formatter(FuncFormatter(text))

@@ -12,7 +12,7 @@ from cqrun.cli.doctor import REQUIREMENT, _unwritable
 def test_doctor_is_content_here(tmp_path):
     done = CliRunner().invoke(app, ["doctor", "--out", str(tmp_path / "not" / "yet")])
     assert done.exit_code == 0, done.output
-    for name in ("Python", "cores", "memory", "kernel cache", "results", "threads", "test kernel"):
+    for name in ("engine", "Python", "cores", "memory", "kernel cache", "results", "threads", "test kernel"):
         assert f"\n{name} " in done.output
     assert "right, " in done.output
     assert not (tmp_path / "not").exists()

@@ -104,7 +104,8 @@ def test_ablations_are_drawn_and_judged(figure, size):
     none = {name: column[table["variant"] != ORDER[-1]] for name, column in table.items()}
     assert figure.judge(none, size).judgement is Judgement.MISSED
     assert "wall time of 'all' [s]" in left.get_xlabel()
-    assert (right.get_legend() is not None) == (size is Size.PAPER)  # the printed values are of the paper's size
+    (told,) = right.get_legend().get_texts()
+    assert (told.get_text() == "paper") == (size is Size.PAPER)
 
 
 def test_a_part_of_an_ablation_is_of_the_runs_that_ended(tmp_path):

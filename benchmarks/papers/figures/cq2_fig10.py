@@ -22,9 +22,9 @@ class SwingingArm(Violations):
     }
     left_open = (
         "the control step, strength, goal, thresholds and sizes of the links; the solver, which is ours, and stalls "
-        "with neither fixed arm at either size; at paper size as it was while it also tried corrections that slopes "
-        "foresee to be of no use. Efforts still fall after 97 iterations, and how far depends on the way there: "
-        "without corrections they came to .095 and .128, a ratio of .742"
+        "with neither fixed arm at either size. The paper-size run is of the solver as it was before it left out "
+        "corrections that, to judge by the gradients, could not help. Efforts still fall after 97 iterations, and how "
+        "far depends on the way there: without corrections they came to .095 and .128, a ratio of .742"
     )
     scene = "codesign/arm_3d"
     modulus = "bodies.arm.material.elastic.neo_hookean.youngs_modulus"
@@ -48,5 +48,5 @@ class SwingingArm(Violations):
         checks = {f"co-design comes to {least:.2g}, wanted {self.tolerated:g}": least <= self.tolerated}
         checks |= self.stalls(table, "fixed 133 %", size)
         if size is Size.PAPER:
-            checks |= effort_ratio(self, table, "fixed 100 %", 0.75)
+            checks |= effort_ratio(self, table, "fixed 100 %", 0.75, 97)
         return judged(checks)

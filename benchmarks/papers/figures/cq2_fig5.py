@@ -50,7 +50,8 @@ class FingerMaterial(Figure):
     }
     left_open = (
         "the cables' places and stiffness, and the noise: .04 m is chosen for its floor to lie near the paper's loss, "
-        "which therefore is drawn and not judged. The paper's legend swaps mass and Poisson's ratio; here it is mended"
+        "which therefore is drawn and not judged; that nine tenths of its excess go was settled after the run. The "
+        "paper's legend swaps mass and Poisson's ratio; here it is mended"
     )
 
     def work(self, size: Size) -> Sequence[Work]:

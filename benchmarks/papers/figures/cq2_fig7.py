@@ -25,9 +25,9 @@ class Rhino(Distances):
         "10, 200 or 400 substeps"
     )
     scene, body = "control/rhino", "rhino"
-    final, interval, seconds = 0.85, (0.64, 1.07), 21.0
+    start, final, interval, seconds = 0.08, 0.85, (0.64, 1.07), 21.0
     variants = (
         Variant("pressure 2", {Size.QUICK: QUICK, Size.PAPER: SINGLE}, {Size.QUICK: 2, Size.PAPER: 3},
-                {Size.QUICK: 1.8, Size.PAPER: 55}),
-        Variant("half", {Size.PAPER: (*SINGLE, *_pressure(1))}, {Size.PAPER: 1}, {Size.PAPER: 17}),
+                {Size.QUICK: 1.8, Size.PAPER: 80}),
+        Variant("half", {Size.PAPER: (*SINGLE, *_pressure(1))}, {Size.PAPER: 1}, {Size.PAPER: 26}),
     )  # fmt: skip

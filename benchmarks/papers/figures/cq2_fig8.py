@@ -35,7 +35,7 @@ class TerrainBiped(Distances):
     )
     scene, body = "control/biped_terrain", "biped"
     iterations = 300
-    final, interval, seconds = 1.61, (1.50, 1.72), 20.0
+    start, final, interval, seconds = 0.0, 1.61, (1.50, 1.72), 20.0
     variants = (
         Variant("paper size", {Size.PAPER: SINGLE}, {Size.PAPER: 1}, {Size.PAPER: 320}),
         Variant("a quarter", {Size.QUICK: QUICK, Size.PAPER: (*SMALL, *SINGLE)}, {Size.QUICK: 2, Size.PAPER: 5},

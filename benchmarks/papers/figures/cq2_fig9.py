@@ -25,7 +25,7 @@ class Creature(Distances):
         "pressure)"
     )
     scene, body = "control/creature", "creature"
-    final, interval, seconds = 0.27, (0.06, 0.50), 38.0
+    start, final, interval, seconds = -0.25, 0.27, (0.06, 0.50), 38.0
     variants = (
         Variant("velocity .05", {Size.QUICK: QUICK, Size.PAPER: SINGLE}, {Size.QUICK: 2, Size.PAPER: 3},
                 {Size.QUICK: 2.7, Size.PAPER: 260}),

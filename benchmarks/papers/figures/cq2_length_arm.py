@@ -67,7 +67,7 @@ class LengthArm(Figure):
         distance.set_yscale("log")
         distance.set_ylabel("distance of the tip [m]")
         length.set_ylabel("length of the arm [m]")
-        length.legend(*distance.get_legend_handles_labels(), loc="center right")
+        picture.legend(*distance.get_legend_handles_labels(), loc="outside lower center", ncols=3)
         for axes in (distance, length):
             axes.set_xlabel("step")
         titled(distance, self.title)
