@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.collections import EllipseCollection
     from matplotlib.figure import Figure
 
-MOST_DOTS = 40_000
+MOST_DOTS = 150_000
 """More dots than this are drawn thinned out, each larger."""
 
 PANEL = 3.0
@@ -63,7 +63,7 @@ def snapshots(frames: Frames, shown: Sequence[int] | None = None) -> list[Snapsh
     if count == 0:
         raise UsageError(f"{TRAJECTORY}: no frame in it yet, so there is nothing to draw")
     rest = frames.read("x", 0)
-    dots = Dots.of(rest, frames.bodies).thinned(rest, MOST_DOTS)
+    dots = Dots.of(rest, frames.bodies).thinned(rest, frames.bodies, MOST_DOTS)
     return [
         Snapshot(float(frames.time[k]), x, np.sqrt(np.sum((x - rest) ** 2, axis=1)), dots, frames.provenance)
         for k in (sorted({0, count // 2, count - 1}) if shown is None else shown)

@@ -67,7 +67,7 @@ def draw_shape(run: RunData) -> Figure:
     particles = sample(run.scene)
     x, _ = Geometry(run.scene, particles).at_rest({path: np.array(v) for path, v in _shape_before(run).items()})
     bodies = {name: particles.of(name) for name in run.scene.bodies}
-    fill = Dots.of(x, bodies).thinned(x, MOST_DOTS)
+    fill = Dots.of(x, bodies).thinned(x, bodies, MOST_DOTS)
     before = Snapshot(0.0, x, np.zeros(len(x)), fill, after.told)
     both = np.concatenate([before.x, after.x])
     looks = views(run.scene, both)

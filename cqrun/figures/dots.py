@@ -77,18 +77,31 @@ class Dots:
             out[moved] += self.place[moved, axis, None] * (x[self.beside[own, axis]] - x[own])
         return np.asarray(out)
 
-    def thinned(self, rest: Array, most: int) -> Dots:
-        """Return about `most` of these dots, each larger, if there are more; `rest` (N, D) is the undeformed body.
+    def thinned(self, rest: Array, bodies: Mapping[str, slice], most: int) -> Dots:
+        """Return these dots, or where they are more than `most`, every second one, third one, ... along every axis.
 
-        The first in every cell of a grid is kept: every so many in a row may be whole layers.
+        Of dots from far to near every eighth would be drawn sooner, but those may be whole layers.
+
+        Args:
+            rest: undeformed particles (N, D).
         """
-        many, dim = len(self.source), rest.shape[1]
-        if many <= most:
+        at, step = self.positions(rest), max(1, int(np.ceil((len(self.source) / most) ** (1 / rest.shape[1]))) - 1)
+        parts = [slice(*np.searchsorted(self.source, (part.start, part.stop))) for part in bodies.values()]
+        kept = np.arange(len(at))
+        while len(kept) > max(most, len(bodies)):
+            step += 1
+            kept = np.concatenate([part.start + _one_a_cell(at[part], self.size[part], step) for part in parts])
+        if len(kept) == len(at):
             return self
-        at, edge = self.positions(rest), float(np.median(self.size)) * (many / most) ** (1.0 / dim)
-        cells = np.floor((at - at.min(axis=0)) / edge).astype(int)
-        kept = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-        return replace(self, source=self.source[kept], size=np.maximum(self.size[kept], edge), place=self.place[kept])
+        return replace(self, source=self.source[kept], size=step * self.size[kept], place=self.place[kept])
+
+
+def _one_a_cell(at: Array, size: Array, step: int) -> Array:
+    """Return the first dot of each cell of so many along every axis (K,), of a body's dots at (M, D)."""
+    if not len(at):
+        return np.empty(0, int)
+    place = (at - at.min(axis=0)) / np.median(size) + 0.5  # in the middle of [k, k + 1), however it is rounded
+    return np.sort(np.unique(np.floor(place / step).astype(int), axis=0, return_index=True)[1])
 
 
 def _neighbours(own: Array) -> tuple[Array, Array, Array]:

@@ -101,21 +101,37 @@ def test_dots_fill_a_lattice_evenly(counts, steps, each, size):
     assert (high <= x.max(axis=0) + half + 1e-12).all()
 
 
-@pytest.mark.parametrize("most", [500, 2000, 5000])
-def test_thinned_dots_leave_no_layer_out(most):
-    """A body of 20 x 20 x 20 that had lost layers seemed to have holes and eroded edges."""
-    x = lattice((20, 20, 20), (0.1, 0.1, 0.1))
-    dots = Dots.of(x, {"a": slice(0, len(x))})
-    few = dots.thinned(x, most)
-    assert 0.7 * most < len(few.source) < 1.6 * most
-    assert dots.thinned(x, 8000) is dots
-    at, reach = few.positions(x), few.size[0]
-    assert few.size.min() == few.size.max() > 0.1
-    np.testing.assert_allclose(len(x) * 0.1**3 / reach**3, most)  # as much volume
-    apart = np.sqrt(np.sum((x[:, None] - at[None]) ** 2, axis=2)).min(axis=1)
-    assert apart.max() <= np.sqrt(3) * reach
-    np.testing.assert_array_less(np.abs(at.min(axis=0) - x.min(axis=0)), 1e-12)
-    assert (x.max(axis=0) - at.max(axis=0)).max() < reach
+@pytest.mark.parametrize(
+    ("counts", "most", "step"),
+    [
+        ((20, 20, 20), 7999, 2), ((20, 20, 20), 1000, 2), ((20, 20, 20), 999, 3), ((7, 20, 3), 100, 2),
+        ((250, 199), 40_000, 2), ((90, 90, 1), 1000, 3), ((1, 500, 1), 100, 5),
+    ],
+)  # fmt: skip
+def test_thinned_dots_are_as_far_apart_as_they_are_large(counts, most, step):
+    """A body that had lost whole layers seemed to have holes, seams and eroded edges."""
+    x = lattice(counts, (0.1,) * len(counts))
+    parts = {"a": slice(0, len(x))}
+    dots = Dots.of(x, parts)
+    assert dots.thinned(x, parts, len(x)) is dots
+    few = dots.thinned(x, parts, most)
+    np.testing.assert_allclose(few.size, step * 0.1)
+    at = few.positions(x)
+    assert len(at) == np.prod([-(-n // step) for n in counts]) <= most
+    for axis, n in enumerate(counts):
+        np.testing.assert_allclose(np.unique(at[:, axis].round(9)), 0.1 * np.arange(0, n, step))
+
+
+def test_every_body_keeps_its_share_of_the_dots():
+    """One grid for all took the dots of fine bodies, and of a skin that rests on another."""
+    fine, skin, coarse = (lattice(n, (h, h)) for n, h in (((60, 60), 0.01), ((60, 1), 0.01), ((40, 40), 0.1)))
+    x = np.concatenate([fine, skin - [0, 0.01], 100 + coarse])
+    parts = {"fine": slice(0, 3600), "skin": slice(3600, 3660), "coarse": slice(3660, 5260)}
+    few = Dots.of(x, parts).thinned(x, parts, 1400)
+    held = [np.count_nonzero((few.source >= part.start) & (few.source < part.stop)) for part in parts.values()]
+    assert held == [900, 30, 400]
+    np.testing.assert_allclose(few.size, np.repeat([0.02, 0.02, 0.2], held))
+    assert len(Dots.of(x, parts).thinned(x, parts, 1).source) == 3  # one a body is left
 
 
 def test_bodies_have_dots_of_their_own_and_a_lone_particle_the_others(rng):
