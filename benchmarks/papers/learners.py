@@ -19,25 +19,22 @@ import numpy as np
 
 from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.histories import first_below, runs_below, smooth
-from benchmarks.papers.measurement import Measurement
+from benchmarks.papers.measurement import REMARK, Measurement
 from benchmarks.papers.process import STOPPED, when_free
 from benchmarks.papers.train_ppo import checkpoint_of, episodes_in
 from benchmarks.papers.work import SCENES, Found, Runs, Work, WorkError
 from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, new_figure, titled
-from cqrun.store.atomic import write_text
+from cqrun.store.atomic import write_json, write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-KEPT_TOLD = (
-    "Where PPO's part of the time is nothing, its curves are the committed ones (benchmarks/papers/ppo), as they are "
-    "wherever stable-baselines3, of the extra rl, is not installed"
-)
-"""For the notes: what `_ppo` does without the extra."""
-
 KEPT = Path(__file__).with_name("ppo")
 """Curves of PPO that are committed: SIZE/SCENE-SEED.csv, headed by the fingerprint of the work that they are of."""
+
+COMMITTED = "committed curves, the time of their training not counted"
+"""Said of PPO where it was not trained."""
 
 GRADIENT, CMA, PPO = "gradient", "CMA-ES", "PPO"
 
@@ -122,6 +119,7 @@ class Learners(Figure):
             kept = KEPT / size / file.name
             if not has_extra and kept.exists() and kept.read_text().startswith(f"{head}\n"):
                 print("    PPO: stable_baselines3 is absent, and the curve that is committed is taken")
+                write_json(folder / REMARK, COMMITTED)
                 write_text(file, kept.read_text())
             elif not has_extra:
                 raise WorkError("PPO is left out: it needs stable_baselines3, which is absent: pip install 'cqrun[rl]'")
@@ -231,25 +229,28 @@ class Learners(Figure):
         wanted, other = (self.printed_end(method) for method in (GRADIENT, PPO))
         if wanted is None:
             return {}
-        ours = self.end(table, GRADIENT)
+        last = self.episodes[GRADIENT][Size.PAPER]
+        ours, theirs = (self.after(table, method, last) for method in (GRADIENT, PPO))
         seeds = np.unique(table["seed"][table["method"] == GRADIENT])
-        told = f"in the end {ours:.2g} (median of {len(seeds)} seeds), paper {wanted:g}"
+        told = f"after {last} episodes {ours:.2g} (median of {len(seeds)} seeds), paper {wanted:g}"
         checks = {told: ours <= 1.1 * wanted}
         if other is not None and wanted < other and PPO in table["method"]:
-            theirs = self.end(table, PPO)
             checks[f"nearer than PPO: {ours:.2g} and {theirs:.2g}, paper {wanted:g} and {other:g}"] = ours < theirs
         return checks
 
     def _exceeds(self, table: Table) -> bool:
         """Say whether the gradient does better by more than a tenth than each of the paper's numbers, if it has any."""
         pairs = [(self.episodes_to(table, GRADIENT, each), self.allowed(each)) for each in self.thresholds]
-        pairs.append((self.end(table, GRADIENT), self.printed_end(GRADIENT)))
+        pairs.append((self.after(table, GRADIENT, self.episodes[GRADIENT][Size.PAPER]), self.printed_end(GRADIENT)))
         printed = [(ours, theirs) for ours, theirs in pairs if theirs is not None]
         return bool(printed) and all(ours < 0.9 * theirs for ours, theirs in printed)
 
-    def end(self, table: Table, method: str) -> float:
-        """Return the median over seeds of the last measure."""
-        return float(np.median([measure[-1] for _, measure in self.smoothed(table)[method]]))
+    def after(self, table: Table, method: str, episodes: int) -> float:
+        """Return the median over seeds of the measure after so many episodes; NaN where one has fewer, or none is."""
+        seeds = self.smoothed(table).get(method, [])
+        if not seeds or any(each[-1] < episodes for each, _ in seeds):
+            return np.nan
+        return float(np.median([measure[each <= episodes][-1] for each, measure in seeds]))
 
     def printed_end(self, method: str) -> float | None:
         """Return where the paper's curve of a method ends, if that is printed: its point at the last episode."""

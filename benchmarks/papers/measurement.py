@@ -14,6 +14,9 @@ import yaml
 from benchmarks.papers.work import Work, digest
 from cqrun.fingerprint import engine_hash
 
+REMARK = "remark.json"
+"""In the folder of a measurement: what is to be said beside its time, if anything."""
+
 
 @dataclass(frozen=True)
 class Measurement(Work):
@@ -53,6 +56,11 @@ class Measurement(Work):
         """Return what `done.json` says, or None where this is not done, or fewer parts of it."""
         facts = super().done(folder)
         return facts if facts is not None and facts.get("parts", self.parts) >= self.parts else None
+
+    def remark(self, folder: Path) -> str:
+        """Return what is to be said beside its time."""
+        file = folder / REMARK
+        return str(json.loads(file.read_text())) if file.exists() else ""
 
     def facts(self) -> dict[str, Any]:
         """Return the command and its parts."""

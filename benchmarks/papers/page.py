@@ -71,7 +71,7 @@ def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
         "checks": record["checks"],
         "done": _done(record, is_as_asked(figure, size, record)),
         "asked": record["asked"],
-        "time": _time(sum(minutes.values())) if machines else "shown is what there is so far",
+        "time": _time(sum(minutes.values())) + _remarks(record) if machines else "shown is what there is so far",
         "works": minutes,
         "machine": ", and ".join(sorted(machines)),
         "engine": ", ".join(record["engine"]),
@@ -88,6 +88,12 @@ def _done(record: dict[str, Any], as_asked: bool) -> str:
     done, whole = record["done"]
     told = [f"{done} of {whole} parts of the work are done"] if done < whole else []
     return "; ".join(told if as_asked else [*told, "what is asked has changed since"])
+
+
+def _remarks(record: dict[str, Any]) -> str:
+    """Return what is to be said beside the time."""
+    told = (f"{name}: {work['remark']}" for name, work in record["works"].items() if work.get("remark"))
+    return "".join(f" ({each})" for each in told)
 
 
 def _time(minutes: float) -> str:

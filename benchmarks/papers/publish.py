@@ -46,7 +46,7 @@ def publish(figure: Figure, size: Size, runs: Path, out: Path) -> Verdict | None
         "done": [len(done), len(works)],
         "failed": [reason for work in works if work.name in done for reason in work.failures(runs / work.name)],
         "works": {
-            name: of | {"minutes": work.spent(runs / name) / 60.0}
+            name: of | {"minutes": work.spent(runs / name) / 60.0, "remark": work.remark(runs / name)}
             for work, (name, of) in zip(works, identity(works).items(), strict=True)
         },
         "engine": sorted({work.engine(found[work.name]) for work in works if work.name in found}),

@@ -61,17 +61,22 @@ def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int, k
     import cqrun
 
     class Remembering(gymnasium.Wrapper[Any, Any, Any, Any]):
-        """Keeps what an episode's goals were drawn with, so that it can be begun again."""
+        """Keeps what an episode's goals were drawn with, and what was done in it, so that it can be begun again."""
 
         drawn_with: Any = None
 
         def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
             if seed is None:
                 self.drawn_with = copy.deepcopy(self.unwrapped.np_random.bit_generator.state)
+            self.acted: list[Any] = []
             return super().reset(seed=seed, options=options)
 
+        def step(self, action: Any) -> Any:
+            self.acted.append(np.array(action))
+            return super().step(action)
+
     class Keep(BaseCallback):
-        """Counts episodes, and writes a checkpoint where one has just begun."""
+        """Counts episodes, and writes a checkpoint after every ten."""
 
         def _on_step(self) -> bool:
             over = zip(self.locals["dones"], self.locals["infos"], strict=True)
@@ -79,16 +84,16 @@ def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int, k
             return len(losses) < episodes
 
         def _on_rollout_start(self) -> None:
-            if world.drawn_with is not None and own.control == 0:  # an episode that blew up shifts the next ones
+            if world.drawn_with is not None:
                 write_bytes(kept, pickle.dumps(state()))
 
     def state() -> dict[str, Any]:
         networks = io.BytesIO()
         model.save(networks)
         return {
-            "losses": losses, "networks": networks.getvalue(), "scales": pickle.dumps(env),
+            "losses": losses, "networks": networks.getvalue(), "scales": pickle.dumps(env), "returns": env.returns,
             "random": (torch.get_rng_state().numpy(), np.random.get_state(), random.getstate()),  # noqa: NPY002
-            "world": (world.drawn_with, own.least, own.most),
+            "world": (world.drawn_with, world.acted, own.least, own.most),
         }  # fmt: skip
 
     torch.set_num_threads(1)
@@ -109,17 +114,24 @@ def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int, k
 
 
 def _taken_up(told: dict[str, Any], worlds: Any, world: Any) -> tuple[Any, Any]:
-    """Return networks and scaled worlds as a checkpoint has them; put random numbers and the episode back."""
+    """Return networks and scaled worlds as a checkpoint has them; put random numbers and the episode back.
+
+    Where one blew up, the next ones are not begun with an update of the networks: such an episode is acted once more.
+    """
     import torch
     from stable_baselines3 import PPO
 
     env = pickle.loads(told["scales"])
     env.set_venv(worlds)
+    env.returns = told["returns"]  # which are not among what it pickles
     model = PPO.load(io.BytesIO(told["networks"]), env=env, device="cpu", force_reset=False)
     worlds.reset()  # takes the seed that loading has left for it
     own = world.unwrapped
-    own.np_random.bit_generator.state, own.least, own.most = told["world"]
+    own.np_random.bit_generator.state, acted, least, most = told["world"]
     world.reset()
+    for action in acted:
+        world.step(action)
+    own.least, own.most = least, most
     torch.set_rng_state(torch.from_numpy(told["random"][0]))
     np.random.set_state(told["random"][1])  # noqa: NPY002  what stable-baselines3 draws from
     random.setstate(told["random"][2])

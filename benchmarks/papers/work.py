@@ -88,6 +88,10 @@ class Work(ABC):
         """Return what `done.json` tells besides how it was done."""
         return {"command": self.command}
 
+    def remark(self, folder: Path) -> str:
+        """Return what is to be said beside its time, if anything."""
+        return ""
+
     def failures(self, folder: Path) -> list[str]:
         """Return what of it failed, in words."""
         return []
@@ -304,6 +308,10 @@ class Runs(Work):
         histories = [file.read_text().count("\n") - 2 for file in folder.rglob("history.csv")]
         runs = f"{len(self.runs(folder))} run{'s' if len(self.runs(folder)) != 1 else ''} begun"
         return f"{runs}, {sum(max(0, count) for count in histories)} iterations" if histories else runs
+
+    def remark(self, folder: Path) -> str:
+        """Return what is to be said beside its time, if anything."""
+        return ""
 
     def failures(self, folder: Path) -> list[str]:
         """Return why runs of it failed, which is a result too."""

@@ -134,9 +134,9 @@ def whole_ticks(axis: Axis) -> None:
 def clock_ticks(axis: Axis, iteration: Array, seconds: Array, last: float = 0.0) -> str:
     """Write the wall time [s] below each iteration; return the unit that it is written in.
 
-    Iterations beyond, up to `last`, have none.
+    An axis that goes on to `last` has a tick there, without a time, and one where the iterations end.
     """
-    from matplotlib.ticker import FuncFormatter
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
 
     unit = time_unit(float(seconds[-1]))
     digits = 0 if unit.factor * float(seconds[-1] - seconds[0]) >= 10 else 1
@@ -146,6 +146,9 @@ def clock_ticks(axis: Axis, iteration: Array, seconds: Array, last: float = 0.0)
             return f"{tick:g}\n" if iteration[-1] < tick <= last else ""
         return f"{tick:g}\n{unit.factor * np.interp(tick, iteration, seconds):.{digits}f}"
 
+    if last > iteration[-1]:
+        few = MaxNLocator(max(1, round(5 * iteration[-1] / last)), integer=True).tick_values(*iteration[[0, -1]])
+        axis.set_ticks([*(tick for tick in few if tick < 0.9 * iteration[-1]), iteration[-1], last])
     axis.set_major_formatter(FuncFormatter(text))
     return unit.name
 

@@ -52,7 +52,12 @@ def test_distances_are_drawn_and_judged(figure, size):
     stood = {**table, "value": 0.0 * table["value"]}  # and stays whole, which does not make up for it
     assert figure.judge(stood, size).judgement is Judgement.MISSED
     with styled():
-        assert figure.draw(table, size, {}).axes
+        (axes,) = figure.draw(table, size, {}).axes
+    ticks = {tick: label.get_text() for tick, label in zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)}
+    assert ticks[2] == f"2\n{18 if axes.get_xlabel().endswith('[s]') else 0.3}"  # where ours end
+    assert ticks[figure.iterations] == f"{figure.iterations}\n"
+    marks = next(line for line in axes.lines if line.get_label().startswith("paper, after"))
+    assert list(marks.get_ydata()) == [figure.start, figure.final]
 
 
 @pytest.mark.parametrize(

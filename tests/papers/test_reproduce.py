@@ -16,7 +16,8 @@ from benchmarks.papers import __main__ as command
 from benchmarks.papers import rebuild
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Size
-from benchmarks.papers.page import write_page
+from benchmarks.papers.learners import COMMITTED
+from benchmarks.papers.page import _remarks, write_page
 from benchmarks.papers.process import ROOT
 from benchmarks.papers.work import WorkError
 
@@ -213,6 +214,10 @@ def test_committed_curves_of_ppo_are_of_the_work_that_they_are_taken_for(tmp_pat
     monkeypatch.setattr("benchmarks.papers.learners.importlib.util.find_spec", lambda name: None)
     *_, ppo = finger.work(Size.QUICK)
     assert ppo.do(tmp_path / "a", 1.0, 1)
+    assert ppo.remark(tmp_path / "a") == COMMITTED
+    assert _remarks({"works": {"a": {"remark": ppo.remark(tmp_path / "a")}, "b": {"remark": ""}, "c": {}}}) == (
+        f" (a: {COMMITTED})"
+    )
     monkeypatch.setattr(type(finger), "squared", "")
     *_, other = finger.work(Size.QUICK)
     with pytest.raises(WorkError, match="PPO is left out: it needs stable_baselines3"):

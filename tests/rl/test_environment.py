@@ -163,7 +163,9 @@ def test_ppo_learns_on_it(env):
 
 def test_ppo_of_the_figures_learns_the_same_whatever_runs_beside_it(tmp_path):
     """Two in one process shared torch's random numbers; each has a process of its own."""
-    files = [tmp_path / f"{k}.csv" for k in range(3)]
+    files = [tmp_path / str(k) / "curve.csv" for k in range(3)]  # one trainer works in a folder
+    for file in files:
+        file.parent.mkdir()
     words = [sys.executable, "-m", "benchmarks.papers.train_ppo", FINGER, "25"]
     children = [
         subprocess.Popen([*words, seed, str(file), "head", *SMALL, "objective.tip.reach.squared=false"])

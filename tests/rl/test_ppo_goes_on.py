@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.papers import train_ppo as training
+from cqrun.jobs.environment import SceneEnvironment
 from cqrun.store.atomic import write_bytes
 
 pytestmark = pytest.mark.rl
@@ -18,8 +20,32 @@ class Killed(Exception):
     pass
 
 
+@pytest.fixture
+def explosive(monkeypatch):
+    """Robots that blow up in the third step, where the goal lies to the right."""
+    step = SceneEnvironment.step
+
+    def explode(self, action):
+        if self.control != 2 or np.ravel(self.goals["target"])[0] < 0.5:
+            return step(self, action)
+        self.over = True
+        return self.seen, self._reward_of_a_blow_up(), True, False, {"failed": "blew up", "loss": self.loss}
+
+    monkeypatch.setattr(SceneEnvironment, "step", explode)
+
+
 @pytest.mark.parametrize("after", [1, 2])
 def test_killed_and_begun_again_it_finds_the_same(tmp_path, monkeypatch, after):
+    finds_the_same(tmp_path, monkeypatch, after)
+
+
+@pytest.mark.parametrize("after", [1, 2])
+def test_an_episode_that_was_cut_short_does_not_end_checkpoints(tmp_path, monkeypatch, explosive, after):
+    """The next ones begin between two updates of the networks, and were not kept any more."""
+    finds_the_same(tmp_path, monkeypatch, after)
+
+
+def finds_the_same(tmp_path, monkeypatch, after):
     whole = training.train_ppo(SCENE, SMALL, 40, 3, tmp_path / "whole.checkpoint")
     written = []
 

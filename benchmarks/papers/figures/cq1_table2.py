@@ -55,7 +55,7 @@ class Speed(Figure):
     }
     left_open = (
         "CQ1's CUDA code had a GPU with 11 TFLOP/s; two cores are not asked to be as fast, and are not: in float64 it "
-        "is 5 to 22 times as fast, most so with 512,000 particles backward. Flex, which moves points and has no "
+        "is 3 to 22 times as fast, most so with 512,000 particles backward. Flex, which moves points and has no "
         "gradient, takes 6 ms for 61,238; two cores 9.8 for 64,000 in float64, and 6.2 in float32. How the passes came "
         "to be as fast as they are, and what did not help, is in decision 001"
     )

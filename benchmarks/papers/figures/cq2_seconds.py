@@ -59,14 +59,15 @@ class Seconds(Figure):
         Size.PAPER: "on two cores in float32, no slower than the paper's GPU",
     }
     left_open = (
-        "seconds are wall time over iterations, read off the figures' upper axes. Ours depend on the host and its "
-        "day: these are of one with AVX2, which on a slow day took 4.85, 15.4, 76.7, 46.2, 2.93, 11.5, 15.8 and 19.0 "
-        "s. One with AVX-512 took 1.8, 6.7, 47, 24, 1.2, 5.9, 9.3 and 10.3 s, the last four with finer cells than "
-        "they have now (1/64 the biped's, 1/30 the others'). benchmarks/measured/profiles says what takes the time of "
-        "the last three, pass by pass, on the host of this table (cqrun bench SCENE -o precision=float32 -o "
-        "memory=8GiB --threads 2 --output FILE): most of a gradient is the two passes that gather from nodes, with "
-        "the material law in the one, and the two that scatter to them. Of the hills' 20,000 substeps, .8 are run "
-        "twice, for their states do not fit"
+        "seconds are wall time over iterations, read off the figures' upper axes. Those extrapolated from quick size "
+        "are up to half above those at the paper's, and only their order is judged (settled after the runs). Ours "
+        "depend on the host and its day: these are of one with AVX2, which on a slow day took 4.85, 15.4, 76.7, 46.2, "
+        "2.93, 11.5, 15.8 and 19.0 s. One with AVX-512 took 1.8, 6.7, 47, 24, 1.2, 5.9, 9.3 and 10.3 s, the last four "
+        "with finer cells than they have now (1/64 the biped's, 1/30 the others'). benchmarks/measured/profiles says "
+        "what takes the time of the last three, pass by pass, on the host of this table (cqrun bench SCENE -o "
+        "precision=float32 -o memory=8GiB --threads 2 --output FILE): most of a gradient is the two passes that "
+        "gather from nodes, with the material law in the one, and the two that scatter to them. Of the hills' 20,000 "
+        "substeps, .8 are run twice, for their states do not fit"
     )
 
     def work(self, size: Size) -> Sequence[Work]:
@@ -99,7 +100,7 @@ class Seconds(Figure):
         axes = picture.add_subplot()
         at = np.arange(len(table["robot"]))
         ours = table["seconds"] if size is Size.PAPER else _whole(table)
-        told = "" if size is Size.PAPER else ", for the paper's particles and substeps"
+        told = "" if size is Size.PAPER else ", extrapolated to the paper's size"
         axes.bar(at, ours, 0.6, color=COLOURS[0], label=f"cqrun, two cores, float32{told}")
         axes.plot(at, table["printed"], "D", color=INK, mec="white", ms=7, label="paper, GTX 1080")
         axes.set_xticks(at, [str(robot).replace("_", "\n") for robot in table["robot"]], fontsize=8)
