@@ -83,8 +83,8 @@ class WideGoal(Learners):
     )
     tolerance = TOLERANCE
     left_open = (
-        "CQ1's descent is slower here; Adam at .03 is used instead. All seeds see the same goals. One seed of ten stays "
-        f"at .011. Our PPO, too, needs fewer episodes than the paper's, and ends nearer. {SETTLED}"
+        "CQ1's descent is slower here; Adam at .03 is used instead. All seeds see the same goals. One seed of ten "
+        f"stays at .011. Our PPO, too, needs fewer episodes than the paper's, and ends nearer. {SETTLED}"
     )
     scene, label, optimizer, small = "control/finger_wide", "distance of the tip [m]", "adam", SMALL
     episodes = {GRADIENT: {Size.QUICK: 200, Size.PAPER: 3500}, PPO: {Size.QUICK: 600, Size.PAPER: 3500}}
