@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks.papers import train_ppo as training
-from cqrun.jobs.environment import SceneEnvironment
 from cqrun.store.atomic import write_bytes
 
 pytestmark = pytest.mark.rl
@@ -23,6 +22,8 @@ class Killed(Exception):
 @pytest.fixture
 def explosive(monkeypatch):
     """Robots that blow up in the third step, where the goal lies to the right."""
+    from cqrun.jobs.environment import SceneEnvironment  # of the extra rl
+
     step = SceneEnvironment.step
 
     def explode(self, action):
