@@ -309,10 +309,6 @@ class Runs(Work):
         runs = f"{len(self.runs(folder))} run{'s' if len(self.runs(folder)) != 1 else ''} begun"
         return f"{runs}, {sum(max(0, count) for count in histories)} iterations" if histories else runs
 
-    def remark(self, folder: Path) -> str:
-        """Return what is to be said beside its time, if anything."""
-        return ""
-
     def failures(self, folder: Path) -> list[str]:
         """Return why runs of it failed, which is a result too."""
         records = [read_record(run) for run in self.runs(folder)]
