@@ -15,11 +15,11 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from benchmarks.interval_coverage import Memory
+from cqrun.build.model import build
 from cqrun.fingerprint import engine_hash
-from cqrun.jobs.cases import make_cases
-from cqrun.jobs.problem import FitProblem
-from cqrun.jobs.unknowns import make_params
-from cqrun.scene.build import build
+from cqrun.fitting.cases import make_cases
+from cqrun.fitting.problem import FitProblem
+from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
 

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.build.model import build
 from cqrun.fingerprint import engine_hash
-from cqrun.jobs.cases import make_cases
-from cqrun.jobs.findings import find_jacobian, list_unknowns
-from cqrun.jobs.problem import FitProblem
-from cqrun.jobs.runs import cores
-from cqrun.jobs.unknowns import make_params
-from cqrun.objectives.uncertainty import intervals
-from cqrun.scene.build import build
+from cqrun.fitting.cases import make_cases
+from cqrun.fitting.findings import find_jacobian, list_unknowns
+from cqrun.fitting.problem import FitProblem
+from cqrun.fitting.uncertainty import intervals
+from cqrun.running.threads import cores
+from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
 

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.build.model import build
 from cqrun.fingerprint import engine_hash
-from cqrun.jobs.cases import make_cases
-from cqrun.jobs.runs import cores
+from cqrun.fitting.cases import make_cases
 from cqrun.jobs.sysid import run_sysid
-from cqrun.scene.build import build
+from cqrun.running.threads import cores
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
 

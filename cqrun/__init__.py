@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from cqrun.fingerprint import set_kernel_cache
+from cqrun.version import __version__
 
 if TYPE_CHECKING:
     from cqrun.jobs.api import load as load
-    from cqrun.jobs.environment import environment as environment
+    from cqrun.learning.environment import environment as environment
 
-__version__ = "0.1.0"
 __all__ = ["__version__", "environment", "load"]
 
 set_kernel_cache()  # here, because numba reads its cache folder when it is first imported
@@ -27,7 +27,7 @@ def __getattr__(name: str) -> Any:
 
         return load
     if name == "environment":
-        from cqrun.jobs.environment import environment
+        from cqrun.learning.environment import environment
 
         return environment
     raise AttributeError(f"module 'cqrun' has no attribute '{name}'")

@@ -15,14 +15,8 @@ from importlib import metadata
 from pathlib import Path
 
 KERNELS = (
-    "tensor.py",
-    "polar.py",
-    "lanes.py",
-    "packed.py",
-    "records.py",
-    "wide_records.py",
+    "numerics",
     "state.py",
-    "compile.py",
     "materials",
     "actuators",
     "boundaries",
@@ -40,8 +34,8 @@ NUMERIC = (
     "objectives",
     "optimizers",
     "scene",
-    "choice.py",
-    "contract.py",
+    "build",
+    "plugin",
     "units.py",
     "store/alignment.py",
     "store/c3d.py",
@@ -49,21 +43,16 @@ NUMERIC = (
     "store/recorded_trajectory.py",
     "store/recordings.py",
     "store/synthetic.py",
-    "jobs/agent.py",
-    "jobs/cases.py",
+    "running/gradient_memory.py",
+    "running/side_by_side.py",
+    "running/unknowns.py",
+    "fitting",
+    "learning",
     "jobs/control.py",
-    "jobs/episodes.py",
-    "jobs/findings.py",
     "jobs/gradcheck.py",
-    "jobs/learned.py",
     "jobs/checked_losses.py",
-    "jobs/memory.py",
-    "jobs/problem.py",
-    "jobs/replay.py",
-    "jobs/side_by_side.py",
     "jobs/simulate.py",
     "jobs/sysid.py",
-    "jobs/unknowns.py",
 )
 """Files and folders whose sources can change a number of a run."""
 
@@ -156,5 +145,5 @@ def has_kernels(source: bytes) -> bool:
 def add_kernels(module: str) -> None:
     """Keep kernels apart from now on that know of a module outside the package; its name changes with its content."""
     _FOREIGN.add(module)
-    if "cqrun.compile" in sys.modules:
-        sys.modules["cqrun.compile"].cache_kernels_in(set_kernel_cache())
+    if "cqrun.numerics.compile" in sys.modules:
+        sys.modules["cqrun.numerics.compile"].cache_kernels_in(set_kernel_cache())

@@ -25,8 +25,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cqrun.contract import Array
-from cqrun.packed import pack, unpack
+from cqrun.numerics.packed import pack, unpack
+from cqrun.plugin.contract import Array
 
 PADDING = 16
 """Bodies are padded to whole lanes of any precision, on any processor."""

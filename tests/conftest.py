@@ -17,7 +17,7 @@ np.seterr(all="raise", under="ignore")
 def _threads_for_few_particles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let as many threads take part as a test asks for, however small its robot."""
     for worth in ("THREAD_WORTH", "CALL_WORTH"):
-        monkeypatch.setattr(f"cqrun.engine.rollout.{worth}", 1)
+        monkeypatch.setattr(f"cqrun.engine.forward_run.{worth}", 1)
 
 
 @pytest.fixture

@@ -8,7 +8,9 @@ from importlib.util import find_spec
 
 import pytest
 
-from cqrun import compile, fingerprint, registry
+from cqrun import fingerprint
+from cqrun.numerics import compile
+from cqrun.plugin import registry
 from cqrun.scene import plugin_files
 
 DISC = '''\
@@ -16,9 +18,9 @@ DISC = '''\
 
 import numpy as np
 
-from cqrun.contract import quantity, vector
+from cqrun.plugin.contract import quantity, vector
 from cqrun.geometry.shape import Shape
-from cqrun.registry import plugin
+from cqrun.plugin.registry import plugin
 
 
 @plugin("shape", "disc")

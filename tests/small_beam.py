@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cqrun.jobs.reporter import Silent
+from cqrun.running.reporter import Silent
 
 BEAM = """\
 # yaml-language-server: $schema=../cqrun.schema.json
@@ -119,8 +119,8 @@ def assert_same(run: Path, other: Path) -> None:
 
 def record(scene: Path, file: Path, *, copies: int = 1) -> list[Path]:
     """Write recordings of the small beam beside a scene, as its own synthetic data has them; return their files."""
-    from cqrun.jobs.cases import SYNTHETIC, make_cases
-    from cqrun.scene.build import build
+    from cqrun.build.model import build
+    from cqrun.fitting.cases import SYNTHETIC, make_cases
     from cqrun.scene.load import load_scene
 
     scene.write_text(BEAM + FIT)

@@ -17,8 +17,8 @@ import pytest
 from numba import config
 from plugin_sandbox import sandbox
 
-from cqrun import registry
 from cqrun.cli.describe import _lines
+from cqrun.plugin import registry
 
 ROOT = Path(__file__).parents[1]
 NAME = "st_venant_kirchhoff"

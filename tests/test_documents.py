@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from cqrun.build.model import build
 from cqrun.cli.app import COMMANDS
 from cqrun.cli.options import DEFAULT_OUT
 from cqrun.errors import RunError, Stopped, UsageError
-from cqrun.jobs.reporter import EXIT_INTERRUPTED
-from cqrun.scene.build import build
+from cqrun.running.reporter import EXIT_INTERRUPTED
 from cqrun.scene.load import load_scene
 
 ROOT = Path(__file__).parents[1]

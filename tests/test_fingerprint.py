@@ -12,7 +12,7 @@ import pytest
 from plugin_sandbox import sandbox
 
 from cqrun import fingerprint
-from cqrun.compile import share
+from cqrun.numerics.compile import share
 
 VERSIONS = {"numba": "1", "numpy": "2", "scipy": "3"}
 
@@ -21,7 +21,7 @@ VERSIONS = {"numba": "1", "numpy": "2", "scipy": "3"}
 def package(tmp_path):
     (tmp_path / "engine").mkdir()
     (tmp_path / "cli").mkdir()
-    (tmp_path / "tensor.py").write_text("a = 1\n")
+    (tmp_path / "state.py").write_text("a = 1\n")
     (tmp_path / "engine" / "step.py").write_text("b = 1\n")
     (tmp_path / "cli" / "app.py").write_text("c = 1\n")
     return tmp_path
@@ -33,7 +33,7 @@ def test_twelve_hex_digits_of_this_engine():
     assert "absent" not in fingerprint.library_versions().values()
 
 
-@pytest.mark.parametrize("file", ["tensor.py", "engine/step.py"])
+@pytest.mark.parametrize("file", ["state.py", "engine/step.py"])
 def test_a_numeric_source_changes_it(package, file):
     before = fingerprint.source_hash(package, VERSIONS)
     (package / file).write_text("b = 2\n")
@@ -43,9 +43,15 @@ def test_a_numeric_source_changes_it(package, file):
 def test_no_module_with_kernels_is_forgotten():
     """Numba does not see that a helper in another file has changed: such a file must change the cache's name."""
     package = Path(fingerprint.__file__).parent
-    with_kernels = [p for p in package.rglob("*.py") if re.search("numba|cqrun.compile", p.read_text())]
-    rooms = {p.relative_to(package).parts[0] for p in with_kernels} - {"fingerprint.py", "__init__.py", "cli", "jobs"}
-    assert {"packed.py", "engine"} <= rooms <= set(fingerprint.KERNELS)
+    with_kernels = [p for p in package.rglob("*.py") if re.search("numba|cqrun.numerics.compile", p.read_text())]
+    rooms = {p.relative_to(package).parts[0] for p in with_kernels} - {
+        "fingerprint.py",
+        "__init__.py",
+        "cli",
+        "jobs",
+        "running",
+    }
+    assert {"numerics", "engine"} <= rooms <= set(fingerprint.KERNELS)
 
 
 def test_every_source_that_is_named_exists():
@@ -54,26 +60,26 @@ def test_every_source_that_is_named_exists():
 
 
 AFTERWARDS = {
-    "ablate", "acted_on", "api", "bench", "bench_scene", "bodies", "compress", "environment", "excerpt", "export",
-    "faint", "kernels", "observables", "report", "reporter", "runs", "seeds", "selfcheck", "trajectories", "validate",
-    "warmup",
+    "ablate", "api", "bench", "bench_scene", "bodies", "compress", "excerpt", "export", "fleet", "kernels",
+    "observables", "report", "reporter", "runs", "seeds", "selfcheck", "threads", "trajectories", "validate", "warmup",
 }  # fmt: skip
-"""Modules of jobs that compute before a run, on what it has found, or outside any."""
+"""Modules of jobs and of running that compute before a run, on what it has found, or outside any."""
 
 
 def test_no_job_that_computes_a_run_is_forgotten():
     """A run that another engine began would otherwise go on, and mix two."""
     package = Path(fingerprint.__file__).parent
     uses = re.compile(r"^\s*(import numpy|from cqrun\.(engine\.rollout|design\.params))", re.MULTILINE)
-    found = {p.stem for p in (package / "jobs").glob("*.py") if uses.search(p.read_text())}
-    named = {Path(entry).stem for entry in fingerprint.NUMERIC if entry.startswith("jobs/")}
+    rooms = [*(package / "jobs").glob("*.py"), *(package / "running").glob("*.py")]
+    found = {p.stem for p in rooms if uses.search(p.read_text())}
+    named = {Path(entry).stem for entry in fingerprint.NUMERIC if entry.startswith(("jobs/", "running/"))}
     assert found - named <= AFTERWARDS
 
 
 def test_what_shapes_a_fit_changes_the_engine_but_not_its_kernels(package):
-    (package / "jobs").mkdir()
+    (package / "fitting").mkdir()
     before = [fingerprint.source_hash(package, VERSIONS, e) for e in (fingerprint.NUMERIC, fingerprint.KERNELS)]
-    (package / "jobs" / "problem.py").write_text("weights = 2\n")
+    (package / "fitting" / "problem.py").write_text("weights = 2\n")
     after = [fingerprint.source_hash(package, VERSIONS, e) for e in (fingerprint.NUMERIC, fingerprint.KERNELS)]
     assert (before[0] != after[0], before[1] == after[1]) == (True, True)
 
@@ -98,11 +104,11 @@ def test_the_command_line_does_not_change_it_but_a_library_does(package):
     [
         ("from cqrun.materials.term import register", True),
         ("from cqrun import materials", True),
-        ("import cqrun.tensor as t", True),
+        ("import cqrun.numerics.tensor as t", True),
         ("def f():\n    from numba import njit", True),
         ("import numba.extending", True),
         ("from cqrun.geometry.shape import Shape\nimport numpy as np", False),
-        ("from cqrun import registry\nfrom . import engine", False),
+        ("from cqrun.plugin import registry\nfrom . import engine", False),
         ("import cqrun\nx = 'numba'", False),
     ],
 )

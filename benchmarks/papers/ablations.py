@@ -15,10 +15,10 @@ from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, ju
 from benchmarks.papers.histories import Run, curves, rows, runs_below
 from benchmarks.papers.wholeness import BEST, WHOLE, checks, worst
 from benchmarks.papers.work import Found, Runs, Work
-from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, INK, clock_ticks, new_figure, titled, whole_ticks
 from cqrun.jobs.ablate import ALL, CONTROL, effects, group_of
 from cqrun.jobs.seeds import interval
+from cqrun.plugin.contract import Array
 from cqrun.store.run import read_record
 
 if TYPE_CHECKING:

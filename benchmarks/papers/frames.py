@@ -11,13 +11,13 @@ from benchmarks.papers.figure import Figure, Size, Table
 from benchmarks.papers.histories import kept, runs_below
 from benchmarks.papers.wholeness import watched
 from benchmarks.papers.work import Found
-from cqrun.contract import Array
+from cqrun.build.particles import sample
 from cqrun.figures.bodies import plot_body, snapshots, window_of
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.run_data import RunData, read_run
 from cqrun.figures.style import COLOURS, new_figure
 from cqrun.figures.views import views, window
-from cqrun.scene.particles import sample
+from cqrun.plugin.contract import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture

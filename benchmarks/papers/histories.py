@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cqrun.contract import Array
-from cqrun.objectives.uncertainty import interval_of_mean
+from cqrun.fitting.uncertainty import interval_of_mean
+from cqrun.plugin.contract import Array
 from cqrun.store.history import read_history
 from cqrun.store.run import FINISHED, read_record
 

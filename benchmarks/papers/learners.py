@@ -23,8 +23,8 @@ from benchmarks.papers.measurement import REMARK, Measurement
 from benchmarks.papers.process import STOPPED, when_free
 from benchmarks.papers.train_ppo import checkpoint_of, episodes_in
 from benchmarks.papers.work import SCENES, Found, Runs, Work, WorkError
-from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, new_figure, titled
+from cqrun.plugin.contract import Array
 from cqrun.store.atomic import write_json, write_text
 
 if TYPE_CHECKING:

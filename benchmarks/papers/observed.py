@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 
 
 def observables(folder: Path) -> dict[str, Array]:

@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks.papers.figure import Figure, Size, Table, stacked
 from benchmarks.papers.histories import first_below, runs_below
 from benchmarks.papers.work import Found, Runs, Work
-from cqrun.contract import Array
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
+from cqrun.plugin.contract import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.particles import sample
 from cqrun.figures.run_data import RunData, read_run
 from cqrun.observers.fracture import Fracture
-from cqrun.scene.particles import sample
+from cqrun.plugin.contract import Array
 from cqrun.store.atomic import write_json
 from cqrun.store.run import FINISHED, read_record
 

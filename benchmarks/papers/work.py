@@ -26,7 +26,7 @@ from benchmarks.papers.process import FAILED, ROOT, STOPPED, USAGE, when_free
 from cqrun.errors import CqrunError
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine
-from cqrun.jobs.runs import cores
+from cqrun.running.threads import cores
 from cqrun.store.atomic import make_directory, write_json
 from cqrun.store.run import FINISHED, read_record
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from benchmarks.peers.problem import SUBSTEPS, model_of
-from cqrun.engine.backward import Backward
+from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.model import LossBar
 from cqrun.engine.rollout import Rollout
 from cqrun.state import State
@@ -31,7 +31,7 @@ class Cqrun:
         """Run the adjoint of all substeps from the kept states."""
         x = self.last.x
         bar = State(x / len(x), np.zeros_like(x), np.zeros_like(self.last.C), np.zeros_like(self.last.F))
-        self.pass_back = Backward(self.rollout, LossBar(final=bar))
+        self.pass_back = BackwardRun(self.rollout, LossBar(final=bar))
         self.pass_back.run(0, SUBSTEPS, self.states)
 
     def results(self) -> Mapping[str, float]:

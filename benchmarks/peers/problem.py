@@ -16,9 +16,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.engine.model import Inputs, Model
 from cqrun.jobs.bench import falling_block
+from cqrun.plugin.contract import Array
 
 SIZES = {"2d_6400": (2, 80), "2d_102400": (2, 320), "3d_8000": (3, 20), "3d_64000": (3, 40)}
 """Name -> (dimension, particles along an edge)."""

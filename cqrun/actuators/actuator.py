@@ -15,9 +15,9 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from cqrun.choice import Choice, Chosen
-from cqrun.contract import Array, Plugin, quantity
 from cqrun.explain import Loc
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.contract import Array, Plugin, quantity
 
 Point = Annotated[list[float], Field(min_length=2, max_length=3)]
 

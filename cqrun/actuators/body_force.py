@@ -11,10 +11,10 @@ import numpy as np
 
 from cqrun.actuators.actuator import RegionActuator
 from cqrun.actuators.push import register_push, starts_of
-from cqrun.compile import kernel
-from cqrun.contract import Array, quantity, vector
 from cqrun.explain import Loc
-from cqrun.registry import plugin
+from cqrun.numerics.compile import kernel
+from cqrun.plugin.contract import Array, quantity, vector
+from cqrun.plugin.registry import plugin
 from cqrun.state import MASS
 
 

@@ -18,10 +18,10 @@ import numpy as np
 
 from cqrun.actuators.actuator import Actuator, Inside, Point
 from cqrun.actuators.push import register_push, starts_of
-from cqrun.compile import kernel
-from cqrun.contract import Array, quantity
 from cqrun.explain import Loc
-from cqrun.registry import plugin
+from cqrun.numerics.compile import kernel
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 
 class Kernel(NamedTuple):

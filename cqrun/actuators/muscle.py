@@ -13,10 +13,10 @@ import numpy as np
 from numba.extending import overload
 
 from cqrun.actuators.actuator import DirectedStress
-from cqrun.contract import Array, quantity
 from cqrun.materials.term import register, zeros_like_rows
-from cqrun.registry import plugin
-from cqrun.tensor import add, mul, mul_at, mul_bt, symmetric
+from cqrun.numerics.tensor import add, mul, mul_at, mul_bt, symmetric
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 
 class Kernel(NamedTuple):

@@ -9,9 +9,9 @@ from pydantic import Field
 
 from cqrun.actuators import muscle, pressure
 from cqrun.actuators.actuator import DirectedStress
-from cqrun.contract import Array, quantity
 from cqrun.explain import Loc
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 
 @plugin("actuator", "pneumatic")

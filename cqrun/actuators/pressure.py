@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from cqrun.contract import Array
 from cqrun.materials.term import register, zeros_like_rows
-from cqrun.tensor import cofactor, det, plus_diagonal, scale, trace
+from cqrun.numerics.tensor import cofactor, det, plus_diagonal, scale, trace
+from cqrun.plugin.contract import Array
 
 
 class Kernel(NamedTuple):

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numba.extending import overload
 
-from cqrun.compile import named, own_symbols
-from cqrun.contract import Array
+from cqrun.numerics.compile import named, own_symbols
+from cqrun.plugin.contract import Array
 
 _PUSH: dict[type, tuple[Callable[..., None], Callable[..., None]]] = {}
 _MAKE: dict[type, Callable[[Array, list[Array], list[Array]], Any]] = {}

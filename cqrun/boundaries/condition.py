@@ -20,9 +20,9 @@ from numba.core import types
 from numba.extending import overload, register_jitable
 from pydantic import Field, model_validator
 
-from cqrun.choice import Choice, Chosen
-from cqrun.compile import named, own_symbols, written
-from cqrun.contract import Array, Plugin, quantity, vector
+from cqrun.numerics.compile import named, own_symbols, written
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.contract import Array, Plugin, quantity, vector
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
 

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cqrun.boundaries.condition import BoundaryCondition, register
-from cqrun.contract import quantity
-from cqrun.registry import plugin
-from cqrun.tensor import add, dot, scale, sub
+from cqrun.numerics.tensor import add, dot, scale, sub
+from cqrun.plugin.contract import quantity
+from cqrun.plugin.registry import plugin
 
 SMOOTHING = 1e-7
 """eps [(m/s)^2] of both papers: keeps v_t / l_t defined at rest."""

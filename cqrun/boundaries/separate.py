@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from cqrun.boundaries.condition import BoundaryCondition, register
-from cqrun.registry import plugin
-from cqrun.tensor import dot, scale, sub
+from cqrun.numerics.tensor import dot, scale, sub
+from cqrun.plugin.registry import plugin
 
 
 class Kernel(NamedTuple):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, ClassVar, NamedTuple
 
 from cqrun.boundaries.condition import BoundaryCondition, register
-from cqrun.registry import plugin
-from cqrun.tensor import scale
+from cqrun.numerics.tensor import scale
+from cqrun.plugin.registry import plugin
 
 
 class Kernel(NamedTuple):

@@ -12,7 +12,6 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from cqrun import __version__
 from cqrun.cli.bench import bench
 from cqrun.cli.codesign import codesign
 from cqrun.cli.compress import compress
@@ -30,6 +29,7 @@ from cqrun.cli.sysid import sysid
 from cqrun.cli.validate import validate
 from cqrun.cli.warmup import warmup
 from cqrun.errors import CqrunError, SceneError
+from cqrun.version import __version__
 
 COMMANDS = (
     sysid, control, codesign, simulate, gradcheck, resume, validate, describe, schema, plot, render, export, compress,

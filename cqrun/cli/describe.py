@@ -77,13 +77,13 @@ def _sections() -> dict[str, type[BaseModel]]:
 
 def _kinds() -> list[str]:
     """Return the kinds of plug-ins."""
-    from cqrun.registry import FOLDERS
+    from cqrun.plugin.registry import FOLDERS
 
     return list(FOLDERS)
 
 
 def _plugins(kind: str) -> dict[str, Any]:
-    from cqrun.registry import plugins
+    from cqrun.plugin.registry import plugins
 
     return plugins(kind)
 
@@ -91,7 +91,7 @@ def _plugins(kind: str) -> dict[str, Any]:
 def _kinds_called(word: str, name: str | None) -> list[str]:
     """Return the kinds a word stands for: itself, its folder's, or those with a plug-in of that name."""
     from cqrun.explain import listed, suggest
-    from cqrun.registry import FOLDERS
+    from cqrun.plugin.registry import FOLDERS
 
     kinds = _kinds()
     if word in kinds:
@@ -121,7 +121,7 @@ def _page(kind: str, name: str, cls: type[BaseModel]) -> Iterator[str]:
 
 
 def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
-    from cqrun.contract import field_unit, is_differentiable, is_geometric
+    from cqrun.plugin.contract import field_unit, is_differentiable, is_geometric
 
     if not cls.model_fields:
         yield f"{indent}  no fields"
@@ -141,7 +141,7 @@ def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
 
 def _specs(annotation: Any) -> list[type[BaseModel]]:
     """Return the parts of a scene that an annotation nests."""
-    from cqrun.contract import Spec
+    from cqrun.plugin.contract import Spec
 
     return [part for part in _parts(annotation) if inspect.isclass(part) and issubclass(part, Spec)]
 
@@ -155,7 +155,7 @@ def _parts(annotation: Any) -> Iterator[Any]:
 
 def _choices(info: FieldInfo) -> list[str]:
     """Return the kinds of plug-in a field chooses from."""
-    from cqrun.choice import Choice
+    from cqrun.plugin.choice import Choice
 
     marks = [*info.metadata, *_parts(info.annotation)]
     marks += [mark for part in marks for mark in getattr(part, "__metadata__", ())]

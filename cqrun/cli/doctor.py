@@ -13,9 +13,9 @@ from pathlib import Path
 
 import typer
 
-from cqrun import __version__
 from cqrun.cli.options import DEFAULT_OUT, Out
 from cqrun.fingerprint import engine_hash
+from cqrun.version import __version__
 
 REQUIREMENT = re.compile(r"""^([A-Za-z0-9_.-]+)[^;]*(?:;.*extra\s*==\s*['"]([^'"]+)['"])?""")
 

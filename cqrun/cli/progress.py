@@ -15,14 +15,14 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from cqrun.jobs.reporter import StopFlag
+from cqrun.running.reporter import StopFlag
 
 PLAIN_EVERY = 5.0
 """Least time between two plain progress lines [s]: log files stay readable."""
 
 
 class Progress:
-    """A `cqrun.jobs.reporter.Reporter` for people; use it as a context manager.
+    """A `cqrun.running.reporter.Reporter` for people; use it as a context manager.
 
     Args:
         total: number of iterations at most, where it is known beforehand.

@@ -13,8 +13,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from cqrun.contract import Array, Plugin
 from cqrun.errors import UsageError
+from cqrun.plugin.contract import Array, Plugin
 
 
 @dataclass(frozen=True)

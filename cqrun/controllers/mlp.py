@@ -9,9 +9,9 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.controllers.controller import Controller, ParameterBlock
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 Width = Annotated[int, Field(ge=1)]
 

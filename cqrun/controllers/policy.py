@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cqrun.actuators.actuator import held_to
-from cqrun.contract import Array
 from cqrun.controllers.controller import Controller
 from cqrun.observers.observer import Moment, Observation
+from cqrun.plugin.contract import Array
 from cqrun.state import State, rows_of
 
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.controllers.controller import ParameterBlock
 from cqrun.errors import UsageError
 from cqrun.observers.npz import read_arrays, write_arrays
+from cqrun.plugin.contract import Array
 
 WHAT = "file of a controller"
 META = "meta"

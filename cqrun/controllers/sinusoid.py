@@ -8,9 +8,9 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array, quantity
 from cqrun.controllers.controller import Controller, ParameterBlock
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 
 @plugin("controller", "sinusoid")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 
 REGULARISER = "regulariser"
 """What the unknowns' regularisers together are called among the terms of a loss."""

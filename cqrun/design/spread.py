@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import listed
+from cqrun.plugin.contract import Array
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -11,10 +11,10 @@ from typing import Any
 
 from numba.extending import overload
 
-from cqrun.compile import written
-from cqrun.lanes import floor, select
-from cqrun.packed import accumulate, load, store
-from cqrun.records import load_quads, store_quads
+from cqrun.numerics.compile import written
+from cqrun.numerics.lanes import floor, select
+from cqrun.numerics.packed import accumulate, load, store
+from cqrun.numerics.records import load_quads, store_quads
 
 _NAMES = {
     "load": load, "store": store, "accumulate": accumulate,

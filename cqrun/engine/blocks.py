@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cqrun.compile import kernel
-from cqrun.contract import Array
+from cqrun.numerics.compile import kernel
+from cqrun.plugin.contract import Array
 
 BLOCK = 4
 """Cells along a block's edge."""

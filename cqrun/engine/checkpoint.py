@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.engine.blocks import SORT_EVERY
 from cqrun.errors import RunError
-from cqrun.packed import aligned
+from cqrun.numerics.packed import aligned
+from cqrun.plugin.contract import Array
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 from cqrun.actuators.push import push, push_vjp
-from cqrun.compile import for_each, kernel
-from cqrun.contract import Array
 from cqrun.engine.setting import Drive, Stresses
+from cqrun.numerics.compile import for_each, kernel
+from cqrun.plugin.contract import Array
 
 
 @kernel

@@ -13,12 +13,12 @@ from typing import Any
 from numba.extending import overload
 
 from cqrun.boundaries.condition import project_all, project_all_vjp
-from cqrun.compile import kernel, share
-from cqrun.contract import Array
 from cqrun.engine.blocks import BLOCK, first_node
 from cqrun.engine.setting import Setting, Work
-from cqrun.lanes import lane, with_lane
-from cqrun.records import load4, make4, store4
+from cqrun.numerics.compile import kernel, share
+from cqrun.numerics.lanes import lane, with_lane
+from cqrun.numerics.records import load4, make4, store4
+from cqrun.plugin.contract import Array
 
 
 def components(a: Any, dims: Any) -> Any:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 
 SAFETY = 0.6
 """Share of the limit that `auto` takes: waves are faster in compressed material."""

@@ -16,10 +16,10 @@ from scipy import sparse
 
 from cqrun.actuators.push import make_kernel, pushes, starts_of
 from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
-from cqrun.contract import Array
 from cqrun.engine.probe import make_probe
 from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
-from cqrun.packed import pack
+from cqrun.numerics.packed import pack
+from cqrun.plugin.contract import Array
 from cqrun.state import Layout, ParticleFields, State, rows_of
 
 

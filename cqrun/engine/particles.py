@@ -17,8 +17,6 @@ In cells, d = dx (o - f): P2G scatters a = p, columns dx G; G2P gathers B / dx.
 
 from __future__ import annotations
 
-from cqrun.compile import kernel, one_body, share
-from cqrun.contract import Array
 from cqrun.engine.arrays import (
     add_vector,
     fraction,
@@ -38,11 +36,13 @@ from cqrun.engine.arrays import (
 )
 from cqrun.engine.setting import MARGIN, TILE, Group, Setting, Work
 from cqrun.engine.transfer import gather, gather_vjp
-from cqrun.lanes import LANE_BYTES, all_lanes, lane, select
 from cqrun.materials.term import total_kirchhoff, total_kirchhoff_vjp
-from cqrun.packed import accumulate, load
+from cqrun.numerics.compile import kernel, one_body, share
+from cqrun.numerics.lanes import LANE_BYTES, all_lanes, lane, select
+from cqrun.numerics.packed import accumulate, load
+from cqrun.numerics.tensor import add, dot, inner, matvec, matvec_t, mul, mul_at, mul_bt, scale, shift, sub
+from cqrun.plugin.contract import Array
 from cqrun.state import DECAY, FORCE, MASS, PADDING, VOLUME
-from cqrun.tensor import add, dot, inner, matvec, matvec_t, mul, mul_at, mul_bt, scale, shift, sub
 
 
 @kernel

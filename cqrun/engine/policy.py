@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 from cqrun.state import State
 
 

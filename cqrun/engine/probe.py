@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.compile import kernel
-from cqrun.contract import Array
 from cqrun.engine.setting import Probe
-from cqrun.lanes import LANE_BYTES, as_real
-from cqrun.packed import aligned, load, store
+from cqrun.numerics.compile import kernel
+from cqrun.numerics.lanes import LANE_BYTES, as_real
+from cqrun.numerics.packed import aligned, load, store
+from cqrun.numerics.wide_records import load_wide, store_wide
+from cqrun.plugin.contract import Array
 from cqrun.state import PADDING
-from cqrun.wide_records import load_wide, store_wide
 
 if TYPE_CHECKING:
     from scipy import sparse

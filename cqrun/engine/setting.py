@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.engine.blocks import BLOCK, Blocks, make_blocks
 from cqrun.engine.team import Team
-from cqrun.packed import aligned
+from cqrun.numerics.packed import aligned
+from cqrun.plugin.contract import Array
 
 MARGIN = 3
 """Grid nodes beyond each face of the world, so that stencils near a wall stay on the grid."""

@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.compile import barrier, for_each, kernel, share
-from cqrun.contract import Array
 from cqrun.engine.blocks import SORT_EVERY, sort_particles
 from cqrun.engine.drive import activate, activate_vjp, push_particles, push_particles_vjp
 from cqrun.engine.grid import add_friction_bar, clear, update_grid, update_grid_vjp
@@ -22,6 +20,8 @@ from cqrun.engine.particles import momentum, momentum_vjp, move, move_vjp
 from cqrun.engine.probe import record, record_vjp
 from cqrun.engine.setting import Drive, Probe, Setting, Work
 from cqrun.engine.transfer import scatter
+from cqrun.numerics.compile import barrier, for_each, kernel, share
+from cqrun.plugin.contract import Array
 
 MAX_TRAVEL = 0.99
 """Cells that a particle may move before particles are sorted again (`blocks.py`: one, less round-off)."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.packed import LINE, aligned
+from cqrun.numerics.packed import LINE, aligned
 
 Tasks = SimpleQueue[Any]
 """Of one thread: (body, its number, where to answer), or None to end."""

@@ -24,11 +24,10 @@ from typing import Any
 
 from numba.extending import overload
 
-from cqrun.compile import kernel, written
-from cqrun.contract import Array
-from cqrun.lanes import floor, lane
-from cqrun.records import load4
-from cqrun.wide_records import (
+from cqrun.numerics.compile import kernel, written
+from cqrun.numerics.lanes import floor, lane
+from cqrun.numerics.records import load4
+from cqrun.numerics.wide_records import (
     filled,
     load_each,
     load_neighbours,
@@ -42,6 +41,7 @@ from cqrun.wide_records import (
     store_wide,
     sums,
 )
+from cqrun.plugin.contract import Array
 
 AHEAD = 16
 """How many particles before its turn what one scatters is asked for, since the blocks of a colour lie apart."""

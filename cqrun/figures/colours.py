@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.actuation import Actuation
+from cqrun.build.assembly import Assembly
+from cqrun.build.particles import Particles, sample
 from cqrun.errors import UsageError
 from cqrun.figures.quantities import length_unit, shown_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.strain import Strain, green_norm
 from cqrun.figures.style import AMOUNT_MAP, PASSIVE, SIGNED_MAP
-from cqrun.jobs.agent import FILE
-from cqrun.jobs.replay import IDENTIFIED, kept_of_identified, kept_values
-from cqrun.jobs.unknowns import values_found
-from cqrun.scene.actuation import Actuation
-from cqrun.scene.assembly import Assembly
-from cqrun.scene.particles import Particles, sample
+from cqrun.learning.agent import FILE
+from cqrun.learning.replay import IDENTIFIED, kept_of_identified, kept_values
+from cqrun.plugin.contract import Array
+from cqrun.running.unknowns import values_found
 from cqrun.store.frames import Frames
 
 MATERIAL = {

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import listed
 from cqrun.figures.losses import LossCurve, loss_curve, term_curve, term_names
 from cqrun.figures.quantities import time_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, log_ticks, new_figure, titled, whole_ticks
-from cqrun.objectives.uncertainty import interval_of_mean
+from cqrun.fitting.uncertainty import interval_of_mean
+from cqrun.plugin.contract import Array
 from cqrun.scene.load import resolve
 
 if TYPE_CHECKING:

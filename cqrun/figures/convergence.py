@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.figures.losses import LossCurve, loss_curve, term_curve, term_names
 from cqrun.figures.quantities import Unit, estimate, labels, millimetres, number, shown_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, GREY, PALE, TRUTH, clock_ticks, log_ticks, new_figure, titled, whole_ticks
 from cqrun.optimizers.constrained import VIOLATION
+from cqrun.plugin.contract import Array
 from cqrun.scene.paths import canonical, leaf
 from cqrun.scene.unknowns import groups_of
 

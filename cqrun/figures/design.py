@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.particles import sample
+from cqrun.build.rest_shape import Geometry
 from cqrun.figures.bodies import MOST_DOTS, PANEL, Snapshot, farthest_frame, plot_body, snapshots, window_of
 from cqrun.figures.colours import MATERIAL, material_of
 from cqrun.figures.dots import Dots
@@ -18,8 +19,7 @@ from cqrun.figures.quantities import length_unit, shown_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, GREY, new_figure
 from cqrun.figures.views import of_equal_width, room_around, views, window
-from cqrun.scene.geometry import Geometry
-from cqrun.scene.particles import sample
+from cqrun.plugin.contract import Array
 from cqrun.scene.paths import canonical, shapes_a_body
 from cqrun.scene.unknowns import body_of, start, tied
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.figures.views import View
+from cqrun.plugin.contract import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

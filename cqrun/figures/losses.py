@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.design.params import REGULARISER
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
 from cqrun.figures.quantities import MILLI, Unit, capitalised
 from cqrun.figures.run_data import HISTORY, RunData
 from cqrun.optimizers.constrained import CONSTRAINT, KKT, VIOLATION
+from cqrun.plugin.contract import Array
 
 LOSS = "loss"
 """What all terms together are called among them."""

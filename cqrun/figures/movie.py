@@ -12,8 +12,8 @@ from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import MissingExtra, RunError
+from cqrun.plugin.contract import Array
 from cqrun.store.atomic import replacing, write_bytes
 
 if TYPE_CHECKING:

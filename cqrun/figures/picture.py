@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.figures.colours import Colours
 from cqrun.figures.dots import Dots, add_dots
 from cqrun.figures.quantities import Unit, length_unit
@@ -16,6 +15,7 @@ from cqrun.figures.scenery import Goal, frame_axes, held, plot_goals, plot_held
 from cqrun.figures.solid import SolidBodies
 from cqrun.figures.style import GREY, INK
 from cqrun.figures.views import View
+from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cqrun.actuators.cable import Cable
-from cqrun.contract import Array
+from cqrun.build.assembly import Assembly
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
 from cqrun.figures.choices import Kind
@@ -22,8 +22,8 @@ from cqrun.figures.scenery import goals, seen
 from cqrun.figures.solid import require_pyvista
 from cqrun.figures.style import styled
 from cqrun.figures.views import PLANE, View, view
-from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.scene.assembly import Assembly
+from cqrun.plugin.contract import Array
+from cqrun.running.reporter import Reporter, Silent
 from cqrun.store.atomic import make_directory
 from cqrun.store.frames import Frames
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
+from cqrun.plugin.contract import Array
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.store.frames import Frames, part_path

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.regions import boundary
 from cqrun.figures.quantities import Unit
 from cqrun.figures.style import GREY, GROUND, INK, TRUTH
 from cqrun.figures.views import View, room_around
-from cqrun.scene.regions import boundary
+from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
 if TYPE_CHECKING:

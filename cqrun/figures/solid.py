@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.explain import listed
 from cqrun.figures.scenery import held_at
 from cqrun.figures.style import GREY, GROUND
 from cqrun.figures.views import View
+from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
 SAMPLES = 72

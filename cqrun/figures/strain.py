@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 
 NEIGHBOURS = {2: 12, 3: 40}
 """Particles whose motion gives the deformation of the one between them; enough for lattices that are finer one way."""

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.figures.quantities import time_unit
+from cqrun.plugin.contract import Array
 from cqrun.store.atomic import write_bytes
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.figures.quantities import MILLI, Unit, length_unit, millimetres
 from cqrun.figures.run_data import Tracks
 from cqrun.figures.style import COLOURS, GREY, INK, new_figure, plain, titled
+from cqrun.plugin.contract import Array
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
+from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
 TURN, TILT = 30.0, 20.0

@@ -6,9 +6,9 @@ from typing import Self
 
 import numpy as np
 
-from cqrun.contract import Array, quantity, vector
 from cqrun.geometry.shape import SLACK, Shape
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity, vector
+from cqrun.plugin.registry import plugin
 
 
 @plugin("shape", "ball")

@@ -7,9 +7,9 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array, vector
 from cqrun.geometry.shape import SLACK, Shape
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, vector
+from cqrun.plugin.registry import plugin
 
 
 @plugin("shape", "box")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.geometry.segment import SegmentShape
 from cqrun.geometry.shape import SLACK
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 
 @plugin("shape", "capsule")

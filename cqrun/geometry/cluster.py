@@ -7,11 +7,11 @@ from typing import ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import complaint, finding
 from cqrun.geometry.region import Points, Region
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 _ROUNDS = 100
 """Of k-means at most; a body's particles settle within a few dozen."""

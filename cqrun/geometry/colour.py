@@ -6,9 +6,9 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.geometry.region import Points, Region
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 
 @plugin("region", "colour")

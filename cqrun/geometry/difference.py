@@ -6,9 +6,9 @@ from typing import ClassVar, Self
 
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.geometry.shape import ChosenShape, Shape
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 
 @plugin("shape", "difference")

@@ -7,9 +7,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator
 
-from cqrun.contract import Array, vector
 from cqrun.geometry.shape import Shape, slack_at
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, vector
+from cqrun.plugin.registry import plugin
 
 
 def _unit(normal: list[float]) -> list[float]:

@@ -7,10 +7,10 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from cqrun.contract import Array, Spec, quantity
 from cqrun.explain import Loc, complaint, finding
 from cqrun.geometry.shape import Shape, slack_at
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, Spec, quantity
+from cqrun.plugin.registry import plugin
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 

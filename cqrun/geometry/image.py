@@ -10,11 +10,11 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from cqrun.contract import Array, quantity, vector
 from cqrun.errors import UsageError
 from cqrun.explain import Loc, complaint, finding, listed, suggest
 from cqrun.geometry.file_shape import FileShape
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity, vector
+from cqrun.plugin.registry import plugin
 
 MAX_PIXELS = 40_000_000
 """A larger image is a mistake: particles are far coarser."""

@@ -7,9 +7,9 @@ from typing import ClassVar, Self
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.geometry.shape import ChosenShape, Shape, coloured_parts
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 
 @plugin("shape", "intersection")

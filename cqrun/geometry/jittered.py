@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array, quantity
 from cqrun.geometry.sampling import Sampling
 from cqrun.geometry.shape import Shape, lattice_points
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 
 @plugin("sampling", "jittered")

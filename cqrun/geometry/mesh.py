@@ -10,13 +10,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.explain import Loc, listed
 from cqrun.geometry.file_shape import FileShape
 from cqrun.geometry.place import Place
 from cqrun.geometry.shape import cell_centres, counted_volume
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 FORMATS = (".stl", ".obj", ".ply")
 

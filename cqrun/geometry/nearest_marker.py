@@ -7,10 +7,10 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from cqrun.contract import Array, quantity
 from cqrun.explain import Loc, complaint, finding, listed, suggest
 from cqrun.geometry.region import Points, Region
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 
 @plugin("region", "nearest_marker")

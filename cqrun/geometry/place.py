@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cqrun.contract import Array, Spec, quantity, vector
 from cqrun.explain import Loc
+from cqrun.plugin.contract import Array, Spec, quantity, vector
 
 
 class Place(Spec):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.geometry.sampling import Sampling
 from cqrun.geometry.shape import Shape, finite_bounds
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 NEAREST = {2: 0.78, 3: 0.84}
 """Least distance in spacings, by dimension: a filled space then has about one particle in spacing^D (measured)."""

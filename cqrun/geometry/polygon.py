@@ -12,11 +12,11 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array, quantity
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.explain import Loc
 from cqrun.geometry.shape import SLACK, Shape
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.geometry.sampling import Sampling
 from cqrun.geometry.shape import MAX_POINTS, Shape, finite_bounds
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 _BATCH = 4096
 

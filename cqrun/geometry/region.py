@@ -9,8 +9,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Annotated, ClassVar, Protocol
 
-from cqrun.choice import Choice, Chosen
-from cqrun.contract import Array, Plugin
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.contract import Array, Plugin
 
 
 class Points(Protocol):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Annotated
 
-from cqrun.choice import Choice, Chosen
-from cqrun.contract import Array, Plugin
 from cqrun.geometry.shape import Shape
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.contract import Array, Plugin
 
 
 class Sampling(Plugin):

@@ -7,9 +7,9 @@ from typing import Self
 import numpy as np
 from pydantic import model_validator
 
-from cqrun.contract import Array, quantity, vector
 from cqrun.explain import complaint, finding
 from cqrun.geometry.shape import Shape
+from cqrun.plugin.contract import Array, quantity, vector
 
 
 class SegmentShape(Shape):

@@ -8,10 +8,10 @@ from typing import Annotated, Self
 
 import numpy as np
 
-from cqrun.choice import Choice, Chosen
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.geometry.region import Points, Region
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.contract import Array
 
 _COUNTING_CELLS = 2_000_000
 """About the number of cells that measure a shape without a formula: an error near 1e-4 of its bounds."""

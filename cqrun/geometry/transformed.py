@@ -7,10 +7,10 @@ from typing import Self
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.geometry.place import Place
 from cqrun.geometry.shape import ChosenShape, Shape
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 
 @plugin("shape", "transformed")

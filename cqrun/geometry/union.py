@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from cqrun.contract import Array, quantity, vector
 from cqrun.geometry.shape import ChosenShape, Shape, coloured_parts
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity, vector
+from cqrun.plugin.registry import plugin
 
 
 @plugin("shape", "union")

@@ -26,15 +26,11 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.check_design import differ
 from cqrun.errors import RunError, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.control import optimizer_of, prepare
-from cqrun.jobs.fleet import Member, run_fleet
-from cqrun.jobs.kernels import compile_kernels
 from cqrun.jobs.report import table
-from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import cores
 from cqrun.jobs.seeds import (
     CONFIDENCE,
     INFEASIBLE,
@@ -48,7 +44,11 @@ from cqrun.jobs.seeds import (
     warn_if_alike,
 )
 from cqrun.optimizers.constrained import ranked
-from cqrun.scene.check_design import differ
+from cqrun.plugin.contract import Array
+from cqrun.running.fleet import Member, run_fleet
+from cqrun.running.kernels import compile_kernels
+from cqrun.running.reporter import Reporter, Silent
+from cqrun.running.threads import cores
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, leaf, shapes_a_body
 from cqrun.scene.schema import Scene

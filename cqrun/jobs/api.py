@@ -24,26 +24,26 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Integral
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.model import Built, build, stable
 from cqrun.controllers.saved import read_controller
 from cqrun.design.params import Block
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import SceneError, UsageError
 from cqrun.explain import listed, shown, suggest
-from cqrun.jobs.agent import CONTROLLER, FILE, Agent
-from cqrun.jobs.cases import given_cases, make_cases
-from cqrun.jobs.episodes import EpisodeProblem, has_episodes
-from cqrun.jobs.problem import FitProblem
-from cqrun.jobs.runs import cores, scene_in
-from cqrun.jobs.unknowns import make_params
+from cqrun.fitting.cases import given_cases, make_cases
+from cqrun.fitting.problem import FitProblem
+from cqrun.learning.agent import CONTROLLER, FILE, Agent
+from cqrun.learning.episodes import EpisodeProblem, has_episodes
 from cqrun.optimizers.base import one_blas_thread
-from cqrun.scene.build import Built, build, stable
+from cqrun.plugin.contract import Array
+from cqrun.running.runs import scene_in
+from cqrun.running.threads import checked_threads, cores
+from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, leaf, leaves, with_values
 from cqrun.scene.plugin_files import plugins_allowed
@@ -377,16 +377,3 @@ def load(
     with plugins_allowed(allow_plugins):
         given = load_scene(scene, overrides) if run is None else scene_in(run, overrides, with_data=True)
         return Experiment(given, n_threads, run)
-
-
-def checked_threads(caller: str, scene: Any, overrides: Any, threads: Any) -> int | None:
-    """Return the number of threads as Python's own; UsageError for an argument of a caller that cannot be."""
-    if not isinstance(scene, Path | str | dict):
-        raise UsageError(f"{caller}: the scene must be a file's path, YAML text or a dict, is {shown(scene)}")
-    if isinstance(overrides, str):
-        raise UsageError(f"{caller}: overrides are a list: [{overrides!r}]")
-    if not isinstance(overrides, Sequence) or not all(isinstance(text, str) for text in overrides):
-        raise UsageError(f"{caller}: overrides are a list of texts 'key.path=value', not {shown(overrides)}")
-    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, Integral) or threads < 1):
-        raise UsageError(f"{caller}: threads must be a whole number from 1 on, is {shown(threads)}")
-    return None if threads is None else int(threads)

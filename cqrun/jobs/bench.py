@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from cqrun.build.particles import block_order
 from cqrun.engine.model import GroupModel, Inputs, Model
 from cqrun.engine.rollout import Rollout
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.excerpt import Excerpt, timed
-from cqrun.lanes import lane_width
 from cqrun.materials.fixed_corotated import FixedCorotated
-from cqrun.scene.particles import block_order
+from cqrun.numerics.lanes import lane_width
 from cqrun.state import Layout, ParticleFields, State
 from cqrun.store.atomic import disk_errors, make_directory, write_json
 from cqrun.store.provenance import versions

@@ -13,19 +13,20 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.build.model import Built
 from cqrun.engine.blocks import SORT_EVERY
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError, RunError
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import REPEAT, machine, memory_speed, require_writable
 from cqrun.jobs.excerpt import Excerpt
-from cqrun.jobs.kernels import compile_kernels
-from cqrun.jobs.memory import gradient_plan
-from cqrun.jobs.reporter import Reporter
-from cqrun.jobs.runs import build_and_warn, cores
 from cqrun.jobs.simulate import make_agent
-from cqrun.lanes import lane_width
-from cqrun.scene.build import Built
+from cqrun.numerics.lanes import lane_width
+from cqrun.running.gradient_memory import gradient_plan
+from cqrun.running.kernels import compile_kernels
+from cqrun.running.reporter import Reporter
+from cqrun.running.runs import build_and_warn
+from cqrun.running.threads import cores
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
 from cqrun.store.provenance import versions

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.model import Built
 from cqrun.engine.model import Inputs
 from cqrun.jobs.report import number
-from cqrun.jobs.reporter import Reporter
-from cqrun.scene.build import Built
+from cqrun.plugin.contract import Array
+from cqrun.running.reporter import Reporter
 from cqrun.store.run import RunDirectory
 
 

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.model import Built
 from cqrun.design.params import Block, Params
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
-from cqrun.jobs.agent import Attempt, Mix
-from cqrun.jobs.cases import Case
-from cqrun.jobs.episodes import EpisodeProblem
-from cqrun.jobs.problem import FitProblem
-from cqrun.jobs.unknowns import make_params
-from cqrun.scene.build import Built
+from cqrun.fitting.cases import Case
+from cqrun.fitting.problem import FitProblem
+from cqrun.learning.agent import Attempt, Mix
+from cqrun.learning.episodes import EpisodeProblem
+from cqrun.plugin.contract import Array
+from cqrun.running.unknowns import make_params
 from cqrun.scene.paths import canonical, leaf, leaves
 from cqrun.state import State
 

@@ -9,14 +9,14 @@ from typing import Literal
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
-from cqrun.jobs.reporter import Reporter, Silent
 from cqrun.observers.pca import fit_components, save_components
 from cqrun.observers.raster import Raster
 from cqrun.observers.vae import Trained, save_encoder
 from cqrun.observers.vae_training import Training, library
+from cqrun.plugin.contract import Array
+from cqrun.running.reporter import Reporter, Silent
 from cqrun.store.atomic import disk_errors, make_directory, require_room, write_bytes
 from cqrun.store.frames import Frames
 

@@ -1,7 +1,7 @@
 """`cqrun control` and `cqrun codesign`: learn how a body should move, and what it should be.
 
 controller.npz keeps the controller's parameters that did best, from the first iteration on; what is written at the end
-is in jobs/learned.py.
+is in learning/learned.py.
 """
 
 from __future__ import annotations
@@ -12,28 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.model import Built
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
-from cqrun.jobs.agent import FILE
 from cqrun.jobs.bodies import tell_bodies
-from cqrun.jobs.episodes import EpisodeProblem
-from cqrun.jobs.faint import faint
-from cqrun.jobs.kernels import compile_kernels
-from cqrun.jobs.learned import blown_up, write_learned
-from cqrun.jobs.memory import gradient_plan, gradients_at_once, require_records
-from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import (
-    Progress,
-    build_and_warn,
-    cores,
-    finished_already,
-    open_run,
-    raise_if_failed,
-    require_extension,
-    saved_scene,
-    stopping,
-)
+from cqrun.learning.agent import FILE
+from cqrun.learning.episodes import EpisodeProblem
+from cqrun.learning.learned import blown_up, write_learned
+from cqrun.learning.record_memory import require_records
+from cqrun.learning.weak_observations import faint
 from cqrun.optimizers.base import Optimizer
 from cqrun.optimizers.constrained import (
     VIOLATION,
@@ -43,8 +30,22 @@ from cqrun.optimizers.constrained import (
     ranked,
     report_names,
 )
-from cqrun.registry import plugins
-from cqrun.scene.build import Built
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugins
+from cqrun.running.gradient_memory import gradient_plan, gradients_at_once
+from cqrun.running.kernels import compile_kernels
+from cqrun.running.reporter import Reporter, Silent
+from cqrun.running.runs import (
+    Progress,
+    build_and_warn,
+    finished_already,
+    open_run,
+    raise_if_failed,
+    require_extension,
+    saved_scene,
+    stopping,
+)
+from cqrun.running.threads import cores
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
 from cqrun.store.history import read_history

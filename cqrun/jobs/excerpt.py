@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cqrun.contract import Array
-from cqrun.engine.backward import Backward
+from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.blocks import SORT_EVERY, sort_particles
 from cqrun.engine.drive import activate, activate_vjp, push_particles, push_particles_vjp
 from cqrun.engine.grid import clear, update_grid, update_grid_vjp
@@ -23,6 +22,7 @@ from cqrun.engine.step import (
     move_each_vjp,
     scatter_blocks,
 )
+from cqrun.plugin.contract import Array
 from cqrun.state import State
 
 
@@ -53,7 +53,7 @@ class Excerpt:
         self.here = np.empty((1, *self.q.shape), self.q.dtype)
         last = State.at_rest(rollout.inputs.state.x)
         last.memory = np.zeros_like(rollout.inputs.state.memory)
-        self.backward = Backward(rollout, LossBar(final=last))
+        self.backward = BackwardRun(rollout, LossBar(final=last))
 
     def forward(self) -> None:
         """Run all substeps, as a rollout without gradient does."""

@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.model import Built, build
 from cqrun.design.spread import field
 from cqrun.errors import MissingExtra, UsageError
-from cqrun.jobs.agent import FILE
 from cqrun.jobs.control import JOBS
-from cqrun.jobs.replay import learned_in
-from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import scene_in
-from cqrun.jobs.unknowns import values_found
-from cqrun.scene.build import Built, build
+from cqrun.learning.agent import FILE
+from cqrun.learning.replay import learned_in
+from cqrun.plugin.contract import Array
+from cqrun.running.reporter import Reporter, Silent
+from cqrun.running.runs import scene_in
+from cqrun.running.unknowns import values_found
 from cqrun.scene.paths import leaf
 from cqrun.store.atomic import make_directory, write_bytes, write_table
 from cqrun.store.run import FINISHED, read_record

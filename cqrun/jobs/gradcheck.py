@@ -24,18 +24,19 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.model import Built
 from cqrun.design.params import Params
 from cqrun.errors import RolloutError, RunError
-from cqrun.jobs.cases import Case, given_cases, made_cases
+from cqrun.fitting.cases import Case, given_cases, made_cases
 from cqrun.jobs.checked_losses import Loss, episode_loss, fit_loss, state_loss
-from cqrun.jobs.episodes import EpisodeProblem, has_episodes
-from cqrun.jobs.kernels import compile_kernels
-from cqrun.jobs.memory import gradient_plan
-from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import (
+from cqrun.learning.episodes import EpisodeProblem, has_episodes
+from cqrun.optimizers.base import TrialFailed
+from cqrun.plugin.contract import Array
+from cqrun.running.gradient_memory import gradient_plan
+from cqrun.running.kernels import compile_kernels
+from cqrun.running.reporter import Reporter, Silent
+from cqrun.running.runs import (
     build_and_warn,
-    cores,
     finished_already,
     open_run,
     raise_if_failed,
@@ -43,8 +44,7 @@ from cqrun.jobs.runs import (
     require_same_data,
     saved_scene,
 )
-from cqrun.optimizers.base import TrialFailed
-from cqrun.scene.build import Built
+from cqrun.running.threads import cores
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
 from cqrun.store.run import RunDirectory

@@ -10,7 +10,7 @@ from typing import Any
 from cqrun.errors import UsageError
 from cqrun.jobs.gradcheck import FILE as GRADCHECK
 from cqrun.jobs.gradcheck import lines_of
-from cqrun.jobs.learned import STAGES, blown_up
+from cqrun.learning.learned import STAGES, blown_up
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene

@@ -8,10 +8,10 @@ from pathlib import Path
 from cqrun.errors import UsageError
 from cqrun.jobs.control import resume_control
 from cqrun.jobs.gradcheck import resume_gradcheck
-from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import cores
 from cqrun.jobs.simulate import resume_simulate
 from cqrun.jobs.sysid import resume_sysid
+from cqrun.running.reporter import Reporter, Silent
+from cqrun.running.threads import cores
 from cqrun.store.run import RunDirectory
 
 Resume = Callable[[RunDirectory, Sequence[str], int, Reporter], Path]

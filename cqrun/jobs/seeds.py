@@ -22,15 +22,16 @@ from typing import Any
 import numpy as np
 
 from cqrun.errors import UsageError
+from cqrun.fitting.uncertainty import interval_of_mean
 from cqrun.jobs.control import optimizer_of, prepare
-from cqrun.jobs.episodes import EpisodeProblem
-from cqrun.jobs.fleet import Member, run_fleet
-from cqrun.jobs.kernels import compile_kernels
-from cqrun.jobs.learned import STAGES, blown_up
 from cqrun.jobs.report import number, table
-from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import EXTENDED, cores, run_scene
-from cqrun.objectives.uncertainty import interval_of_mean
+from cqrun.learning.episodes import EpisodeProblem
+from cqrun.learning.learned import STAGES, blown_up
+from cqrun.running.fleet import Member, run_fleet
+from cqrun.running.kernels import compile_kernels
+from cqrun.running.reporter import Reporter, Silent
+from cqrun.running.runs import EXTENDED, run_scene
+from cqrun.running.threads import cores
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene

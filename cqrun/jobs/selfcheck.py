@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import config
 
-from cqrun.compile import barrier, kernel, share
-from cqrun.contract import Array
 from cqrun.engine.team import Team
+from cqrun.numerics.compile import barrier, kernel, share
+from cqrun.plugin.contract import Array
 
 SIZE = 1 << 16
 

@@ -17,18 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.build.model import Built
 from cqrun.design.params import REGULARISER
 from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError, RunError, SceneError, UsageError
-from cqrun.jobs.agent import FILE, Agent
 from cqrun.jobs.bodies import tell_bodies
 from cqrun.jobs.control import JOBS
-from cqrun.jobs.kernels import compile_kernels
-from cqrun.jobs.learned import constraints_of
-from cqrun.jobs.observables import Observables
-from cqrun.jobs.replay import (
+from cqrun.learning.agent import FILE, Agent
+from cqrun.learning.learned import constraints_of
+from cqrun.learning.replay import (
     IDENTIFIED,
     as_overrides,
     identified_in,
@@ -37,10 +35,12 @@ from cqrun.jobs.replay import (
     refuse_learned,
     require_fitting,
 )
-from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import (
+from cqrun.plugin.contract import Array
+from cqrun.running.kernels import compile_kernels
+from cqrun.running.observables import Observables
+from cqrun.running.reporter import Reporter, Silent
+from cqrun.running.runs import (
     build_and_warn,
-    cores,
     finished_already,
     open_run,
     raise_if_failed,
@@ -48,9 +48,9 @@ from cqrun.jobs.runs import (
     saved_scene,
     scene_in,
 )
-from cqrun.jobs.trajectories import as_found, write_activation, write_trajectory
-from cqrun.jobs.unknowns import make_params
-from cqrun.scene.build import Built
+from cqrun.running.threads import cores
+from cqrun.running.trajectories import as_found, write_activation, write_trajectory
+from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import get
 from cqrun.scene.schema import Scene

@@ -6,18 +6,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from cqrun.build.model import Built
 from cqrun.errors import Problem, SceneError
+from cqrun.fitting.cases import Case, given_cases, made_cases, own_warnings
+from cqrun.fitting.findings import alignments, write_findings
+from cqrun.fitting.problem import FitProblem
 from cqrun.jobs.bodies import tell_bodies
-from cqrun.jobs.cases import Case, given_cases, made_cases, own_warnings
-from cqrun.jobs.findings import alignments, write_findings
-from cqrun.jobs.kernels import compile_kernels
-from cqrun.jobs.memory import gradient_plan
-from cqrun.jobs.problem import FitProblem
-from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.jobs.runs import (
+from cqrun.optimizers.base import Optimizer, Outcome
+from cqrun.running.gradient_memory import gradient_plan
+from cqrun.running.kernels import compile_kernels
+from cqrun.running.reporter import Reporter, Silent
+from cqrun.running.runs import (
     Progress,
     build_and_warn,
-    cores,
     finished_already,
     open_run,
     raise_if_failed,
@@ -26,9 +27,8 @@ from cqrun.jobs.runs import (
     saved_scene,
     stopping,
 )
-from cqrun.jobs.unknowns import make_params
-from cqrun.optimizers.base import Optimizer, Outcome
-from cqrun.scene.build import Built
+from cqrun.running.threads import cores
+from cqrun.running.unknowns import make_params
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import groups_of
@@ -125,7 +125,7 @@ def with_optimizer(scene: Scene) -> Scene:
     """Return the scene with the optimizer it names, or the one that suits it."""
     if scene.optimizer is not None:
         return scene
-    from cqrun.registry import plugins
+    from cqrun.plugin.registry import plugins
 
     suited = scene.target is None and _numbers(scene) <= FEW and scene.precision == "float64"
     name = "least_squares" if suited else "lbfgs"

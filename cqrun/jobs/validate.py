@@ -8,22 +8,22 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.build.model import Built, build
 from cqrun.errors import SceneError
 from cqrun.explain import listed
-from cqrun.jobs.agent import Agent
+from cqrun.fitting.cases import Case, given_cases, own_warnings
+from cqrun.fitting.marker_misfit import MarkerObjective
 from cqrun.jobs.bodies import lies, made_of, point
-from cqrun.jobs.cases import Case, given_cases, own_warnings
 from cqrun.jobs.control import JOBS, differentiated, optimizer_of
 from cqrun.jobs.control import prepare as prepare_control
-from cqrun.jobs.episodes import EpisodeProblem, has_episodes
 from cqrun.jobs.gradcheck import has_data
-from cqrun.jobs.memory import GRADIENT, gradient_plan, state_bytes
 from cqrun.jobs.report import number
-from cqrun.jobs.reporter import Silent
 from cqrun.jobs.sysid import prepare, with_optimizer
 from cqrun.jobs.validate_control import control_lines, line
-from cqrun.objectives.markers import MarkerObjective
-from cqrun.scene.build import Built, build
+from cqrun.learning.agent import Agent
+from cqrun.learning.episodes import EpisodeProblem, has_episodes
+from cqrun.running.gradient_memory import GRADIENT, gradient_plan, state_bytes
+from cqrun.running.reporter import Silent
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from typing import Any
 
 from cqrun.explain import listed
-from cqrun.jobs.agent import CONTROLLER, Agent
 from cqrun.jobs.bodies import point
 from cqrun.jobs.control import differentiated, optimizer_of
-from cqrun.jobs.episodes import EpisodeProblem
-from cqrun.jobs.memory import record_bytes
 from cqrun.jobs.report import number
+from cqrun.learning.agent import CONTROLLER, Agent
+from cqrun.learning.episodes import EpisodeProblem
+from cqrun.learning.record_memory import record_bytes
 from cqrun.units import format_bytes
 
 

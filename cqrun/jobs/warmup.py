@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from cqrun.jobs.kernels import compile_kernels, composition
-from cqrun.jobs.reporter import Reporter, Silent
-from cqrun.scene.build import build
+from cqrun.build.model import build
+from cqrun.running.kernels import compile_kernels, composition
+from cqrun.running.reporter import Reporter, Silent
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from cqrun.contract import Array, quantity
 from cqrun.loads.load import Load
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 from cqrun.state import ParticleFields
 
 

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cqrun.contract import Array, vector
 from cqrun.loads.load import Load
+from cqrun.plugin.contract import Array, vector
 from cqrun.state import ParticleFields
 
 

@@ -11,8 +11,8 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
-from cqrun.choice import Choice, Chosen
-from cqrun.contract import Array, Plugin
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.contract import Array, Plugin
 from cqrun.state import ParticleFields
 
 

@@ -6,9 +6,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cqrun.contract import Array, vector
 from cqrun.loads.load import Load
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, vector
+from cqrun.plugin.registry import plugin
 from cqrun.state import ParticleFields
 
 

@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, NamedTuple
 
-from cqrun.contract import Array, quantity
 from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus
 from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
-from cqrun.polar import polar, polar_vjp
-from cqrun.registry import plugin
-from cqrun.tensor import (
+from cqrun.numerics.polar import polar, polar_vjp
+from cqrun.numerics.tensor import (
     add,
     cofactor,
     det,
@@ -25,6 +23,8 @@ from cqrun.tensor import (
     sub,
     trace,
 )
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 
 class Kernel(NamedTuple):

@@ -13,10 +13,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field, field_validator
 
-from cqrun.contract import Array
 from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
-from cqrun.registry import plugin
-from cqrun.tensor import cofactor, det, plus_diagonal, scale, trace
+from cqrun.numerics.tensor import cofactor, det, plus_diagonal, scale, trace
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 
 class Kernel(NamedTuple):

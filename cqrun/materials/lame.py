@@ -6,7 +6,7 @@ from typing import Any
 
 from numba.extending import register_jitable
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 
 
 @register_jitable

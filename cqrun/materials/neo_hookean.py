@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, NamedTuple
 
-from cqrun.contract import Array, quantity
-from cqrun.lanes import log
 from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus
 from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
-from cqrun.registry import plugin
-from cqrun.tensor import add, cofactor, det, inner, mul, mul_at, mul_bt, plus_diagonal, scale, trace
+from cqrun.numerics.lanes import log
+from cqrun.numerics.tensor import add, cofactor, det, inner, mul, mul_at, mul_bt, plus_diagonal, scale, trace
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 
 class Kernel(NamedTuple):

@@ -20,10 +20,10 @@ import numpy as np
 from numba.core import types
 from numba.extending import overload, register_jitable
 
-from cqrun.compile import own_symbols, written
-from cqrun.contract import Array, Plugin
-from cqrun.packed import accumulate, load
-from cqrun.tensor import add
+from cqrun.numerics.compile import own_symbols, written
+from cqrun.numerics.packed import accumulate, load
+from cqrun.numerics.tensor import add
+from cqrun.plugin.contract import Array, Plugin
 
 _STRESS: dict[type, Callable[..., Any]] = {}
 _STRESS_VJP: dict[type, Callable[..., Any]] = {}

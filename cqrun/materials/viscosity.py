@@ -10,10 +10,10 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from cqrun.contract import Array, quantity
 from cqrun.materials.term import MaterialTerm, register
-from cqrun.registry import plugin
-from cqrun.tensor import cofactor, det, inner, plus_diagonal, scale, symmetric, trace
+from cqrun.numerics.tensor import cofactor, det, inner, plus_diagonal, scale, symmetric, trace
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 
 class Kernel(NamedTuple):

@@ -7,13 +7,13 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array, quantity
 from cqrun.geometry.region import ChosenRegion
 from cqrun.objectives.axes import AlongAxis
 from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import single
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 
 @plugin("objective", "contact_free")

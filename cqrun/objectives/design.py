@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import means
+from cqrun.plugin.contract import Array
 
 DESIGN = ("mass", "volume", "youngs_modulus", "poissons_ratio")
 """Rows of `Track.design` (Q, N), of every particle: mass [kg], volume at rest [m^D], elastic parameters [Pa], [1]."""

@@ -8,12 +8,12 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.explain import listed
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import means
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 
 @plugin("objective", "effort")

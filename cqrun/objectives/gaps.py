@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 
 
 def lengths(gap: Array, squared: bool) -> Array:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix

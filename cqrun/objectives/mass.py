@@ -9,7 +9,7 @@ from pydantic import Field
 from cqrun.objectives.design import MASS, DesignSum
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm
 from cqrun.observers.matter import A_GROUP, Matter
-from cqrun.registry import plugin
+from cqrun.plugin.registry import plugin
 
 
 @plugin("objective", "mass")

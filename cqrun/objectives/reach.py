@@ -7,14 +7,14 @@ from typing import ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from cqrun.contract import Array, vector
 from cqrun.errors import UsageError
 from cqrun.explain import complaint, finding
 from cqrun.objectives.gaps import lengths, lengths_vjp
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, vector
+from cqrun.plugin.registry import plugin
 
 
 @plugin("objective", "reach")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array, Spec, quantity
 from cqrun.errors import UsageError
 from cqrun.observers.matter import Matter
+from cqrun.plugin.contract import Array, Spec, quantity
 from cqrun.units import LengthUnit
 
 

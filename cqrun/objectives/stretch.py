@@ -7,13 +7,13 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.geometry.region import ChosenRegion
+from cqrun.numerics.tensor import inner, mul, mul_at, plus_diagonal, scale, trace
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar, reduced_vjp
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import single
-from cqrun.registry import plugin
-from cqrun.tensor import inner, mul, mul_at, plus_diagonal, scale, trace
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 TINY = np.finfo(float).tiny
 

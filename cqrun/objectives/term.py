@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array, Plugin
 from cqrun.observers.matter import Matter, bind_each
 from cqrun.observers.rows import slices, stacked
+from cqrun.plugin.contract import Array, Plugin
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

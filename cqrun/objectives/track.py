@@ -7,7 +7,6 @@ from typing import Annotated, ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from cqrun.contract import Array, quantity
 from cqrun.errors import UsageError
 from cqrun.explain import Loc, complaint, finding, listed
 from cqrun.objectives.gaps import lengths, lengths_vjp
@@ -16,7 +15,8 @@ from cqrun.objectives.recorded import RecordedPath
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 Point = Annotated[list[float], Field(min_length=3, max_length=4)]
 _UNIT = "s, m"

@@ -7,13 +7,13 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.objectives.design import MASS, RATIO, STIFFNESS, VOLUME
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 POWERS = {
     "mass": {MASS: 1}, "volume": {VOLUME: 1}, "density": {MASS: 1, VOLUME: -1}, "stiffness": {STIFFNESS: 1},

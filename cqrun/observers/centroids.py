@@ -8,7 +8,7 @@ from pydantic import Field
 
 from cqrun.observers.matter import Matter
 from cqrun.observers.motion import Motion, MotionObserver
-from cqrun.registry import plugin
+from cqrun.plugin.registry import plugin
 
 
 @plugin("observer", "centroids")

@@ -7,13 +7,13 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from cqrun.contract import Array, quantity
 from cqrun.explain import complaint, finding
 from cqrun.observers.matter import Matter
 from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import means
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.registry import plugin
 
 
 @plugin("observer", "clock")

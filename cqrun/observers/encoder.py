@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 
 KERNEL, STRIDE = 3, 2
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 
 NEAR = 1.5
 """Neighbours are closer than this many times the particles' spacing: those along the axes and, in a plane, across."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import means
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 
 @plugin("observer", "goal")

@@ -9,9 +9,9 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
+from cqrun.plugin.contract import Array
 
 A_GROUP = "Group of the body, or region of the scene, by name; the whole body if absent"
 """What a field `group` of observers and objectives takes."""

@@ -8,12 +8,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from cqrun.contract import Array, Spec
 from cqrun.explain import shown
 from cqrun.observers.matter import Matter
 from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import RAW, Range, limits
 from cqrun.observers.rows import means
+from cqrun.plugin.contract import Array, Spec
 
 Quantity = Literal["position", "velocity", "acceleration"]
 

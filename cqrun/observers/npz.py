@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
+from cqrun.plugin.contract import Array
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:

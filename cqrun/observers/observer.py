@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.contract import Array, Plugin
 from cqrun.observers.matter import Matter, bind_each
 from cqrun.observers.rows import slices, stacked
+from cqrun.plugin.contract import Array, Plugin
 from cqrun.state import State
 
 if TYPE_CHECKING:

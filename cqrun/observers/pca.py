@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.observers.matter import Matter
 from cqrun.observers.npz import read_arrays, write_arrays
 from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import weighted
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 
 @dataclass(frozen=True)

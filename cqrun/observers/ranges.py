@@ -12,9 +12,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import PlainValidator, WithJsonSchema
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import shown
+from cqrun.plugin.contract import Array
 
 AUTO, RAW = "auto", "raw"
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 
 
 @dataclass(frozen=True)

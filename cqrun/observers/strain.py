@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array, vector
 from cqrun.explain import Loc
 from cqrun.geometry.region import ChosenRegion
 from cqrun.observers.matter import Matter
 from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import means
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array, vector
+from cqrun.plugin.registry import plugin
 
 
 @plugin("observer", "strain")

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.observers.encoder import Encoder
 from cqrun.observers.matter import Matter
@@ -17,7 +16,8 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.raster import Raster
 from cqrun.observers.rows import weighted
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 from cqrun.state import State
 
 WHAT = "file of a trained encoder"

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import MissingExtra
 from cqrun.observers.encoder import KERNEL, STRIDE, Encoder, size_after
+from cqrun.plugin.contract import Array
 
 CHANNELS = (16, 32)
 """Channels of the layers."""

@@ -7,7 +7,6 @@ from typing import Self, cast
 import numpy as np
 from pydantic import Field, model_validator
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.optimizers.adam import Adam
 from cqrun.optimizers.base import Outcome, Problem, Session, refuse_stochastic, require_finite, terms_of
@@ -25,7 +24,8 @@ from cqrun.optimizers.constrained import (
 )
 from cqrun.optimizers.descent import DescentState
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 LONGEST = 0.1
 """Of a step to the constraints, in an unknown's scaled range."""

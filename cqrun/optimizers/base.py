@@ -15,8 +15,8 @@ from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
-from cqrun.contract import Array, Plugin
 from cqrun.errors import UsageError
+from cqrun.plugin.contract import Array, Plugin
 
 Status = Literal["converged", "iteration_limit", "stalled", "infeasible", "failed", "stopped"]
 

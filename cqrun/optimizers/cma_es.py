@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.errors import MissingExtra
 from cqrun.optimizers.base import (
     Optimizer,
@@ -22,7 +21,8 @@ from cqrun.optimizers.base import (
     require_finite,
     values_at,
 )
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 HALVINGS = 5
 """How often in a row a generation that fails as a whole halves sigma before the run fails."""

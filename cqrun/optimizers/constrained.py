@@ -20,11 +20,11 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.explain import listed
 from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, require_finite, terms_of
 from cqrun.optimizers.replayed import Replayed, Trials, minimise_with_restarts
+from cqrun.plugin.contract import Array
 
 VIOLATION, KKT = "violation", "kkt"
 AT_BOUND = 1e-6

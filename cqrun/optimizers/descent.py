@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.optimizers.base import (
     Optimizer,
@@ -22,6 +21,7 @@ from cqrun.optimizers.base import (
     one_blas_thread,
     terms_of,
 )
+from cqrun.plugin.contract import Array
 
 HALVINGS = 5
 """How often in a row a failed trial halves the step before the run fails."""

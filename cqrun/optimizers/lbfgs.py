@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.optimizers.base import Status
 from cqrun.optimizers.replayed import Replayed, Trials
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 STOPPED_BY_CALLBACK = 99
 """scipy's status where the callback raised StopIteration."""

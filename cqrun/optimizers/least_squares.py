@@ -6,10 +6,10 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.optimizers.base import Status
 from cqrun.optimizers.replayed import Replayed, Trials
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 
 @plugin("optimizer", "least_squares")

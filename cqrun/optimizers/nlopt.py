@@ -8,13 +8,13 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.optimizers.base import Problem, Status
 from cqrun.optimizers.constrained import ConstrainedTrials
 from cqrun.optimizers.slsqp import require_room, require_size
 from cqrun.optimizers.two_searches import Feasible, TwoSearches
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 CONVERGED = (1, 2, 3, 4)
 """NLopt's results that mean a minimum: success, and its three tolerances."""

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.optimizers.base import (
     Optimizer,
     Outcome,
@@ -27,6 +26,7 @@ from cqrun.optimizers.base import (
     require_finite,
     terms_of,
 )
+from cqrun.plugin.contract import Array
 
 RESTARTS = 3
 """How often a failed trial halves the box before the run fails."""

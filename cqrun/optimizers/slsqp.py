@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.optimizers.base import Problem, Status
 from cqrun.optimizers.constrained import ConstrainedTrials
 from cqrun.optimizers.two_searches import Feasible, TwoSearches
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 from cqrun.units import format_bytes
 
 MOST_UNKNOWNS = 5000

@@ -19,12 +19,12 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.optimizers.base import Status, TrialFailed
 from cqrun.optimizers.constrained import ConstrainedTrials, most_violated, violation
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
 from cqrun.optimizers.two_searches import Feasible, TwoSearches
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 TAKEN, GOOD, POOR = 1e-4, 0.75, 0.25
 """Part of the promised fall of the merit at which a step is taken, the radius grows, and it shrinks."""

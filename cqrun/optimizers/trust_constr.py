@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.optimizers.base import Problem, Status
 from cqrun.optimizers.constrained import ConstrainedTrials, Kkt, ReplayedConstrained
 from cqrun.optimizers.slsqp import require_room, require_size
-from cqrun.registry import plugin
+from cqrun.plugin.contract import Array
+from cqrun.plugin.registry import plugin
 
 INSIDE = 1e-6
 """Least distance of the start from the bounds, in scaled coordinates."""

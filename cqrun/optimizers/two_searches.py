@@ -7,9 +7,9 @@ from abc import abstractmethod
 
 from pydantic import Field
 
-from cqrun.contract import Array
 from cqrun.optimizers.base import Status
 from cqrun.optimizers.constrained import ConstrainedTrials, ReplayedConstrained
+from cqrun.plugin.contract import Array
 
 
 class Feasible(Exception):

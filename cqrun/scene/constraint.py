@@ -7,9 +7,9 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from cqrun.choice import Choice, Chosen
-from cqrun.contract import Plugin, Spec
 from cqrun.explain import complaint, finding
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.contract import Plugin, Spec
 
 ENDS = ("at_least", "at_most", "equals")
 

@@ -7,8 +7,8 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from cqrun.contract import Array, Spec, quantity
 from cqrun.explain import complaint, finding
+from cqrun.plugin.contract import Array, Spec, quantity
 from cqrun.scene.fields import Seed
 
 

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from cqrun.contract import Spec, quantity, vector
 from cqrun.explain import Loc, complaint, finding, listed
+from cqrun.plugin.contract import Spec, quantity, vector
 from cqrun.scene.fields import Interval, Name, Seed, Vector
 from cqrun.units import LengthUnit
 

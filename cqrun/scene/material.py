@@ -8,10 +8,10 @@ from typing import Annotated, Any, Self
 from pydantic import ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
 from pydantic_core import InitErrorDetails
 
-from cqrun.choice import Choice, Chosen
-from cqrun.contract import Plugin, Spec, quantity
 from cqrun.explain import KEY, Loc, complaint, finding, listed, retold, suggest
-from cqrun.registry import plugins
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.contract import Plugin, Spec, quantity
+from cqrun.plugin.registry import plugins
 
 TERMS = "material_term"
 """Kind of the plug-ins whose names are keys of a material."""

@@ -13,11 +13,11 @@ import annotated_types
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from cqrun.choice import Chosen
-from cqrun.contract import Plugin, Spec, field_unit, is_differentiable, is_geometric
 from cqrun.errors import Problem, SceneError
 from cqrun.explain import Loc, listed, suggest
-from cqrun.registry import plugins
+from cqrun.plugin.choice import Chosen
+from cqrun.plugin.contract import Plugin, Spec, field_unit, is_differentiable, is_geometric
+from cqrun.plugin.registry import plugins
 from cqrun.scene.keypath import first_key, joined, locate, replaced
 from cqrun.scene.material import TERMS, Terms
 from cqrun.scene.schema import Scene

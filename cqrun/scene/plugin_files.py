@@ -23,11 +23,11 @@ from typing import Any
 
 from pydantic_core import InitErrorDetails
 
-from cqrun import registry
-from cqrun.contract import Plugin, is_differentiable
 from cqrun.errors import UsageError
 from cqrun.explain import KEY, finding, listed
 from cqrun.fingerprint import add_kernels, has_kernels
+from cqrun.plugin import registry
+from cqrun.plugin.contract import Plugin, is_differentiable
 from cqrun.scene.origin import Origin
 
 REACHED: dict[str, Callable[[type[Any]], Sequence[str]]] = {
@@ -145,7 +145,9 @@ def _run(module: str, path: Path, content: bytes) -> None:
 
 def _require_usable(path: Path, classes: Sequence[type[Any]]) -> None:
     if not classes:
-        raise UsageError(f"{path} registers no plug-in: decorate a class with @plugin(kind, name) of cqrun.registry")
+        raise UsageError(
+            f"{path} registers no plug-in: decorate a class with @plugin(kind, name) of cqrun.plugin.registry"
+        )
     for cls in classes:
         if not issubclass(cls, Plugin):
             raise UsageError(

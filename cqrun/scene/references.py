@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic_core import InitErrorDetails
 
 from cqrun.explain import KEY, Loc, finding, listed
+from cqrun.scene.activation import Activation
 from cqrun.scene.region_names import findings_of_regions, unknown
+from cqrun.scene.sections import Sections
 from cqrun.scene.walk import parts
-
-if TYPE_CHECKING:
-    from cqrun.scene.schema import Activation, Scene
-
 
 PICKING = ("observers", "objective", "constraints")
 """Parts whose groups are particles that are picked once, so that a region of the scene does as well."""
@@ -22,7 +20,7 @@ TAKEN = ("iteration", "loss", "growth_at", "regulariser", "violation", "kkt", "s
 """Columns of history.csv beside those of the objective's terms."""
 
 
-def findings_between(scene: Scene) -> list[InitErrorDetails]:
+def findings_between(scene: Sections) -> list[InitErrorDetails]:
     """Return what does not fit together."""
     found = [
         finding(message, (*loc, *place))
@@ -35,7 +33,7 @@ def findings_between(scene: Scene) -> list[InitErrorDetails]:
     return [*found, *named, *_signals(scene), *_controller(scene), *placed, *_target(scene), *_skipped(scene)]
 
 
-def _faces(scene: Scene) -> Iterator[InitErrorDetails]:
+def _faces(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield every `face` that a 2D world has not."""
     for loc, part in parts(scene):
         face = getattr(part, "face", None)
@@ -43,7 +41,7 @@ def _faces(scene: Scene) -> Iterator[InitErrorDetails]:
             yield finding(f"a 2D world has no face {face}", (*loc, "face"))
 
 
-def _bodies(scene: Scene) -> Iterator[InitErrorDetails]:
+def _bodies(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield every `body` that names none of the scene's."""
     for loc, part in parts(scene):
         name = getattr(part, "body", None)
@@ -51,7 +49,7 @@ def _bodies(scene: Scene) -> Iterator[InitErrorDetails]:
             yield finding(unknown("body", name, list(scene.bodies)), (*loc, "body"))
 
 
-def _groups(scene: Scene) -> Iterator[InitErrorDetails]:
+def _groups(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield every group that the body beside it has not; where particles are picked regions may be named as well."""
     for loc, part in parts(scene):
         for owner, key in (("body", "group"), ("body", "groups"), ("body", "each"), ("target", "target_group")):
@@ -67,7 +65,7 @@ def _groups(scene: Scene) -> Iterator[InitErrorDetails]:
                     yield finding(message, (*loc, key, k) if listed else (*loc, key))
 
 
-def _goals_named(scene: Scene) -> Iterator[InitErrorDetails]:
+def _goals_named(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield every `goal` that names none of the scene's."""
     for loc, part in parts(scene):
         name = getattr(part, "goal", None)
@@ -75,7 +73,7 @@ def _goals_named(scene: Scene) -> Iterator[InitErrorDetails]:
             yield finding(unknown("goal", name, list(scene.goals)), (*loc, "goal"))
 
 
-def _columns(scene: Scene) -> Iterator[InitErrorDetails]:
+def _columns(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield terms whose column in history.csv would be another one's."""
     for name in scene.objective:
         if name in TAKEN:
@@ -83,7 +81,7 @@ def _columns(scene: Scene) -> Iterator[InitErrorDetails]:
             yield finding(message, ("objective", name), kind=KEY)
 
 
-def _goals_unused(scene: Scene) -> Iterator[InitErrorDetails]:
+def _goals_unused(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield goals that nothing asks for, as a misspelt one is."""
     named = {name for _, part in parts(scene) if isinstance(name := getattr(part, "goal", None), str)}
     if named:  # else there is nothing that could ask: a scene that is not finished, or a plug-in's own way
@@ -95,7 +93,7 @@ def _goals_unused(scene: Scene) -> Iterator[InitErrorDetails]:
                 )
 
 
-def _positions_outside(scene: Scene) -> Iterator[InitErrorDetails]:
+def _positions_outside(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield places outside the world that an objective or a constraint wants a body to come to."""
     for loc, part in parts(scene):
         if not {*loc[:1]} & {"objective", "constraints"}:
@@ -114,7 +112,7 @@ def _outside(axis: int, reach: str, size: float) -> str:
     return f"lies outside the world: {'xyz'[axis]} = {reach} m; it holds 0 to {size:g} m, move it inside"
 
 
-def _goals_outside(scene: Scene) -> Iterator[InitErrorDetails]:
+def _goals_outside(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield goals that are, or may be drawn, outside the world; one with fewer or more entries is no position."""
     for name, goal in scene.goals.items():
         if len(goal.position) != scene.dim:
@@ -126,7 +124,7 @@ def _goals_outside(scene: Scene) -> Iterator[InitErrorDetails]:
                 yield finding(_outside(k, reach, size), ("goals", name, "position"), involves=("spread",))
 
 
-def _controller(scene: Scene) -> Iterator[InitErrorDetails]:
+def _controller(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield what a controller cannot have beside it, or without it."""
     if scene.controller is None:
         return
@@ -139,7 +137,7 @@ def _controller(scene: Scene) -> Iterator[InitErrorDetails]:
         yield finding("has no actuator to drive: say what it moves, in `actuators`", ("controller",), kind=KEY)
 
 
-def _signals(scene: Scene) -> Iterator[InitErrorDetails]:
+def _signals(scene: Sections) -> Iterator[InitErrorDetails]:
     if scene.activation is None:
         return
     for name in scene.activation.signals or {}:
@@ -151,7 +149,7 @@ def _signals(scene: Scene) -> Iterator[InitErrorDetails]:
         yield finding("has no actuator to drive", ("activation", "random"))
 
 
-def _limits(scene: Scene, activation: Activation) -> Iterator[InitErrorDetails]:
+def _limits(scene: Sections, activation: Activation) -> Iterator[InitErrorDetails]:
     """Yield knots, or ends of a random range, beyond what an actuator takes."""
     for name, chosen in scene.actuators.items():
         low, high = chosen.value.limits  # type: ignore[attr-defined]
@@ -166,7 +164,7 @@ def _limits(scene: Scene, activation: Activation) -> Iterator[InitErrorDetails]:
                 yield finding(message, ("activation", *place))
 
 
-def _target(scene: Scene) -> Iterator[InitErrorDetails]:
+def _target(scene: Sections) -> Iterator[InitErrorDetails]:
     target = scene.target
     if target is not None and target.time > scene.time.duration * (1 + 1e-9):
         message = f"{target.time:g} s is after the end of the run at {scene.time.duration:g} s"
@@ -177,7 +175,7 @@ def _target(scene: Scene) -> Iterator[InitErrorDetails]:
             yield finding(_outside(k, f"{place:g}", size), ("data", "target", "position"))
 
 
-def _skipped(scene: Scene) -> Iterator[InitErrorDetails]:
+def _skipped(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield recordings that skip all of a run of the scene's own duration; those with a `length` tell themselves."""
     for name, recording in scene.recordings.items():
         if recording.length is None and recording.skip >= scene.time.duration:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic_core import InitErrorDetails
 
-from cqrun.choice import Chosen
 from cqrun.explain import KEY, Loc, finding, listed, suggest
 from cqrun.geometry.named import Named
 from cqrun.geometry.region import Region
+from cqrun.plugin.choice import Chosen
+from cqrun.scene.sections import Sections
 from cqrun.scene.walk import children, parts
-
-if TYPE_CHECKING:
-    from cqrun.scene.schema import Scene
 
 
 def unknown(kind: str, name: str, legal: list[str]) -> str:
@@ -22,12 +20,12 @@ def unknown(kind: str, name: str, legal: list[str]) -> str:
     return f"there is no {kind} '{name}'{suggest(name, legal)}; there are: {listed(legal)}"
 
 
-def findings_of_regions(scene: Scene) -> list[InitErrorDetails]:
+def findings_of_regions(scene: Sections) -> list[InitErrorDetails]:
     """Return what is wrong with the names of regions and groups, and with the regions of boundaries."""
     return [*_taken(scene), *_unknown(scene), *_circles(scene), *_of_boundaries(scene)]
 
 
-def _taken(scene: Scene) -> Iterator[InitErrorDetails]:
+def _taken(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield names that mean two things."""
     for body, spec in scene.bodies.items():
         for name in spec.groups:
@@ -39,7 +37,7 @@ def _taken(scene: Scene) -> Iterator[InitErrorDetails]:
                 yield finding(f"is a group of the body '{body}' as well: rename one", ("regions", name), kind=KEY)
 
 
-def _unknown(scene: Scene) -> Iterator[InitErrorDetails]:
+def _unknown(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield names that nothing has where they are used."""
     for loc, part in parts(scene):
         if isinstance(part, Named):
@@ -53,7 +51,7 @@ def _unknown(scene: Scene) -> Iterator[InitErrorDetails]:
                 yield finding(unknown("region", name, legal), ("bodies", body, "material_of", name), kind=KEY)
 
 
-def _known_at(scene: Scene, loc: Loc) -> list[str]:
+def _known_at(scene: Sections, loc: Loc) -> list[str]:
     """Return the names that a region may use at a place: of the regions, and of its body's groups."""
     if loc[0] == "boundaries":
         return list(scene.regions)
@@ -62,7 +60,7 @@ def _known_at(scene: Scene, loc: Loc) -> list[str]:
     return list(dict.fromkeys([*scene.regions, *(name for spec in bodies for name in spec.group_names)]))
 
 
-def _body_at(scene: Scene, loc: Loc) -> str:
+def _body_at(scene: Sections, loc: Loc) -> str:
     """Return the body whose particles a region picks; empty where it may be any."""
     if loc[0] == "bodies":
         return str(loc[1])
@@ -78,7 +76,7 @@ def _names_in(region: Chosen[Region]) -> list[str]:
     return [part.region for _, part in parts(region) if isinstance(part, Named)]
 
 
-def _circles(scene: Scene) -> Iterator[InitErrorDetails]:
+def _circles(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield regions that are made of themselves."""
     yield from _circles_among(scene.regions, scene.regions, ("regions",))
     for body, spec in scene.bodies.items():
@@ -102,7 +100,7 @@ def _circles_among(
             yield finding(f"{message}: a region can only be made of others", (*place, name), kind=KEY)
 
 
-def _of_boundaries(scene: Scene) -> Iterator[InitErrorDetails]:
+def _of_boundaries(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield boundaries whose region, or one that it names, is of particles: they hold nodes of the grid."""
     for name, chosen in scene.boundaries.items():
         region = getattr(chosen.value, "region", None)

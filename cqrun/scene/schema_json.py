@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from cqrun.choice import CHOICE_MARK
-from cqrun.registry import plugins
+from cqrun.plugin.choice import CHOICE_MARK
+from cqrun.plugin.registry import plugins
 from cqrun.scene.defaults import FILLED
 from cqrun.scene.material import TERMS_MARK
 from cqrun.scene.schema import Scene

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from cqrun.choice import Chosen
-from cqrun.contract import Spec
 from cqrun.explain import Loc
+from cqrun.plugin.choice import Chosen
+from cqrun.plugin.contract import Spec
 
 
 def children(node: Any) -> dict[int | str, Any]:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import DataError
 from cqrun.explain import listed
-from cqrun.store.recordings import Recording
+from cqrun.plugin.contract import Array
+from cqrun.store.recording import Recording
 
 LARGEST_RESIDUAL = 5e-3
 """A marker further than this from its rest position after alignment is refused [m]."""

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import DataError
-from cqrun.store.recordings import Recording, unit_of
+from cqrun.plugin.contract import Array
+from cqrun.store.recording import Recording, unit_of
 from cqrun.units import METRES
 
 BLOCK = 512

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
+from cqrun.plugin.contract import Array
 
 
 def part_path(path: Path) -> Path:

@@ -7,8 +7,8 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from cqrun import __version__
 from cqrun.fingerprint import library_versions
+from cqrun.version import __version__
 
 
 def versions() -> dict[str, str]:

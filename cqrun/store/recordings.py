@@ -1,4 +1,4 @@
-"""Recordings of markers: what a camera system, another program or cqrun itself saw, in metres and seconds.
+"""Reading recordings: what a camera system, another program or cqrun itself saw, in metres and seconds.
 
 `read_recording` tells the formats apart by the file's ending: C3D, CSV (`time,marker,x,y,z`) and
 cqrun's own trajectories (HDF5). Whatever cannot be used is refused with a `DataError` that says what to do.
@@ -6,69 +6,15 @@ cqrun's own trajectories (HDF5). Whatever cannot be used is refused with a `Data
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from cqrun.contract import Array
 from cqrun.errors import DataError
-from cqrun.explain import listed, suggest
+from cqrun.plugin.contract import Array
+from cqrun.store.c3d import read_c3d
+from cqrun.store.marker_csv import read_csv
+from cqrun.store.recorded_trajectory import read_trajectory
+from cqrun.store.recording import Recording, check_recording
 from cqrun.units import METRES
-
-_SPELLINGS = {"meter": "m", "meters": "m", "metre": "m", "metres": "m"}
-_SPELLINGS |= {
-    prefix + word: short + "m"
-    for prefix, short in (("centi", "c"), ("milli", "m"))
-    for word in ("meter", "meters", "metre", "metres")
-}
-
-
-@dataclass(frozen=True)
-class Recording:
-    """Positions of markers over time.
-
-    Attributes:
-        time: (T,) strictly increasing [s].
-        names: M labels, in the file's order; a C3D file may repeat one.
-        positions: (T, M, D) in the recording's own axes [m]; NaN where a marker was not seen.
-        source: where it came from, as errors name it.
-    """
-
-    time: Array
-    names: tuple[str, ...]
-    positions: Array
-    source: str
-
-    @property
-    def dim(self) -> int:
-        """Number of coordinates, 2 or 3."""
-        return int(self.positions.shape[2])
-
-    def seen(self) -> Array:
-        """Say where each marker was seen: (T, M) of bool."""
-        return ~np.isnan(self.positions).any(axis=2)
-
-    def select(self, names: Sequence[str]) -> Recording:
-        """Return the recording of `names` alone, in that order.
-
-        Raises:
-            DataError: a name is not in the recording, or is there more than once.
-        """
-        columns = []
-        for name in names:
-            found = [i for i, label in enumerate(self.names) if label == name]
-            if not found:
-                known = listed((f"'{label}'" for label in dict.fromkeys(self.names)), 12)
-                raise DataError(f"{self.source}: no marker '{name}'{suggest(name, self.names)}; it has {known}")
-            if len(found) > 1:
-                raise DataError(
-                    f"{self.source}: marker '{name}' is there {len(found)} times; "
-                    "rename or remove the others in the recording"
-                )
-            columns.append(found[0])
-        return replace(self, names=tuple(names), positions=self.positions[:, columns])
 
 
 def read_recording(path: Path, *, units: str | None = None, where: str = "") -> Recording:
@@ -83,11 +29,9 @@ def read_recording(path: Path, *, units: str | None = None, where: str = "") -> 
         DataError: the file is missing, empty, truncated, of another format, or holds what no
             recording can (times that do not increase, infinite or half-missing positions).
     """
-    from cqrun.store import c3d, marker_csv, recorded_trajectory
-
     path = Path(path)
     source = f"{where}: {path}" if where else str(path)
-    readers = {".c3d": c3d.read_c3d, ".csv": marker_csv.read_csv, ".h5": recorded_trajectory.read_trajectory}
+    readers = {".c3d": read_c3d, ".csv": read_csv, ".h5": read_trajectory}
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise DataError(f"{source}: a recording ends in {', '.join(readers)}, not in '{path.suffix}'")
@@ -109,38 +53,3 @@ def marker_path(path: Path, units: str | None, marker: str) -> tuple[Array, Arra
     recording = read_recording(path, units=units).select([marker])
     seen = recording.seen()[:, 0]
     return recording.time[seen], recording.positions[seen, 0]
-
-
-def check_recording(recording: Recording) -> Recording:
-    """Return `recording` if its times increase and its positions are finite or missing.
-
-    Raises:
-        DataError: says which frame or marker is wrong.
-    """
-    time, positions, source = recording.time, recording.positions, recording.source
-    if time.size < 2:
-        raise DataError(f"{source}: {time.size} frames; a recording needs 2 or more")
-    if not np.isfinite(time).all():
-        frame = int(np.flatnonzero(~np.isfinite(time))[0])
-        raise DataError(f"{source}: the time of frame {frame} is {time[frame]}; every frame needs a time")
-    back = np.flatnonzero(np.diff(time) <= 0)
-    if back.size:
-        k = int(back[0])
-        raise DataError(
-            f"{source}: time does not increase: frame {k} is at {time[k]:.9g} s and "
-            f"frame {k + 1} at {time[k + 1]:.9g} s"
-        )
-    if np.isinf(positions).any():
-        frame, marker, _ = (int(i[0]) for i in np.nonzero(np.isinf(positions)))
-        raise DataError(
-            f"{source}: marker '{recording.names[marker]}' is at infinity in frame {frame}; "
-            "leave a marker that was not seen out, or write nan"
-        )
-    return recording
-
-
-def unit_of(text: str) -> str | None:
-    """Return `m`, `cm` or `mm` for what a file calls its unit, None for anything else."""
-    word = text.strip().lower()
-    word = _SPELLINGS.get(word, word)
-    return word if word in METRES else None

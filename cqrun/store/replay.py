@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.errors import UsageError
 from cqrun.optimizers.base import TrialFailed
+from cqrun.plugin.contract import Array
 from cqrun.store.atomic import append_durably, disk_errors, sync_directory
 
 MAGIC = b"CQREPLAY" + struct.pack("<I", 1)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from cqrun.contract import Array
 from cqrun.optimizers.base import TrialFailed
+from cqrun.plugin.contract import Array
 from cqrun.store.replay import ReplayLog
 from cqrun.store.run import RunDirectory
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 from cqrun.store.atomic import disk_errors, make_directory, require_room, sync_directory
 from cqrun.store.frames import Frames, part_path
 from cqrun.store.vtkhdf import add_vtk_view

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 from cqrun.store.atomic import replacing
 
 if TYPE_CHECKING:

@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from cqrun import registry
 from cqrun.boundaries import condition as conditions
 from cqrun.boundaries.condition import NodeNormals, project, project_all, project_all_vjp, project_vjp
 from cqrun.boundaries.friction import SMOOTHING, Friction
 from cqrun.boundaries.separate import Separate
 from cqrun.boundaries.slip import Slip
 from cqrun.boundaries.sticky import Sticky
-from cqrun.compile import kernel
+from cqrun.numerics.compile import kernel
+from cqrun.plugin import registry
 
 DIM = pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
 EVERY = pytest.mark.parametrize("name", registry.plugins("boundary"))

@@ -9,7 +9,7 @@ import pytest
 
 from cqrun.cli.describe import _lines
 from cqrun.errors import UsageError
-from cqrun.registry import FOLDERS, plugins
+from cqrun.plugin.registry import FOLDERS, plugins
 from cqrun.scene.defaults import FILLED
 
 KINDS = [kind for kind, folder in FOLDERS.items() if find_spec(folder)]

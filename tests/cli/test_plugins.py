@@ -20,7 +20,7 @@ RULE = '''\
 from pydantic import Field
 
 from cqrun.optimizers.descent import Descent
-from cqrun.registry import plugin
+from cqrun.plugin.registry import plugin
 
 
 @plugin("optimizer", "sign_descent")

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from small_beam import BEAM
 
+from cqrun.build.particles import sample
 from cqrun.cli.render import _kind
 from cqrun.errors import UsageError
 from cqrun.scene.load import dump, load_scene, resolve
-from cqrun.scene.particles import sample
 from cqrun.store.atomic import write_json, write_text
 from cqrun.store.trajectory import TrajectoryWriter
 

@@ -10,7 +10,7 @@ from made_matter import mismatch, moved, slope
 
 from cqrun.controllers.controller import Controller
 from cqrun.controllers.mlp import Mlp
-from cqrun.registry import plugins
+from cqrun.plugin.registry import plugins
 
 N_IN, N_OUT, N_CONTROLS, CONTROL_STEP = 5, 3, 8, 0.05
 LOW, HIGH = np.array([0.0, -1.0, -2.0]), np.array([1.0, 1.0, 0.5])

@@ -18,7 +18,7 @@ from cqrun.controllers.mlp import Mlp
 from cqrun.controllers.open_loop import OpenLoop
 from cqrun.controllers.sinusoid import Sinusoid
 from cqrun.engine.rollout import Rollout
-from cqrun.registry import plugins
+from cqrun.plugin.registry import plugins
 
 pytestmark = needs_jit
 

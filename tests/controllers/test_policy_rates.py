@@ -7,10 +7,10 @@ import pytest
 from made_matter import made_matter
 from small_finger import FINGER
 
+from cqrun.build.model import build
 from cqrun.controllers.open_loop import OpenLoop
 from cqrun.controllers.policy import ControlPolicy, Limits
 from cqrun.observers.observer import Observation
-from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 
 STEPS, CHANGE = 6, np.array([0.25, 0.125, np.inf])

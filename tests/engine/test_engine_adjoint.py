@@ -23,7 +23,7 @@ from rich_scene import (
 from cqrun.actuators import muscle
 from cqrun.engine.model import GroupModel, LossBar, Records
 from cqrun.engine.rollout import Rollout
-from cqrun.registry import plugins
+from cqrun.plugin.registry import plugins
 
 DOT_PRODUCT = 1e-9
 TINY = 1e-30

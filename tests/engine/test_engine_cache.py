@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from numba.core import caching
 
-from cqrun.compile import SharedIndex, kernel
+from cqrun.numerics.compile import SharedIndex, kernel
 
 
 class Slow(SharedIndex):

@@ -41,7 +41,7 @@ def test_first_run_on_a_machine_is_any_later_run(tmp_path):
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_a_kernel_shares_its_helpers_with_no_other():
-    import cqrun.compile  # noqa: F401
+    import cqrun.numerics.compile  # noqa: F401
 
     @njit(inline="never")
     def helper(a):

@@ -6,7 +6,7 @@ import pytest
 from little_worlds import needs_jit
 from numba import njit
 
-from cqrun.compile import kernel, one_body
+from cqrun.numerics.compile import kernel, one_body
 
 
 @one_body

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cqrun.build.model import build
 from cqrun.engine.rollout import Rollout
 from cqrun.materials.term import _STRESS
-from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 from cqrun.state import State
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from cqrun.engine.probe import MANY, make_probe, record, record_vjp
-from cqrun.packed import pack, unpack
+from cqrun.numerics.packed import pack, unpack
 from cqrun.state import PADDING
 
 ROWS = 12

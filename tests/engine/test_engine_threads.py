@@ -11,10 +11,10 @@ from little_worlds import Wall, below, needs_jit, world
 from rich_scene import KINDS, arrays, parts, product, random_records, rich
 
 from cqrun.boundaries.friction import Friction
-from cqrun.engine import rollout
+from cqrun.build.model import build
+from cqrun.engine import forward_run
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
-from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 from cqrun.state import Layout, State
 
@@ -93,7 +93,7 @@ def test_large_bodies_are_chained_unless_something_pushes(monkeypatch):
         inputs = built.assembly.inputs({})
         size = Rollout(built.model, inputs).start.nbytes
         for least in (size, size + 1):
-            monkeypatch.setattr(rollout, "CHAINED_FROM", least)
+            monkeypatch.setattr(forward_run, "CHAINED_FROM", least)
             found[name, least - size] = Rollout(built.model, inputs).setting.chained
     assert list(found.values()) == [True, False, False, False]
 
@@ -164,7 +164,7 @@ def _difference(a: Records, b: Records) -> Records:
 )
 def test_threads_with_too_little_to_do_stay_away(worth, call_worth, threads, rng, monkeypatch):
     model, inputs = crowd(2, rng)  # 600 particles, 10 substeps in a control step
-    monkeypatch.setattr(rollout, "THREAD_WORTH", worth)
-    monkeypatch.setattr(rollout, "CALL_WORTH", call_worth)
+    monkeypatch.setattr(forward_run, "THREAD_WORTH", worth)
+    monkeypatch.setattr(forward_run, "CALL_WORTH", call_worth)
     assert Rollout(model, inputs, threads=4).threads == threads
     assert Rollout(model, inputs).threads == 1

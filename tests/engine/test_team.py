@@ -10,8 +10,8 @@ import time
 import pytest
 from little_worlds import needs_jit
 
-from cqrun.compile import barrier, kernel
 from cqrun.engine.team import Team
+from cqrun.numerics.compile import barrier, kernel
 
 
 @kernel

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.store.trajectory import TrajectoryWriter
 

@@ -10,14 +10,14 @@ from small_beam import changed, result_of
 from small_finger import FINGER
 
 import cqrun
+from cqrun.build.particles import sample
 from cqrun.figures.convergence import unknown_curves
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.draw import draw_run
 from cqrun.figures.render import Wanted, render
 from cqrun.figures.run_data import read_run
 from cqrun.jobs.control import run_control
-from cqrun.jobs.reporter import Silent
-from cqrun.scene.particles import sample
+from cqrun.running.reporter import Silent
 
 E, RHO = (f"bodies.finger.material.{name}" for name in ("elastic.fixed_corotated.youngs_modulus", "density"))
 

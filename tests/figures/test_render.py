@@ -12,6 +12,7 @@ import pytest
 from made_runs import DURATION, YOUNG, plane_scene, write_result, write_run, write_trajectory
 from PIL import Image
 
+from cqrun.build.particles import sample
 from cqrun.errors import MissingExtra, Stopped, UsageError
 from cqrun.figures import movie, solid
 from cqrun.figures.colours import colours
@@ -20,9 +21,8 @@ from cqrun.figures.run_data import TRAJECTORY, read_run
 from cqrun.figures.scenery import goals, plot_goals
 from cqrun.figures.style import GROUND, TRUTH, new_figure, styled
 from cqrun.figures.views import PLANE
-from cqrun.jobs.reporter import Silent
+from cqrun.running.reporter import Silent
 from cqrun.scene.load import load_scene
-from cqrun.scene.particles import sample
 from cqrun.store.frames import Frames
 from cqrun.store.trajectory import TrajectoryWriter
 

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image as Pillow
 from pydantic import ValidationError
 
+from cqrun.build.particles import Particles, sample
 from cqrun.errors import SceneError, UsageError
 from cqrun.geometry.difference import Difference
 from cqrun.geometry.image import Image
@@ -19,7 +20,6 @@ from cqrun.geometry.random import Random
 from cqrun.geometry.transformed import Transformed
 from cqrun.geometry.union import Union
 from cqrun.scene.load import load_scene
-from cqrun.scene.particles import Particles, sample
 
 WHITE, RED, BLUE, PINK = (255, 255, 255), (220, 20, 20), (0, 0, 255), (255, 210, 210)
 

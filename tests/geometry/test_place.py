@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from cqrun.geometry.half_space import HalfSpace
 from cqrun.geometry.place import Place
-from cqrun.registry import plugins
+from cqrun.plugin.registry import plugins
 
 PLACES = [
     (2, Place()),

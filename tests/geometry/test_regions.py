@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from cqrun.errors import UsageError
 from cqrun.geometry.cluster import k_means
 from cqrun.geometry.region import ChosenRegion, Region
-from cqrun.registry import plugins
+from cqrun.plugin.registry import plugins
 
 ADAPTER: TypeAdapter[Any] = TypeAdapter(ChosenRegion)
 LEFT = {"half_space": {"point": [0, 0], "normal": [1, 0]}}

@@ -10,7 +10,7 @@ import pytest
 from cqrun.errors import UsageError
 from cqrun.geometry.box import Box
 from cqrun.geometry.shape import Shape
-from cqrun.registry import plugins
+from cqrun.plugin.registry import plugins
 
 
 def make(kind: str, name: str, **fields: Any) -> Any:

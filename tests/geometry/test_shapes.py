@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from cqrun.choice import Choice, Chosen
 from cqrun.geometry.shape import Shape
-from cqrun.registry import plugins
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.registry import plugins
 
 DISC = {"ball": {"center": [0, 1], "radius": 1}}
 SQUARE = {"box": {"corner": [0, 1], "size": [1, 1]}}

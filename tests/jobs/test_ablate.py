@@ -18,8 +18,8 @@ from cqrun.errors import RunError, SceneError, Stopped, UsageError
 from cqrun.figures.ablation import draw_ablation
 from cqrun.jobs import ablate
 from cqrun.jobs.ablate import _gain, ablation_lines, effects, group_of, run_ablation, variants_of
-from cqrun.jobs.fleet import Member
 from cqrun.jobs.seeds import run_seeds
+from cqrun.running.fleet import Member
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import get
 from cqrun.scene.unknowns import tied

@@ -9,16 +9,16 @@ import pytest
 from small_beam import BEAM, Listener
 from small_finger import FINGER, written
 
-from cqrun.engine import rollout
+from cqrun.build.model import build
+from cqrun.engine import forward_run
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RunError, SceneError, Stopped, UsageError
 from cqrun.jobs import bench as blocks
 from cqrun.jobs import bench_scene
 from cqrun.jobs.bench import excerpt_of_block, run_bench
 from cqrun.jobs.bench_scene import excerpt_of, run_bench_scene, shares
-from cqrun.jobs.reporter import Silent
 from cqrun.jobs.simulate import make_agent
-from cqrun.scene.build import build
+from cqrun.running.reporter import Silent
 from cqrun.scene.load import load_scene
 
 PASSES = {
@@ -45,7 +45,7 @@ def few(monkeypatch):
 @pytest.mark.parametrize(("text", "passes"), [(BEAM, PASSES), (BEAM, CHAINED), (FINGER, ACTING), (PUSHED, PUSHING)])
 def test_every_pass_has_a_line_and_a_share(tmp_path, text, passes, monkeypatch):
     if passes is CHAINED:
-        monkeypatch.setattr(rollout, "CHAINED_FROM", 0)
+        monkeypatch.setattr(forward_run, "CHAINED_FROM", 0)
     file = tmp_path / "scene.yaml"
     file.write_text(text)
     output = tmp_path / "new" / "bench.json"

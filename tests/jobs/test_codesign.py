@@ -10,16 +10,16 @@ from scipy.spatial import cKDTree
 from small_beam import Listener, result_of
 from small_finger import DESIGN, STIFFNESS, written
 
+from cqrun.build.model import build
 from cqrun.cli.results import infeasible_shown
 from cqrun.design.spread import mirrored
 from cqrun.errors import InfeasibleError, RunError, SceneError, UsageError
 from cqrun.jobs.control import prepare, run_control
 from cqrun.jobs.report import report_lines
-from cqrun.jobs.reporter import Silent
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.validate import validate
-from cqrun.scene.build import build
+from cqrun.running.reporter import Silent
 from cqrun.scene.load import load_scene
 from cqrun.scene.references import TAKEN
 from cqrun.store.history import read_history

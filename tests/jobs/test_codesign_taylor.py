@@ -10,7 +10,7 @@ import pytest
 from small_finger import DESIGN
 
 from cqrun.jobs.control import prepare
-from cqrun.jobs.reporter import Silent
+from cqrun.running.reporter import Silent
 from cqrun.scene.load import load_scene
 
 MATERIAL = "bodies.finger.material"

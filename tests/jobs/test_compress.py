@@ -10,9 +10,9 @@ from small_beam import BEAM
 
 from cqrun.errors import MissingExtra, Stopped, UsageError
 from cqrun.jobs.compress import compress, raster_of
-from cqrun.jobs.reporter import Silent
 from cqrun.jobs.simulate import run_simulate
 from cqrun.observers.pca import load_components
+from cqrun.running.reporter import Silent
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ from cqrun.controllers.saved import read_controller
 from cqrun.errors import RolloutError, RunError, SceneError, Stopped, UsageError
 from cqrun.figures.draw import draw_run
 from cqrun.jobs.control import run_control
-from cqrun.jobs.episodes import EpisodeProblem
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
-from cqrun.jobs.runs import EXTENDED
+from cqrun.learning.episodes import EpisodeProblem
+from cqrun.running.runs import EXTENDED
 from cqrun.store.history import read_history
 from cqrun.store.run import read_record
 from cqrun.store.trajectory import read_trajectory

@@ -11,18 +11,18 @@ from small_beam import Listener, assert_same, changed, result_of
 from small_finger import FINGER, written
 
 import cqrun
+from cqrun.build.model import build
 from cqrun.controllers.saved import read_controller, save_controller
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.figures.render import Wanted, render
-from cqrun.jobs.agent import Agent
 from cqrun.jobs.control import Keeping, run_control
 from cqrun.jobs.export import designed
 from cqrun.jobs.report import report_lines
-from cqrun.jobs.reporter import Silent
 from cqrun.jobs.resume import run_resume
-from cqrun.jobs.runs import open_run, scene_in
 from cqrun.jobs.simulate import UNTRAINED, run_simulate
-from cqrun.scene.build import build
+from cqrun.learning.agent import Agent
+from cqrun.running.reporter import Silent
+from cqrun.running.runs import open_run, scene_in
 from cqrun.scene.load import load_scene
 from cqrun.store.history import read_history
 from cqrun.store.run import RunDirectory, read_record

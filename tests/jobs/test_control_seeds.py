@@ -17,10 +17,10 @@ from small_finger import written
 
 from cqrun.errors import Stopped, UsageError
 from cqrun.jobs import seeds
-from cqrun.jobs.fleet import Member
 from cqrun.jobs.resume import run_resume
-from cqrun.jobs.runs import EXTENDED
 from cqrun.jobs.seeds import _summary, interval, run_seeds, summary_lines
+from cqrun.running.fleet import Member
+from cqrun.running.runs import EXTENDED
 
 
 @pytest.fixture

@@ -12,17 +12,17 @@ import trimesh
 from small_beam import Listener, changed, result_of
 from small_finger import FINGER
 
+from cqrun.build.model import build
 from cqrun.errors import MissingExtra, Stopped, UsageError
 from cqrun.figures.colours import material_of
 from cqrun.figures.run_data import read_run
-from cqrun.jobs.agent import FILE
 from cqrun.jobs.bodies import point
 from cqrun.jobs.control import run_control
 from cqrun.jobs.export import _outline, _surface, designed, export_design, table
-from cqrun.jobs.replay import learned_in
 from cqrun.jobs.report import number
 from cqrun.jobs.simulate import run_simulate
-from cqrun.scene.build import build
+from cqrun.learning.agent import FILE
+from cqrun.learning.replay import learned_in
 from cqrun.scene.load import load_scene
 
 E = "bodies.finger.material.elastic.fixed_corotated.youngs_modulus"

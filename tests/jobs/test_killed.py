@@ -15,9 +15,9 @@ import pytest
 from small_beam import BEAM, FIT, assert_same, changed, record, recorded, result_of
 from small_finger import DESIGN, FINGER, written
 
-from cqrun.jobs.kernels import compile_kernels
-from cqrun.jobs.reporter import Silent
-from cqrun.scene.build import build
+from cqrun.build.model import build
+from cqrun.running.kernels import compile_kernels
+from cqrun.running.reporter import Silent
 from cqrun.scene.load import load_scene
 from cqrun.store.run import read_record
 from cqrun.store.trajectory import read_trajectory

@@ -9,13 +9,13 @@ import pytest
 from PIL import Image
 from small_beam import Listener, assert_same, changed
 
+from cqrun.build.particles import sample
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.jobs.resume import run_resume
-from cqrun.jobs.runs import run_scene
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.validate import validate
+from cqrun.running.runs import run_scene
 from cqrun.scene.load import load_scene
-from cqrun.scene.particles import sample
 from cqrun.store.run import read_record
 
 BOX = "shape: {box: {corner: [0.02, 0.06], size: [0.1, 0.01]}}"

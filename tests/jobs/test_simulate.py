@@ -73,7 +73,7 @@ def test_a_scene_has_a_run_of_each_job(fit, tmp_path):
 
 
 def test_long_runs_keep_few_frames_and_the_last(beam, tmp_path, monkeypatch):
-    from cqrun.jobs import trajectories
+    from cqrun.running import trajectories
 
     monkeypatch.setattr(trajectories, "FRAMES", 4)
     run = simulate(beam, tmp_path)

@@ -281,7 +281,7 @@ def test_a_truth_that_blows_up_fails_the_run(fit, tmp_path):
 
 
 def test_trials_that_all_fail_end_the_run_with_their_values(fit, tmp_path, monkeypatch):
-    from cqrun.jobs.problem import FitProblem
+    from cqrun.fitting.problem import FitProblem
 
     def fails(self, x):
         values = self.params.describe(x)
@@ -297,7 +297,7 @@ def test_trials_that_all_fail_end_the_run_with_their_values(fit, tmp_path, monke
 
 
 def test_a_kernel_is_announced_once_for_its_kind(fit, tmp_path, monkeypatch):
-    from cqrun.jobs import kernels
+    from cqrun.running import kernels
 
     monkeypatch.setattr(kernels, "set_kernel_cache", lambda: tmp_path / "cache")
     said = []

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from small_beam import E_PATH, SHEAR_PATH, Listener, changed, record, recorded, result_of
 
+from cqrun.build.model import build
 from cqrun.cli.results import draw_and_print_run
 from cqrun.errors import SceneError, Stopped, UsageError
-from cqrun.jobs.cases import make_cases
+from cqrun.fitting.cases import make_cases
 from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid, with_optimizer
 from cqrun.jobs.validate import validate
-from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 from cqrun.store.run import read_record
 from cqrun.store.trajectory import read_trajectory

@@ -6,10 +6,10 @@ import pytest
 from numba import config
 from small_beam import BEAM, Listener, changed
 
-from cqrun.jobs import kernels
-from cqrun.jobs.kernels import compile_kernels, composition, mark_of
+from cqrun.build.model import build
 from cqrun.jobs.warmup import common_scenes, warmup
-from cqrun.scene.build import build
+from cqrun.running import kernels
+from cqrun.running.kernels import compile_kernels, composition, mark_of
 from cqrun.scene.load import load_scene
 
 WORDS = "2D float64, fixed_corotated + viscosity, sticky, forward and backward"

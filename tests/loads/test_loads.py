@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cqrun import registry
 from cqrun.loads.gravity import Gravity
 from cqrun.loads.load import Load
+from cqrun.plugin import registry
 from cqrun.state import ParticleFields
 
 N, CHOSEN = 7, np.array([1, 2, 5])

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from cqrun import registry
 from cqrun.actuators.muscle import Kernel as Muscle
 from cqrun.materials.term import kirchhoff, kirchhoff_vjp
+from cqrun.plugin import registry
 
 RANGES = {"youngs_modulus": (1.0, 10.0), "poissons_ratio": (-0.3, 0.45)}
 """Where parameters are drawn from that two kinds of term share; others from their own bounds."""

@@ -23,14 +23,14 @@ from constitutive import (
 )
 
 from cqrun.actuators.muscle import from_rows, symmetric_rows
-from cqrun.compile import kernel
-from cqrun.lanes import lane_width
 from cqrun.materials import term
 from cqrun.materials.incompressibility import Incompressibility, bulk_modulus
 from cqrun.materials.lame import lame, lame_vjp
 from cqrun.materials.term import MaterialTerm, kirchhoff, kirchhoff_vjp, total_kirchhoff, total_kirchhoff_vjp
-from cqrun.packed import load, pack, store, unpack
-from cqrun.polar import polar
+from cqrun.numerics.compile import kernel
+from cqrun.numerics.lanes import lane_width
+from cqrun.numerics.packed import load, pack, store, unpack
+from cqrun.numerics.polar import polar
 
 DIM = pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
 EVERY = pytest.mark.parametrize("name", all_names())

@@ -22,7 +22,7 @@ from made_matter import (
 
 from cqrun.objectives.gaps import lengths, lengths_vjp
 from cqrun.objectives.term import BoundTerm, Objective, Over, Track, TrackBar, reduced, reduced_vjp
-from cqrun.registry import plugins
+from cqrun.plugin.registry import plugins
 
 FIELDS = ("x", "v", "C", "F", "activation", "design")
 OVER = typing.get_args(Over)

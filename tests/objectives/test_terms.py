@@ -10,9 +10,9 @@ import pytest
 from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, made_matter
 from pydantic import TypeAdapter, ValidationError
 
-from cqrun.choice import Choice, Chosen
 from cqrun.errors import UsageError
 from cqrun.objectives.term import Objective, ObjectiveTerm, Track, reduced
+from cqrun.plugin.choice import Choice, Chosen
 
 CHOSEN = TypeAdapter(Annotated[Chosen[ObjectiveTerm], Choice("objective")])
 MATTER = made_matter(2)

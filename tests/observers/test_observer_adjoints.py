@@ -13,7 +13,7 @@ from made_matter import CONTROL_STEP, box_around_left, made_matter, mismatch, mo
 from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observation
 from cqrun.observers.pca import Pca, fit_components
 from cqrun.observers.vae import Vae
-from cqrun.registry import plugins
+from cqrun.plugin.registry import plugins
 from cqrun.state import State
 
 ALL = ["position", "velocity", "acceleration"]

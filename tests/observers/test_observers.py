@@ -10,10 +10,10 @@ import pytest
 from made_matter import CONTROL_STEP, box_around_left, made_matter
 from pydantic import TypeAdapter, ValidationError
 
-from cqrun.choice import Choice, Chosen
 from cqrun.errors import UsageError
 from cqrun.observers.matter import Matter
 from cqrun.observers.observer import Moment, Observation, Observer
+from cqrun.plugin.choice import Choice, Chosen
 from cqrun.state import State
 
 CHOSEN = TypeAdapter(Annotated[Chosen[Observer], Choice("observer")])

@@ -8,7 +8,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from cqrun.observers.ranges import Range
-from cqrun.registry import plugins
+from cqrun.plugin.registry import plugins
 
 RANGE = TypeAdapter(Range)
 

@@ -8,7 +8,6 @@ from pydantic import ValidationError
 from threadpoolctl import threadpool_info, threadpool_limits
 from toy_problems import Rosenbrock, history_rows, run_folder, solve
 
-from cqrun.contract import Plugin
 from cqrun.errors import UsageError
 from cqrun.optimizers.adam import Adam
 from cqrun.optimizers.base import Optimizer, one_blas_thread
@@ -17,7 +16,8 @@ from cqrun.optimizers.lbfgs import Lbfgs
 from cqrun.optimizers.least_squares import LeastSquares
 from cqrun.optimizers.replayed import half_box
 from cqrun.optimizers.sgd import Sgd
-from cqrun.registry import plugins
+from cqrun.plugin.contract import Plugin
+from cqrun.plugin.registry import plugins
 
 SCIPY = [LeastSquares(max_iterations=60), Lbfgs(max_iterations=300)]
 DESCENT = [Adam(max_iterations=40, learning_rate=0.1), Sgd(max_iterations=40, learning_rate=0.01)]
@@ -42,7 +42,7 @@ def test_importing_them_imports_no_scipy():
     import sys
 
     code = (
-        "import sys; from cqrun.registry import plugins; plugins('optimizer');"
+        "import sys; from cqrun.plugin.registry import plugins; plugins('optimizer');"
         "import cqrun.store.run, cqrun.store.session, cqrun.store.trajectory;"
         "assert not {'scipy', 'numba', 'h5py', 'matplotlib', 'cma'} & set(sys.modules)"
     )

@@ -10,7 +10,7 @@ from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Judgement, Size
 from benchmarks.papers.publish import publish
 from benchmarks.papers.work import CLOCK, Runs
-from cqrun.scene.build import build
+from cqrun.build.model import build
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
 

@@ -10,11 +10,11 @@ import pytest
 from small_finger import DESIGN, STIFFNESS
 
 import cqrun
+from cqrun.build.model import build
 from cqrun.engine.model import Records
 from cqrun.errors import SceneError, UsageError
-from cqrun.jobs.agent import Agent
-from cqrun.jobs.runs import open_run
-from cqrun.scene.build import build
+from cqrun.learning.agent import Agent
+from cqrun.running.runs import open_run
 from cqrun.scene.load import load_scene
 
 pytestmark = pytest.mark.rl

@@ -22,7 +22,7 @@ class Killed(Exception):
 @pytest.fixture
 def explosive(monkeypatch):
     """Robots that blow up in the third step, where the goal lies to the right."""
-    from cqrun.jobs.environment import SceneEnvironment  # of the extra rl
+    from cqrun.learning.environment import SceneEnvironment  # of the extra rl
 
     step = SceneEnvironment.step
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cqrun.build.assembly import Assembly
+from cqrun.build.model import build
+from cqrun.build.particles import sample
 from cqrun.errors import SceneError
-from cqrun.scene.assembly import Assembly
-from cqrun.scene.build import build
 from cqrun.scene.load import dump, load_scene, resolve
-from cqrun.scene.particles import sample
 from cqrun.scene.schema import Scene
 
 BASE = "bodies.b.material"

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from plugin_sandbox import DISC, sandbox
 
-from cqrun import registry
 from cqrun.errors import SceneError, UsageError
+from cqrun.plugin import registry
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
 from cqrun.scene.plugin_files import plugins_allowed, take_files
@@ -107,9 +107,9 @@ RAISES = DISC.replace("@plugin", "table = {}\nvalue = table['missing']\n\n@plugi
 LAW = '''\
 from typing import ClassVar
 
-from cqrun.contract import quantity
+from cqrun.plugin.contract import quantity
 from cqrun.materials.term import MaterialTerm
-from cqrun.registry import plugin
+from cqrun.plugin.registry import plugin
 
 
 @plugin("elastic", "own_law")
@@ -131,7 +131,7 @@ class OwnLaw(MaterialTerm):
         ("import numpy as np\n\ndef f(:\n", "disc.py:3: raises SyntaxError: invalid syntax; in the line: def f(:"),
         ("import sys\nsys.exit('no')\n", "disc.py:2: raises SystemExit: no"),
         ("import none_of_this\n", "disc.py:1: raises ModuleNotFoundError: No module named 'none_of_this'"),
-        ("", "disc.py registers no plug-in: decorate a class with @plugin(kind, name) of cqrun.registry"),
+        ("", "disc.py registers no plug-in: decorate a class with @plugin(kind, name) of cqrun.plugin.registry"),
         (DISC.replace('"disc"', '"ball"'), "disc.py:10: raises ValueError: two plug-ins of kind 'shape' are called"),
         (DISC.replace('"shape"', '"shapes"'), "raises ValueError: unknown kind of plug-in 'shapes'; kinds are shape, "),
         (DISC.replace("(Shape)", ""), "class Disc is registered as shape 'disc' and must derive from what others in "),

@@ -9,8 +9,8 @@ from typing import Any
 import psutil
 import pytest
 
+from cqrun.build.model import build
 from cqrun.errors import SceneError
-from cqrun.scene.build import build
 from cqrun.scene.load import load_scene
 
 Refused = Callable[..., list[str]]

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from cqrun.registry import plugins
+from cqrun.plugin.registry import plugins
 from cqrun.scene.document import read
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema_json import scene_json_schema

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_finger import DESIGN, FINGER
 
-from cqrun.scene.build import build
+from cqrun.build.model import build
 from cqrun.scene.load import load_scene
 
 CABLES = "\n".join(

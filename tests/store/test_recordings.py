@@ -13,7 +13,8 @@ import pytest
 
 from cqrun.errors import DataError
 from cqrun.store.marker_csv import write_csv
-from cqrun.store.recordings import Recording, check_recording, read_recording, unit_of
+from cqrun.store.recording import Recording, check_recording, unit_of
+from cqrun.store.recordings import read_recording
 
 NAMES = ("Tip - 1", "Tip - 2", "Base")
 

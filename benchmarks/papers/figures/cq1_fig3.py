@@ -6,7 +6,7 @@ from benchmarks.papers.figure import Size, Table, Verdict, judged, lowered
 from benchmarks.papers.frames import Frames
 from benchmarks.papers.wholeness import WHOLE, checks
 from benchmarks.papers.work import Runs
-from cqrun.contract import Array
+from cqrun.plugin.contract import Array
 
 COARSE = ("bodies.leg.spacing=0.25", "world.dx=0.8", "time.substeps=80")
 STICKY = {

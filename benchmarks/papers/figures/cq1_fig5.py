@@ -12,10 +12,10 @@ from benchmarks.papers.figures.cq1_fig8 import TwoLinkArm
 from benchmarks.papers.histories import runs_below
 from benchmarks.papers.violations import DESIGNED
 from benchmarks.papers.work import Found, Work
+from cqrun.build.particles import sample
 from cqrun.figures.colours import material_of
 from cqrun.figures.run_data import read_run
 from cqrun.figures.style import GREY, TRUTH, new_figure
-from cqrun.scene.particles import sample
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture

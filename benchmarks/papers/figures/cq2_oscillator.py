@@ -10,9 +10,9 @@ import numpy as np
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.observed import observables
 from benchmarks.papers.work import Found, Runs, Work
+from cqrun.build.particles import sample
 from cqrun.figures.run_data import read_run
 from cqrun.figures.style import COLOURS, new_figure, titled
-from cqrun.scene.particles import sample
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture

@@ -20,9 +20,9 @@ from benchmarks.papers.learning import SINGLE
 from benchmarks.papers.measurement import Measurement
 from benchmarks.papers.process import STOPPED, with_memory
 from benchmarks.papers.work import SCENES, Found, Work, WorkError
-from cqrun.contract import Array
+from cqrun.build.model import build
 from cqrun.figures.style import COLOURS, INK, log_ticks, new_figure, titled
-from cqrun.scene.build import build
+from cqrun.plugin.contract import Array
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
 

@@ -1,0 +1,331 @@
+"""From a scene to the engine's model: particles, stress terms, boundaries, actuators, the substep."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from cqrun.actuators.push import pushes
+from cqrun.plugin.contract import Array
+from cqrun.engine.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, push_limit, wave_limit
+from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
+from cqrun.errors import Problem, SceneError
+from cqrun.build.actuation import Actuation
+from cqrun.build.assembly import Assembly
+from cqrun.build.check_design import design_problems, design_warnings
+from cqrun.build.check_memory import memory_problems
+from cqrun.build.particles import Particles, sample, stress_key
+from cqrun.scene.paths import with_values
+from cqrun.build.regions import boundary
+from cqrun.scene.schema import Scene
+from cqrun.scene.unknowns import bounds_of, start, tied, truths
+
+WASTEFUL = 1e-3
+"""Part of the largest stable substep below which one is hardly meant."""
+
+
+@dataclass(frozen=True)
+class Built:
+    """A scene ready to run.
+
+    Attributes:
+        scene: resolved: `time.substeps` is a number.
+        model: what the engine runs.
+        assembly: from values by key path to the engine's inputs, and gradients back.
+        limits: bounds on the substep at the stiffest corner of the unknowns' bounds.
+        warnings: what a user should know before the run.
+    """
+
+    scene: Scene
+    particles: Particles
+    model: Model
+    assembly: Assembly
+    limits: tuple[Limit, ...]
+    warnings: tuple[Problem, ...]
+
+
+def build(scene: Scene) -> Built:
+    """Build a scene.
+
+    Raises:
+        SceneError: bodies or regions that cannot be, a substep that is too large, too little memory.
+    """
+    particles = sample(scene)
+    if found := design_problems(scene, particles):
+        raise SceneError(found)
+    assembly = Assembly(scene, particles)
+    limits = _possible(scene, _stiffest(scene, particles, assembly))
+    warnings = [*particles.warnings, *_unused_episodes(scene), *_doubts(scene), *design_warnings(scene, particles)]
+    warnings += [*_truths_out_of_reach(scene), *_loose_constraints(scene)]
+    if scene.time.substeps == "auto":
+        bounds = [*limits, *_possible(scene, _limits_of_data(scene, particles, assembly))]
+        scene = with_values(scene, {"time.substeps": auto_substeps(scene.time.control_step, bounds)})
+        assembly = Assembly(scene, particles)
+    else:
+        reached = [path for path in scene.unknowns if assembly.reaches(path)]
+        starts = {p: np.array(v) for path in reached for p, v in tied(scene, path, start(scene, path)).items()}
+        bounds = _possible(scene, _limits(scene, particles, assembly, starts))
+        if truth := _truth(scene):
+            bounds += _possible(scene, _limits(scene, particles, assembly, truth))
+        warnings += _check_substeps(scene, bounds) or _check_corner(scene, limits)
+    if found := memory_problems(scene, particles):
+        raise SceneError(found)
+    model = Model(
+        size=np.array(scene.world.size),
+        dx=scene.world.dx,
+        dt=scene.time.control_step / int(scene.time.substeps),
+        substeps=int(scene.time.substeps),
+        n_controls=scene.time.control_steps,
+        body_names=particles.names,
+        layout=particles.layout,
+        groups=_groups(scene, particles, assembly),
+        conditions=_conditions(scene),
+        actuators=assembly.actuation.models,
+        real=np.dtype(scene.precision).type,
+        memory_budget=scene.memory,
+    )
+    return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))
+
+
+def _unused_episodes(scene: Scene) -> list[Problem]:
+    """Warn of episodes that would all be the same one."""
+    said = scene.episodes
+    if (said.count == 1 and not said.unseen) or any(goal.drawn for goal in scene.goals.values()):
+        return []
+    message = "counts for nothing: no goal has a `spread` to draw from, so there is one episode"
+    return [Problem(scene.where("episodes"), "episodes", message)]
+
+
+def _truths_out_of_reach(scene: Scene) -> list[Problem]:
+    """Warn of true values outside their unknowns' bounds: no fit can find them."""
+    found = []
+    for path, value in scene.synthetic.truth.items() if scene.synthetic is not None else ():
+        bounds = bounds_of(scene, path)
+        if bounds is not None and not bounds[0] <= value <= bounds[1]:
+            key = f"data.synthetic.truth.{path}"
+            message = f"{value:g} lies outside the unknown's bounds {bounds[0]:g} to {bounds[1]:g}: no fit can find it"
+            found.append(Problem(scene.where(key), key, message))
+    return found
+
+
+def _loose_constraints(scene: Scene) -> list[Problem]:
+    """Warn of constraints that count as met far from their ends: those of a small robot are small in SI units."""
+    tolerance = 0.0 if scene.optimizer is None else getattr(scene.optimizer.value, "constraint_tolerance", 0.0)
+    found = []
+    for name, held in scene.constraints.items():
+        if (end := held.loose_end(tolerance)) is not None:
+            value, path = getattr(held, end), f"constraints.{name}.{end}"
+            message = (
+                f"{value:g} counts as met when it is missed by {tolerance * held.scale:.3g}: the constraint_tolerance "
+                f"of {tolerance:g} is in units of the constraint's `scale`, {held.scale:g}; with `scale: "
+                f"{abs(value):g}` it would be {tolerance * abs(value):.3g}"
+            )
+            found.append(Problem(scene.where(path), path, message))
+    return found
+
+
+def _doubts(scene: Scene) -> list[Problem]:
+    """Return what the controller, and terms of the objective and the constraints, doubt about themselves."""
+    asked: list[tuple[str, Iterator[tuple[str, str]]]] = []
+    if scene.controller is not None:
+        controller: Any = scene.controller.value
+        asked.append((f"controller.{scene.controller.name}", controller.doubts(scene.time.control_step)))
+    actuators: dict[str, Any] = {name: chosen.value for name, chosen in scene.actuators.items()}
+    neutral = {name: actuator.neutral for name, actuator in actuators.items()}
+    terms: dict[str, Any] = {f"objective.{name}.{c.name}": c.value for name, c in scene.objective.items()}
+    terms |= {f"constraints.{name}.of.{c.of.name}": c.of.value for name, c in scene.constraints.items()}
+    asked += [(path, term.doubts(neutral)) for path, term in terms.items()]
+    told = ((f"{path}.{field}", message) for path, found in asked for field, message in found)
+    return [Problem(scene.where(path), path, message) for path, message in told]
+
+
+def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[GroupModel, ...]:
+    parts = [part for part in assembly.actuation.parts if not pushes(part.model.kernel)]
+    groups = []
+    for _, members in groupby(enumerate(particles.names), key=lambda item: stress_key(scene, item[1])):
+        indices, names = zip(*members, strict=True)
+        material = scene.bodies[names[0]].material
+        specs: list[Any] = [material.elastic.value, *material.terms.values()]
+        makers = tuple(spec.kernel_term for spec in specs)
+        active = dict.fromkeys(part.model.kernel for part in parts if part.spec.body in names)
+        groups.append(GroupModel(tuple(indices), makers, tuple(active)))
+    return tuple(groups)
+
+
+def _conditions(scene: Scene) -> tuple[ConditionModel, ...]:
+    conditions: list[ConditionModel] = []
+    for name, chosen in scene.boundaries.items():
+        spec: Any = boundary(scene, name)
+        planes = conditions_of(name, spec, np.array(scene.world.size), scene.world.dx)
+        if not any(plane.nodes.any() for plane in planes):
+            path = f"boundaries.{name}.{chosen.name}.region"
+            message = f"holds no grid node: it is thinner than a cell of {scene.world.dx:g} m, or outside the world"
+            raise SceneError([Problem(scene.where(path), path, message)])
+        conditions += planes
+    if len(conditions) > 60:
+        message = f"{len(conditions)} planes of boundaries; at most 60 are possible: join some"
+        raise SceneError([Problem(scene.where("boundaries"), "boundaries", message)])
+    return tuple(conditions)
+
+
+# --- the substep ------------------------------------------------------------------------------------------
+
+
+def stable(built: Built, values: dict[str, Array]) -> tuple[Limit, int]:
+    """Return the least bound on the substep for values by path, and how many substeps `auto` would take for them.
+
+    Raises:
+        SceneError: no run could keep to it.
+    """
+    scene = built.scene
+    limits = _possible(scene, _limits(scene, built.particles, built.assembly, values))
+    return min(limits, key=lambda limit: limit.dt), auto_substeps(scene.time.control_step, limits)
+
+
+def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict[str, Array]) -> list[Limit]:
+    """Return every part's bound on the substep for some values of the unknowns."""
+    limits: list[Limit] = []
+    actuation = assembly.actuation
+    active = actuation.greatest_stress(values)
+    for name in particles.names:
+        part = particles.of(name)
+        density, modulus, viscosity = assembly.stiffness(name, values)
+        limit = wave_limit(f"bodies.{name}.material", scene.world.dx, density, modulus + active[part], viscosity)
+        limits.append(limit)
+        moving = motion_limit(f"bodies.{name}.velocity", scene.world.dx, assembly.velocities(name, values))
+        limits += [moving] if moving else []
+        lightest = float(density.min()) * scene.world.dx**scene.dim
+        if scene.bodies[name].unit_mass:  # its particles fill less than the volume of 1 that they count for
+            lightest /= particles.spacing[name] ** scene.dim
+        limits += _push_limits(scene, actuation, values, name)
+        limits += _spring_limits(scene, particles, actuation, values, name, lightest)
+    return limits
+
+
+def _push_limits(scene: Scene, actuation: Actuation, values: dict[str, Array], body: str) -> list[Limit]:
+    """Return the bounds of what accelerates particles of a body as it is."""
+    each = zip(actuation.parts, actuation.greatest(values), actuation.strengths(values), strict=True)
+    found = [
+        push_limit(part.path, scene.world.dx, part.spec.greatest_acceleration(activation * strength))
+        for part, activation, strength in each
+        if part.spec.body == body
+    ]
+    return [limit for limit in found if limit is not None]
+
+
+def _spring_limits(
+    scene: Scene, particles: Particles, actuation: Actuation, values: dict[str, Array], body: str, mass: float
+) -> list[Limit]:
+    """Return the bound of what pulls at nodes of a mass [kg] like springs, those that meet in a cell together.
+
+    A mass on springs of stiffness k together swings with omega^2 = k / m, and is stable up to dt = 2 / omega.
+    """
+    parts = [
+        (part.path, part.model.particles, k)
+        for part, strength in zip(actuation.parts, actuation.strengths(values), strict=True)
+        if part.spec.body == body and (k := part.spec.stiffness_at_nodes(strength)) > 0.0
+    ]
+    if not parts:
+        return []
+    cells = [np.unique(np.floor(particles.x[held] / scene.world.dx), axis=0) for _, held, _ in parts]
+    every, place = np.unique(np.concatenate(cells), axis=0, return_inverse=True)
+    together = np.bincount(place.ravel(), np.repeat([k for *_, k in parts], [len(c) for c in cells]), len(every))
+    stiffest = max(parts, key=lambda part: part[2])
+    return [Limit(stiffest[0], float(2.0 * np.sqrt(mass / together.max())))]
+
+
+def _stiffest(scene: Scene, particles: Particles, assembly: Assembly) -> list[Limit]:
+    """Return the bounds at the corner of the unknowns' bounds with the least one.
+
+    Every bound is monotone in every unknown, so each is put where the least of the bounds that it changes is less, the
+    others where they were put before it. One that changes none, as a strength while its signal is nought, is put at the
+    end farther from nought, and asked again when all have been.
+    """
+    corner: dict[str, Array] = {}
+    waiting = [path for path in scene.unknowns if assembly.reaches(path)]
+    for _ in range(2):
+        asked, waiting = waiting, []
+        for path in asked:
+            ends = sorted(scene.unknowns[path].bounds, key=abs, reverse=True)
+            trials = [corner | {p: np.array(v) for p, v in tied(scene, path, end).items()} for end in ends]
+            far, near = (_by_part(_limits(scene, particles, assembly, trial)) for trial in trials)
+            changed = [part for part in far | near if far.get(part) != near.get(part)]
+            least = [min((end.get(part, np.inf) for part in changed), default=0.0) for end in (far, near)]
+            corner = trials[int(np.argmin(least))]
+            waiting += [] if changed else [path]
+    return _limits(scene, particles, assembly, corner)
+
+
+def _by_part(limits: list[Limit]) -> dict[str, float]:
+    """Return the least bound [s] of every part that has one."""
+    least: dict[str, float] = {}
+    for limit in limits:
+        least[limit.part] = min(limit.dt, least.get(limit.part, np.inf))
+    return least
+
+
+def _limits_of_data(scene: Scene, particles: Particles, assembly: Assembly) -> list[Limit]:
+    """Return the bounds of every recording's own variant of the scene, which share one substep, and of a truth."""
+    found: list[Limit] = []
+    if truth := _truth(scene):
+        found += _limits(scene, particles, assembly, truth)
+    for recording in scene.recordings.values():
+        if recording.overrides:
+            variant = with_values(scene, recording.overrides)
+            particles = sample(variant)
+            found += _stiffest(variant, particles, Assembly(variant, particles))
+    return found
+
+
+def _truth(scene: Scene) -> dict[str, Array]:
+    """Return the values that synthetic data are made with."""
+    return {path: np.array(value) for path, value in truths(scene).items()}
+
+
+def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:
+    """Return bounds on the substep; SceneError for one that no run could keep to."""
+    for limit in limits:
+        if not limit.dt * MOST_SUBSTEPS >= scene.time.control_step:
+            path = limit.part if "." in limit.part else ""
+            message = (
+                f"asks for substeps of {limit.dt:.3g} s, more than {MOST_SUBSTEPS:.0e} in a control step of "
+                f"{scene.time.control_step:g} s: check its numbers and their units"
+            )
+            raise SceneError([Problem(scene.where(path), path, message)])
+    return limits
+
+
+def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
+    """Refuse a given number of substeps that blows up, and warn about one that is near it, or far from all need."""
+    least = min(limits, key=lambda limit: limit.dt)
+    dt = scene.time.control_step / int(scene.time.substeps)
+    share = dt / least.dt
+    if share <= WARN and (share >= WASTEFUL or scene.time.substeps == 1):
+        return []
+    needed = auto_substeps(scene.time.control_step, limits)
+    message = (
+        f"a substep of {dt:.3g} s is {share:.2g} of the largest stable one, {least.dt:.3g} s ({least.part}); "
+        f"use {needed} substeps, or auto"
+    )
+    problem = Problem(scene.where("time.substeps"), "time.substeps", message)
+    if share > REFUSE:
+        raise SceneError([problem])
+    return [problem]
+
+
+def _check_corner(scene: Scene, limits: list[Limit]) -> list[Problem]:
+    """Warn of a number of substeps that is right at the start, and too small for what the unknowns' bounds allow."""
+    least = min(limits, key=lambda limit: limit.dt)
+    dt = scene.time.control_step / int(scene.time.substeps)
+    if dt <= least.dt:
+        return []
+    message = (
+        f"a substep of {dt:.3g} s is stable at the start, but {dt / least.dt:.3g} of the largest stable one at the "
+        f"unknowns' bounds, {least.dt:.3g} s ({least.part}), where runs would blow up; use "
+        f"{auto_substeps(scene.time.control_step, limits)} substeps, auto, or narrower bounds"
+    )
+    return [Problem(scene.where("time.substeps"), "time.substeps", message)]

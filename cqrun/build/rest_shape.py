@@ -1,0 +1,102 @@
+"""Where particles are at rest, and their volumes, as the numbers of shapes and places change.
+
+Particles are sampled once, at the scene's own values; from there on they follow. Each piece of a body carries its
+particles by a map that is affine in pieces (`Shape.carried`), and the body's place puts them into the world. Volumes,
+and with them masses, grow by the map's determinant. Which particles a region or a marker holds stays as it was.
+
+The derivative by a number p is that of a complex step, Im f(p + ih) / h with a tiny h, which has no cancellation
+(W. Squire, G. Trapp: Using complex variables to estimate derivatives of real functions, SIAM Review 40 (1998)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from cqrun.plugin.choice import Chosen
+from cqrun.plugin.contract import Array, Spec
+from cqrun.geometry.place import Place
+from cqrun.build.particles import Particles
+from cqrun.scene.paths import shapes_a_body
+from cqrun.scene.body import Body
+from cqrun.scene.schema import Scene
+
+STEP = 1e-30
+
+
+class Geometry:
+    """The map from geometric values to rest positions and volumes, and its adjoint.
+
+    Args:
+        scene: whose values the particles were sampled at.
+        particles: its particles.
+    """
+
+    def __init__(self, scene: Scene, particles: Particles) -> None:
+        self.scene, self.particles = scene, particles
+
+    def at_rest(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Return positions (N, D) [m] and volumes (N,) [m^D] at rest."""
+        x, volume = self.particles.x.copy(), self.particles.volume.copy()
+        for body, numbers in self._by_body(values).items():
+            part = self.particles.of(body)
+            x[part], growth = self._carried(body, numbers)
+            volume[part] *= growth
+        return x, volume
+
+    def at_rest_vjp(self, values: Mapping[str, Array], x_bar: Array, volume_bar: Array, out: dict[str, Array]) -> None:
+        """Add to the gradients by the geometric values that are wanted.
+
+        Args:
+            x_bar, volume_bar: cotangents (N, D), (N,) of positions and volumes.
+        """
+        for body, numbers in self._by_body(values).items():
+            part = self.particles.of(body)
+            volume_bar_b = volume_bar[part] * self.particles.volume[part]
+            for path, value in numbers.items():
+                moved, growth = self._carried(body, {**numbers, path: value + STEP * 1j})
+                slope = np.einsum("nd,nd->", x_bar[part], np.imag(moved)) + volume_bar_b @ np.imag(growth)
+                out[path] += slope / STEP
+
+    def _by_body(self, values: Mapping[str, Array]) -> dict[str, dict[str, Any]]:
+        """Return the geometric values of each body that has any."""
+        found: dict[str, dict[str, Any]] = {}
+        for path, value in values.items():
+            if shapes_a_body(path):
+                found.setdefault(path.split(".")[1], {})[path] = float(np.asarray(value).reshape(-1)[0])
+        return found
+
+    def _carried(self, body: str, numbers: Mapping[str, Any]) -> tuple[Array, Array]:
+        """Return positions (N_b, D) and growths (N_b,) of a body's particles, complex if a number is."""
+        points, own = self.particles.points[body], self.scene.bodies[body]
+        to: Body = own
+        for path, value in numbers.items():
+            to = replaced(to, path.split(".")[2:], value)
+        order, carried = [], []
+        for k, (shape, shape_to) in enumerate(zip(own.pieces.values(), to.pieces.values(), strict=True)):
+            held = np.flatnonzero(points.piece == k)
+            order.append(held)
+            carried.append(shape.carried(points.local[held], shape_to))
+        back = np.argsort(np.concatenate(order))
+        local, growth = (np.concatenate(each)[back] for each in zip(*carried, strict=True))
+        if own.place is None:
+            return local, growth
+        place, place_to = own.place, to.place or Place()
+        return place_to.to_world(local), growth * (place_to.scale / place.scale) ** self.scene.dim
+
+
+def replaced(node: Any, keys: Sequence[str], value: Any) -> Any:
+    """Return a part of a scene with the value at a place replaced, unchecked: it may be complex."""
+    if not keys:
+        return value
+    key, rest = keys[0], keys[1:]
+    if isinstance(node, Chosen):
+        return Chosen(node.name, replaced(node.value, rest, value))
+    if isinstance(node, Spec):
+        return node.model_copy(update={key: replaced(getattr(node, key), rest, value)})
+    if isinstance(node, Mapping):
+        return {**node, key: replaced(node[key], rest, value)}
+    k = int(key)
+    return [*node[:k], replaced(node[k], rest, value), *node[k + 1 :]]

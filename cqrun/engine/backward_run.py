@@ -1,0 +1,156 @@
+"""The backward run of a rollout: cotangents in the kernels' layout, from the last control step to the first."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cqrun.engine.forward_run import ForwardRun
+from cqrun.engine.model import Inputs, LossBar
+from cqrun.engine.probe import record_vjp
+from cqrun.engine.step import reverse
+from cqrun.numerics.packed import aligned, pack, unpack
+from cqrun.plugin.contract import Array
+from cqrun.state import DECAY, FORCE, MASS, VOLUME, State
+
+
+class BackwardRun:
+    """The cotangents of one backward run, in the kernels' layout.
+
+    Args:
+        loss_bar: the cotangents of what the rollout gives, to start from.
+
+    Attributes:
+        parameters_bar: the cotangents of the policy's parameters, as the policy itself makes them; None without one.
+    """
+
+    def __init__(self, rollout: ForwardRun, loss_bar: LossBar) -> None:
+        self.rollout = rollout
+        drive = rollout.drive
+        self.q_bar = aligned(rollout.start.shape, rollout.start.dtype)
+        self.fields_bar = aligned(rollout.fields.shape, rollout.fields.dtype)
+        self.drive_bar = drive._replace(
+            activation=np.zeros_like(drive.activation),
+            strength=np.zeros_like(drive.strength),
+            rest=np.zeros_like(drive.rest),
+            stresses=tuple(
+                s._replace(theta=np.zeros_like(s.theta), weight=np.zeros_like(s.weight)) for s in drive.stresses
+            ),
+            push=np.zeros_like(drive.push),
+        )
+        zeros = [[np.zeros_like(theta) for theta in group] for group in rollout.inputs.terms]
+        self.groups_bar = rollout.kernel_groups(zeros, self.drive_bar)
+        self.coefficient_bar = np.zeros(len(rollout.model.conditions))
+        self.before: dict[int, float] = {}
+        self.after: dict[int, float] = {}
+        self.whole = aligned(self.q_bar.shape, self.q_bar.dtype)
+        self.parameters_bar: Any = None if rollout.policy is None else rollout.policy.parameters_zero()
+        self._begin(loss_bar)
+
+    def _begin(self, loss_bar: LossBar) -> None:
+        rollout = self.rollout
+        self.memory_bar = np.zeros_like(rollout.inputs.state.memory)
+        if loss_bar.final is not None:
+            self._add_state(loss_bar.final)
+            self.memory_bar += loss_bar.final.memory
+        self.records_bar = np.zeros_like(rollout.records)
+        if loss_bar.records is not None:
+            self.records_bar += loss_bar.records.to_rows()
+        if loss_bar.activation is not None:
+            self.drive_bar.activation[...] = loss_bar.activation
+        if rollout.policy is not None:
+            self.after[rollout.model.n_controls] = self._size(self.records_bar[-1])
+
+    def _add_state(self, bar: State) -> None:
+        layout, real = self.rollout.model.layout, self.rollout.model.real
+        self.q_bar += pack(unpack(bar.pack(layout, real)) * layout.real(), real)
+
+    def run(self, begin: int, end: int, states: Array) -> None:
+        """Run the adjoints of substeps end - 1 .. begin, whose states are kept in `states`."""
+        r, at = self.rollout, end
+        substeps = r.model.substeps
+        while at > begin:
+            start = begin if r.policy is None else max(begin, (at - 1) // substeps * substeps)
+            self._reverse(start, at, states[start - begin :])
+            if r.policy is not None and start % substeps == 0:
+                self._blame(start // substeps, states[start - begin])
+            at = start
+        if begin == 0:
+            record_vjp(r.probe, self.q_bar, self.records_bar[0])
+
+    @property
+    def growth(self) -> tuple[float, int]:
+        """The factor by which |q_bar| grows most across a control step on the way back, and which step that is.
+
+        What the loss adds at the end of a step counts for its beginning, and is no growth. (0, -1) without a policy, or
+        where the loss does not depend on the motion.
+        """
+        grown = [(size / self.after[k + 1], k) for k, size in self.before.items() if self.after.get(k + 1, 0.0) > 0]
+        return max(grown, key=lambda each: each[0], default=(0.0, -1))
+
+    def _blame(self, control: int, q: Array) -> None:
+        """Carry the cotangent of a control step's activations back through the policy."""
+        r = self.rollout
+        assert r.policy is not None
+        record_bar, self.memory_bar, state_bar = r.policy.act_vjp(
+            control, r.records[control], r.memory[control], lambda: r.unpack(q, control),
+            self.drive_bar.activation[control], self.memory_bar, self.parameters_bar,
+        )  # fmt: skip
+        if state_bar is not None:
+            self._add_state(state_bar)
+        self.before[control] = self._size(record_bar)
+        self.records_bar[control] += record_bar
+        self.after[control] = self._size(self.records_bar[control])
+
+    def _size(self, record_bar: Array) -> float:
+        """Return |q_bar| as it is once the cotangent of a record is added, which the next substep backwards does."""
+        if not record_bar.any():
+            return float(np.linalg.norm(self.q_bar))
+        self.whole[...] = self.q_bar
+        record_vjp(self.rollout.probe, self.whole, record_bar)
+        return float(np.linalg.norm(self.whole))
+
+    def _reverse(self, begin: int, end: int, states: Array) -> None:
+        r = self.rollout
+        pairs = tuple(zip(r.groups, self.groups_bar, strict=True))
+        stresses = tuple(zip(r.drive.stresses, self.drive_bar.stresses, strict=True))
+
+        def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
+            reverse(
+                from_, end, r.groups, pairs, r.conditions, self.coefficient_bar, states, self.q_bar,
+                r.fields, self.fields_bar, r.drive, self.drive_bar, stresses, r.probe, self.records_bar,
+                r.setting, r.work, thread, n,
+            )  # fmt: skip
+
+        if r.threads > 1:
+            body(0, end, 1)
+        r.team.run(body)
+
+    def inputs_bar(self) -> Inputs:
+        """Return the cotangent of the inputs."""
+        r, layout = self.rollout, self.rollout.model.layout
+        columns = layout.columns()
+        bar = Inputs.zeros_like(r.inputs)
+        bar.state = State.unpack(self.q_bar, layout, self.memory_bar)
+        f = unpack(self.fields_bar)[:, columns]
+        bar.fields.mass[:], bar.fields.volume[:] = f[MASS], f[VOLUME]
+        bar.fields.damping[:] = -r.model.dt * np.exp(-r.inputs.fields.damping * r.model.dt) * f[DECAY]
+        bar.fields.force[:] = f[FORCE:].T
+        for g, (group, slice_) in enumerate(zip(self.groups_bar, r.model.group_slices(), strict=True)):
+            for k in range(len(bar.terms[g])):
+                bar.terms[g][k][:] = unpack(group.terms[k].theta)[:, columns[slice_]]
+        bar.activation[:], bar.strength[:] = self.drive_bar.activation, self.drive_bar.strength
+        bar.coefficients[:] = self.coefficient_bar
+        if len(bar.rest):
+            bar.rest[:] = self.drive_bar.rest
+        if len(bar.weights):
+            self._add_weights(bar.weights)
+        return bar
+
+    def _add_weights(self, weights_bar: Array) -> None:
+        """Put the cotangents of the stress actuators' weights in the order of the inputs."""
+        slices = self.rollout.model.weight_slices
+        for kind in self.drive_bar.stresses:
+            for k, a in enumerate(kind.actuators):
+                weights_bar[slices[a]] = kind.weight[kind.start[k] : kind.start[k + 1]]

@@ -1,0 +1,262 @@
+"""The forward run of a rollout: the model's equations over all substeps, from packed inputs to records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numba import config
+
+from cqrun.engine.model import Inputs, Model, Records
+from cqrun.engine.policy import Policy
+from cqrun.engine.probe import record
+from cqrun.engine.setting import MARGIN, Drive, Group, Setting, make_work, node_strides
+from cqrun.engine.step import advance
+from cqrun.engine.team import Team
+from cqrun.errors import RolloutError
+from cqrun.numerics.packed import pack, unpack
+from cqrun.plugin.contract import Array
+from cqrun.state import DECAY, FORCE, MASS, VOLUME, ParticleFields, State, rows_of
+
+THREAD_WORTH = 1000
+"""Particles for which a thread gains more than it costs to hand the grid over, pass by pass."""
+
+CALL_WORTH = 2500
+"""Particles times substeps of a control step for which it gains more than waking it costs: often at each."""
+
+CHAINED_FROM = 3 << 20
+"""Bytes of a state from which substeps are chained tile by tile: from there what one touches leaves the last cache."""
+
+
+def useful_threads(model: Model, threads: int) -> int:
+    """Return how many of the threads have enough to do in a rollout."""
+    if config.DISABLE_JIT:  # there is no barrier for them to meet at
+        return 1
+    n, substeps = model.layout.n_particles, model.substeps
+    return max(1, min(threads, n // THREAD_WORTH, n * substeps // CALL_WORTH))
+
+
+class ForwardRun:
+    """One model with one set of inputs, run forward.
+
+    Args:
+        model: what is simulated.
+        inputs: the numbers it starts from.
+        threads: how many threads may take part; fewer do where each would have too little to do. The results do not
+            depend on it.
+        adjoint: whether `Rollout.gradient` will be called.
+        policy: decides the activations, control step by control step; without one they are those of the inputs.
+
+    Attributes:
+        activation: (T, A) as the policy decided, or as in the inputs.
+        memory: (T + 1, M) of the policy at every control step.
+
+    Raises:
+        RolloutError: (from `run`) a particle left the grid or is not finite.
+    """
+
+    def __init__(
+        self, model: Model, inputs: Inputs, *, threads: int = 1, adjoint: bool = False, policy: Policy | None = None
+    ) -> None:
+        self.model, self.inputs = model, inputs
+        self.adjoint, self.policy = adjoint, policy
+        self.team = Team(useful_threads(model, threads))
+        self._pack()
+        self.rows = rows_of(model.dim)[-1]
+        self.records: Array = np.zeros((model.n_controls + 1, self.rows, len(self.probe.start) - 1))
+        record(self.probe, self.start, self.records[0])
+        self.memory = np.tile(inputs.state.memory, (model.n_controls + 1, 1))
+        self.decided = model.n_controls if policy is None else 0
+
+    @property
+    def activation(self) -> Array:
+        """Activations (T, A), one row a control step."""
+        return self.drive.activation
+
+    @property
+    def state_bytes(self) -> int:
+        """Bytes of one kept state."""
+        return int(self.start.nbytes)
+
+    @property
+    def threads(self) -> int:
+        """How many threads take part."""
+        return self.team.size
+
+    # --- setting up ---------------------------------------------------------------------------------
+
+    def _chained(self) -> bool:
+        """Say whether substeps may follow each other tile by tile: what pushes must see all particles in between."""
+        return self.start.nbytes >= CHAINED_FROM and self.model.substeps > 1 and not len(self.drive.push)
+
+    def _pack(self) -> None:
+        model, inputs = self.model, self.inputs
+        layout, real, shape = model.layout, model.real, model.grid_shape
+        self.start = inputs.state.pack(layout, real)
+        self.fields = self._pack_fields(inputs.fields)
+        self.drive = model.kernel_drive(inputs)
+        self.groups = self.kernel_groups(inputs.terms, self.drive)
+        self.conditions = tuple(c.kernel(inputs.coefficients[k]) for k, c in enumerate(model.conditions))
+        self.probe = model.kernel_probe()
+        self.setting = Setting(
+            (0,) * model.dim, node_strides(shape), tuple(float(n - 2) for n in shape), model.dx, model.dt,
+            model.substeps, self._chained(),
+        )  # fmt: skip
+        self.work = make_work(
+            shape,
+            layout.n,
+            model.held(),
+            len(model.conditions),
+            real,
+            adjoint=self.adjoint,
+            team=self.team,
+        )
+        self._check_start()
+
+    def _pack_fields(self, fields: ParticleFields) -> Array:
+        """Return the kernels' 3 + D packed rows; padding has no mass, no volume and feels no force."""
+        layout = self.model.layout
+        out = np.zeros((FORCE + layout.dim, layout.n))
+        columns = layout.columns()
+        out[MASS, columns], out[VOLUME, columns] = fields.mass, fields.volume
+        out[DECAY] = 1.0
+        out[DECAY, columns] = np.exp(-fields.damping * self.model.dt)
+        out[FORCE:, columns] = fields.force.T
+        return pack(out, self.model.real)
+
+    def kernel_groups(self, terms: list[list[Array]], drive: Drive) -> tuple[Group, ...]:
+        """Return every group's view of its terms, the active ones filled by the drive."""
+        model = self.model
+        active = dict(zip(model.kinds()[0], drive.stresses, strict=True))
+        starts = np.cumsum([0, *model.layout.padded])
+        sources = model.layout.sources()
+        groups = []
+        for g, slice_, thetas in zip(model.groups, model.group_slices(), terms, strict=True):
+            lo, hi = int(starts[g.bodies[0]]), int(starts[g.bodies[-1] + 1])
+            views = []
+            for make, theta in zip(g.kernel_terms, thetas, strict=True):
+                full = np.zeros((len(theta), model.layout.n))
+                full[:, lo:hi] = theta[:, sources[lo:hi] - slice_.start]
+                views.append(make(pack(full, model.real)))
+            views += [kind(active[kind].theta, (0,) * active[kind].theta.shape[1]) for kind in g.active]
+            groups.append(Group(lo, hi, tuple(views)))
+        return tuple(groups)
+
+    def _check_start(self) -> None:
+        astray = self._astray(self.start)
+        if astray.any():
+            self._fail(int(np.flatnonzero(astray)[0]), 0, self.start)
+        # a node of mass NaN would count as empty, and hold its particles still without a word
+        light = np.flatnonzero(~np.isfinite(self.inputs.fields.mass))
+        if len(light):
+            self._report(int(light[0]), 0, "its mass is not finite", "check its density and attached masses")
+
+    def _astray(self, q: Array) -> Array:
+        """Return which kernel columns are off the grid or not finite (n,)."""
+        x = unpack(q)[: self.model.dim] / self.model.dx + MARGIN
+        return ~np.all((x > 1.0) & (x < np.array(self.setting.upper)[:, None]), axis=0)
+
+    # --- forward --------------------------------------------------------------------------------------
+
+    def run(
+        self,
+        observe: Callable[[int, State], None] | None = None,
+        should_stop: Callable[[], bool] | None = None,
+    ) -> Records:
+        """Run all substeps.
+
+        Args:
+            observe: called with (control step, state) at control steps 0 .. T.
+            should_stop: looked at between control steps; a true value ends the run early.
+
+        Returns:
+            The probe's records; unfilled past an early end.
+        """
+        states = self.start[None].copy()
+        n = self.model.n_controls
+        for control in range(n + 1):
+            if observe is not None:
+                observe(control, self.unpack(states[0], control))
+            if control == n or (should_stop is not None and should_stop()):
+                break
+            self.advance(control * self.model.substeps, (control + 1) * self.model.substeps, states, keep=False)
+        self.final = states[0]
+        return Records.from_rows(self.records, self.model.dim)
+
+    def unpack(self, q: Array, control: int) -> State:
+        """Return a packed state at a control step as a State."""
+        return State.unpack(q, self.model.layout, self.memory[control])
+
+    def advance(self, begin: int, end: int, states: Array, *, keep: bool) -> None:
+        """Run substeps begin .. end from states[0]; with `keep` states[k] becomes the state after k of them.
+
+        A policy is asked at every control step that it has not decided yet; what it decided is replayed.
+        """
+        at, substeps = begin, self.model.substeps
+        while at < end:
+            here = states[at - begin :] if keep else states
+            if at == self.decided * substeps:
+                self._decide(self.decided, here[0])
+            to = min(end, self.decided * substeps)
+            self._advance(at, to, here, keep)
+            at = to
+
+    def _decide(self, control: int, q: Array) -> None:
+        assert self.policy is not None
+        self.activation[control], self.memory[control + 1] = self.policy.act(
+            control, self.records[control], self.memory[control], lambda: self.unpack(q, control)
+        )
+        self.decided = control + 1
+
+    def _advance(self, begin: int, end: int, states: Array, keep: bool) -> None:
+        work = self.work
+        work.stray[:] = -1
+
+        def body(thread: int, to: int = end, n: int = self.threads) -> int:
+            return int(
+                advance(
+                    begin,
+                    to,
+                    keep,
+                    self.groups,
+                    self.conditions,
+                    states,
+                    self.fields,
+                    self.drive,
+                    self.probe,
+                    self.records,
+                    self.setting,
+                    work,
+                    thread,
+                    n,
+                )
+            )
+
+        if self.threads > 1:
+            body(0, begin, 1)  # compiled by one thread, before the others could wait for it
+        reached = self.team.run(body)
+        if work.stray.max() >= 0:
+            q = states[reached - begin if keep else 0]
+            # a kernel names the first column of a lane that holds a stray
+            lane = int(work.stray[work.stray >= 0].min())
+            astray = np.flatnonzero(self._astray(q)[lane:])
+            self._fail(lane + int(astray[0]) if len(astray) else lane, reached, q)
+
+    def _fail(self, column: int, step: int, q: Array) -> None:
+        x = unpack(q)[: self.model.dim, column]
+        if np.isfinite(x).all():
+            reason = f"left the grid at {np.array2string(x.astype(float), precision=4)} m"
+            advice = "enlarge the world, add a boundary at its faces, or reduce what drives the body out"
+        else:
+            reason = "its position is not finite"
+            advice = "the simulation blew up: use smaller substeps, a softer material or weaker actuation"
+        self._report(int(self.model.layout.sources()[column]), step, reason, advice)
+
+    def _report(self, particle: int, step: int, reason: str, advice: str) -> None:
+        model = self.model
+        slices = model.layout.slices()
+        body = next(k for k, s in enumerate(slices) if s.start <= particle < s.stop)
+        raise RolloutError(
+            reason, body=model.body_names[body], particle=particle - slices[body].start, time=step * model.dt,
+            advice=advice,
+        )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Fits: a model held against recordings, and how sure the result is."""

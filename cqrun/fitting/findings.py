@@ -1,0 +1,286 @@
+"""What an identification found: values with intervals, errors by recording, tracks, the trajectory.
+
+result.json     values, intervals, errors, what the data leave open
+tracks.csv      recorded and modelled markers, for the plots
+trajectory.h5   the first fitted case with the values found, which it names beside the scene
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from cqrun.design.params import Block, Spread
+from cqrun.engine.model import Records
+from cqrun.engine.rollout import Rollout
+from cqrun.errors import RolloutError
+from cqrun.fitting.cases import Case
+from cqrun.fitting.identifiability import Unknown, follow
+from cqrun.fitting.marker_misfit import MarkerObjective
+from cqrun.fitting.problem import FitProblem
+from cqrun.fitting.uncertainty import MOST_UNKNOWNS, Uncertainty, central_jacobian, intervals
+from cqrun.observers.fracture import Fracture
+from cqrun.optimizers.base import Outcome, TrialFailed
+from cqrun.plugin.contract import Array
+from cqrun.running.observables import fracture_of
+from cqrun.running.trajectories import as_found, write_trajectory
+from cqrun.state import State
+from cqrun.store.atomic import write_table
+from cqrun.store.run import RunDirectory
+from cqrun.units import format_bytes
+
+MILLI = 1e3
+
+
+def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome) -> dict[str, Any]:
+    """Write result.json and, unless the run failed or was stopped, tracks and trajectory; return the result."""
+    params = problem.params
+    values = params.unpack(outcome.x)
+    result: dict[str, Any] = {
+        "job": "sysid",
+        "status": outcome.status,
+        "message": outcome.message,
+        "loss": problem.unit * outcome.loss if np.isfinite(outcome.loss) else None,
+        "iterations": outcome.iterations,
+        "unknowns": {
+            b.path: {"initial": _plain(b.initial), "value": _plain(values[b.path]), "interval": None}
+            for b in params.blocks
+        },
+        "recordings": None,
+        "fracture": None,
+        "findings": [],
+    }
+    if outcome.status == "stopped":
+        _no_intervals(result, "the run was stopped; the values are those of where it stands")
+    elif outcome.status != "failed":
+        _add_intervals(result, problem, outcome)
+        records = _predict(cases, values, problem, result)
+        result["loss"] = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
+        result["recordings"] = _errors(cases, records, values)
+        _write_tracks(run, cases, records, values)
+        first = next(case for case in cases if not case.holdout).built  # one held out may blow up
+        rollout = Rollout(first.model, first.assembly.inputs(values), threads=problem.threads)
+        write_trajectory(run.path / "trajectory.h5", first, rollout, provenance=as_found(values))
+    if outcome.status in ("iteration_limit", "stalled"):
+        result["findings"].append(
+            f"{outcome.status.replace('_', ' ')}: values and intervals are those of where it ended"
+        )
+    for sentence in result["findings"]:
+        run.log(sentence)
+    _tell_effort(run, problem)
+    run.write_result(result)
+    return result
+
+
+def _loss(problem: FitProblem, records: Mapping[str, Records | None], values: Mapping[str, Array]) -> float:
+    """Return the loss of all fitted data with the values found, also where an optimizer saw mini-batches of it."""
+    total = 0.0
+    for case, weights in zip(problem.cases, problem.weights, strict=True):
+        record = records[case.name]
+        assert record is not None
+        start = case.start_of(values)
+        losses = [o.loss(record, start) if isinstance(o, MarkerObjective) else o.loss(record) for o in case.objectives]
+        total += float(np.dot(weights, losses))
+    return total
+
+
+def _tell_effort(run: RunDirectory, problem: FitProblem) -> None:
+    """Put what gradients cost into run.json: it depends on the number of threads, the result does not."""
+    effort = problem.effort
+    if effort.recompute:  # none were computed where all are known from before a kill
+        run.log(
+            f"gradients: {effort.recompute:.3g} forward substeps for each of the rollout, "
+            f"{format_bytes(effort.peak)} of states kept at the most"
+        )
+        run.add_facts(gradient={"recompute_factor": effort.recompute, "peak_bytes": effort.peak})
+
+
+def _plain(value: Array) -> Any:
+    return float(value) if np.ndim(value) == 0 else np.asarray(value).tolist()
+
+
+# --- intervals ----------------------------------------------------------------------------------------------
+
+
+def _add_intervals(result: dict[str, Any], problem: FitProblem, outcome: Outcome) -> None:
+    unknowns = list_unknowns(problem, outcome.x)
+    if not all(isinstance(o, MarkerObjective) for case in problem.cases for o in case.objectives):
+        _no_intervals(result, "a target is met or missed: there is no noise to compute an interval from")
+        return
+    if len(unknowns) > MOST_UNKNOWNS:
+        _no_intervals(result, f"more than {MOST_UNKNOWNS} unknowns")
+        return
+    if problem.cases[0].built.scene.precision == "float32":
+        _no_intervals(result, "`precision: float32` is too coarse for the differences that intervals come from")
+        return
+    try:
+        jacobian = find_jacobian(problem, outcome.x, unknowns)
+    except TrialFailed as failure:
+        _no_intervals(result, f"a rollout beside the optimum failed: {failure}")
+        return
+    found = intervals(jacobian, problem.residuals(outcome.x), problem.series(), unknowns)
+    for block in problem.params.blocks:
+        names = _names(block)
+        entry = result["unknowns"][block.path]
+        if isinstance(block, Spread):
+            entry["reason"] = "its values follow from fewer numbers, of a field or of mirrored pairs, and have no own"
+            continue
+        entry["interval"] = (
+            [_pair(found.intervals[n]) for n in names] if block.initial.ndim else _pair(found.intervals[names[0]])
+        )
+        reasons = {n: found.reasons[n] for n in names if n in found.reasons}
+        if reasons:
+            entry["reason"] = "; ".join(dict.fromkeys(reasons.values()))
+    result["findings"] += [*found.findings, *_of_the_substep(problem, outcome.x, jacobian, unknowns, found)]
+
+
+def _of_the_substep(
+    problem: FitProblem, x: Array, jacobian: Array, unknowns: Sequence[Unknown], found: Uncertainty
+) -> Iterator[str]:
+    """Yield sentences on values that half the substep would move out of their intervals.
+
+    What MLS-MPM smooths in every substep softens and damps a body, so the values that fit depend on how many there
+    are; `substeps: auto` takes more where bounds allow a stiffer material. Data that a run makes have the same substep.
+    """
+    if problem.cases[0].built.scene.synthetic is not None or len(jacobian) == 0:
+        return
+    try:
+        residuals = problem.with_half_substep().residuals(x)
+    except TrialFailed as failure:
+        yield f"with half the substep the values found fail: {failure}"
+        return
+    for unknown, value in zip(unknowns, follow(jacobian, residuals, unknowns), strict=True):
+        interval = found.intervals[unknown.name]
+        if interval is not None and not interval[0] <= value <= interval[1]:
+            yield (
+                f"{unknown.name}: half the substep would move it from {unknown.value:.4g} to about {value:.4g}, out of "
+                "its interval, which holds the data's noise alone: compare values of equal `time.substeps`"
+            )
+
+
+def _no_intervals(result: dict[str, Any], reason: str) -> None:
+    for entry in result["unknowns"].values():
+        entry["reason"] = reason
+
+
+def _pair(interval: tuple[float, float] | None) -> list[float] | None:
+    return None if interval is None else [float(interval[0]), float(interval[1])]
+
+
+def _names(block: Block) -> list[str]:
+    return [f"{block.path}[{k}]" for k in range(block.size)] if block.initial.ndim else [block.path]
+
+
+def list_unknowns(problem: FitProblem, x: Array) -> list[Unknown]:
+    """Return every fitted number at x, as the statistics take it."""
+    params = problem.params
+    return [
+        Unknown(name, float(value), block.lower, block.upper, block.log)
+        for block, part in zip(params.blocks, params.slices.values(), strict=True)
+        for name, value in zip(_names(block), block.numbers(x[part]), strict=True)
+    ]
+
+
+def find_jacobian(problem: FitProblem, x: Array, unknowns: Sequence[Unknown]) -> Array:
+    """Return dr/dz (n, p) at the optimum, by central differences."""
+
+    def residuals_at(points: list[Array]) -> list[Array]:
+        scaled = [
+            np.concatenate(
+                [
+                    block.to_scaled(point[part]).reshape(-1)
+                    for block, part in zip(problem.params.blocks, problem.params.slices.values(), strict=True)
+                ]
+            )
+            for point in points
+        ]
+        return problem.residuals_at(scaled) if scaled else []
+
+    return central_jacobian(residuals_at, unknowns)
+
+
+# --- errors and tracks ------------------------------------------------------------------------------------------
+
+
+def _predict(
+    cases: list[Case], values: Mapping[str, Array], problem: FitProblem, result: dict[str, Any]
+) -> list[Records | None]:
+    """Return every case's records with the values found, None where a held-out one blows up; note fractures."""
+    records: list[Records | None] = []
+    most = {name: 0 for case in cases for name in case.built.particles.names}
+    for case in cases:
+        fracture = fracture_of(case.built)
+
+        def watch(control: int, state: State, fracture: Fracture = fracture) -> None:
+            fracture.count(state.x)
+
+        try:
+            records.append(case.run(values, problem.threads, watch))
+        except RolloutError as error:
+            if not case.holdout:
+                raise
+            records.append(None)
+            result["findings"].append(f"{case.name}: held out, and it blows up with the values found: {error}")
+        most |= {name: max(most[name], number) for name, number in fracture.most.items()}
+        result["findings"] += [f"{case.name}: {sentence}" for sentence in fracture.findings()]
+    result["fracture"] = most
+    return records
+
+
+def _errors(cases: list[Case], records: list[Records | None], values: Mapping[str, Array]) -> dict[str, Any] | None:
+    """Return RMSE and residual of the alignment [mm], by recording and marker; None where the data are no markers."""
+    found: dict[str, Any] = {}
+    for case, record in zip(cases, records, strict=True):
+        objectives = [o for o in case.objectives if isinstance(o, MarkerObjective)]
+        if not objectives:
+            return None
+        entry: dict[str, Any] = {"holdout": case.holdout, "rmse_mm": None} | _alignment(case)
+        if record is not None:
+            misfits = [o.misfit(record, case.start_of(values)) for o in objectives]
+            entry["rmse_mm"] = MILLI * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
+            if len(misfits) == 1:
+                entry["markers_mm"] = {
+                    name: None if np.isnan(rmse) else MILLI * rmse for name, rmse in misfits[0].markers.items()
+                }
+        found[case.name] = entry
+    return found
+
+
+def alignments(cases: Sequence[Case]) -> Iterator[str]:
+    """Yield a sentence on every recording that was brought into the scene's frame."""
+    for case in cases:
+        yield from (f"{case.name}: {m.alignment}" for m in case.measured if m.alignment is not None)
+
+
+def _alignment(case: Case) -> dict[str, Any]:
+    """Return how far each marker is from its rest position after alignment [mm]; nothing where there was none."""
+    found: dict[str, Any] = {}
+    for m in case.measured:
+        if m.alignment is not None:
+            away = (MILLI * m.alignment.residuals).tolist()
+            found["alignment_mm"] = dict(zip(m.names, away, strict=True))
+    return found
+
+
+def _write_tracks(
+    run: RunDirectory, cases: list[Case], records: list[Records | None], values: Mapping[str, Array]
+) -> None:
+    """Write the first copy of every case: recording, marker, time since the release, data, model [m]."""
+    table: list[list[object]] = []
+    for case, record in zip(cases, records, strict=True):
+        objective = case.objectives[0]
+        if record is None or not isinstance(objective, MarkerObjective):
+            continue
+        axes = "xyz"[: objective.data.shape[2]]
+        if not table:
+            table = [["recording", "marker", "time", *(f"data_{a}" for a in axes), *(f"model_{a}" for a in axes)]]
+        start = case.start_of(values)
+        model = objective.tracks(record, start)
+        for m, marker in enumerate(objective.names):
+            for f, time in enumerate(objective.times):
+                data = objective.data[f, m] if objective.seen[f, m] else np.full(len(axes), np.nan)
+                table.append([case.name, marker, float(time - start), *data.tolist(), *model[f, m].tolist()])
+    if table:
+        write_table(run.path / "tracks.csv", table)

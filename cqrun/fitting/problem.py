@@ -1,0 +1,260 @@
+"""The fit of unknowns to cases, as an optimizer sees it.
+
+    f(x) = loss / unit,   loss = sum over fitted recordings of w_k loss_k / sum w_k,   loss_k = RMSE_k^2 [m^2]
+
+x are the unknowns in scaled coordinates (`design/params.py`), and `unit` is the loss of bodies that stay where they
+are: so f is of order one, and an optimizer's tolerances mean the same in millimetres and in metres. The residuals r
+are those of the markers, scaled so that f = r.r / 2. Rollouts of one evaluation run side by side on the cores, and
+share the threads where these are more. Neither changes a bit of the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cqrun.design.params import Params
+from cqrun.engine.model import Records
+from cqrun.errors import UsageError
+from cqrun.fitting.cases import Case
+from cqrun.fitting.marker_misfit import MarkerObjective
+from cqrun.fitting.uncertainty import Series
+from cqrun.optimizers.base import TrialFailed
+from cqrun.plugin.contract import Array
+from cqrun.running.gradient_memory import gradients_at_once
+from cqrun.running.side_by_side import Effort, side_by_side, the_value, trial
+
+DIFFERENCE = 1e-4
+"""Step of the forward-difference Jacobian in scaled coordinates, where bounds are 1 apart."""
+
+
+class FitProblem:
+    """A `Problem` (optimizers/base.py) over the cases of a scene.
+
+    Args:
+        cases: all of them; those held out are never fitted.
+        params: the unknowns.
+        threads: cores to use.
+
+    Attributes:
+        unit: loss of bodies that stay where they are; a cell squared where that is nought [m^2].
+        weights: of each case's objectives in the loss; all together they sum to 1.
+        effort: what gradients have cost so far.
+    """
+
+    stochastic = False
+
+    def __init__(self, cases: Sequence[Case], params: Params, *, threads: int = 1) -> None:
+        self.cases = [case for case in cases if not case.holdout]
+        self.params, self.threads = params, threads
+        self.start = params.start
+        self.lower, self.upper = np.zeros(len(self.start)), np.ones(len(self.start))
+        self.n_batches = len(self.cases)
+        self.term_names: Sequence[str] = ()
+        self.effort = Effort()
+        self._kept: dict[tuple[int, bytes], Records] = {}
+        self.interrupt: Callable[[], None] = lambda: None
+        total = sum(self._weight(o) for case in self.cases for o in case.objectives)
+        self.weights = [np.array([self._weight(o) / total for o in case.objectives]) for case in self.cases]
+        still = sum(float(w @ case.still_losses()) for case, w in zip(self.cases, self.weights, strict=True))
+        self.unit = still or self.cases[0].built.model.dx ** 2
+
+    @staticmethod
+    def _weight(objective: Any) -> float:
+        return objective.weight if isinstance(objective, MarkerObjective) else 1.0
+
+    def values(self, x: Array) -> dict[str, Array]:
+        """Return the unknowns' values by path."""
+        return self.params.unpack(x)
+
+    def require_reached(self, values: Mapping[str, Array]) -> None:
+        """Refuse starts of recordings, outside their bounds, that leave frames after the end of the model's run.
+
+        Raises:
+            UsageError: one is too early.
+        """
+        for case in self.cases:
+            start = case.start_of(values)
+            for objective in case.objectives:
+                if isinstance(objective, MarkerObjective) and not objective.reaches(start):
+                    raise UsageError(
+                        f"{case.start_path}: must be {objective.earliest:.6g} s or later, is {start:.6g} s: frames are "
+                        f"compared up to {objective.times[-1]:.6g} s, and the run would end before; load the scene "
+                        "with that start, or with it as an unknown whose bounds hold that value"
+                    )
+
+    # --- values ---------------------------------------------------------------------------------------------
+
+    def value(self, x: Array, batch: tuple[int, ...] | None = None) -> float:
+        """Return f, over all cases or scaled up from those in `batch`, by rollouts forward."""
+        return the_value(self.values_at([x], batch))
+
+    def values_at(self, points: Sequence[Array], batch: tuple[int, ...] | None = None) -> list[float | TrialFailed]:
+        """Return f at every point, or how its trial failed; the points' rollouts side by side."""
+        chosen, share = self._chosen(batch)
+
+        def task(x: Array) -> Callable[[int], float | TrialFailed]:
+            def run(threads: int) -> float | TrialFailed:
+                self.interrupt()
+                try:
+                    return sum(share * self._value(self.cases[c], self.weights[c], x, threads) for c in chosen)
+                except TrialFailed as failure:
+                    return failure
+
+            return run
+
+        return side_by_side([task(x) for x in points], self.threads)
+
+    def _value(self, case: Case, weights: Array, x: Array, threads: int) -> float:
+        """Return a case's part of f."""
+        values = self.values(x)
+        with trial(self.params, x):
+            record = case.run(values, threads)
+        parts = zip(case.residuals(record, values), self._scales(case, weights), strict=True)
+        return sum(0.5 * scale**2 * float(np.sum(r**2)) for r, scale in parts)
+
+    def _chosen(self, batch: tuple[int, ...] | None) -> tuple[Sequence[int], float]:
+        """Return which cases a batch means, and by how much their parts are scaled up."""
+        if batch is None:
+            return range(self.n_batches), 1.0
+        return batch, 1.0 / sum(float(self.weights[c].sum()) for c in batch)
+
+    # --- gradients ------------------------------------------------------------------------------------------
+
+    def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
+        """Return f and its gradient (n,), over all cases or scaled up from those in `batch`."""
+        values = self.values(x)
+        with trial(self.params, x):
+            parts, gradient = self.losses_and_gradient(values, batch)
+        return float(sum(parts.values())) / self.unit, self.params.gradient(x, gradient) / self.unit
+
+    def losses_and_gradient(
+        self, values: Mapping[str, Array], batch: tuple[int, ...] | None = None
+    ) -> tuple[dict[str, float], dict[str, Array]]:
+        """Return every case's part of the loss [m^2], and the loss's gradient by path, for values by path.
+
+        Raises:
+            RolloutError: a case blows up.
+        """
+        chosen, share = self._chosen(batch)
+        at_once = gradients_at_once([self.cases[c].built.model for c in chosen], self.threads)
+
+        def task(case: int) -> Callable[[int], tuple[float, dict[str, Array], Effort]]:
+            budget = self.cases[case].built.model.memory_budget // at_once
+            return lambda threads: self.cases[case].gradient(values, share * self.weights[case], threads, budget)
+
+        found = side_by_side([task(c) for c in chosen], self.threads, at_once)
+        total = {path: np.zeros(np.shape(value)) for path, value in values.items()}
+        for _, gradient, effort in found:
+            self.effort.add(effort)
+            for path in total:
+                total[path] = total[path] + gradient[path]
+        return {self.cases[c].name: loss for c, (loss, _, _) in zip(chosen, found, strict=True)}, total
+
+    def term_values(self) -> Array:
+        """Return no terms: the loss has one."""
+        return np.zeros(0)
+
+    # --- residuals --------------------------------------------------------------------------------------------
+
+    def residuals(self, x: Array) -> Array:
+        """Return r (m,)."""
+        return self.residuals_at([x])[0]
+
+    def residuals_at(self, points: Sequence[Array], cases: Sequence[Case] | None = None) -> list[Array]:
+        """Return r (m,) at every point, their rollouts side by side."""
+        cases = self.cases if cases is None else cases
+        by_point = [self.values(x) for x in points]
+        records = self._records_at(points, by_point, cases)
+        scales = [self._scales(case, weights) for case, weights in zip(self.cases, self.weights, strict=True)]
+        out = []
+        for x, values in zip(points, by_point, strict=True):
+            parts = [self._residuals_of(case, x, values, records) for case in cases]
+            out.append(
+                np.concatenate(
+                    [s * r for rs, ss in zip(parts, scales, strict=True) for r, s in zip(rs, ss, strict=True)]
+                )
+            )
+        return out
+
+    def _residuals_of(
+        self, case: Case, x: Array, values: Mapping[str, Array], records: Mapping[tuple[int, bytes], Records]
+    ) -> list[Array]:
+        record = records[self._rollout_key(case, values)]
+        with trial(self.params, x):
+            return case.residuals(record, values)
+
+    def _rollout_key(self, case: Case, values: Mapping[str, Array]) -> tuple[int, bytes]:
+        """Return what tells rollouts apart: a recording's start moves the data, not the model."""
+        starts = {c.start_path for c in self.cases}
+        moving = [np.asarray(value, float).ravel() for path, value in values.items() if path not in starts]
+        return id(case), np.concatenate([np.zeros(0), *moving]).tobytes()
+
+    def _records_at(
+        self, points: Sequence[Array], by_point: Sequence[dict[str, Array]], cases: Sequence[Case]
+    ) -> dict[tuple[int, bytes], Records]:
+        """Return the records of every rollout that the points ask for, each run once; keep those of the first."""
+        wanted = {
+            self._rollout_key(case, values): (case, x, values)
+            for x, values in zip(points, by_point, strict=True)
+            for case in cases
+        }
+
+        def task(case: Case, x: Array, values: dict[str, Array]) -> Callable[[int], Records]:
+            def run(threads: int) -> Records:
+                self.interrupt()
+                with trial(self.params, x):
+                    return case.run(values, threads)
+
+            return run
+
+        missing = [key for key in wanted if key not in self._kept]
+        found = side_by_side([task(*wanted[key]) for key in missing], self.threads)
+        known = self._kept | dict(zip(missing, found, strict=True))
+        self._kept = {key: known[key] for key in (self._rollout_key(case, by_point[0]) for case in cases)}
+        return known
+
+    def _scales(self, case: Case, weights: Array) -> list[float]:
+        """Return the factors of a case's residuals that make f = r.r / 2."""
+        counts = [o.count if isinstance(o, MarkerObjective) else 1 for o in case.objectives]
+        return [float(np.sqrt(2.0 * w / (n * self.unit))) for w, n in zip(weights, counts, strict=True)]
+
+    def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
+        """Return r (m,) and J (m, n) by one-sided differences, inside the bounds."""
+        steps = np.where(x + DIFFERENCE <= self.upper, DIFFERENCE, -DIFFERENCE)
+        points = [x, *(x + step * unit for step, unit in zip(steps, np.eye(len(x)), strict=True))]
+        r, *moved = self.residuals_at(points)
+        return r, np.stack([(m - r) / step for m, step in zip(moved, steps, strict=True)], axis=1)
+
+    def with_half_substep(self) -> FitProblem:
+        """Return the same fit with twice the substeps: its residuals differ by what the substep does to the model."""
+
+        def halved(case: Case) -> Case:
+            model = case.built.model
+            model = replace(model, dt=0.5 * model.dt, substeps=2 * model.substeps)
+            return replace(case, built=replace(case.built, model=model))
+
+        finer = FitProblem([halved(case) for case in self.cases], self.params, threads=self.threads)
+        finer.interrupt = self.interrupt
+        return finer
+
+    def series(self) -> list[Series]:
+        """Return each marker's coordinates among the residuals, and a target's as series of one frame."""
+        out: list[Series] = []
+        begin = 0
+        objectives = [o for case in self.cases for o in case.objectives]
+        scales = [
+            s for case, weights in zip(self.cases, self.weights, strict=True) for s in self._scales(case, weights)
+        ]
+        for k, (objective, scale) in enumerate(zip(objectives, scales, strict=True)):
+            if isinstance(objective, MarkerObjective):
+                out += [Series(part + begin, frames, k, scale * still) for part, frames, still in objective.series()]
+                begin += objective.count * objective.data.shape[2]
+            else:
+                size = len(objective.goal)
+                out += [Series(np.array([begin + axis]), np.zeros(1, int), k) for axis in range(size)]
+                begin += size
+        return out

@@ -1,0 +1,1 @@
+"""Learning to act: agents, episodes, replays and environments."""

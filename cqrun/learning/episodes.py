@@ -1,0 +1,272 @@
+"""Learning to act, as an optimizer sees it: the mean loss of episodes, by a controller's parameters and unknowns.
+
+An episode is one rollout under the policy, with its own goals. Goals are drawn once, or anew at every iteration
+(`episodes.fresh`); the same seed draws the same. Rollouts of one evaluation run side by side on the cores, and share
+the threads where these are more. Neither changes a bit of the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cqrun.build.model import Built
+from cqrun.design.params import REGULARISER
+from cqrun.errors import UsageError
+from cqrun.learning.agent import Agent, Attempt, Goals, Mix, Values
+from cqrun.optimizers.base import TrialFailed
+from cqrun.plugin.contract import Array
+from cqrun.running.gradient_memory import gradients_at_once
+from cqrun.running.side_by_side import Effort, side_by_side, the_value, trial
+from cqrun.scene.schema import Scene
+from cqrun.state import State
+
+UNSEEN = 1_000_003
+"""Where the seeds of unseen goals begin, far from any iteration's."""
+
+
+def has_episodes(scene: Scene) -> bool:
+    """Say whether a scene has a controller, and an objective or constraints for it."""
+    return scene.controller is not None and bool(scene.objective or scene.constraints)
+
+
+def loss_alone(attempt: Attempt) -> list[Mix]:
+    """Return the loss as the only function of an episode."""
+    return [Mix(1.0, {})]
+
+
+class EpisodeProblem(Agent):
+    """A `Problem` (optimizers/base.py) over the episodes of a scene.
+
+    Args:
+        built: a scene with actuators, a controller and an objective.
+        threads: cores to use.
+        trained: file of a controller, as `Agent` takes it; the problem starts where the scene does all the same.
+
+    Attributes:
+        summands: names of what the loss is a sum of.
+        saw: what the controller got in the episodes of the last evaluation, (T, Z) each.
+
+    Raises:
+        SceneError: something is missing, or names what is not there.
+    """
+
+    def __init__(self, built: Built, *, threads: int = 1, trained: Path | None = None) -> None:
+        super().__init__(built, trained)
+        scene, self.threads = built.scene, threads
+        self.start = self.params.start
+        self.lower, self.upper = self.params.bounds
+        self.stochastic = scene.episodes.fresh and any(g.drawn for g in scene.goals.values())
+        self.n_batches = 1 if self.stochastic else self.n_episodes
+        self.summands = [*scene.objective, *[REGULARISER] * self.params.regularised]
+        self.term_names: Sequence[str] = [*self.summands, "growth_at"]
+        held = scene.constraints
+        self.constraint_names: Sequence[str] = list(held)
+        self.scales = np.array([c.scale for c in held.values()])
+        self.c_low = np.array([c.low for c in held.values()]) / self.scales
+        self.c_high = np.array([c.high for c in held.values()]) / self.scales
+        self.effort = Effort()
+        self.interrupt: Callable[[], None] = lambda: None
+        self._terms = np.full(len(self.term_names), np.nan)
+        self.saw: list[Array] = []  # (T, Z) an episode
+
+    # --- regularisers: of the unknowns, and so no part of what an agent sees ------------------------------------
+
+    def attempt(
+        self, values: Values, goals: Goals, threads: int, observe: Callable[[int, State], None] | None = None
+    ) -> Attempt:
+        """Run one episode forward; its loss and terms with the unknowns' regularisers."""
+        return self._regularised(super().attempt(values, goals, threads, observe), values)
+
+    def attempt_with_gradients(
+        self, values: Values, goals: Goals, threads: int, budget: int, mixes: Callable[[Attempt], Sequence[Mix]]
+    ) -> tuple[Attempt, list[dict[str, Array]]]:
+        """Run one episode forward and backward, the unknowns' regularisers in its loss and in the loss's gradient."""
+        asked: list[Mix] = []
+
+        def noted(attempt: Attempt) -> Sequence[Mix]:
+            asked.extend(mixes(attempt))
+            return asked
+
+        attempt, gradients = super().attempt_with_gradients(values, goals, threads, budget, noted)
+        for mix, gradient in zip(asked, gradients, strict=True):
+            for path, bar in self.params.departure_vjp(values, mix.loss).items():
+                gradient[path] = gradient[path] + bar
+        return self._regularised(attempt, values), gradients
+
+    def _regularised(self, attempt: Attempt, values: Values) -> Attempt:
+        if not self.params.regularised:
+            return attempt
+        departure = self.params.departure(values)
+        return replace(attempt, loss=attempt.loss + departure, terms=attempt.terms | {REGULARISER: departure})
+
+    # --- goals ------------------------------------------------------------------------------------------------
+
+    @property
+    def n_episodes(self) -> int:
+        """Episodes of an iteration: one where no goal is drawn."""
+        scene = self.built.scene
+        return scene.episodes.count if any(g.drawn for g in scene.goals.values()) else 1
+
+    def goals(self, batch: tuple[int, ...] | None) -> list[Goals]:
+        """Return the goals of the episodes in a batch: of the set, or where they are fresh of an iteration (k,)."""
+        if self.stochastic:
+            (k,) = batch or (0,)
+            return [self._draw(k, e) for e in range(self.n_episodes)]
+        return [self._draw(0, e) for e in (range(self.n_episodes) if batch is None else batch)]
+
+    def unseen(self) -> list[Goals]:
+        """Return the goals that the result is tested on."""
+        return [self._draw(UNSEEN, e) for e in range(self.built.scene.episodes.unseen)]
+
+    def _draw(self, iteration: int, episode: int) -> Goals:
+        scene = self.built.scene
+        rng = np.random.default_rng([scene.episodes.seed, iteration, episode])
+        return {name: goal.draw(rng) for name, goal in scene.goals.items()}
+
+    # --- the problem ----------------------------------------------------------------------------------------------
+
+    def values(self, x: Array) -> dict[str, Array]:
+        """Return the controller's parameters and the unknowns by path."""
+        return self.params.unpack(x)
+
+    def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
+        """Return the mean loss of a batch of episodes and its gradient (n,)."""
+        found, (gradient,) = self._swept(x, self.goals(batch), loss_alone)
+        return float(np.mean([a.loss for a in found])), gradient
+
+    def _swept(
+        self, x: Array, goals: Sequence[Goals], mixes: Callable[[Attempt], Sequence[Mix]]
+    ) -> tuple[list[Attempt], list[Array]]:
+        """Run episodes forward and backward at x; return them and the gradients (n,) of the means of functions."""
+        values = self.values(x)
+        with trial(self.params, x):
+            found, gradients = self.attempts_with_gradients(values, goals, mixes)
+        self._note(found)
+        return found, [self.params.gradient(x, gradient) for gradient in gradients]
+
+    def attempts_with_gradients(
+        self, values: Values, goals: Sequence[Goals], mixes: Callable[[Attempt], Sequence[Mix]] = loss_alone
+    ) -> tuple[list[Attempt], list[dict[str, Array]]]:
+        """Run episodes forward and backward, side by side.
+
+        Args:
+            values: the controller's parameters, and any other numbers that gradients reach, by path.
+            goals: of each episode.
+            mixes: of an episode, what is differentiated: its loss if not given.
+
+        Returns:
+            The episodes, and for each function the gradient of its mean over them, by path.
+
+        Raises:
+            RolloutError: one blows up.
+        """
+        at_once = gradients_at_once([self.model] * len(goals), self.threads)
+        budget = self.model.memory_budget // at_once
+
+        def task(goal: Goals) -> Callable[[int], tuple[Attempt, list[dict[str, Array]]]]:
+            def run(threads: int) -> tuple[Attempt, list[dict[str, Array]]]:
+                self.interrupt()
+                return self.attempt_with_gradients(values, goal, threads, budget, mixes)
+
+            return run
+
+        found = side_by_side([task(goal) for goal in goals], self.threads, at_once)
+        for attempt, _ in found:
+            self.effort.add(attempt.effort)
+        functions = zip(*(gradients for _, gradients in found), strict=True)
+        means = [{path: np.mean([g[path] for g in each], axis=0) for path in values} for each in functions]
+        return [attempt for attempt, _ in found], means
+
+    def value(self, x: Array, batch: tuple[int, ...] | None = None) -> float:
+        """Return the mean loss of a batch of episodes."""
+        return the_value(self.values_at([x], batch))
+
+    def values_at(self, points: Sequence[Array], batch: tuple[int, ...] | None = None) -> list[float | TrialFailed]:
+        """Return the mean loss at every point, or how its trial failed; rollouts side by side."""
+        goals = self.goals(batch)
+
+        def task(x: Array, goal: Goals) -> Callable[[int], Attempt | TrialFailed]:
+            def run(threads: int) -> Attempt | TrialFailed:
+                self.interrupt()
+                try:
+                    with trial(self.params, x):
+                        return self.attempt(self.values(x), goal, threads)
+                except TrialFailed as failure:
+                    return failure
+
+            return run
+
+        found = side_by_side([task(x, goal) for x in points for goal in goals], self.threads)
+        out: list[float | TrialFailed] = []
+        for p in range(len(points)):
+            own = found[p * len(goals) : (p + 1) * len(goals)]
+            failures = [a for a in own if isinstance(a, TrialFailed)]
+            done = [a for a in own if isinstance(a, Attempt)]
+            out.append(failures[0] if failures else float(np.mean([a.loss for a in done])))
+            if len(points) == 1 and not failures:
+                self._note(done)
+        return out
+
+    # --- constraints: the means of their terms over episodes, in their scales -----------------------------------------
+
+    def values_and_constraints(self, x: Array) -> tuple[float, Array]:
+        """Return the mean loss and the constraints (m,), by rollouts forward."""
+        values = self.values(x)
+
+        def task(goal: Goals) -> Callable[[int], Attempt]:
+            return lambda threads: self.attempt(values, goal, threads)
+
+        with trial(self.params, x):
+            found = side_by_side([task(goal) for goal in self.goals(None)], self.threads)
+        self._note(found)
+        return float(np.mean([a.loss for a in found])), self._held(found)
+
+    def gradients_and_constraints(self, x: Array) -> tuple[float, Array, Array, Array]:
+        """Return the mean loss, its gradient (n,), the constraints (m,) and their Jacobian (m, n)."""
+        each = [Mix(0.0, {name: 1.0 / scale}) for name, scale in zip(self.constraint_names, self.scales, strict=True)]
+        found, (g, *rows) = self._swept(x, self.goals(None), lambda attempt: [Mix(1.0, {}), *each])
+        return float(np.mean([a.loss for a in found])), g, self._held(found), np.array(rows).reshape(-1, len(x))
+
+    def lagrangian(self, x: Array, weigh: Callable[[Array], Array]) -> tuple[float, Array, Array]:
+        """Return the mean loss, the constraints c (m,), and the gradient (n,) of loss + weigh(c).c, in one sweep."""
+        goals = self.goals(None)
+        if len(goals) > 1:  # the weights are known when all episodes are
+            _, c = self.values_and_constraints(x)
+            given = weigh(c)
+
+        def mixed(attempt: Attempt) -> list[Mix]:
+            w = weigh(self._held([attempt])) if len(goals) == 1 else given
+            return [Mix(1.0, dict(zip(self.constraint_names, w / self.scales, strict=True)))]
+
+        found, (g,) = self._swept(x, goals, mixed)
+        return float(np.mean([a.loss for a in found])), self._held(found), g
+
+    def bounds_in_words(self, below: Array, above: Array) -> str:
+        """Return which unknowns are at a bound, given those at their lower and at their upper (n,), in words."""
+        return self.params.bounds_in_words(below, above)
+
+    def _held(self, attempts: Sequence[Attempt]) -> Array:
+        return np.array([np.mean([a.held[name] for a in attempts]) for name in self.constraint_names]) / self.scales
+
+    def _note(self, attempts: Sequence[Attempt]) -> None:
+        """Keep the means of the terms, where the first episode's gradient grew fastest [s], what controllers saw."""
+        means = [float(np.mean([a.terms[name] for a in attempts])) for name in self.summands]
+        control = attempts[0].growth_at
+        self._terms = np.array([*means, control * self.matter.control_step if control >= 0 else np.nan])
+        self.saw = [a.saw for a in attempts]
+
+    def term_values(self) -> Array:
+        """Return the terms at the last evaluation, in the order of `term_names`."""
+        return self._terms
+
+    def residuals(self, x: Array) -> Array:
+        """Refuse: an objective is no sum of squares."""
+        raise UsageError("least squares fits data; for an objective take adam, sgd, lbfgs or cma_es")
+
+    def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
+        """Refuse, as `residuals`."""
+        raise UsageError("least squares fits data; for an objective take adam, sgd, lbfgs or cma_es")

@@ -1,0 +1,149 @@
+"""What a run has learned and acts in a replay: single numbers in the scene, all others from the file that has them.
+
+The file is a controller's, with what was learned beside it, or the result of a run of sysid.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cqrun.build.particles import Particles
+from cqrun.controllers.saved import read_controller
+from cqrun.design.params import Params
+from cqrun.errors import SceneError, UsageError
+from cqrun.explain import listed
+from cqrun.plugin.contract import Array
+from cqrun.running.unknowns import values_found
+from cqrun.scene.paths import canonical, leaf, shapes_a_body
+from cqrun.scene.schema import Scene
+from cqrun.scene.unknowns import tied
+
+IDENTIFIED = "identified.json"
+"""Where a replay of a run of sysid keeps that run's result."""
+
+Learned = Mapping[str, Array]
+"""Values by path: one number, or one a group or particle."""
+
+
+def learned_in(controller: Path) -> dict[str, Array]:
+    """Return the values that were learned with a controller; UsageError for another file."""
+    _, meta = read_controller(controller)
+    return {path: np.array(value, float) for path, value in meta.get("unknowns", {}).items()}
+
+
+def identified_in(result: Path, scene: Scene) -> dict[str, Array]:
+    """Return the values that a run of sysid has identified, and of what follows them if it is single numbers.
+
+    Args:
+        result: the run's.
+        scene: its own, without overrides.
+    """
+    found, values = _unknowns(result), dict[str, Array]()
+    for path in scene.unknowns:
+        name = canonical(scene, path)
+        value = found[name]["value"]
+        of_path = {name: value} if isinstance(value, list) else tied(scene, path, value)
+        values |= {other: np.array(own, float) for other, own in of_path.items()}
+    return values
+
+
+def as_overrides(file: Path, learned: Learned, scene: Scene) -> list[str]:
+    """Return overrides that give a scene the single numbers among what a file has; UsageError where it lacks one."""
+    for path in learned:
+        try:
+            leaf(scene, path)
+        except SceneError:
+            raise UsageError(f"{file}: {path} was learned in that run; this scene has no such number") from None
+    return [f"{path}={value.item()!r}" for path, value in learned.items() if not is_kept_in_file(path, value)]
+
+
+def refuse_learned(file: Path, learned: Learned, scene: Scene | None, overrides: Sequence[str]) -> None:
+    """Refuse overrides of what stays in a file, or of a part that holds it: the file's would act.
+
+    Args:
+        file: which has the values.
+        scene: as it is without the overrides, which knows how its paths are spelt at length; None where it cannot be.
+        overrides: `key.path=value` each.
+
+    Raises:
+        UsageError: there is one.
+    """
+    kept = {path: value for path, value in learned.items() if is_kept_in_file(path, value)}
+    for override in overrides:
+        key = _spelt_out(scene, override.partition("=")[0].strip())
+        if key in kept and kept[key].ndim:
+            raise UsageError(f"-o {override}: {file} has a value of it for every group or particle, which were learned")
+        if key in kept:
+            raise UsageError(f"-o {override}: {file} holds the body's geometry, which was learned")
+        if inside := [path for path in kept if path.startswith(f"{key}.")]:
+            raise UsageError(
+                f"-o {override}: {file} holds {listed(inside)}, which was learned; override what is beside it"
+            )
+
+
+def design_in(file: Path, scene: Scene, overrides: Sequence[str]) -> dict[str, Array]:
+    """Return the values by path that were learned with a controller, without those that overrides replace.
+
+    Arguments and errors as `refuse_learned`.
+    """
+    learned = learned_in(file)
+    refuse_learned(file, learned, scene, overrides)
+    keys = [_spelt_out(scene, override.partition("=")[0].strip()) for override in overrides]
+    return {path: value for path, value in learned.items() if not any(f"{path}.".startswith(f"{key}.") for key in keys)}
+
+
+def _spelt_out(scene: Scene | None, key: str) -> str:
+    """Return the long spelling of a key path, or the path itself where a scene has nothing there."""
+    try:
+        return key if scene is None else canonical(scene, key)
+    except SceneError:
+        return key
+
+
+def is_kept_in_file(path: str, value: Array) -> bool:
+    """Say whether a learned value stays in the file that has it, and does not go into the scene.
+
+    It is one a group or particle, or it shapes a body: particles follow it, sampled anew they would be others.
+    """
+    return value.ndim > 0 or shapes_a_body(path)
+
+
+def kept_values(controller: Path) -> dict[str, Array]:
+    """Return the values by path that act in a replay and that its scene does not have; UsageError for another file."""
+    return {path: value for path, value in learned_in(controller).items() if is_kept_in_file(path, value)}
+
+
+def kept_of_identified(result: Path, scene: Scene, particles: Particles) -> dict[str, Array]:
+    """Return the same values of a run of sysid, from its result."""
+    values = values_found(scene, particles, _unknowns(result))
+    return {path: value for path, value in values.items() if is_kept_in_file(path, value)}
+
+
+def require_fitting(file: Path, kept: Learned, params: Params) -> None:
+    """Refuse values for groups or particles that the unknowns of a scene do not have.
+
+    Raises:
+        UsageError: with both numbers.
+    """
+    sizes = {block.path: block.initial.shape for block in params.blocks}
+    sizes |= {f.path: block.initial.shape for block in params.blocks for f in block.followers}
+    for name, array in kept.items():
+        if array.shape != sizes.get(name):
+            raise UsageError(
+                f"{file}: holds {array.size} numbers of {name} that were learned; this scene's unknowns have "
+                f"{sizes.get(name, 'none')}: bodies and particles must be those it was trained with"
+            )
+
+
+def _unknowns(result: Path) -> dict[str, Any]:
+    """Return the unknowns of a run's result: path -> its entry."""
+    try:
+        found: dict[str, Any] = json.loads(result.read_text())["unknowns"]
+    except (OSError, ValueError, KeyError) as error:
+        raise UsageError(f"{result}: unreadable ({error}); run the scene again with --fresh") from error
+    return found

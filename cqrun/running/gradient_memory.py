@@ -1,0 +1,66 @@
+"""What a scene's gradients need: states kept, substeps run again; refused before a run where it cannot be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf, isfinite
+
+import numpy as np
+
+from cqrun.build.model import Built
+from cqrun.engine.checkpoint import Plan, make_plan
+from cqrun.engine.forward_run import useful_threads
+from cqrun.engine.model import Model
+from cqrun.errors import Problem, RunError, SceneError
+from cqrun.state import rows_of
+
+GRADIENT = 5.0
+"""What a gradient takes, in forward runs, where all states fit."""
+
+THREAD_GAIN = 0.5
+"""By how much a thread beside the first speeds a rollout up, at the least: decision 002."""
+
+
+def state_bytes(model: Model) -> int:
+    """Return the bytes of one kept state."""
+    return int(rows_of(model.dim)[-1] * model.layout.n * np.dtype(model.real).itemsize)
+
+
+def gradient_plan(built: Built) -> Plan:
+    """Return how a gradient of a scene fits its memory.
+
+    Raises:
+        SceneError: it does not.
+    """
+    model = built.model
+    try:
+        return make_plan(model.n_steps, state_bytes(model), model.memory_budget)
+    except RunError as error:
+        raise SceneError([Problem(built.scene.where("memory"), "memory", str(error))]) from None
+
+
+def gradients_at_once(models: Sequence[Model], threads: int) -> int:
+    """Return how many gradients, one of each model, should run side by side: of what ends soonest the most.
+
+    The more there are, the less of the budget and the fewer threads each has: with few states it runs its substeps
+    again and again.
+    """
+    distinct = list({id(model): model for model in models}.values())
+
+    def time(at_once: int) -> float:
+        rounds = -(-len(models) // at_once)
+        return round(rounds * max(gradient_time(model, at_once, threads) for model in distinct), 9)
+
+    times = {at_once: time(at_once) for at_once in range(min(threads, len(models)), 0, -1)}
+    best = min(times, key=times.__getitem__, default=1)
+    return best if isfinite(times.get(best, inf)) else 1
+
+
+def gradient_time(model: Model, at_once: int, threads: int) -> float:
+    """Return how long one of several gradients takes, in forward runs on one thread; without end if it does not fit."""
+    try:
+        plan = make_plan(model.n_steps, state_bytes(model), model.memory_budget // at_once)
+    except RunError:
+        return inf
+    own = useful_threads(model, threads // at_once)
+    return (GRADIENT + plan.recompute - 1.0) / (1.0 + THREAD_GAIN * (own - 1))

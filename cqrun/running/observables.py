@@ -1,0 +1,102 @@
+"""observables.csv: one row a control step with what each body does, readable while the run goes on.
+
+time                          [s]
+<body>.x, .y, .z              centroid, by mass [m]
+<body>.kinetic_energy         sum of m |v|^2 / 2 [J; 2D: J/m]
+<body>.least_volume_ratio     least det F of its particles
+<body>.fastest                greatest speed of a particle [m/s]
+<body>.fracture               neighbouring particles that share no grid node (observers/fracture.py)
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from cqrun.build.model import Built
+from cqrun.engine.model import Inputs
+from cqrun.observers.fracture import Fracture
+from cqrun.state import State
+from cqrun.store.atomic import disk_errors
+
+
+def fracture_of(built: Built) -> Fracture:
+    """Return the neighbours of a scene's particles, to watch."""
+    p = built.particles
+    return Fracture.of(p.x, {name: p.of(name) for name in p.names}, p.spacing, built.model.dx)
+
+
+class Observables:
+    """Writes a row a control step, and keeps the extremes; a context manager that closes the file.
+
+    Attributes:
+        fracture: the neighbours and the most that were lost.
+        fastest: greatest speed so far by body [m/s].
+        least_volume_ratio: least det F so far by body.
+        last: the row of the last state by body, its columns by name.
+    """
+
+    def __init__(self, path: Path, built: Built, inputs: Inputs) -> None:
+        """Open the file.
+
+        Args:
+            inputs: of the rollout, whose masses are those that act.
+
+        Raises:
+            UsageError, RunError: it cannot be written.
+        """
+        self.path = path
+        self.fracture = fracture_of(built)
+        self._bodies = {name: built.particles.of(name) for name in built.particles.names}
+        self._mass = inputs.fields.mass
+        self._step = built.scene.time.control_step
+        self.fastest = dict.fromkeys(self._bodies, 0.0)
+        self.least_volume_ratio = dict.fromkeys(self._bodies, np.inf)
+        self.last: dict[str, dict[str, float]] = {}
+        with disk_errors(path):
+            self._file = path.open("w", newline="", encoding="utf-8")
+        self._table = csv.writer(self._file, lineterminator="\n")
+
+    def record(self, control: int, state: State) -> None:
+        """Write the row of a control step.
+
+        Raises:
+            UsageError, RunError: it cannot be written.
+        """
+        lost = self.fracture.count(state.x)
+        J = np.linalg.det(state.F)
+        self.last = {body: self._row(body, state, J) | {"fracture": lost[body]} for body in self._bodies}
+        with disk_errors(self.path):
+            if control == 0:
+                self._table.writerow(["time", *(f"{b}.{name}" for b, row in self.last.items() for name in row)])
+            time = control * self._step
+            self._table.writerow([repr(time), *(repr(value) for row in self.last.values() for value in row.values())])
+            self._file.flush()
+
+    def _row(self, body: str, state: State, J: Any) -> dict[str, float]:
+        part = self._bodies[body]
+        m, v = self._mass[part], state.v[part]
+        centroid = m @ state.x[part] / m.sum()
+        squared = (v * v).sum(axis=1)
+        fastest, least = float(np.sqrt(squared.max())), float(J[part].min())
+        self.fastest[body] = max(self.fastest[body], fastest)
+        self.least_volume_ratio[body] = min(self.least_volume_ratio[body], least)
+        return {
+            **dict(zip("xyz", centroid.tolist(), strict=False)),
+            "kinetic_energy": 0.5 * float(m @ squared),
+            "least_volume_ratio": least,
+            "fastest": fastest,
+        }
+
+    def __enter__(self) -> Observables:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with disk_errors(self.path):
+            self._file.close()

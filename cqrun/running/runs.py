@@ -1,0 +1,222 @@
+"""How every job takes up its run: threads, the run's name, the scene that a run directory keeps."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from cqrun.build.model import Built, build
+from cqrun.errors import InfeasibleError, Problem, RunError, SceneError, UsageError
+from cqrun.optimizers.constrained import VIOLATION
+from cqrun.plugin.contract import Array
+from cqrun.running.reporter import Reporter
+from cqrun.scene.load import dump, load_scene, resolve
+from cqrun.scene.schema import Scene
+from cqrun.scene.walk import parts
+from cqrun.store.history import read_history
+from cqrun.store.run import RunDirectory, RunScene, read_record
+
+EXTENDED = "`cqrun resume` has given it more iterations than this scene has"
+"""Of a run that was extended, where the scene that it began with is asked for."""
+
+
+def build_and_warn(scene: Scene, talk: Reporter) -> Built:
+    """Return a scene ready to run; its warnings are told."""
+    built = build(scene)
+    for warning in built.warnings:
+        talk.warn(str(warning))
+    return built
+
+
+def open_run(
+    stem: str, scene: Scene, out: Path, *, job: str, threads: int, fresh: bool, with_data: bool = True,
+    files: Mapping[str, Path] | None = None,
+) -> RunDirectory:  # fmt: skip
+    """Make the run of a resolved scene below `out`, or take up the one that is there.
+
+    Args:
+        stem: name of the scene, and of the folder of its runs.
+        with_data: whether the job reads the recordings that the scene names.
+        files: what else the run depends on, by name.
+
+    Raises:
+        SceneError: a recording is missing. UsageError, RunError: as `RunDirectory.open`.
+    """
+    inputs = run_scene(stem, scene, job=job, with_data=with_data, files=files)
+    return RunDirectory.open(inputs, out, argv=sys.argv, seed=scene.seed, threads=threads, fresh=fresh)
+
+
+def run_scene(
+    stem: str, scene: Scene, *, job: str, with_data: bool, files: Mapping[str, Path] | None = None
+) -> RunScene:
+    """Return what names the run of a resolved scene; arguments and errors as `open_run`."""
+    read = {**part_files(scene), **(data_files(scene) if with_data else {}), **(files or {})}
+    base = str(scene.resolve_path("").resolve())
+    return RunScene(stem, dump(resolve(scene)), scene.text, read, base, job, scene.plugin_paths())
+
+
+def part_files(scene: Scene) -> dict[str, Path]:
+    """Return the files that parts of a scene are read from, by the names it uses: all it names but `data`."""
+    found = [getattr(part, "file", None) for loc, part in parts(scene) if loc[:1] != ("data",)]
+    return {name: scene.resolve_path(name) for name in found if isinstance(name, str)}
+
+
+def data_files(scene: Scene) -> dict[str, Path]:
+    """Return the recordings of a scene, by the names it uses.
+
+    Raises:
+        SceneError: all those that are missing.
+    """
+    recordings = scene.recordings
+    problems = []
+    for name, recording in recordings.items():
+        path = scene.resolve_path(recording.file)
+        if not path.is_file():
+            key = f"data.recordings.{name}.file"
+            message = (
+                f"there is no file '{path}'; the head of the scene says where recordings are to be had; "
+                f"-o {key}=FILE names it where it is (from the scene's folder, or the whole path)"
+            )
+            problems.append(Problem(scene.where(key), key, message))
+    if problems:
+        raise SceneError(problems)
+    return {recording.file: scene.resolve_path(recording.file) for recording in recordings.values()}
+
+
+def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
+    """Return the scene that a run directory keeps, which names its files from where the run began.
+
+    Raises:
+        UsageError: it, or a file that one of its parts is read from, has changed since.
+    """
+    if not run.is_as_begun():
+        raise UsageError(
+            f"{run.path}: its folder is not named after its scene: the folder was renamed, or its scene.yaml has "
+            "changed since the run began; give it its name back, or run the scene again"
+        )
+    scene = load_scene(run.path / "scene.yaml", overrides, Path(run.record["base"]))
+    _require_as_begun(run.path, run.record, part_files(scene))
+    return scene
+
+
+def scene_in(folder: Path, overrides: Sequence[str] = (), *, with_data: bool = False) -> Scene:
+    """Return the scene of the run in a folder, without taking hold of it.
+
+    Args:
+        folder: the run's.
+        overrides: of its scene; a file that they name in the place of another may be any.
+        with_data: whether the recordings are read that the scene names.
+
+    Raises:
+        UsageError: there is no run, or a file that its scene is read with has changed since.
+    """
+    record = read_record(folder)
+    scene = load_scene(folder / "scene.yaml", overrides, Path(str(record.get("base", ""))))
+    data = [recording.file for recording in scene.recordings.values()] if with_data else []
+    _require_as_begun(folder, record, part_files(scene) | {name: scene.resolve_path(name) for name in data})
+    return scene
+
+
+def _require_as_begun(run: Path, record: Mapping[str, Any], files: Mapping[str, Path]) -> None:
+    """Refuse files, by the names the scene uses, that are not what the run began with; a missing one is told later."""
+    for name, path in files.items():
+        began_with = record.get("files", {}).get(name)
+        if path.is_file() and began_with not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
+            raise UsageError(
+                f"{run}: {path} has changed since the run began; run the scene again, or put back the file that it was"
+            )
+
+
+def require_same_data(run: RunDirectory) -> None:
+    """Refuse to go on with a run whose recordings have changed since it began.
+
+    Raises:
+        UsageError: they have. SceneError: one is missing.
+    """
+    scene = saved_scene(run)
+    read = RunScene("", run.resolved, "", part_files(scene) | data_files(scene), plugins=scene.plugin_paths())
+    if read.contents() != run.record["files"]:
+        raise UsageError(f"{run.path}: a recording that it names has changed since the run began; run the scene again")
+
+
+def finished_already(run: RunDirectory, talk: Reporter, *, asked_by_scene: bool = True) -> bool:
+    """Say whether a run is finished, and tell so; tell that it was extended, where its first scene is asked for."""
+    over = "; --fresh starts over" if asked_by_scene else ""
+    if run.finished:
+        talk.phase(f"finished already ({run.status}){over}")
+    if asked_by_scene and run.record.get("extended"):
+        talk.warn(f"{run.path}: {EXTENDED}{over}")
+    return run.finished
+
+
+def stopping(run: RunDirectory, talk: Reporter) -> Callable[[], None]:
+    """Return what raises Stopped where a run whose optimizer has ended is asked to stop."""
+
+    def interrupt() -> None:
+        if talk.stop.asked:
+            raise talk.stop.stopped(f"stopped before the findings were written; `cqrun resume {run.path}` continues")
+
+    return interrupt
+
+
+def refuse_overrides(run: RunDirectory, overrides: Sequence[str]) -> None:
+    """Refuse overrides of a job that cannot be extended."""
+    if overrides:
+        job = run.record["job"]
+        raise UsageError(
+            f"-o {overrides[0]}: a run of {job} cannot be extended, what changes makes another run: "
+            f"cqrun {job} SCENE -o {overrides[0]}"
+        )
+
+
+def raise_if_failed(run: RunDirectory) -> Path:
+    """Return the run's path, or raise the error that it ended with."""
+    if run.status == "infeasible":
+        raise InfeasibleError(run.path, run.record["reason"])
+    if run.status == "failed":
+        raise RunError(f"{run.path}: {run.record['reason']}")
+    return run.path
+
+
+def require_extension(run: RunDirectory, overrides: Sequence[str]) -> None:
+    """Refuse overrides of a run that do more than extend it, or would take back what it has done."""
+    for override in overrides:
+        key, _, value = override.partition("=")
+        if not (key.startswith("optimizer.") and key.endswith(".max_iterations")):
+            raise UsageError(
+                f"-o {override}: a run can only be extended (optimizer.*.max_iterations); "
+                "what else changes makes another run: start it from the scene"
+            )
+        done = iterations_done(run)
+        wanted = yaml.safe_load(value)
+        if isinstance(wanted, int) and wanted < done + run.finished:
+            raise UsageError(f"-o {override}: the run has done {done} iterations, and can only be extended: give more")
+
+
+def iterations_done(run: RunDirectory) -> int:
+    """Return how many iterations a run has done."""
+    path = run.path / "history.csv"
+    rows = read_history(path).get("iteration") if path.is_file() else None
+    return 0 if rows is None or not len(rows) else int(rows[-1])
+
+
+class Progress:
+    """Tells the reporter of iterations, and the run of its best loss."""
+
+    def __init__(self, run: RunDirectory, talk: Reporter) -> None:
+        self._run, self._talk = run, talk
+        self._best, self._last, self._x = np.inf, run.elapsed(), np.zeros(0)
+
+    def __call__(self, iteration: int, x: Array, loss: float, terms: Mapping[str, float]) -> None:
+        now = self._run.elapsed()
+        step = float(np.linalg.norm(x - self._x)) if len(self._x) == len(x) else 0.0
+        self._best, self._x = min(self._best, loss), x.copy()
+        if iteration > 0:
+            self._talk.update(iteration, loss, self._best, step, now - self._last, terms.get(VIOLATION))
+        self._last = now

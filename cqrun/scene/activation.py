@@ -1,0 +1,53 @@
+"""What a scene says of open-loop signals: knots for each actuator, given or random."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from cqrun.explain import complaint, finding
+from cqrun.plugin.contract import Spec, quantity
+from cqrun.scene.data import exactly_one
+from cqrun.scene.fields import Name, Seed
+
+
+class RandomActivation(Spec):
+    """Sequences of random knots, for synthetic data."""
+
+    sequences: int = Field(description="How many sequences", ge=1)
+    knots: int = Field(description="Knots in each, spread evenly over the run", ge=1)
+    low: float = quantity("1", "Least activation", default=0.0)
+    high: float = quantity("1", "Greatest activation", default=1.0)
+    seed: Seed = Field(description="Seed of the knots", default=0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.low < self.high:
+            message = f"must be greater than low, is {self.high:g}"
+            raise complaint("RandomActivation", [finding(message, ("high",), involves=("low",))])
+        return self
+
+
+Knots = Annotated[list[float], Field(min_length=1)]
+
+
+class Activation(Spec):
+    """Open-loop signals of the actuators: given knots, or random ones."""
+
+    signals: dict[Name, Knots] | None = quantity(
+        "1", "Actuator -> knots, spread evenly over time", differentiable=True, default=None
+    )
+    random: RandomActivation | None = Field(description="Random sequences", default=None)
+    interpolate: Literal["hold", "linear"] = Field(description="Between knots", default="hold")
+    over: float | None = quantity(
+        "s",
+        "Time that the knots are spread over, and after it the last; the run's duration if absent",
+        gt=0,
+        default=None,
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        exactly_one(self, ("signals", "random"))
+        return self
