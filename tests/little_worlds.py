@@ -29,17 +29,17 @@ from cqrun.materials import fixed_corotated, incompressibility, neo_hookean, vis
 from cqrun.state import Layout, ParticleFields, State
 
 TERMS = (
-    lambda theta: fixed_corotated.Kernel(theta, (0, 0)),
-    lambda theta: neo_hookean.Kernel(theta, (0, 0)),
-    lambda theta: viscosity.Kernel(theta, (0, 0)),
-    lambda theta: incompressibility.Kernel(theta, (0, 0), 2),
+    lambda theta: fixed_corotated.FixedCorotatedKernel(theta, (0, 0)),
+    lambda theta: neo_hookean.NeoHookeanKernel(theta, (0, 0)),
+    lambda theta: viscosity.ViscosityKernel(theta, (0, 0)),
+    lambda theta: incompressibility.IncompressibilityKernel(theta, (0, 0), 2),
 )
 """The terms of every body, in the order of `Inputs.terms`; active stresses follow."""
 
 CONDITIONS = (Friction,) * 4 + (Slip,) * 3 + (Separate, Sticky)
 """The kinds of boundary condition of every model, in the order of `Inputs.coefficients`."""
 
-STRESSES, FORCES = (muscle.Kernel, pressure.Kernel), (cable.Kernel, body_force.Kernel)
+STRESSES, FORCES = (muscle.MuscleKernel, pressure.PressureKernel), (cable.CableKernel, body_force.BodyForceKernel)
 """The kinds of actuators of every model, in the order of `Inputs.activation`."""
 
 needs_jit = pytest.mark.skipif(config.DISABLE_JIT, reason="threads and speed need compiled kernels")
@@ -131,7 +131,7 @@ def world(
     (n, dim), size_ = x.shape, np.asarray(size, float)
     layout = Layout(dim, tuple(len(b) for b in bodies))
     planes, coefficients = conditions(walls or [], size_, dx)
-    wanted = [Acting(muscle.Kernel, np.asarray(p), symmetric_rows(np.asarray(S, float))) for p, S in muscles]
+    wanted = [Acting(muscle.MuscleKernel, np.asarray(p), symmetric_rows(np.asarray(S, float))) for p, S in muscles]
     acting, chosen = every_kind([*wanted, *actuators], dim)
     parts = tuple(ActuatorModel(f"actuator {k}", a.kind, a.particles, a.constants) for k, a in enumerate(acting))
     model = Model(

@@ -2,27 +2,22 @@
 
 An activation is one number, held through a control step; a stress or a force is proportional to it and to the
 actuator's strength (a modulus, a pressure, a stiffness: the field that `scale` names). Stress actuators are terms of
-the Kirchhoff stress (`materials/term.py`) whose parameters the activations fill; the others push particles
-(`push.py`).
+the Kirchhoff stress (`materials/term.py`) whose parameters the activations fill; the others exert forces on particles,
+which depend on the state (`forces/force.py`) or are steady through a control step (`forces/steady.py`).
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from cqrun.explain import Loc
+from cqrun.forces.force import Inside
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin, quantity
-
-Point = Annotated[list[float], Field(min_length=2, max_length=3)]
-
-Inside = Callable[[str | None, Any], Array]
-"""From a body and a region, each or neither, to the indices of the particles there."""
 
 
 class Actuator(Plugin):

@@ -17,17 +17,19 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numba.core import types
-from numba.extending import overload, register_jitable
+from numba.extending import overload
 from pydantic import Field, model_validator
 
 from cqrun.numerics.compile import named, own_symbols, written
+from cqrun.numerics.dispatch import ByClass
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin, quantity, vector
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
 
-_PROJECT: dict[type, Callable[..., Any]] = {}
-_PROJECT_VJP: dict[type, Callable[..., Any]] = {}
+_PROJECT = ByClass("project", "condition, v")
+_PROJECT_VJP = ByClass("project_vjp", "condition, v, out_bar")
+project, project_vjp = _PROJECT.call, _PROJECT_VJP.call
 
 
 class NodeNormals(NamedTuple):
@@ -118,30 +120,8 @@ class BoundaryCondition(Plugin):
 
 def register(kernel_class: type, project_: Callable[..., Any], project_vjp_: Callable[..., Any]) -> None:
     """Make the two functions those of a kernel class."""
-    own_symbols(kernel_class)
-    _PROJECT[kernel_class], _PROJECT_VJP[kernel_class] = project_, project_vjp_
-
-
-def project(condition: Any, v: Any) -> Any:
-    """Return a node's velocity after one condition."""
-    return _PROJECT[type(condition)](condition, v)
-
-
-def project_vjp(condition: Any, v: Any, out_bar: Any) -> Any:
-    """Return (v_bar, coefficient_bar) of one condition."""
-    return _PROJECT_VJP[type(condition)](condition, v, out_bar)
-
-
-@overload(project)
-def _project(condition, v):
-    body = register_jitable(_PROJECT[condition.instance_class])
-    return lambda condition, v: body(condition, v)
-
-
-@overload(project_vjp)
-def _project_vjp(condition, v, out_bar):
-    body = register_jitable(_PROJECT_VJP[condition.instance_class])
-    return lambda condition, v, out_bar: body(condition, v, out_bar)
+    _PROJECT.register(kernel_class, project_)
+    _PROJECT_VJP.register(kernel_class, project_vjp_)
 
 
 # --- all conditions that hold a node: bit k of `held` is condition k ----------------------------------------

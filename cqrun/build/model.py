@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.actuators.push import pushes
 from cqrun.plugin.contract import Array
 from cqrun.engine.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, push_limit, wave_limit
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
+from cqrun.materials.term import is_stress
 from cqrun.errors import Problem, SceneError
 from cqrun.build.actuation import Actuation
 from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_memory import memory_problems
+from cqrun.build.history import fields_of
 from cqrun.build.particles import Particles, sample, stress_key
 from cqrun.scene.paths import with_values
 from cqrun.build.regions import boundary
@@ -144,7 +145,7 @@ def _doubts(scene: Scene) -> list[Problem]:
 
 
 def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[GroupModel, ...]:
-    parts = [part for part in assembly.actuation.parts if not pushes(part.model.kernel)]
+    parts = [part for part in assembly.actuation.parts if is_stress(part.model.kernel)]
     groups = []
     for _, members in groupby(enumerate(particles.names), key=lambda item: stress_key(scene, item[1])):
         indices, names = zip(*members, strict=True)
@@ -152,7 +153,8 @@ def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[Gro
         specs: list[Any] = [material.elastic.value, *material.terms.values()]
         makers = tuple(spec.kernel_term for spec in specs)
         active = dict.fromkeys(part.model.kernel for part in parts if part.spec.body in names)
-        groups.append(GroupModel(tuple(indices), makers, tuple(active)))
+        history = tuple(tuple(field.name for field in fields_of(spec, scene.dim)) for spec in specs)
+        groups.append(GroupModel(tuple(indices), makers, tuple(active), history))
     return tuple(groups)
 
 

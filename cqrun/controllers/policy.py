@@ -17,7 +17,7 @@ from cqrun.actuators.actuator import held_to
 from cqrun.controllers.controller import Controller
 from cqrun.observers.observer import Moment, Observation
 from cqrun.plugin.contract import Array
-from cqrun.state import State, rows_of
+from cqrun.state import State, state_table
 
 
 @dataclass(frozen=True)
@@ -125,19 +125,17 @@ class ControlPolicy:
 
     def _moment(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> Moment:
         D, k = self.dim, self.observation.rows.shape[0]
-        X, V, C, F, end = rows_of(D)
-        seen = record[:, :k].T
+        fields, seen = state_table(D).fields, record[:, :k].T
+        x, v, C, F = (seen[:, state_table(D).rows[f.name]].reshape(k, *f.shape) for f in fields)
         return Moment(
-            seen[:, X:V], seen[:, V:C], seen[:, C:F].reshape(k, D, D), seen[:, F:end].reshape(k, D, D),
-            control * self.control_step, control, self.goals, memory[: self.observation.n_memory], state,
+            x, v, C, F, control * self.control_step, control, self.goals, memory[: self.observation.n_memory], state,
         )  # fmt: skip
 
     def _record_bar(self, shape: tuple[int, ...], bar: object) -> Array:
         """Return the cotangent of the probe's rows (rows, K) from that of a moment."""
-        X, V, C, F, end = rows_of(self.dim)
         k, out = self.observation.rows.shape[0], np.zeros(shape)
-        for name, begin, stop in (("x", X, V), ("v", V, C), ("C", C, F), ("F", F, end)):
+        for name, rows in state_table(self.dim).rows.items():
             part = getattr(bar, name)
             if part is not None:
-                out[begin:stop, :k] = part.reshape(k, -1).T
+                out[rows, :k] = part.reshape(k, -1).T
         return out

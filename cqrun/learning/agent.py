@@ -339,7 +339,7 @@ class Agent:
 
         None where it depends on nothing of that kind.
         """
-        full = Records(*(np.zeros_like(a) for a in (records.x, records.v, records.C, records.F)))
+        full = Records(*(np.zeros_like(a) for a in records))
         whole, moves = TrackBar(), False
         for asking, bar in (
             (OBJECTIVE, self.objective.loss_vjp(track, mix.loss) if mix.loss else TrackBar()),

@@ -161,14 +161,14 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
 
     def _empty_track(self) -> Track:
         """Return the episode as the objective sees it, to be filled step by step."""
-        rows = Records.from_rows(self.rollout.records, self.agent.model.dim)
-        kept = Records(*(np.zeros(part.shape, part.dtype) for part in (rows.x, rows.v, rows.C, rows.F)))
+        rows = Records.from_rows(self.rollout.records, self.agent.model.layout.table)
+        kept = Records(*(np.zeros(part.shape, part.dtype) for part in rows))
         return self.agent.track(kept, self.rollout, self.goals, activation=np.zeros_like(self.rollout.activation))
 
     def _loss_if_it_ended(self) -> float:
         """Return the loss of the run so far, its last record standing for all that is to come, without effort."""
         control, at = self.control, self.agent.places[OBJECTIVE]
-        now = Records.from_rows(self.rollout.records[control : control + 1], self.agent.model.dim)
+        now = Records.from_rows(self.rollout.records[control : control + 1], self.agent.model.layout.table)
         for name in ("x", "v", "C", "F"):
             getattr(self.track, name)[control:] = getattr(now, name)[:, at]
         self.track.activation[:control] = self.rollout.activation[:control]

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -168,4 +170,4 @@ def _joined(parts: Sequence[Array]) -> Array:
 def _total(bars: Sequence[State]) -> State | None:
     if not bars:
         return None
-    return State(*(sum(getattr(b, f.name) for b in bars) for f in fields(State)))
+    return reduce(add, bars)

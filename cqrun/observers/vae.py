@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,6 @@ from cqrun.observers.raster import Raster
 from cqrun.observers.rows import weighted
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
-from cqrun.state import State
 
 WHAT = "file of a trained encoder"
 USUAL = 3.0
@@ -75,7 +74,7 @@ class Bound(BoundObserver):
         state = moment.state()
         x, v = state.x[self.members], state.v[self.members]
         image_bar = self.trained.encoder.encode_vjp(self.trained.raster.image(x, v), z_bar)
-        bar = State(*(np.zeros_like(a) for a in (state.x, state.v, state.C, state.F)))
+        bar = replace(state.zeros_like(), memory=np.zeros(0))
         bar.x[self.members], bar.v[self.members] = self.trained.raster.image_vjp(x, v, image_bar)
         return MomentBar(state=bar)
 

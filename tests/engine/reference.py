@@ -104,10 +104,10 @@ def active_stress(model: Model, inputs: Inputs, step: int) -> tuple[Array, Array
     n, dim = inputs.state.x.shape
     kind = np.result_type(inputs.activation, inputs.strength, inputs.weights)
     S, p = np.zeros((n, dim, dim), kind), np.zeros((n, 1, 1), kind)
-    for actuator, u, strength in driven(model, inputs, muscle.Kernel, step):
+    for actuator, u, strength in driven(model, inputs, muscle.MuscleKernel, step):
         share = weights(model, inputs, actuator)[:, None, None]
         S[actuator.particles] += u * strength * share * matrix(actuator.constants)
-    for actuator, u, strength in driven(model, inputs, pressure.Kernel, step):
+    for actuator, u, strength in driven(model, inputs, pressure.PressureKernel, step):
         p[actuator.particles] += u * strength * weights(model, inputs, actuator)[:, None, None] * actuator.constants
     return S, p
 
@@ -119,7 +119,7 @@ def active_force(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Ar
     """
     f = np.zeros(s.x.shape, np.result_type(s.x, inputs.activation, inputs.strength, inputs.rest, inputs.fields.mass))
     taut = []
-    for actuator, u, k in driven(model, inputs, cable.Kernel, step):
+    for actuator, u, k in driven(model, inputs, cable.CableKernel, step):
         route = s.x[actuator.particles]
         gaps = route[1:] - route[:-1]
         lengths = np.sqrt((gaps * gaps).sum(axis=1))
@@ -130,7 +130,7 @@ def active_force(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Ar
             pull = k * stretch * gaps / lengths[:, None]
             np.add.at(f, actuator.particles[:-1], pull)
             np.add.at(f, actuator.particles[1:], -pull)
-    for actuator, u, acceleration in driven(model, inputs, body_force.Kernel, step):
+    for actuator, u, acceleration in driven(model, inputs, body_force.BodyForceKernel, step):
         own = actuator.particles
         f[own] += u * acceleration * inputs.fields.mass[own, None] * actuator.constants
     return f, taut

@@ -46,11 +46,11 @@ def tendons(x: np.ndarray) -> tuple[Acting, ...]:
     routes = ([0, 5, 9, 12], [20, 31, 40], [3, 44])
     ways = np.eye(x.shape[1])[0], np.ones(x.shape[1])
     return (
-        Acting(pressure.Kernel, both[COUNTS[0] :: 2], np.ones(1)),
-        Acting(pressure.Kernel, both[::4], np.ones(1)),
-        *(Acting(cable.Kernel, np.array(r), np.zeros(0), length(x[r])) for r in routes),
-        Acting(body_force.Kernel, first, ways[0]),
-        Acting(body_force.Kernel, both[5::3], ways[1]),
+        Acting(pressure.PressureKernel, both[COUNTS[0] :: 2], np.ones(1)),
+        Acting(pressure.PressureKernel, both[::4], np.ones(1)),
+        *(Acting(cable.CableKernel, np.array(r), np.zeros(0), length(x[r])) for r in routes),
+        Acting(body_force.BodyForceKernel, first, ways[0]),
+        Acting(body_force.BodyForceKernel, both[5::3], ways[1]),
     )
 
 

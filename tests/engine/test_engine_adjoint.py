@@ -115,7 +115,7 @@ def test_dot_product_where_bodies_have_other_terms(rng):
     fixed, neo, viscous, _ = inputs.terms[0]
     keep = [a for a in model.actuators if a.name == "actuator 0"]
     keep = [replace(a, particles=a.particles[a.particles >= second.start]) for a in keep]
-    groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1],), (muscle.Kernel,)))
+    groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1],), (muscle.MuscleKernel,)))
     apart = replace(model, groups=groups, actuators=tuple(keep))
     inputs.activation, inputs.strength, inputs.weights = inputs.activation[:, :1], inputs.strength[:1], np.zeros(0)
     inputs.rest = inputs.rest[:1]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.actuators.muscle import Kernel as Muscle
+from cqrun.actuators.muscle import MuscleKernel as Muscle
 from cqrun.materials.term import kirchhoff, kirchhoff_vjp
 from cqrun.plugin import registry
 
