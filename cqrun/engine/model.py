@@ -21,7 +21,7 @@ from cqrun.forces.force import Kind, Levels, is_force, make_forces
 from cqrun.forces.steady import is_steady, make_steady, starts_of
 from cqrun.numerics.packed import pack
 from cqrun.plugin.contract import Array
-from cqrun.state import MOTION, Layout, ParticleFields, State, StateTable
+from cqrun.state import MOTION, Layout, ParticleFields, State, StateField, StateTable, state_table
 
 
 @dataclass(frozen=True)
@@ -247,10 +247,10 @@ class Records:
         return out
 
     @classmethod
-    def zeros(cls, n_controls: int, k: int, dim: int) -> Records:
+    def zeros(cls, n_controls: int, k: int, dim: int, history: Sequence[StateField] = ()) -> Records:
         """Return zero records, as a cotangent to fill."""
-        vector, matrix = (n_controls + 1, k, dim), (n_controls + 1, k, dim, dim)
-        return cls(np.zeros(vector), np.zeros(vector), np.zeros(matrix), np.zeros(matrix))
+        table = state_table(dim, tuple(history))
+        return cls.from_rows(np.zeros((n_controls + 1, table.n_rows, k)), table)
 
 
 @dataclass

@@ -22,6 +22,7 @@ FOLDERS = {
     "actuator": "cqrun.actuators",
     "boundary": "cqrun.boundaries",
     "load": "cqrun.loads",
+    "force": "cqrun.forces",
     "controller": "cqrun.controllers",
     "observer": "cqrun.observers",
     "objective": "cqrun.objectives",

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from little_worlds import Wall, below, needs_jit, world
-from rich_scene import KINDS, arrays, parts, product, random_records, rich
+from rich_scene import KINDS, arrays, parts, product, random_records, rebuilt, rich
 
 from cqrun.boundaries.friction import Friction
 from cqrun.build.model import build
@@ -52,7 +52,7 @@ def crowd(dim: int, rng: np.random.Generator):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_one_thread_and_two_and_three_give_the_same_bits(dim, rng):
     model, inputs = crowd(dim, rng)
-    records_bar = random_records(Records.zeros(model.n_controls, 2, dim), rng)
+    records_bar = random_records(Records.zeros(model.n_controls, 2, dim, model.layout.history), rng)
     state, records, bar = gradient(model, inputs, 1, records_bar)
     moved = np.floor(state.x / 0.2) != np.floor(inputs.state.x / 0.2)
     assert moved.any(axis=1).mean() > 0.2
@@ -73,7 +73,7 @@ def test_substeps_one_by_one_and_tile_by_tile_give_the_same_bits(dim, real, rng,
     """With all states kept, on two threads, and in little memory."""
     model, inputs = crowd(dim, rng)
     model = replace(model, real=real)
-    records_bar = random_records(Records.zeros(model.n_controls, 2, dim), rng)
+    records_bar = random_records(Records.zeros(model.n_controls, 2, dim, model.layout.history), rng)
     short = replace(model, memory_budget=20 * 2 * dim * (1 + dim) * model.layout.n * np.dtype(real).itemsize)
     state, records, bar = gradient(model, inputs, 1, records_bar)
     monkeypatch.setattr(Rollout, "_chained", lambda rollout: True)  # all kinds of actuators are here, none that pushes
@@ -102,7 +102,7 @@ def test_large_bodies_are_chained_unless_something_pushes(monkeypatch):
 def test_more_threads_than_work(rng):
     """One lane of particles, four threads: three of them wait."""
     model, inputs = rich(2)
-    records_bar = random_records(Records.zeros(model.n_controls, 3, 2), rng)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, 2, model.layout.history), rng)
     bars = [gradient(model, inputs, threads, records_bar)[2] for threads in (1, 4)]
     for kind, a, b in zip(KINDS, *map(arrays, bars), strict=True):
         np.testing.assert_array_equal(a, b, err_msg=kind)
@@ -146,7 +146,7 @@ def test_padding_copies_the_last_particle_and_has_no_mass():
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_float32_is_close_to_float64(dim, rng):
     model, inputs = rich(dim)
-    records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, dim, model.layout.history), rng)
     _, records, bar = gradient(model, inputs, 1, records_bar)
     _, records_32, bar_32 = gradient(replace(model, real=np.float32), inputs, 1, records_bar)
     assert 0 < product(_difference(records_32, records), _difference(records_32, records)) < 1e-11
@@ -155,7 +155,7 @@ def test_float32_is_close_to_float64(dim, rng):
 
 
 def _difference(a: Records, b: Records) -> Records:
-    return Records(*(p - q for p, q in zip(parts(a), parts(b), strict=True)))
+    return rebuilt(a, [p - q for p, q in zip(parts(a), parts(b), strict=True)])
 
 
 @needs_jit
