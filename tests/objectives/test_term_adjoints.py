@@ -8,23 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_matter import (
-    CONTROL_STEP,
-    N_ACTUATORS,
-    N_CONTROLS,
-    STEP,
-    box_around_left,
-    made_matter,
-    mismatch,
-    moved,
-    slope,
-)
+from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, STEP, box_around_left, made_matter, moved, slope
+from made_tracks import a_track, adjoint_error
 
 from cqrun.objectives.gaps import lengths, lengths_vjp
 from cqrun.objectives.term import BoundTerm, Objective, Over, Track, TrackBar, reduced, reduced_vjp
 from cqrun.plugin.registry import plugins
 
-FIELDS = ("x", "v", "C", "F", "activation", "design")
 OVER = typing.get_args(Over)
 
 
@@ -70,31 +60,6 @@ def make(name: str, k: int, dim: int, **fields: Any) -> BoundTerm:
     spec = plugins("objective")[name].model_validate(examples(dim)[name][k] | fields)
     bound: BoundTerm = spec.bind(made_matter(dim))
     return bound
-
-
-def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
-    draw = lambda *shape: rng.normal(size=(N_CONTROLS + 1, n_rows, *shape))  # noqa: E731
-    goals = {"target": rng.normal(size=dim)}
-    return Track(0.3 * draw(dim), draw(dim), draw(dim, dim), draw(dim, dim), rng.normal(size=(N_CONTROLS, N_ACTUATORS)),
-                 goals, CONTROL_STEP, 2.0 + 0.1 * rng.normal(size=(4, made_matter(dim).n_particles)))  # fmt: skip
-
-
-def adjoint_error(value: Any, value_vjp: Any, track: Track, rng: np.random.Generator) -> float:
-    """Return the relative error of bar (J d) = (J^T bar) . d."""
-    directions = {name: rng.normal(size=getattr(track, name).shape) for name in FIELDS}
-    tilted = replace(track, **{name: moved(getattr(track, name), directions[name]) for name in FIELDS})
-    bar = rng.normal()
-    found = value_vjp(track, bar)
-    parts = [bar_of(found, name, directions[name].shape) * directions[name] for name in FIELDS]
-    expected = slope(lambda: value(tilted), bar)
-    return mismatch(sum(float(p.sum()) for p in parts), expected, sum(float(np.abs(p).sum()) for p in parts))
-
-
-def bar_of(bar: TrackBar, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a cotangent, None as zeros; one of another shape than its value's is an error."""
-    own = getattr(bar, name)
-    assert own is None or own.shape == shape, name
-    return np.zeros(shape) if own is None else own
 
 
 def test_every_objective_has_an_example():
