@@ -14,7 +14,7 @@ from cqrun.errors import UsageError
 from cqrun.observers.npz import read_arrays, write_arrays
 from cqrun.plugin.contract import Array
 
-WHAT = "file of a controller"
+FILE_KIND = "a controller file"
 META = "meta"
 
 
@@ -33,14 +33,14 @@ def read_controller(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     Raises:
         UsageError: the file is no controller's.
     """
-    arrays = read_arrays(path, WHAT)
+    arrays = read_arrays(path, FILE_KIND)
     text = arrays.pop(META, np.zeros(0))
     if text.ndim or text.dtype.kind != "U":
-        raise UsageError(f"{path}: is no {WHAT}: it lacks the entry '{META}' that cqrun writes")
+        raise UsageError(f"{path}: is not {FILE_KIND}: it lacks the entry '{META}' that cqrun writes")
     try:
         return arrays, json.loads(text.item())
     except ValueError as error:
-        raise UsageError(f"{path}: is no {WHAT}: its entry '{META}' is no JSON: {error}") from error
+        raise UsageError(f"{path}: is not {FILE_KIND}: its entry '{META}' is not JSON: {error}") from error
 
 
 def load_controller(path: Path, blocks: Sequence[ParameterBlock]) -> tuple[dict[str, Array], dict[str, Any]]:

@@ -45,10 +45,10 @@ def test_another_shape_is_named(path, rng):
 
 def test_what_is_no_controller(tmp_path, rng):
     path = tmp_path / "other.npz"
-    with pytest.raises(UsageError, match="cannot be read as file of a controller: No such file"):
+    with pytest.raises(UsageError, match="cannot be read as a controller file: No such file"):
         load_controller(path, blocks(rng))
-    for content, words in [(b"", "is no file of a controller"), (b"weights: 1\n", "is no file of a controller"),
-                           (b"PK\x03\x04 cut short", "is no file of a controller")]:  # fmt: skip
+    for content, words in [(b"", "is not a controller file"), (b"weights: 1\n", "is not a controller file"),
+                           (b"PK\x03\x04 cut short", "is not a controller file")]:  # fmt: skip
         path.write_bytes(content)
         with pytest.raises(UsageError, match=words):
             load_controller(path, blocks(rng))
@@ -56,21 +56,21 @@ def test_what_is_no_controller(tmp_path, rng):
     with pytest.raises(UsageError, match="lacks the entry 'meta'"):
         load_controller(path, blocks(rng))
     np.savez(path, meta=np.array("{"), weights0=np.zeros(3))
-    with pytest.raises(UsageError, match="is no JSON"):
+    with pytest.raises(UsageError, match="is not JSON"):
         load_controller(path, blocks(rng))
     np.save(tmp_path / "one.npy", np.zeros(3))
-    with pytest.raises(UsageError, match="holds no arrays by name"):
+    with pytest.raises(UsageError, match="contains no named arrays"):
         load_controller(tmp_path / "one.npy", blocks(rng))
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("notes.txt", "weights")
-    with pytest.raises(UsageError, match="holds no arrays by name"):
+    with pytest.raises(UsageError, match="contains no named arrays"):
         load_controller(path, blocks(rng))
 
 
 def test_nothing_in_the_file_is_executed(tmp_path, rng):
     path = tmp_path / "pickled.npz"
     np.savez(path, meta=np.array("{}"), weights0=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(UsageError, match="is no file of a controller"):
+    with pytest.raises(UsageError, match="is not a controller file"):
         load_controller(path, blocks(rng))
 
 
