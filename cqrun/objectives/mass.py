@@ -1,4 +1,4 @@
-"""How heavy a body is."""
+"""Mass of a body."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cqrun.plugin.registry import plugin
 
 @plugin("objective", "mass")
 class Mass(ObjectiveTerm):
-    """Mass [kg], in 2D [kg/m], of a body at rest, with what is attached to it."""
+    """Mass [kg] (2D: [kg/m]) of a body, with masses that are attached to it."""
 
     least: ClassVar[float] = 0.0
 

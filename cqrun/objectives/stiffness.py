@@ -1,4 +1,4 @@
-"""How stiff a body is."""
+"""Stiffness of a body."""
 
 from __future__ import annotations
 

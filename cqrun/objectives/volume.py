@@ -1,4 +1,4 @@
-"""How much room a body takes at rest."""
+"""Volume of a body at rest."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cqrun.plugin.registry import plugin
 
 @plugin("objective", "volume")
 class Volume(ObjectiveTerm):
-    """Volume [m^3], in 2D area [m^2], of a body at rest."""
+    """Volume [m^3] (2D: area [m^2]) of a body at rest."""
 
     least: ClassVar[float] = 0.0
 
