@@ -139,12 +139,12 @@ CASES = {
     "more clusters than particles": (
         PARTS,
         "parts: {clusters: {body: finger, count: 49}}",
-        ["finger.yaml:21:3: observers.parts: 49 clusters of 48 particles: there can be at most one a particle"],
+        ["finger.yaml:21:3: observers.parts: 49 clusters of 48 particles: there can be at most one per particle"],
     ),
     "a cluster's region of more than there are": (
         "each: [left, right]",
         "region: {cluster: {count: 49, index: 0}}",
-        ["actuators.muscle.muscle.region: 49 clusters of 48 particles: there can be at most one a particle"],
+        ["actuators.muscle.muscle.region: 49 clusters of 48 particles: there can be at most one per particle"],
     ),
     "a range for other entries": (
         "{goal: {goal: target}}",
