@@ -81,7 +81,7 @@ class Controller(Plugin):
     ) -> Array:
         """Return the cotangent of z (n_in,) from that of the result; add those of the parameters to `out`."""
 
-    def doubts(self, control_step: float) -> Iterator[tuple[str, str]]:
+    def likely_mistakes(self, control_step: float) -> Iterator[tuple[str, str]]:
         """Yield what is likely a slip: the field's name, and what is wrong with it.
 
         Args:

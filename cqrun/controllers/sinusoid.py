@@ -46,7 +46,7 @@ class Sinusoid(Controller):
             blocks.append(ParameterBlock("frequency", np.array([self.frequency]), lower=0.0))
         return blocks
 
-    def doubts(self, control_step: float) -> Iterator[tuple[str, str]]:
+    def likely_mistakes(self, control_step: float) -> Iterator[tuple[str, str]]:
         highest = 0.5 / control_step
         if self.frequency > highest:
             message = (

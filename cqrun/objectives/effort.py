@@ -33,7 +33,7 @@ class Effort(ObjectiveTerm):
         default=None,
     )
 
-    def doubts(self, neutral: Mapping[str, float]) -> Iterator[tuple[str, str]]:
+    def likely_mistakes(self, neutral: Mapping[str, float]) -> Iterator[tuple[str, str]]:
         others = [f"{name}: {at:g}" for name, at in neutral.items() if at != 0.0]
         if self.counted_from is None and others:
             yield (

@@ -108,7 +108,7 @@ class ObjectiveTerm(Plugin):
             UsageError: a name or a number of particles does not fit the scene.
         """
 
-    def doubts(self, neutral: Mapping[str, float]) -> Iterator[tuple[str, str]]:
+    def likely_mistakes(self, neutral: Mapping[str, float]) -> Iterator[tuple[str, str]]:
         """Yield what is likely a slip: the field's name, and what is wrong with it.
 
         Args:
