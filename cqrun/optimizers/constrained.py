@@ -162,7 +162,7 @@ def columns_of(problem: ConstrainedProblem, c: Array, optimality: Kkt) -> dict[s
     return values
 
 
-def excess_told(problem: ConstrainedProblem, row: Mapping[str, float]) -> Array:
+def violations_in_row(problem: ConstrainedProblem, row: Mapping[str, float]) -> Array:
     """Return the violations (m,) from a row of the history."""
     c = np.array([row[CONSTRAINT + name] for name in problem.constraint_names]) / problem.scales
     return violation(c, problem.c_low, problem.c_high)
