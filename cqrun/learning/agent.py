@@ -280,7 +280,12 @@ class Agent:
         terms, held = self.objective.values(track), self.constraints.values(held_track)
         policy: Any = rollout.policy
         return Attempt(
-            self.objective.weighed(terms), terms, held, track.goals, rollout.activation.copy(), np.array(policy.saw)
+            self.objective.weighted_sum(terms),
+            terms,
+            held,
+            track.goals,
+            rollout.activation.copy(),
+            np.array(policy.saw),
         )
 
     def attempt(

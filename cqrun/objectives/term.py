@@ -133,9 +133,9 @@ class Objective:
 
     def loss(self, track: Track) -> float:
         """Return the sum over terms of sense * weight * value."""
-        return self.weighed(self.values(track))
+        return self.weighted_sum(self.values(track))
 
-    def weighed(self, values: Mapping[str, float]) -> float:
+    def weighted_sum(self, values: Mapping[str, float]) -> float:
         """Return the loss for given values of the terms."""
         return sum(self.factors[name] * value for name, value in values.items())
 
