@@ -31,14 +31,14 @@ class Controller(Plugin):
     """Base of the plug-ins of kind `controller`.
 
     `bounded`: it returns numbers in [-1, 1], not activations. `closed_loop`: it uses observations. `unit_inputs`: its
-    initial parameters are meant for observations of about 1. `of_the_start`: fields that only set the initial
+    initial parameters are meant for observations of about 1. `initial_fields`: fields that only set the initial
     parameters.
     """
 
     bounded: ClassVar[bool] = True
     closed_loop: ClassVar[bool] = True
     unit_inputs: ClassVar[bool] = False
-    of_the_start: ClassVar[tuple[str, ...]] = ()
+    initial_fields: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def blocks(

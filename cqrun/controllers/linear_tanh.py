@@ -20,7 +20,7 @@ class LinearTanh(Controller):
     W starts from a normal distribution with standard deviation `spread`, b from zero.
     """
 
-    of_the_start: ClassVar[tuple[str, ...]] = ("spread",)
+    initial_fields: ClassVar[tuple[str, ...]] = ("spread",)
     gain: float = Field(description="Largest |u|: the share of the actuators' ranges in use", gt=0, le=1, default=1.0)
     spread: float = Field(description="Standard deviation of the initial weights", ge=0, default=0.02)
 

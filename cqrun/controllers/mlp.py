@@ -26,7 +26,7 @@ class Mlp(Controller):
     """
 
     unit_inputs: ClassVar[bool] = True
-    of_the_start: ClassVar[tuple[str, ...]] = ("output_spread",)
+    initial_fields: ClassVar[tuple[str, ...]] = ("output_spread",)
     hidden: list[Width] = Field(description="Width of each hidden layer", default=[64, 64])
     activation: Literal["relu", "tanh"] = Field(description="Activation function of the hidden layers", default="relu")
     output_spread: float = Field(

@@ -24,7 +24,7 @@ class OpenLoop(Controller):
 
     bounded: ClassVar[bool] = False
     closed_loop: ClassVar[bool] = False
-    of_the_start: ClassVar[tuple[str, ...]] = ("initial", "noise")
+    initial_fields: ClassVar[tuple[str, ...]] = ("initial", "noise")
 
     every: int = Field(description="Control steps from one knot to the next", ge=1, default=1)
     interpolate: Literal["hold", "linear"] = Field(

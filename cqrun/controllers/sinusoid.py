@@ -23,7 +23,7 @@ class Sinusoid(Controller):
     """
 
     closed_loop: ClassVar[bool] = False
-    of_the_start: ClassVar[tuple[str, ...]] = ("spread",)
+    initial_fields: ClassVar[tuple[str, ...]] = ("spread",)
 
     count: int = Field(description="Number of sinusoids", ge=1, default=8)
     frequency: float = quantity("Hz", "Frequency f of all of them", gt=0)
