@@ -34,8 +34,8 @@ class Difference(Shape):
         return self.shapes[0].value.colour_names
 
     @property
-    def pictured(self) -> bool:
-        return self.shapes[0].value.pictured
+    def has_colours(self) -> bool:
+        return self.shapes[0].value.has_colours
 
     def coloured(self, points: Array, colour: str) -> Array:
         return self.shapes[0].value.coloured(points, colour)

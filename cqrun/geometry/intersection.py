@@ -32,8 +32,8 @@ class Intersection(Shape):
         return tuple(name for part in self.shapes for name in part.value.colour_names)
 
     @property
-    def pictured(self) -> bool:
-        return any(part.value.pictured for part in self.shapes)
+    def has_colours(self) -> bool:
+        return any(part.value.has_colours for part in self.shapes)
 
     def coloured(self, points: Array, colour: str) -> Array:
         return np.any(coloured_parts([part.value for part in self.shapes], points, colour), axis=0)

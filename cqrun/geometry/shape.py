@@ -60,7 +60,7 @@ class Shape(Region):
         return np.zeros(len(points), bool)
 
     @property
-    def pictured(self) -> bool:
+    def has_colours(self) -> bool:
         """Whether it has colours from an image."""
         return type(self).coloured is not Shape.coloured
 
@@ -82,7 +82,7 @@ def coloured_parts(parts: Sequence[Shape], points: Array, colour: str) -> list[A
         UsageError: there are images, and none of them has the colour.
     """
     named = any(colour in part.colour_names for part in parts)
-    candidates = [part for part in parts if (colour in part.colour_names if named else part.pictured)]
+    candidates = [part for part in parts if (colour in part.colour_names if named else part.has_colours)]
     masks: dict[int, Array] = {}
     errors: list[UsageError] = []
     for part in candidates:

@@ -30,8 +30,8 @@ class Transformed(Place, Shape):
         return self.shape.value.colour_names
 
     @property
-    def pictured(self) -> bool:
-        return self.shape.value.pictured
+    def has_colours(self) -> bool:
+        return self.shape.value.has_colours
 
     def coloured(self, points: Array, colour: str) -> Array:
         return self.shape.value.coloured(self.to_local(points), colour)

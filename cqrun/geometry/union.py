@@ -36,8 +36,8 @@ class Union(Shape):
         return tuple(name for part in self.shapes for name in part.value.colour_names)
 
     @property
-    def pictured(self) -> bool:
-        return any(part.value.pictured for part in self.shapes)
+    def has_colours(self) -> bool:
+        return any(part.value.has_colours for part in self.shapes)
 
     def coloured(self, points: Array, colour: str) -> Array:
         local = (points - self._origin()) / self.scale
