@@ -18,7 +18,7 @@ class FileShape(Shape):
 
     _folder: Path = PrivateAttr(default_factory=Path)
 
-    def found_in(self, folder: Path) -> None:
+    def set_folder(self, folder: Path) -> None:
         """Make the file's name relative to this folder."""
         self._folder = folder
 
