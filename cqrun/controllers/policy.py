@@ -41,7 +41,7 @@ class Limits:
         return bool(np.isfinite(self.change).any())
 
 
-def remembered(observation: Observation, limits: Limits) -> int:
+def memory_size(observation: Observation, limits: Limits) -> int:
     """Return the size M of a policy's memory: that of the observers, and activations if an actuator has a rate."""
     return observation.n_memory + len(limits.low) * limits.slow
 
@@ -71,7 +71,7 @@ class ControlPolicy:
         self.limits, self.goals, self.control_step, self.dim = limits, goals, control_step, dim
         self.saw: list[Array] = []
         self.slow = limits.slow
-        self.memory = np.zeros(remembered(observation, limits))
+        self.memory = np.zeros(memory_size(observation, limits))
         if self.slow:
             self.memory[observation.n_memory :] = limits.neutral
         half = 0.5 * (limits.high - limits.low)
