@@ -79,19 +79,19 @@ class ControlPolicy:
 
     def act(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
         """Return the activations (A,) of a control step, and the next memory (M,)."""
-        z, remembered = self.seen(control, record, memory, state)
+        z, observers_memory = self.observe(control, record, memory, state)
         self.saw.append(z)
         u = self.controller.act(self.parameters, z, control, control * self.control_step)
-        return self.driven(u, remembered, memory)
+        return self.activate(u, observers_memory, memory)
 
-    def seen(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
+    def observe(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
         """Return the observations (Z,), and the observers' next memory."""
         return self.observation.observe(self._moment(control, record, memory, state))
 
-    def driven(self, u: Array, remembered: Array, memory: Array) -> tuple[Array, Array]:
+    def activate(self, u: Array, observers_memory: Array, memory: Array) -> tuple[Array, Array]:
         """Return the activations (A,) for the controller's output u (A,), and the next memory (M,)."""
         activation, _, _ = self._limited(u, memory)
-        return activation, np.concatenate([remembered, activation]) if self.slow else remembered
+        return activation, np.concatenate([observers_memory, activation]) if self.slow else observers_memory
 
     def act_vjp(
         self, control: int, record: Array, memory: Array, state: Callable[[], State], activation_bar: Array,
