@@ -60,7 +60,7 @@ class ControlPolicy:
 
     Attributes:
         memory: (M,) memory at the start.
-        saw: observations (Z,) that the controller was given, one entry for each control step so far.
+        observations: observations (Z,) that the controller was given, one entry for each control step so far.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class ControlPolicy:
     ) -> None:  # fmt: skip
         self.observation, self.controller, self.parameters = observation, controller, parameters
         self.limits, self.goals, self.control_step, self.dim = limits, goals, control_step, dim
-        self.saw: list[Array] = []
+        self.observations: list[Array] = []
         self.slow = limits.slow
         self.memory = np.zeros(memory_size(observation, limits))
         if self.slow:
@@ -80,7 +80,7 @@ class ControlPolicy:
     def act(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
         """Return the activations (A,) of a control step, and the next memory (M,)."""
         z, observers_memory = self.observe(control, record, memory, state)
-        self.saw.append(z)
+        self.observations.append(z)
         u = self.controller.act(self.parameters, z, control, control * self.control_step)
         return self.activate(u, observers_memory, memory)
 

@@ -280,7 +280,7 @@ class Agent:
         terms, held = self.objective.values(track), self.constraints.values(held_track)
         policy: Any = rollout.policy
         loss, activation = self.objective.weighted_sum(terms), rollout.activation.copy()
-        return Attempt(loss, terms, held, track.goals, activation, np.array(policy.saw))
+        return Attempt(loss, terms, held, track.goals, activation, np.array(policy.observations))
 
     def attempt(
         self, values: Values, goals: Goals, threads: int, observe: Callable[[int, State], None] | None = None
