@@ -67,7 +67,7 @@ class Block:
 
     @property
     def ends(self) -> tuple[Array, Array]:
-        """The least and greatest x (size,)."""
+        """The smallest and largest x (size,)."""
         return np.zeros(self.size), np.ones(self.size)
 
     def to_scaled(self, value: Array) -> Array:
@@ -159,7 +159,7 @@ class Plain(Block):
 
     @property
     def ends(self) -> tuple[Array, Array]:
-        """The least and greatest x (size,)."""
+        """The smallest and largest x (size,)."""
         return self._each(self.lower), self._each(self.upper)
 
     def _each(self, bound: Any) -> Array:
@@ -197,7 +197,7 @@ class Params:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """The least and greatest x (n,)."""
+        """The smallest and largest x (n,)."""
         ends = [block.ends for block in self.blocks]
         return _joined([low for low, _ in ends]), _joined([high for _, high in ends])
 

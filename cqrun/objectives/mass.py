@@ -18,7 +18,7 @@ class Mass(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that counts")
+    body: str = Field(description="Body whose mass is measured")
     group: str | None = Field(description=A_GROUP, default=None)
 
     def bind(self, matter: Matter) -> BoundTerm:

@@ -30,7 +30,7 @@ class Reach(ObjectiveTerm):
     group: str | None = Field(description=A_GROUP, default=None)
     goal: str | None = Field(description="Name of the goal", default=None)
     position: list[float] | None = vector("m", "Position where it should be", default=None)
-    target: str | None = Field(description="Body it should be at", default=None)
+    target: str | None = Field(description="Body whose centroid it should reach", default=None)
     target_group: str | None = Field(description="Group of that body; the whole body if absent", default=None)
     squared: bool = Field(description="Whether the distance is squared", default=True)
 

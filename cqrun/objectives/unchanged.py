@@ -28,7 +28,7 @@ class Unchanged(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that counts")
+    body: str = Field(description="Body whose change is measured")
     group: str | None = Field(description=A_GROUP, default=None)
     of: Literal["stiffness", "poissons_ratio", "density", "mass", "volume"] = Field(
         description="Young's modulus, Poisson's ratio, density, or mass or volume at rest", default="stiffness"

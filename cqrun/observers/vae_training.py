@@ -92,7 +92,7 @@ class Training:
         self.epochs, self.error = self.epochs + 1, total / len(self.data)
 
     def state(self) -> bytes:
-        """Return what the next epoch depends on, beside the arguments of the constructor."""
+        """Return everything on which the next epoch depends, except the arguments of the constructor."""
         file = io.BytesIO()
         parts = {"net": self.net.state_dict(), "optimizer": self.optimizer.state_dict()}
         progress = {"key": self.key, "epochs": self.epochs, "error": self.error, "chance": self.generator.get_state()}

@@ -150,7 +150,7 @@ class Descent(Optimizer):
         return float(answer["f"]) < state.best_loss
 
     def history_columns(self, problem: Problem, x: Array, answer: dict[str, Array]) -> dict[str, float]:
-        """Return the columns of the history beside the loss."""
+        """Return the columns of the history besides the loss."""
         return terms_of(problem, answer["terms"])
 
     def require(self, problem: Problem) -> None:
