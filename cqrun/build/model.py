@@ -134,12 +134,12 @@ def _doubts(scene: Scene) -> list[Problem]:
     asked: list[tuple[str, Iterator[tuple[str, str]]]] = []
     if scene.controller is not None:
         controller: Any = scene.controller.value
-        asked.append((f"controller.{scene.controller.name}", controller.doubts(scene.time.control_step)))
+        asked.append((f"controller.{scene.controller.name}", controller.likely_mistakes(scene.time.control_step)))
     actuators: dict[str, Any] = {name: chosen.value for name, chosen in scene.actuators.items()}
     neutral = {name: actuator.neutral for name, actuator in actuators.items()}
     terms: dict[str, Any] = {f"objective.{name}.{c.name}": c.value for name, c in scene.objective.items()}
     terms |= {f"constraints.{name}.of.{c.of.name}": c.of.value for name, c in scene.constraints.items()}
-    asked += [(path, term.doubts(neutral)) for path, term in terms.items()]
+    asked += [(path, term.likely_mistakes(neutral)) for path, term in terms.items()]
     told = ((f"{path}.{field}", message) for path, found in asked for field, message in found)
     return [Problem(scene.where(path), path, message) for path, message in told]
 

@@ -66,7 +66,7 @@ class BodyPoints:
     def coloured(self, colour: str) -> Array:
         """Return which particles lie in pixels of a colour of the image that their piece is made of."""
         pieces = list(self.scene.bodies[self.body].pieces.values())
-        if not any(shape.pictured for shape in pieces):
+        if not any(shape.has_colours for shape in pieces):
             raise UsageError(f"the body '{self.body}' is made of no image, so its particles have no colour")
         found = coloured_parts(pieces, self.local, colour)
         return np.any([(self.piece == k) & held for k, held in enumerate(found)], axis=0)

@@ -279,9 +279,8 @@ class Agent:
     def _judged(self, rollout: Rollout, track: Track, held_track: Track) -> Attempt:
         terms, held = self.objective.values(track), self.constraints.values(held_track)
         policy: Any = rollout.policy
-        return Attempt(
-            self.objective.weighed(terms), terms, held, track.goals, rollout.activation.copy(), np.array(policy.saw)
-        )
+        loss, activation = self.objective.weighted_sum(terms), rollout.activation.copy()
+        return Attempt(loss, terms, held, track.goals, activation, np.array(policy.observations))
 
     def attempt(
         self, values: Values, goals: Goals, threads: int, observe: Callable[[int, State], None] | None = None

@@ -126,7 +126,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
             raise UsageError(f"step: an action has shape {self.action_space.shape}, not {u.shape}")
         if not np.isfinite(u).all():
             raise UsageError(f"step: an action has finite numbers, not {u}")
-        rollout.activation[control], rollout.memory[control + 1] = self.policy.driven(
+        rollout.activation[control], rollout.memory[control + 1] = self.policy.activate(
             np.clip(u, -1.0, 1.0), self.remembered, rollout.memory[control]
         )
         rollout.decided = control + 1
@@ -149,7 +149,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
 
     def _see(self) -> Array:
         rollout, control = self.rollout, self.control
-        self.seen, self.remembered = self.policy.seen(
+        self.seen, self.remembered = self.policy.observe(
             control, rollout.records[control], rollout.memory[control], lambda: rollout.unpack(self.states[0], control)
         )
         return self.seen

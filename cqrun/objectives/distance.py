@@ -1,4 +1,4 @@
-"""How far a body has come."""
+"""Distance that a body has travelled."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cqrun.plugin.registry import plugin
 
 @plugin("objective", "distance")
 class Distance(AlongAxis):
-    """Distance travelled along an axis [m]: a centroid (plain mean) less where it was at the start.
+    """Distance travelled along an axis [m]: a centroid's coordinate (plain mean) minus its value at the start.
 
     Larger is better.
     """
@@ -26,14 +26,14 @@ class Distance(AlongAxis):
 
     body: str = Field(description="Body that travels")
     group: str | None = Field(description=A_GROUP, default=None)
-    axis: Axis = Field(description="Axis of the world it travels along", default="x")
+    axis: Axis = Field(description="Axis of the world along which it travels", default="x")
 
     def bind(self, matter: Matter) -> BoundTerm:
         return Bound(self, matter)
 
 
 class Bound(BoundTerm):
-    """Centroid less centroid at the start."""
+    """Centroid minus centroid at the start."""
 
     def __init__(self, spec: Distance, matter: Matter) -> None:
         self.rows = means([matter.members(spec.body, spec.group)], matter.n_particles)

@@ -1,4 +1,4 @@
-"""How high a body is."""
+"""Height of a body."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from cqrun.plugin.registry import plugin
 
 @plugin("objective", "height")
 class Height(AlongAxis):
-    """Height of a centroid (plain mean), its coordinate along an axis of the world [m]. Larger is better."""
+    """Height of a centroid (plain mean): its coordinate along an axis of the world [m]. Larger is better."""
 
     sense: ClassVar[Literal[1, -1]] = -1
 
     body: str = Field(description="Body that is measured")
     group: str | None = Field(description=A_GROUP, default=None)
-    over: Over = Field(description="How the values of all control steps become one", default="mean")
+    over: Over = Field(description="How the values of all control steps are combined", default="mean")
 
     def bind(self, matter: Matter) -> BoundTerm:
         return Bound(self, matter)

@@ -1,4 +1,4 @@
-"""How heavy a body is."""
+"""Mass of a body."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from cqrun.plugin.registry import plugin
 
 @plugin("objective", "mass")
 class Mass(ObjectiveTerm):
-    """Mass [kg], in 2D [kg/m], of a body at rest, with what is attached to it."""
+    """Mass [kg] (2D: [kg/m]) of a body, with masses that are attached to it."""
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that counts")
+    body: str = Field(description="Body whose mass is measured")
     group: str | None = Field(description=A_GROUP, default=None)
 
     def bind(self, matter: Matter) -> BoundTerm:

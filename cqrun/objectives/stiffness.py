@@ -1,4 +1,4 @@
-"""How stiff a body is."""
+"""Stiffness of a body."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Stiffness(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that counts")
+    body: str = Field(description="Body whose stiffness is measured")
     group: str | None = Field(description=A_GROUP, default=None)
 
     def bind(self, matter: Matter) -> BoundTerm:

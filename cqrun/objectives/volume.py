@@ -1,4 +1,4 @@
-"""How much room a body takes at rest."""
+"""Volume of a body at rest."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from cqrun.plugin.registry import plugin
 
 @plugin("objective", "volume")
 class Volume(ObjectiveTerm):
-    """Volume [m^3], in 2D area [m^2], of a body at rest."""
+    """Volume [m^3] (2D: area [m^2]) of a body at rest."""
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that counts")
+    body: str = Field(description="Body whose volume is measured")
     group: str | None = Field(description=A_GROUP, default=None)
 
     def bind(self, matter: Matter) -> BoundTerm:

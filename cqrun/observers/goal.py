@@ -1,4 +1,4 @@
-"""Where the goal is, seen from a body."""
+"""Position of a goal relative to a body."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from cqrun.plugin.registry import plugin
 
 @plugin("observer", "goal")
 class Goal(Observer):
-    """A goal's position less the centroid (plain mean) of a body or of one of its groups; or the goal itself."""
+    """A goal's position minus the centroid (plain mean) of a body or of one of its groups; or the goal itself."""
 
     goal: str = Field(description="Name of the goal, a position")
-    body: str | None = Field(description="Body it is seen from; none: the goal's own entries", default=None)
+    body: str | None = Field(description="Body whose centroid is subtracted; if absent, nothing is", default=None)
     group: str | None = Field(description=A_GROUP, default=None)
     range: Range = Field(
-        description="[low, high] in m that becomes [-1, 1], one for each axis, auto: the world's size, or null",
+        description="[low, high] in m that is scaled to [-1, 1], or one pair for each axis; auto: the world's size; "
+        "null: values as they are",
         default="auto",
     )
 
@@ -36,7 +37,7 @@ class Goal(Observer):
 
 
 class Bound(BoundObserver):
-    """Goal less centroid."""
+    """Goal minus centroid."""
 
     def __init__(self, spec: Goal, matter: Matter) -> None:
         self.goal, self.size, self.relative = spec.goal, matter.dim, spec.body is not None

@@ -28,7 +28,7 @@ class Scene(Sections):
         self._origin = origin
         for _, part in parts(self):
             if isinstance(part, FileShape):
-                part.found_in(self.resolve_path(""))
+                part.set_folder(self.resolve_path(""))
 
     @property
     def source(self) -> Path | None:

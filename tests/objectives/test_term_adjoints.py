@@ -1,4 +1,4 @@
-"""Every objective the registry knows: its adjoint by complex step, over every reduction and side of a kink."""
+"""Every registered objective: its adjoint checked by complex step, for every reduction and side of a kink."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OVER = typing.get_args(Over)
 
 
 def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
-    """Return fields to try each plug-in with; tracks have centroids within 1 m or so of the origin."""
+    """Return fields for each plug-in to test; tracks have centroids within about 1 m of the origin."""
     path = [[0.02, 0.1, 0.2, 0.3][: dim + 1], [0.11, 0.4, -0.2, 0.1][: dim + 1], [0.2, 0.5, 0.5, 0.5][: dim + 1]]
     return {
         "distance": [{"body": "arm"}, {"body": "arm", "group": "tip", "axis": "y"}],
@@ -86,14 +86,14 @@ def test_dot_product_of_the_smooth_maximum_over_time(k, dim, rng):
 
 @EVERY
 @DIM
-def test_all_terms_are_real_numbers_of_all_particles(name, k, dim, rng):
+def test_value_is_a_float_and_rows_cover_all_particles(name, k, dim, rng):
     bound = make(name, k, dim)
     assert bound.rows.shape[1] == made_matter(dim).n_particles
     value = bound.value(a_track(bound.rows.shape[0], dim, rng))
     assert isinstance(value, float)
 
 
-def test_a_wrong_adjoint_is_found(rng):
+def test_a_wrong_adjoint_fails(rng):
     bound = make("reach", 0, 2)
     track = a_track(1, 2, rng)
     right = bound.value_vjp
@@ -101,7 +101,7 @@ def test_a_wrong_adjoint_is_found(rng):
     assert adjoint_error(bound.value, wrong, track, rng) > 1e-4
 
 
-def test_contact_examples_are_on_each_side(rng):
+def test_contact_examples_cover_both_sides_of_the_kink(rng):
     """The three examples of contact_free: some particles too deep, all, none."""
     for k, sides in enumerate([{True, False}, {True}, {False}]):
         bound = make("contact_free", k, 2)
@@ -110,7 +110,7 @@ def test_contact_examples_are_on_each_side(rng):
 
 
 @DIM
-def test_the_weighted_sum(dim, rng):
+def test_loss_is_the_weighted_sum(dim, rng):
     matter = made_matter(dim)
     specs = {
         f"{name}{k}": plugins("objective")[name].model_validate(examples(dim)[name][k] | {"weight": 0.5 + k})
@@ -136,7 +136,7 @@ def test_the_weighted_sum(dim, rng):
 
 
 @pytest.mark.parametrize(("over", "which"), [("minimum", 1), ("maximum", 0)])
-def test_of_equal_extremes_the_first_has_the_slope(over, which):
+def test_gradient_goes_to_the_first_of_equal_extremes(over, which):
     h = np.array([5.0, 2.0, 3.0, 2.0, 5.0])
     expected = np.zeros(5)
     expected[which] = 3.0
@@ -144,21 +144,21 @@ def test_of_equal_extremes_the_first_has_the_slope(over, which):
 
 
 @pytest.mark.parametrize("zeros", [[], [2], [0, 4], [1, 2, 3]])
-def test_the_product_stands_zeros(zeros, rng):
+def test_gradient_of_a_product_with_zeros(zeros, rng):
     h, d = rng.normal(size=(2, 5))
     h[zeros] = 0.0
     expected = slope(lambda: reduced(moved(h, d), "product", 0.1), 1.0)
-    # where two factors vanish the step's square is left of the exact zero
+    # where two factors vanish, the complex step leaves its square instead of exactly zero
     assert np.dot(reduced_vjp(h, "product", 0.1, 1.0), d) == pytest.approx(expected, rel=1e-12, abs=STEP)
 
 
-def test_a_distance_of_zero_has_no_slope():
+def test_gradient_of_a_distance_of_zero_is_zero():
     gap = np.array([[0.0, 0.0], [3.0, -4.0]])
     np.testing.assert_array_equal(lengths(gap, squared=False), [0.0, 5.0])
     np.testing.assert_allclose(lengths_vjp(gap, squared=False, h_bar=np.ones(2)), [[0.0, 0.0], [0.6, -0.8]])
 
 
-def test_a_particle_at_the_edge_of_contact_has_no_slope():
+def test_gradient_at_the_edge_of_contact_is_zero():
     bound = make("contact_free", 0, 2)
     k = bound.rows.shape[0]
     edge = np.full((N_CONTROLS + 1, k, 2), bound.clear)
