@@ -32,10 +32,10 @@ class ContactFree(AlongAxis):
     over: Over = Field(description="How the values of all control steps become one", default="mean")
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return SquaredDepth(self, matter)
 
 
-class Bound(BoundTerm):
+class SquaredDepth(BoundTerm):
     """Mean over rows, one a particle, of the squared depth."""
 
     def __init__(self, spec: ContactFree, matter: Matter) -> None:

@@ -29,10 +29,10 @@ class Distance(AlongAxis):
     axis: Axis = Field(description="Axis of the world it travels along", default="x")
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return CentroidTravel(self, matter)
 
 
-class Bound(BoundTerm):
+class CentroidTravel(BoundTerm):
     """Centroid less centroid at the start."""
 
     def __init__(self, spec: Distance, matter: Matter) -> None:

@@ -26,10 +26,10 @@ class Height(AlongAxis):
     over: Over = Field(description="How the values of all control steps become one", default="mean")
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return CentroidHeight(self, matter)
 
 
-class Bound(BoundTerm):
+class CentroidHeight(BoundTerm):
     """One coordinate of a centroid."""
 
     def __init__(self, spec: Height, matter: Matter) -> None:

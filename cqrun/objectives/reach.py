@@ -47,10 +47,10 @@ class Reach(ObjectiveTerm):
     def bind(self, matter: Matter) -> BoundTerm:
         if self.goal is not None and (size := matter.goal_size(self.goal)) != matter.dim:
             raise UsageError(f"the goal '{self.goal}' has {size} entries; a position here has {matter.dim}")
-        return Bound(self, matter)
+        return AimGap(self, matter)
 
 
-class Bound(BoundTerm):
+class AimGap(BoundTerm):
     """Gap between a centroid and its aim: a goal, a point, or the second row's centroid."""
 
     def __init__(self, spec: Reach, matter: Matter) -> None:

@@ -28,10 +28,10 @@ class Rest(ObjectiveTerm):
     particles: bool = Field(description="Mean of the particles' squared speeds, not the centroid's", default=False)
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return MeanSquaredSpeed(self, matter)
 
 
-class Bound(BoundTerm):
+class MeanSquaredSpeed(BoundTerm):
     """Mean of |v|^2 over the rows: one of a centroid, or one a particle."""
 
     def __init__(self, spec: Rest, matter: Matter) -> None:

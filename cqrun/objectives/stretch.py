@@ -44,10 +44,10 @@ class Stretch(ObjectiveTerm):
     )
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return StretchNorm(self, matter)
 
 
-class Bound(BoundTerm):
+class StretchNorm(BoundTerm):
     """The p-norm: sum_k lambda_k^p = tr A^(p/2) with A = F^T F; its derivative by F is p F A^(p/2 - 1).
 
     The power comes by repeated squaring, all particles at a time: ten times as fast as their singular values.

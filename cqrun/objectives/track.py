@@ -69,7 +69,7 @@ class Tracking(ObjectiveTerm):
     def bind(self, matter: Matter) -> BoundTerm:
         members = matter.members(self.body, self.group)
         wanted, keys = self._wanted(matter, members)
-        bound = Bound(wanted, keys)
+        bound = TrackingGap(wanted, keys)
         bound.rows, bound.over, bound.squared = means([members], matter.n_particles), self.over, self.squared
         return bound
 
@@ -91,7 +91,7 @@ class Tracking(ObjectiveTerm):
         return points, interpolant(times, matter.control_step, matter.n_controls)
 
 
-class Bound(BoundTerm):
+class TrackingGap(BoundTerm):
     """Gap between a centroid and where it should be, at every control step or at the times of `keys`."""
 
     squared: bool

@@ -35,10 +35,10 @@ class Unchanged(ObjectiveTerm):
     )
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return DesignChange(self, matter)
 
 
-class Bound(BoundTerm):
+class DesignChange(BoundTerm):
     """The same at every control step."""
 
     def __init__(self, spec: Unchanged, matter: Matter) -> None:

@@ -32,10 +32,10 @@ class Goal(Observer):
             raise UsageError(f"the goal '{self.goal}' has {size} entries; a position here has {matter.dim}")
         if self.group is not None and self.body is None:
             raise UsageError(f"the group '{self.group}' needs its body: add `body`")
-        return Bound(self, matter)
+        return GoalOffset(self, matter)
 
 
-class Bound(BoundObserver):
+class GoalOffset(BoundObserver):
     """Goal less centroid."""
 
     def __init__(self, spec: Goal, matter: Matter) -> None:

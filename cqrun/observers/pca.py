@@ -76,10 +76,10 @@ class Pca(Observer):
             )
         if k < self.components:
             raise UsageError(f"{self.components} components are wanted, {k} were fitted: ask for fewer")
-        return Bound(self, matter, members, found)
+        return PrincipalCoordinates(self, matter, members, found)
 
 
-class Bound(BoundObserver):
+class PrincipalCoordinates(BoundObserver):
     """z_k = sum over particles and axes of mode_k (x - rest - mean): one row a component and axis."""
 
     def __init__(self, spec: Pca, matter: Matter, members: Array, found: Components) -> None:

@@ -52,10 +52,10 @@ class Vae(Observer):
         """Return this observer with a trained encoder; UsageError where it is of another dimension."""
         if trained.raster.dim != matter.dim:
             raise UsageError(f"the encoder is of a {trained.raster.dim}D body; '{self.body}' is in {matter.dim}D")
-        return Bound(self, matter, trained)
+        return LatentCode(self, matter, trained)
 
 
-class Bound(BoundObserver):
+class LatentCode(BoundObserver):
     """z = encode(image(x, v))."""
 
     needs_state = True
