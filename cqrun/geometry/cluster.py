@@ -11,6 +11,7 @@ from cqrun.errors import UsageError
 from cqrun.explain import complaint, finding
 from cqrun.geometry.region import Points, Region
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin
 
 _ROUNDS = 100
@@ -30,7 +31,7 @@ class Cluster(Region):
     count: int = Field(description="Clusters that the body is divided into", ge=1)
     index: int = Field(description="Which of them, from 0", ge=0)
     seed: int = Field(description="Seed of the first centroids", ge=0, default=0)
-    body: str | None = Field(description="Body that is divided; the one that is asked for the region if absent",
+    body: BodyName | None = Field(description="Body that is divided; the one that is asked for the region if absent",
                              default=None)  # fmt: skip
 
     @model_validator(mode="after")

@@ -5,27 +5,22 @@ from __future__ import annotations
 from abc import abstractmethod
 from pathlib import Path
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field
 
 from cqrun.errors import UsageError
 from cqrun.geometry.shape import Shape
+from cqrun.plugin.reference import FileName
 
 
 class FileShape(Shape):
     """A shape in a file; what it holds is part of the run's name."""
 
-    file: str = Field(description="File, from the scene's folder", min_length=1)
-
-    _folder: Path = PrivateAttr(default_factory=Path)
-
-    def found_in(self, folder: Path) -> None:
-        """Take the file's name from this folder on."""
-        self._folder = folder
+    file: FileName = Field(description="File, from the scene's folder", min_length=1)
 
     @property
     def path(self) -> Path:
         """Where the file is."""
-        return self._folder / self.file
+        return self.path_of(self.file)
 
     def stamp(self) -> tuple[Path, int, int]:
         """Return what tells this version of the file from others: path, time and size.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,6 +14,7 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array, vector
+from cqrun.plugin.reference import BodyName, GoalName, GroupName, NamesGroup, Position
 from cqrun.plugin.registry import plugin
 
 
@@ -26,12 +27,14 @@ class Reach(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that reaches")
-    group: str | None = Field(description=A_GROUP, default=None)
-    goal: str | None = Field(description="Name of the goal", default=None)
-    position: list[float] | None = vector("m", "Where it should be", default=None)
-    target: str | None = Field(description="Body it should be at", default=None)
-    target_group: str | None = Field(description="Group of that body; the whole body if absent", default=None)
+    body: BodyName = Field(description="Body that reaches")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
+    goal: GoalName | None = Field(description="Name of the goal", default=None)
+    position: Position | None = vector("m", "Where it should be", default=None)
+    target: BodyName | None = Field(description="Body it should be at", default=None)
+    target_group: Annotated[str, NamesGroup(of="target")] | None = Field(
+        description="Group of that body; the whole body if absent", default=None
+    )
     squared: bool = Field(description="Whether the distance is squared", default=True)
 
     @model_validator(mode="after")

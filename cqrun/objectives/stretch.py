@@ -13,6 +13,7 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBa
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import single
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin
 
 TINY = np.finfo(float).tiny
@@ -33,7 +34,7 @@ class Stretch(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that is stretched")
+    body: BodyName = Field(description="Body that is stretched")
     region: ChosenRegion | None = Field(description="Where, at rest; the whole body if absent", default=None)
     power: int = Field(
         description="p, even: a greater one is nearer to the largest", ge=2, le=4096, multiple_of=2, default=256

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from cqrun.observers.matter import Matter
 from cqrun.observers.motion import Motion, MotionObserver
+from cqrun.plugin.reference import GroupName
 from cqrun.plugin.registry import plugin
 
 
@@ -19,7 +20,7 @@ class Centroids(MotionObserver):
     the velocity over the last control step; zero at the first.
     """
 
-    groups: list[str] | Literal["all"] = Field(
+    groups: list[GroupName] | Literal["all"] = Field(
         description="Names of groups or of the scene's regions, or all: every group in order, the body if it has none",
         default="all",
     )

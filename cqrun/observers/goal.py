@@ -11,6 +11,7 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, GoalName, GroupName
 from cqrun.plugin.registry import plugin
 
 
@@ -18,9 +19,9 @@ from cqrun.plugin.registry import plugin
 class Goal(Observer):
     """A goal's position less the centroid (plain mean) of a body or of one of its groups; or the goal itself."""
 
-    goal: str = Field(description="Name of the goal, a position")
-    body: str | None = Field(description="Body it is seen from; none: the goal's own entries", default=None)
-    group: str | None = Field(description=A_GROUP, default=None)
+    goal: GoalName = Field(description="Name of the goal, a position")
+    body: BodyName | None = Field(description="Body it is seen from; none: the goal's own entries", default=None)
+    group: GroupName | None = Field(description=A_GROUP, default=None)
     range: Range = Field(
         description="[low, high] in m that becomes [-1, 1], one for each axis, auto: the world's size, or null",
         default="auto",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -39,7 +38,6 @@ class Matter:
         goals: goal -> number of its entries.
         n_actuators: A.
         neutral: (A,) activations that do nothing, or as little as they may.
-        resolve: a file as named in the scene -> where it is.
         recorded: (file as named in the scene, its units or None, marker) -> times (T,) at which the marker was seen
             [s], and where (T, D) [m]; UsageError where there is no such file or marker.
         design: (Q, N) what `objectives/design.py` lists of every particle, where the unknowns start; none if empty.
@@ -55,7 +53,6 @@ class Matter:
     select: Callable[[str | None, Any], Array]
     goals: dict[str, int]
     n_actuators: int
-    resolve: Callable[[str], Path] = Path
     recorded: Callable[[str, str | None, str], tuple[Array, Array]] = _none_recorded
     design: Array = field(default_factory=lambda: np.zeros((0, 0)))
     regions: Sequence[str] = ()

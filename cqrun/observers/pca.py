@@ -16,6 +16,7 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import weighted
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, FileName
 from cqrun.plugin.registry import plugin
 
 
@@ -45,9 +46,9 @@ class Pca(Observer):
     body.
     """
 
-    body: str = Field(description="Body that is observed")
+    body: BodyName = Field(description="Body that is observed")
     components: int = Field(description="How many components", ge=1)
-    file: str | None = Field(
+    file: FileName | None = Field(
         description="File (.npz) of the components, made by `cqrun compress`; a run needs it", default=None
     )
     range: Range = Field(
@@ -59,7 +60,7 @@ class Pca(Observer):
             raise UsageError(
                 "the pca has no components: give a `file` of them, which `cqrun compress RUN... --method pca` makes"
             )
-        return self.bind_to(matter, load_components(matter.resolve(self.file)))
+        return self.bind_to(matter, load_components(self.path_of(self.file)))
 
     def bind_to(self, matter: Matter, found: Components) -> BoundObserver:
         """Return this observer along the first of the components that were found.

@@ -12,6 +12,7 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array, vector
+from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin
 
 
@@ -24,7 +25,7 @@ class Strain(Observer):
     neither a place nor a direction in the world: what a sensor glued into the body would feel.
     """
 
-    body: str = Field(description="Body that is observed")
+    body: BodyName = Field(description="Body that is observed")
     region: ChosenRegion | None = Field(description="Where, at rest; the whole body if absent", default=None)
     axis: list[float] | None = vector(
         "1", "Direction at rest, made unit, whose stretch is observed; all components if absent", default=None

@@ -17,6 +17,7 @@ from cqrun.observers.ranges import Range, limits
 from cqrun.observers.raster import Raster
 from cqrun.observers.rows import weighted
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, FileName
 from cqrun.plugin.registry import plugin
 from cqrun.state import State
 
@@ -41,12 +42,12 @@ class Vae(Observer):
     A. Spielberg, A. Zhao, T. Du, Y. Hu, D. Rus, W. Matusik: Learning-in-the-loop optimization, NeurIPS 2019.
     """
 
-    body: str = Field(description="Body that is observed")
-    file: str = Field(description="File (.npz) of the encoder, from `cqrun compress`")
+    body: BodyName = Field(description="Body that is observed")
+    file: FileName = Field(description="File (.npz) of the encoder, from `cqrun compress`")
     range: Range = Field(description="[low, high] that becomes [-1, 1]; auto: -3 to 3, or null", default="auto")
 
     def bind(self, matter: Matter) -> BoundObserver:
-        return self.bind_to(matter, load_encoder(matter.resolve(self.file)))
+        return self.bind_to(matter, load_encoder(self.path_of(self.file)))
 
     def bind_to(self, matter: Matter, trained: Trained) -> BoundObserver:
         """Return this observer with a trained encoder; UsageError where it is of another dimension."""
