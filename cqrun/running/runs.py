@@ -49,6 +49,8 @@ def open_run(
     Raises:
         SceneError: a file that the scene names is missing. UsageError, RunError: as `RunDirectory.open`.
     """
+    if unreadable := unreadable_files(scene, READ_BY_EVERY_JOB):
+        raise SceneError(unreadable)
     inputs = run_scene(stem, scene, job=job, with_data=with_data, files=files)
     return RunDirectory.open(inputs, out, argv=sys.argv, seed=scene.seed, threads=threads, fresh=fresh)
 
@@ -56,9 +58,11 @@ def open_run(
 def run_scene(
     stem: str, scene: Scene, *, job: str, with_data: bool, files: Mapping[str, Path] | None = None
 ) -> RunScene:
-    """Return what names the run of a resolved scene; arguments and errors as `open_run`."""
-    if unreadable := unreadable_files(scene, READ_BY_EVERY_JOB):
-        raise SceneError(unreadable)
+    """Return what names the run of a resolved scene; arguments as `open_run`.
+
+    Raises:
+        SceneError: a recording is missing.
+    """
     read = {**part_files(scene), **(data_files(scene) if with_data else {}), **(files or {})}
     base = str(scene.resolve_path("").resolve())
     return RunScene(stem, dump(resolve(scene)), scene.text, read, base, job, scene.plugin_paths())

@@ -18,7 +18,7 @@ from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.simulate import run_simulate
 from cqrun.learning.agent import Agent
-from cqrun.running.runs import run_scene
+from cqrun.running.runs import open_run, run_scene
 from cqrun.scene.load import load_scene, resolve
 from cqrun.scene.plugin_files import plugins_allowed
 
@@ -193,7 +193,8 @@ def test_a_missing_file_is_told_with_its_key_path(tmp_path):
     with pytest.raises(SceneError, match=place):
         Agent(built)
     with pytest.raises(SceneError, match=place):
-        run_scene("finger", built.scene, job="control", with_data=False)
+        open_run("finger", built.scene, tmp_path / "out", job="control", threads=1, fresh=False)
+    assert not (tmp_path / "out").exists()
     record(tmp_path, 0.4)
     with pytest.raises(SceneError, match=r"loads\.extra\.ballast\.table: .*mass\.txt: cannot be read \(No such file"):
         sample(load_scene(path, ["loads.extra={ballast: mass.txt}"]))
