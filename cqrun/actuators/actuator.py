@@ -18,6 +18,7 @@ from cqrun.explain import Loc
 from cqrun.forces.force import Inside
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin, quantity
+from cqrun.plugin.reference import BodyName, GroupName
 
 
 class Actuator(Plugin):
@@ -26,7 +27,7 @@ class Actuator(Plugin):
     An actuator may have several parts, each with an activation of its own.
     """
 
-    body: str = Field(description="Body it lies in")
+    body: BodyName = Field(description="Body it lies in")
     rate: float | None = quantity(
         "1/s", "Greatest change of the activation in a second, at first from where it does nothing; any if absent",
         gt=0, default=None,
@@ -104,7 +105,7 @@ class RegionActuator(Actuator):
     region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
         description="Where, at rest; the whole body if absent", default=None
     )
-    each: list[str] | None = Field(
+    each: list[GroupName] | None = Field(
         description="Groups of the body, each with an activation of its own", min_length=1, default=None
     )
 

@@ -13,7 +13,7 @@ At a kink the branch of H(x) = [x >= 0] is taken, as in CQ1.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numba.core import types
@@ -24,6 +24,7 @@ from cqrun.numerics.compile import named, own_symbols, written
 from cqrun.numerics.dispatch import ByClass
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin, quantity, vector
+from cqrun.plugin.reference import Face
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
 
@@ -49,9 +50,7 @@ class BoundaryCondition(Plugin):
     """A condition on grid nodes: on faces of the world, or in a region."""
 
     needs_normal: ClassVar[bool] = True
-    face: Literal["x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "all"] | None = Field(
-        description="Face of the world, or all of them", default=None
-    )
+    face: Face | None = Field(description="Face of the world, or all of them", default=None)
     region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
         description="Region whose nodes are held", default=None
     )

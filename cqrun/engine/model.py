@@ -238,6 +238,11 @@ class Records:
         motion = {name: arrays.pop(name) for name in MOTION}
         return cls(**motion, history=arrays)
 
+    def zeros_like(self) -> Records:
+        """Return zero records of the same shapes."""
+        x, v, C, F = (np.zeros_like(a) for a in self)
+        return Records(x, v, C, F, {name: np.zeros_like(a) for name, a in self.history.items()})
+
     def to_rows(self, table: StateTable) -> Array:
         """Return kernel rows (T + 1, rows, K); histories that it lacks count as zero."""
         out = np.zeros((len(self.x), table.n_rows, self.x.shape[1]), self.x.dtype)

@@ -27,6 +27,7 @@ from cqrun.forces.route import (
 )
 from cqrun.numerics.compile import kernel
 from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin
 
 
@@ -45,7 +46,7 @@ class Spring(ParticleForce):
     It works in both directions: it pulls where it is stretched, and pushes where it is compressed.
     """
 
-    body: str = Field(description="Body it lies in")
+    body: BodyName = Field(description="Body it lies in")
     route: list[Point] = quantity(
         "m", "Points at rest that it runs through in straight lines, each at the nearest particle", min_length=2
     )

@@ -11,6 +11,7 @@ from cqrun.errors import UsageError
 from cqrun.explain import complaint, finding
 from cqrun.geometry.region import Points, Region
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin
 
 _ROUNDS = 100
@@ -30,7 +31,7 @@ class Cluster(Region):
     count: int = Field(description="Number of clusters of the body", ge=1)
     index: int = Field(description="Index of the cluster, from 0", ge=0)
     seed: int = Field(description="Seed of the initial centroids", ge=0, default=0)
-    body: str | None = Field(description="Body that is divided; if absent, the body in which the region is used",
+    body: BodyName | None = Field(description="Body that is divided; if absent, the body in which the region is used",
                              default=None)  # fmt: skip
 
     @model_validator(mode="after")

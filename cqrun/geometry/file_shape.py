@@ -5,27 +5,22 @@ from __future__ import annotations
 from abc import abstractmethod
 from pathlib import Path
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field
 
 from cqrun.errors import UsageError
 from cqrun.geometry.shape import Shape
+from cqrun.plugin.reference import FileName
 
 
 class FileShape(Shape):
     """A shape in a file; the file's content is part of the run's identity."""
 
-    file: str = Field(description="File, from the scene's folder", min_length=1)
-
-    _folder: Path = PrivateAttr(default_factory=Path)
-
-    def set_folder(self, folder: Path) -> None:
-        """Make the file's name relative to this folder."""
-        self._folder = folder
+    file: FileName = Field(description="File, from the scene's folder", min_length=1)
 
     @property
     def path(self) -> Path:
-        """Path of the file."""
-        return self._folder / self.file
+        """Where the file is."""
+        return self.path_of(self.file)
 
     def stamp(self) -> tuple[Path, int, int]:
         """Return what identifies this version of the file: path, time and size.

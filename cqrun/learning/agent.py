@@ -32,6 +32,7 @@ from cqrun.observers.rows import slices
 from cqrun.plugin.contract import Array
 from cqrun.running.side_by_side import Effort
 from cqrun.running.unknowns import make_params
+from cqrun.scene.files import unreadable_files
 from cqrun.state import State
 from cqrun.store.atomic import disk_errors
 from cqrun.store.recordings import marker_path
@@ -130,7 +131,7 @@ class Agent:
         )
         self.constraints: Objective = self._bind(
             "constraints",
-            lambda: Objective({n: c.of.value for n, c in scene.constraints.items()}, self.matter),  # type: ignore[misc]
+            lambda: Objective({n: c.of.value for n, c in scene.constraints.items()}, self.matter),
         )
         asking = (self.observation, self.objective, self.constraints)
         self.places = slices([part.rows.shape[0] for part in asking])
@@ -142,6 +143,8 @@ class Agent:
             self.acting = self._taken_up(trained, said)
 
     def _bind(self, key: str, make: Callable[[], Any]) -> Any:
+        if unreadable := unreadable_files(self.built.scene, (key,)):
+            raise SceneError(unreadable)
         try:
             return make()
         except Unfit as error:
@@ -338,7 +341,7 @@ class Agent:
 
         None where it depends on nothing of that kind.
         """
-        full = Records(*(np.zeros_like(a) for a in records))
+        full = records.zeros_like()
         whole, moves = TrackBar(), False
         for asking, bar in (
             (OBJECTIVE, self.objective.loss_vjp(track, mix.loss) if mix.loss else TrackBar()),
@@ -384,7 +387,6 @@ def matter_of(built: Built, starts: Values) -> Matter:
         select=particles.inside,
         goals={name: len(goal.position) for name, goal in scene.goals.items()},
         n_actuators=len(built.assembly.actuation.parts),
-        resolve=scene.resolve_path,
         recorded=lambda file, units, marker: marker_path(scene.resolve_path(file), units, marker),
         design=built.assembly.design(inputs),
         regions=tuple(scene.regions),

@@ -162,7 +162,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
     def _empty_track(self) -> Track:
         """Return the episode as the objective sees it, to be filled step by step."""
         rows = Records.from_rows(self.rollout.records, self.agent.model.layout.table)
-        kept = Records(*(np.zeros(part.shape, part.dtype) for part in rows))
+        kept = rows.zeros_like()
         return self.agent.track(kept, self.rollout, self.goals, activation=np.zeros_like(self.rollout.activation))
 
     def _loss_if_it_ended(self) -> float:

@@ -13,6 +13,7 @@ from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import single
 from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin
 
 
@@ -26,17 +27,17 @@ class ContactFree(AlongAxis):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that should touch nothing")
+    body: BodyName = Field(description="Body that should touch nothing")
     region: ChosenRegion | None = Field(description="Region, at rest; the whole body if absent", default=None)
     height: float = quantity("m", "What the particles must stay above, along the axis")
     margin: float = quantity("m", "How far above it", ge=0, default=0.0)
     over: Over = Field(description="How the values of all control steps are combined", default="mean")
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return SquaredDepth(self, matter)
 
 
-class Bound(BoundTerm):
+class SquaredDepth(BoundTerm):
     """Mean of the squared depth over the rows, one for each particle."""
 
     def __init__(self, spec: ContactFree, matter: Matter) -> None:

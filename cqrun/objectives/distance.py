@@ -12,6 +12,7 @@ from cqrun.objectives.term import BoundTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin
 
 
@@ -24,15 +25,15 @@ class Distance(AlongAxis):
 
     sense: ClassVar[Literal[1, -1]] = -1
 
-    body: str = Field(description="Body that travels")
-    group: str | None = Field(description=A_GROUP, default=None)
+    body: BodyName = Field(description="Body that travels")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
     axis: Axis = Field(description="Axis of the world along which it travels", default="x")
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return CentroidTravel(self, matter)
 
 
-class Bound(BoundTerm):
+class CentroidTravel(BoundTerm):
     """Centroid minus centroid at the start."""
 
     def __init__(self, spec: Distance, matter: Matter) -> None:

@@ -43,10 +43,10 @@ class Effort(ObjectiveTerm):
             )
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return SquaredActivation(self, matter)
 
 
-class Bound(BoundTerm):
+class SquaredActivation(BoundTerm):
     """u^T u of every control step."""
 
     def __init__(self, spec: Effort, matter: Matter) -> None:

@@ -9,6 +9,7 @@ from pydantic import Field
 from cqrun.objectives.design import MASS, DesignSum
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm
 from cqrun.observers.matter import A_GROUP, Matter
+from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin
 
 
@@ -18,8 +19,8 @@ class Mass(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body whose mass is measured")
-    group: str | None = Field(description=A_GROUP, default=None)
+    body: BodyName = Field(description="Body whose mass is measured")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
 
     def bind(self, matter: Matter) -> BoundTerm:
         return DesignSum(matter, self.over, MASS, matter.members(self.body, self.group))

@@ -14,6 +14,7 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array, vector
+from cqrun.plugin.reference import BodyName, GoalName, GroupName, Position
 from cqrun.plugin.registry import plugin
 
 
@@ -26,11 +27,11 @@ class Reach(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that reaches")
-    group: str | None = Field(description=A_GROUP, default=None)
-    goal: str | None = Field(description="Name of the goal", default=None)
-    position: list[float] | None = vector("m", "Position where it should be", default=None)
-    target: str | None = Field(description="Body whose centroid it should reach", default=None)
+    body: BodyName = Field(description="Body that reaches")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
+    goal: GoalName | None = Field(description="Name of the goal", default=None)
+    position: Position | None = vector("m", "Position where it should be", default=None)
+    target: BodyName | None = Field(description="Body whose centroid it should reach", default=None)
     target_group: str | None = Field(description="Group of that body; the whole body if absent", default=None)
     squared: bool = Field(description="Whether the distance is squared", default=True)
 
@@ -47,10 +48,10 @@ class Reach(ObjectiveTerm):
     def bind(self, matter: Matter) -> BoundTerm:
         if self.goal is not None and (size := matter.goal_size(self.goal)) != matter.dim:
             raise UsageError(f"the goal '{self.goal}' has {size} entries; a position here has {matter.dim}")
-        return Bound(self, matter)
+        return AimGap(self, matter)
 
 
-class Bound(BoundTerm):
+class AimGap(BoundTerm):
     """Gap between a centroid and its target: a goal, a point, or the second row's centroid."""
 
     def __init__(self, spec: Reach, matter: Matter) -> None:

@@ -8,6 +8,7 @@ from pydantic import Field
 from cqrun.errors import UsageError
 from cqrun.observers.matter import Matter
 from cqrun.plugin.contract import Array, Spec, quantity
+from cqrun.plugin.reference import FileName
 from cqrun.units import LengthUnit
 
 
@@ -18,7 +19,7 @@ class RecordedPath(Spec):
     with another origin than the scene. The recording must have the same axes as the scene.
     """
 
-    file: str = Field(description="C3D, CSV or trajectory file, from the scene's folder", min_length=1)
+    file: FileName = Field(description="C3D, CSV or trajectory file, from the scene's folder", min_length=1)
     marker: str = Field(description="Name of the marker in the file", min_length=1)
     start: float = quantity("s", "Time in the file at which the run begins", default=0.0)
     units: LengthUnit | None = Field(description="Length unit of the file, if it does not name one", default=None)

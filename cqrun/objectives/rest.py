@@ -11,6 +11,7 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means, single
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin
 
 
@@ -23,17 +24,17 @@ class Rest(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that should be at rest")
-    group: str | None = Field(description=A_GROUP, default=None)
+    body: BodyName = Field(description="Body that should be at rest")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
     particles: bool = Field(
         description="Mean of the particles' squared speeds instead of the centroid's", default=False
     )
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return MeanSquaredSpeed(self, matter)
 
 
-class Bound(BoundTerm):
+class MeanSquaredSpeed(BoundTerm):
     """Mean of |v|^2 over the rows: one for the centroid, or one for each particle."""
 
     def __init__(self, spec: Rest, matter: Matter) -> None:

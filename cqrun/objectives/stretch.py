@@ -13,6 +13,7 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBa
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import single
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin
 
 TINY = np.finfo(float).tiny
@@ -33,7 +34,7 @@ class Stretch(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that is stretched")
+    body: BodyName = Field(description="Body that is stretched")
     region: ChosenRegion | None = Field(description="Region, at rest; the whole body if absent", default=None)
     power: int = Field(
         description="p, even: a larger p is closer to the largest stretch",
@@ -48,10 +49,10 @@ class Stretch(ObjectiveTerm):
     )
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return StretchNorm(self, matter)
 
 
-class Bound(BoundTerm):
+class StretchNorm(BoundTerm):
     """The p-norm: sum_k lambda_k^p = tr A^(p/2) with A = F^T F; its derivative by F is p F A^(p/2 - 1).
 
     Repeated squaring gives the power of all particles together, 10 times faster than their singular values.

@@ -16,9 +16,10 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBa
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.reference import BodyName, GroupName, InWorld
 from cqrun.plugin.registry import plugin
 
-Point = Annotated[list[float], Field(min_length=3, max_length=4)]
+Point = Annotated[list[float], Field(min_length=3, max_length=4), InWorld(first=1)]
 _UNIT = "s, m"
 COURSES = ("path", "keys", "marker")
 
@@ -35,8 +36,8 @@ class Tracking(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that follows")
-    group: str | None = Field(description=A_GROUP, default=None)
+    body: BodyName = Field(description="Body that follows")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
     path: list[Point] | None = quantity(_UNIT, "Points [t, x, y(, z)] of a path", min_length=1, default=None)
     keys: list[Point] | None = quantity(_UNIT, "Key frames [t, x, y(, z)]", min_length=1, default=None)
     marker: RecordedPath | None = Field(description="Recorded marker to follow", default=None)
@@ -69,7 +70,7 @@ class Tracking(ObjectiveTerm):
     def bind(self, matter: Matter) -> BoundTerm:
         members = matter.members(self.body, self.group)
         targets, keys = self._targets(matter, members)
-        bound = Bound(targets, keys)
+        bound = TrackingGap(targets, keys)
         bound.rows, bound.over, bound.squared = means([members], matter.n_particles), self.over, self.squared
         return bound
 
@@ -91,7 +92,7 @@ class Tracking(ObjectiveTerm):
         return points, interpolant(times, matter.control_step, matter.n_controls)
 
 
-class Bound(BoundTerm):
+class TrackingGap(BoundTerm):
     """Gap between a centroid and its target, at every control step or at the times of `keys`."""
 
     squared: bool

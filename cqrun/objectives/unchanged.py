@@ -13,6 +13,7 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin
 
 POWERS = {
@@ -28,17 +29,17 @@ class Unchanged(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body whose change is measured")
-    group: str | None = Field(description=A_GROUP, default=None)
+    body: BodyName = Field(description="Body whose change is measured")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
     of: Literal["stiffness", "poissons_ratio", "density", "mass", "volume"] = Field(
         description="Young's modulus, Poisson's ratio, density, or mass or volume at rest", default="stiffness"
     )
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return DesignChange(self, matter)
 
 
-class Bound(BoundTerm):
+class DesignChange(BoundTerm):
     """The same at every control step."""
 
     def __init__(self, spec: Unchanged, matter: Matter) -> None:

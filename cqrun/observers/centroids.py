@@ -8,6 +8,7 @@ from pydantic import Field
 
 from cqrun.observers.matter import Matter
 from cqrun.observers.motion import Motion, MotionObserver
+from cqrun.plugin.reference import GroupName
 from cqrun.plugin.registry import plugin
 
 
@@ -19,7 +20,7 @@ class Centroids(MotionObserver):
     velocity since the last control step, divided by that step. It is zero at the first control step.
     """
 
-    groups: list[str] | Literal["all"] = Field(
+    groups: list[GroupName] | Literal["all"] = Field(
         description="Names of groups or of the scene's regions; all: every group in order, or the body if it has none",
         default="all",
     )

@@ -36,10 +36,10 @@ class Clock(Observer):
         return self
 
     def bind(self, matter: Matter) -> BoundObserver:
-        return Bound(self, matter)
+        return ClockReading(self, matter)
 
 
-class Bound(BoundObserver):
+class ClockReading(BoundObserver):
     """A clock needs no particles, and nothing flows back."""
 
     def __init__(self, clock: Clock, matter: Matter) -> None:

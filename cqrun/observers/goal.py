@@ -11,6 +11,7 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, GoalName, GroupName
 from cqrun.plugin.registry import plugin
 
 
@@ -18,9 +19,9 @@ from cqrun.plugin.registry import plugin
 class Goal(Observer):
     """A goal's position minus the centroid (plain mean) of a body or of one of its groups; or the goal itself."""
 
-    goal: str = Field(description="Name of the goal, a position")
-    body: str | None = Field(description="Body whose centroid is subtracted; if absent, nothing is", default=None)
-    group: str | None = Field(description=A_GROUP, default=None)
+    goal: GoalName = Field(description="Name of the goal, a position")
+    body: BodyName | None = Field(description="Body whose centroid is subtracted; if absent, nothing is", default=None)
+    group: GroupName | None = Field(description=A_GROUP, default=None)
     range: Range = Field(
         description="[low, high] in m that is scaled to [-1, 1], or one pair for each axis; auto: the world's size; "
         "null: values as they are",
@@ -33,10 +34,10 @@ class Goal(Observer):
             raise UsageError(f"the goal '{self.goal}' has {size} entries; a position here has {matter.dim}")
         if self.group is not None and self.body is None:
             raise UsageError(f"the group '{self.group}' needs its body: add `body`")
-        return Bound(self, matter)
+        return GoalOffset(self, matter)
 
 
-class Bound(BoundObserver):
+class GoalOffset(BoundObserver):
     """Goal minus centroid."""
 
     def __init__(self, spec: Goal, matter: Matter) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -39,7 +38,6 @@ class Matter:
         goals: goal -> number of its entries.
         n_actuators: number of actuators A.
         neutral: (A,) activation of each actuator that does nothing, or as little as its range allows.
-        resolve: file name in the scene -> path of the file.
         recorded: (file name in the scene, its units or None, marker) -> times (T,) at which the marker was seen [s],
             and its positions then (T, D) [m]; UsageError if there is no such file or marker.
         design: (Q, N) rows of `objectives/design.py` at the initial values of the unknowns; (0, 0) if not known.
@@ -55,7 +53,6 @@ class Matter:
     select: Callable[[str | None, Any], Array]
     goals: dict[str, int]
     n_actuators: int
-    resolve: Callable[[str], Path] = Path
     recorded: Callable[[str, str | None, str], tuple[Array, Array]] = _no_recordings
     design: Array = field(default_factory=lambda: np.zeros((0, 0)))
     regions: Sequence[str] = ()

@@ -14,6 +14,7 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import RAW, Range, limits
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array, Spec
+from cqrun.plugin.reference import BodyName
 
 Quantity = Literal["position", "velocity", "acceleration"]
 
@@ -53,7 +54,7 @@ def _by_quantity(value: Any) -> Any:
 class MotionObserver(Observer):
     """Base of observers of centroids."""
 
-    body: str = Field(description="Body that is observed")
+    body: BodyName = Field(description="Body that is observed")
     of: Annotated[list[Quantity], Field(min_length=1)] = Field(
         description="Quantities of each centroid, in this order", default=["position", "velocity"]
     )

@@ -16,6 +16,7 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import weighted
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, FileName
 from cqrun.plugin.registry import plugin
 
 
@@ -45,9 +46,9 @@ class Pca(Observer):
     body and writes them to a file.
     """
 
-    body: str = Field(description="Body that is observed")
+    body: BodyName = Field(description="Body that is observed")
     components: int = Field(description="Number of components", ge=1)
-    file: str | None = Field(
+    file: FileName | None = Field(
         description="File (.npz) of the components, made by `cqrun compress`; a run needs it", default=None
     )
     range: Range = Field(
@@ -60,7 +61,7 @@ class Pca(Observer):
             raise UsageError(
                 "the pca has no components: give a `file` of them, which `cqrun compress RUN... --method pca` makes"
             )
-        return self.bind_to(matter, load_components(matter.resolve(self.file)))
+        return self.bind_to(matter, load_components(self.path_of(self.file)))
 
     def bind_to(self, matter: Matter, fitted: Components) -> BoundObserver:
         """Bind this observer to a scene's particles, with the first of these components.
@@ -77,10 +78,10 @@ class Pca(Observer):
             )
         if k < self.components:
             raise UsageError(f"`components` is {self.components}, but only {k} were fitted: give at most {k}")
-        return Bound(self, matter, members, fitted)
+        return PrincipalCoordinates(self, matter, members, fitted)
 
 
-class Bound(BoundObserver):
+class PrincipalCoordinates(BoundObserver):
     """z_k = sum over particles and axes of mode_k (x - rest - mean): one row a component and axis."""
 
     def __init__(self, spec: Pca, matter: Matter, members: Array, fitted: Components) -> None:

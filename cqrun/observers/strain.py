@@ -12,6 +12,7 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array, vector
+from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin
 
 
@@ -24,7 +25,7 @@ class Strain(Observer):
     rotation, like a strain sensor glued into the body.
     """
 
-    body: str = Field(description="Body that is observed")
+    body: BodyName = Field(description="Body that is observed")
     region: ChosenRegion | None = Field(description="Region, at rest; the whole body if absent", default=None)
     axis: list[float] | None = vector(
         "1",

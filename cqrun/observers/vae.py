@@ -17,6 +17,7 @@ from cqrun.observers.ranges import Range, limits
 from cqrun.observers.raster import Raster
 from cqrun.observers.rows import weighted
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, FileName
 from cqrun.plugin.registry import plugin
 
 FILE_KIND = "an encoder file"
@@ -40,12 +41,12 @@ class Vae(Observer):
     A. Spielberg, A. Zhao, T. Du, Y. Hu, D. Rus, W. Matusik: Learning-in-the-loop optimization, NeurIPS 2019.
     """
 
-    body: str = Field(description="Body that is observed")
-    file: str = Field(description="File (.npz) of the encoder, from `cqrun compress`")
+    body: BodyName = Field(description="Body that is observed")
+    file: FileName = Field(description="File (.npz) of the encoder, from `cqrun compress`")
     range: Range = Field(description="[low, high] that is scaled to [-1, 1]; auto: -3 to 3; or null", default="auto")
 
     def bind(self, matter: Matter) -> BoundObserver:
-        return self.bind_to(matter, load_encoder(matter.resolve(self.file)))
+        return self.bind_to(matter, load_encoder(self.path_of(self.file)))
 
     def bind_to(self, matter: Matter, trained: Trained) -> BoundObserver:
         """Bind this observer with a trained encoder; UsageError if that has another dimension than the scene."""
@@ -53,10 +54,10 @@ class Vae(Observer):
             raise UsageError(
                 f"the encoder was trained on a {trained.raster.dim}D body; '{self.body}' is in {matter.dim}D"
             )
-        return Bound(self, matter, trained)
+        return LatentCode(self, matter, trained)
 
 
-class Bound(BoundObserver):
+class LatentCode(BoundObserver):
     """z = encode(image(x, v))."""
 
     needs_state = True

@@ -8,8 +8,12 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from cqrun.explain import Loc, complaint, finding, listed
 from cqrun.plugin.contract import Spec, quantity, vector
+from cqrun.plugin.reference import FileName, FilledIn, NamesBody, Position
 from cqrun.scene.fields import Interval, Name, Seed, Vector
 from cqrun.units import LengthUnit
+
+CarrierName = Annotated[Name, NamesBody(), FilledIn("only body")]
+"""Name of the body that data belong to; in a scene with a single body it may be left out."""
 
 
 def exactly_one(part: Spec, names: tuple[str, ...]) -> None:
@@ -31,12 +35,12 @@ class Recording(Spec):
     `overrides` are key paths with what this recording changes in the scene, such as `loads.weight`.
     """
 
-    file: str = Field(min_length=1, description="C3D, CSV or trajectory file, relative to the scene")
+    file: FileName = Field(min_length=1, description="C3D, CSV or trajectory file, relative to the scene")
     start: float = quantity("s", "Time in the file when the run begins", differentiable=True, default=0.0)
     length: float | None = quantity("s", "How long to compare; the scene's duration if absent", gt=0, default=None)
     skip: float = quantity("s", "Time after the start (the latest that is allowed) not compared", ge=0, default=0.0)
     holdout: bool = Field(description="Predict it, but do not fit it", default=False)
-    body: Name = Field(description="Body that carries the markers; the only one if absent")
+    body: CarrierName = Field(description="Body that carries the markers; the only one if absent")
     units: LengthUnit | None = Field(description="Of the file, if it does not say", default=None)
     still: Interval | None = quantity("s", "Time in the file at rest, before the run or after it", default=None)
     markers: dict[str, Vector] = quantity("m", "Rest position of each marker used", default_factory=dict)
@@ -64,9 +68,9 @@ class Recording(Spec):
 class Target(Spec):
     """Where a body's centroid (plain mean of its particles) shall be at a time."""
 
-    body: Name = Field(description="Body whose centroid counts; the only one if absent")
-    position: list[float] = vector("m", "Wanted position")
-    time: float = quantity("s", "When; the end of the run if absent", gt=0)
+    body: CarrierName = Field(description="Body whose centroid counts; the only one if absent")
+    position: Position = vector("m", "Wanted position")
+    time: Annotated[float, FilledIn("end of the run")] = quantity("s", "When; the end of the run if absent", gt=0)
 
 
 class Synthetic(Spec):
@@ -76,7 +80,7 @@ class Synthetic(Spec):
     noise: float = quantity("m", "Standard deviation of each coordinate", ge=0, default=0.0)
     copies: int = Field(description="Noisy copies of each sequence", ge=1, default=1)
     seed: Seed = Field(description="Seed of the noise and of tracked particles", default=0)
-    body: Name = Field(description="Body that carries the markers; the only one if absent")
+    body: CarrierName = Field(description="Body that carries the markers; the only one if absent")
     markers: dict[str, Vector] | None = quantity("m", "Rest position of each marker", min_length=1, default=None)
     tracked: int | None = Field(description="How many random particles to track", ge=1, default=None)
     every: int | None = Field(description="Control steps between two frames", ge=1, default=None)

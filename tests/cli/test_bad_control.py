@@ -193,7 +193,7 @@ CASES = {
     "an objective at no body": (
         TIP,
         TIP.replace("goal: target", "target: ball"),
-        ["objective.tip: there is no body called 'ball'; there are: finger"],
+        ["objective.tip.reach.target: there is no body 'ball'; there are: finger"],
     ),
     "an objective of a goal that is no position": (
         TARGET,
