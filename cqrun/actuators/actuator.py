@@ -43,11 +43,6 @@ class Actuator(Plugin):
     """The class of the kernels' view: of a term of the stress, or of a force."""
 
     @property
-    def full(self) -> float:
-        """What an activation of 1 stands for: the value of the field that `scale` names."""
-        return float(getattr(self, self.scale))
-
-    @property
     def limits(self) -> tuple[float, float]:
         """The least and greatest activation."""
         return -1.0, 1.0

@@ -20,6 +20,7 @@ from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_memory import memory_problems
 from cqrun.build.history import fields_of
 from cqrun.build.particles import Particles, sample, stress_key
+from cqrun.plugin.reference import body_of
 from cqrun.scene.paths import with_values
 from cqrun.build.regions import boundary
 from cqrun.scene.schema import Scene
@@ -85,7 +86,8 @@ def build(scene: Scene) -> Built:
         layout=particles.layout,
         groups=_groups(scene, particles, assembly),
         conditions=_conditions(scene),
-        actuators=assembly.actuation.models,
+        actuators=tuple(part.model for part in assembly.actuation.parts),
+        forces=tuple(part.model for part in assembly.actuation.passive),
         real=np.dtype(scene.precision).type,
         memory_budget=scene.memory,
     )
@@ -210,7 +212,7 @@ def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict
 
 def _push_limits(scene: Scene, actuation: Actuation, values: dict[str, Array], body: str) -> list[Limit]:
     """Return the bounds of what accelerates particles of a body as it is."""
-    each = zip(actuation.parts, actuation.greatest(values), actuation.strengths(values), strict=True)
+    each = zip(actuation.parts, actuation.greatest(values), actuation.strengths(values), strict=False)
     found = [
         push_limit(part.path, scene.world.dx, part.spec.greatest_acceleration(activation * strength))
         for part, activation, strength in each
@@ -228,8 +230,8 @@ def _spring_limits(
     """
     parts = [
         (part.path, part.model.particles, k)
-        for part, strength in zip(actuation.parts, actuation.strengths(values), strict=True)
-        if part.spec.body == body and (k := part.spec.stiffness_at_nodes(strength)) > 0.0
+        for part, strength in zip(actuation.every, actuation.strengths(values), strict=True)
+        if body_of(part.spec) == body and (k := part.spec.stiffness_at_nodes(strength)) > 0.0
     ]
     if not parts:
         return []

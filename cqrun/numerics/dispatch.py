@@ -23,11 +23,12 @@ class ByClass:
 
     Attributes:
         call: the function, for kernels and for Python.
+        bodies: class -> its body, and the arguments that this takes.
     """
 
     def __init__(self, name: str, arguments: str) -> None:
         self.name, self.arguments = name, arguments
-        self._bodies: dict[type, tuple[Callable[..., Any], str]] = {}
+        self.bodies: dict[type, tuple[Callable[..., Any], str]] = {}
         scope: dict[str, Any] = {"python": self._python, "compiled": self._compiled}
         first = arguments.partition(",")[0]
         exec(f"def {name}({arguments}):\n    return python({first})({arguments})", scope)
@@ -38,20 +39,20 @@ class ByClass:
     def register(self, kernel_class: type, body: Callable[..., Any], arguments: str | None = None) -> None:
         """Make `body` what the function does for a class; `arguments` are those of the body, if it takes fewer."""
         own_symbols(kernel_class)
-        self._bodies[kernel_class] = body, arguments or self.arguments
+        self.bodies[kernel_class] = body, arguments or self.arguments
 
     def __contains__(self, kernel_class: type) -> bool:
         """Say whether a class has a body."""
-        return kernel_class in self._bodies
+        return kernel_class in self.bodies
 
     def _handed_on(self, kernel_class: type, body: Callable[..., Any]) -> Callable[..., Any]:
         """Return a function of all arguments that calls a body with its own."""
-        source = f"lambda {self.arguments}: body({self._bodies[kernel_class][1]})"
+        source = f"lambda {self.arguments}: body({self.bodies[kernel_class][1]})"
         return named(eval(source, {"body": body}), f"{self.name}_{kernel_class.__name__}")
 
     def _python(self, first: Any) -> Callable[..., Any]:
-        return self._handed_on(type(first), self._bodies[type(first)][0])
+        return self._handed_on(type(first), self.bodies[type(first)][0])
 
     def _compiled(self, first: Any) -> Callable[..., Any]:
-        body = self._bodies[first.instance_class][0]
+        body = self.bodies[first.instance_class][0]
         return self._handed_on(first.instance_class, body if hasattr(body, "py_func") else register_jitable(body))

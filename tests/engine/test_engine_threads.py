@@ -7,14 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from little_worlds import Wall, below, needs_jit, world
+from little_worlds import Acting, Wall, below, needs_jit, world
 from rich_scene import KINDS, arrays, parts, product, random_records, rebuilt, rich
 
+from cqrun.actuators import body_force, cable
 from cqrun.boundaries.friction import Friction
 from cqrun.build.model import build
 from cqrun.engine import forward_run
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
+from cqrun.forces import spring
 from cqrun.scene.load import load_scene
 from cqrun.state import Layout, State
 
@@ -36,13 +38,17 @@ def gradient(model, inputs, threads, records_bar):
 def crowd(dim: int, rng: np.random.Generator):
     """Return 600 particles of two bodies that fly apart over many blocks, onto walls with friction."""
     x = 0.35 + 0.7 * rng.random((600, dim))
-    up = tuple(np.eye(dim)[-1])
+    up, routes = tuple(np.eye(dim)[-1]), [np.arange(7, 600, 97), np.array([3, 260, 400]), np.array([8, 104, 300])]
     model, inputs = world(
         [x[:250], x[250:]], size=[1.4] * dim, dx=0.05, dt=4e-3, substeps=10, controls=4, mass=rng.uniform(1, 2, 600),
         volume=1.0, E=2.0, neo_hookean=0.5, eta=0.01, damping=0.1, gravity=[0.0] * (dim - 1) + [-1.0],
         walls=[Wall(Friction, up, below(dim - 1, 0.3), 0.3)], probe=rng.random((2, 600)),
-        muscles=((np.arange(0, 600, 3), np.eye(dim)),), activation=0.1 * rng.random((4, 1)),
+        muscles=((np.arange(0, 600, 3), np.eye(dim)),), activation=0.1 * rng.random((4, 4)),
+        actuators=(*(Acting(cable.CableKernel, r, np.zeros(0), 0.1) for r in routes[:2]),
+                   Acting(body_force.BodyForceKernel, np.arange(0, 600, 5), np.eye(dim)[0])),
+        springs=(Acting(spring.SpringKernel, routes[2], np.zeros(0), 0.1),), relaxing=0.5, relaxation_time=0.02,
     )  # fmt: skip
+    inputs.strength[2:] = 0.02
     # faces of blocks lie every .2 m: particles cross some, and are sorted before their turn
     inputs.state.v[:] = 2.0 * (x - 0.7) + 0.3 * rng.normal(size=x.shape)
     return model, inputs
@@ -76,7 +82,7 @@ def test_substeps_one_by_one_and_tile_by_tile_give_the_same_bits(dim, real, rng,
     records_bar = random_records(Records.zeros(model.n_controls, 2, dim, model.layout.history), rng)
     short = replace(model, memory_budget=20 * 2 * dim * (1 + dim) * model.layout.n * np.dtype(real).itemsize)
     state, records, bar = gradient(model, inputs, 1, records_bar)
-    monkeypatch.setattr(Rollout, "_chained", lambda rollout: True)  # all kinds of actuators are here, none that pushes
+    monkeypatch.setattr(Rollout, "_chained", lambda rollout: True)
     for other, threads in ((model, 1), (model, 2), (short, 1)):
         again, records_again, bar_again = gradient(other, inputs, threads, records_bar)
         for a, b in zip((*parts(again), *parts(records_again)), (*parts(state), *parts(records)), strict=True):
@@ -86,7 +92,7 @@ def test_substeps_one_by_one_and_tile_by_tile_give_the_same_bits(dim, real, rng,
 
 
 @needs_jit
-def test_large_bodies_are_chained_unless_something_pushes(monkeypatch):
+def test_large_bodies_are_chained_whether_or_not_forces_pull_them(monkeypatch):
     found = {}
     for name in ("simulate/oscillator", "control/biped_cable"):
         built = build(load_scene(SCENES / f"{name}.yaml", []))
@@ -95,7 +101,7 @@ def test_large_bodies_are_chained_unless_something_pushes(monkeypatch):
         for least in (size, size + 1):
             monkeypatch.setattr(forward_run, "CHAINED_FROM", least)
             found[name, least - size] = Rollout(built.model, inputs).setting.chained
-    assert list(found.values()) == [True, False, False, False]
+    assert list(found.values()) == [True, False, True, False]
 
 
 @needs_jit
