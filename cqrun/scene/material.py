@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 from pydantic import ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
 from pydantic_core import InitErrorDetails
 
-from cqrun.explain import KEY, Loc, complaint, finding, listed, retold, suggest
+from cqrun.explain import KEY, Loc, complaint, finding, listed, reworded, suggest
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Plugin, Spec, quantity
 from cqrun.plugin.registry import plugins
@@ -40,7 +40,7 @@ class Terms(Spec):
         try:
             material = handler(built)
         except ValidationError as error:
-            findings += [retold(e) for e in error.errors(include_url=False)]
+            findings += [reworded(e) for e in error.errors(include_url=False)]
         if findings:
             raise complaint(cls.__name__, findings)
         return material
@@ -103,6 +103,6 @@ def _term(name: str, value: Any, cls: type[Terms], findings: list[InitErrorDetai
     try:
         term: Plugin = legal[name].model_validate(value)
     except ValidationError as error:
-        findings += [retold(e, (name,)) for e in error.errors(include_url=False)]
+        findings += [reworded(e, (name,)) for e in error.errors(include_url=False)]
         return None
     return term

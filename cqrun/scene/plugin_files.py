@@ -102,7 +102,7 @@ def _take_all(paths: Sequence[Path]) -> list[tuple[int, str]]:
             content = path.read_bytes()
             module = _module_name(path, content)
             earlier.discard(module)
-            with registry.changes(giving_way=earlier):
+            with registry.changes(replaceable=earlier):
                 _take(module, path, content)
         except OSError as error:
             found.append((i, f"{path}: cannot be read ({error.strerror})"))
