@@ -47,7 +47,7 @@ def sandbox() -> Iterator[None]:
             registry.plugins(kind)  # load all built-in plug-ins first, so that they stay registered
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(registry, "_PLUGINS", {kind: dict(known) for kind, known in registry._PLUGINS.items()})
-        patch.setattr(plugin_files, "_TAKEN", {})
+        patch.setattr(plugin_files, "_LOADED", {})
         patch.setattr(fingerprint, "_PLUGIN_MODULES", set())
         yield
     compile.cache_kernels_in(fingerprint.set_kernel_cache())

@@ -26,9 +26,9 @@ def describe(
 ) -> None:
     """Show fields, units, defaults and formula of a part of a scene; with fewer words, a list."""
     if plugin:
-        from cqrun.scene.plugin_files import take_files
+        from cqrun.scene.plugin_files import load_plugin_files
 
-        take_files(plugin)
+        load_plugin_files(plugin)
     for line in _lines(kind, name):
         typer.echo(line)
 

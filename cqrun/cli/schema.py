@@ -11,8 +11,8 @@ from cqrun.cli.options import PluginFiles
 
 def schema(plugin: PluginFiles = None) -> None:
     """Print the JSON Schema of scenes: `cqrun schema > cqrun.schema.json` gives editors their completion."""
-    from cqrun.scene.plugin_files import take_files
+    from cqrun.scene.plugin_files import load_plugin_files
     from cqrun.scene.schema_json import scene_json_schema
 
-    take_files(plugin or [])
+    load_plugin_files(plugin or [])
     typer.echo(json.dumps(scene_json_schema(), indent=2))

@@ -11,11 +11,11 @@ FILLED = {
     "Target": {"body", "time"},
     "Synthetic": {"body"},
 }
-"""Fields, by model, that a user may leave out although the model has no default of its own."""
+"""Fields, by model, that a user may omit although the model declares no default."""
 
 
 def with_defaults(scene: Any) -> Any:
-    """Return plain scene data with these defaults filled in; anything unexpected is left to the schema."""
+    """Return plain scene data with these defaults filled in; the schema reports anything unexpected."""
     if not isinstance(scene, dict):
         return scene
     world, bodies = _mapping(scene.get("world")), _mapping(scene.get("bodies"))

@@ -1,4 +1,4 @@
-"""Scene version 1: its sections, checked against each other, and where each value came from."""
+"""Scene version 1: its sections, checked against each other, and the origin of each value."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from cqrun.scene.walk import parts
 
 
 class Scene(Sections):
-    """A world, its bodies, what acts on them, for how long, and what a job looks for."""
+    """A scene: a world, its bodies, what acts on them and for how long, and what a job computes."""
 
     _origin: Origin = PrivateAttr(default_factory=Origin)
 
-    def came_from(self, origin: Origin) -> None:
-        """Take up where the scene came from; files that its shapes name start from there."""
+    def set_origin(self, origin: Origin) -> None:
+        """Set where the scene comes from; the files that its shapes name are relative to it."""
         self._origin = origin
         for _, part in parts(self):
             if isinstance(part, FileShape):
@@ -32,12 +32,12 @@ class Scene(Sections):
 
     @property
     def source(self) -> Path | None:
-        """The file the scene was read from; files it names are relative to it."""
+        """The file from which the scene was read; files that it names are relative to it."""
         return self._origin.source
 
     @property
     def text(self) -> str:
-        """The text the scene was read from; empty for a scene made of data."""
+        """The text from which the scene was read; empty for a scene made from data."""
         return self._origin.text
 
     def where(self, path: str) -> str:
@@ -49,7 +49,7 @@ class Scene(Sections):
         return self._origin.path_of(file)
 
     def plugin_paths(self) -> dict[str, Path]:
-        """Return the paths of the scene's plug-in files, by the names it uses."""
+        """Return the paths of the scene's plug-in files, by the names in the scene."""
         return dict(zip(self.plugins, self._origin.plugin_paths(self.plugins), strict=True))
 
     def with_plugin(self, key: str, plugin: Plugin) -> Scene:

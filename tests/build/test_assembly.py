@@ -170,7 +170,7 @@ def test_a_muscle_can_be_stronger_in_one_group(built, rng):
 @pytest.mark.parametrize(
     ("unknown", "advice"),
     [
-        ("actuators.muscle.muscle.strength", ", or the unknown 'actuators.muscle.muscle.weight', the share of its "),
+        ("actuators.muscle.muscle.strength", ", or the unknown 'actuators.muscle.muscle.weight', the share of the "),
         ("bodies.a.velocity.0", "$"),
     ],
 )

@@ -34,7 +34,7 @@ CASES = {
         "loads.w.attached_mass.region: holds no particle: 'beam' lies within",
     ),
     "too large a substep": ("substeps: 24", "substeps: 2", "of the largest stable one, "),
-    "a duration between steps": ("duration: 0.1,", "duration: 0.105,", "0.105 s is no multiple of the control step"),
+    "a duration between steps": ("duration: 0.1,", "duration: 0.105,", "0.105 s is not a multiple of the control step"),
     "odd power": ("viscosity: {shear: 3}", "incompressibility: {power: 3}", "incompressibility.power: 3 is odd"),
     "unknown without adjoint": ("unknowns:", "unknowns:\n  world.dx: {bounds: [1, 2]}", "no gradient reaches it"),
     "unknown named twice": ("unknowns:", f"unknowns:\n  {E_PATH}: {{bounds: [1, 2]}}", "this key is here twice"),

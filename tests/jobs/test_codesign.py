@@ -314,7 +314,7 @@ def test_what_follows_has_no_values_of_its_own_in_parts(finger):
     )
     follower = STIFFNESS.replace("finger", "other")
     unknown = f"unknowns.{STIFFNESS}={{bounds: [5, 20], per: particle, also: [{follower}]}}"
-    told = rf"also.{follower}: by material_of, tip have a value of their own: remove it"
+    told = rf"also.{follower}: material_of sets a separate value for tip: remove it"
     with pytest.raises(SceneError, match=told):
         load_scene(finger, [other, unknown])
     load_scene(finger, [other, "bodies.other.material_of={}", unknown])
@@ -326,7 +326,7 @@ def test_what_follows_has_no_values_of_its_own_in_parts(finger):
         ("optimizer={adam: {}}", "optimizer.adam: honours no constraints; take augmented_lagrangian, nlopt, slsqp,"),
         (f"unknowns.{STIFFNESS}=null", "unknowns: codesign needs it: say what of the design may change"),
         ("constraints.up.equals=0.5", "constraints.up: needs `at_least`, `at_most` or both, or else `equals`"),
-        ("constraints.up.at_least=0.95", "constraints.up.at_most: leaves nothing: at_least 0.95 is not below"),
+        ("constraints.up.at_least=0.95", "constraints.up.at_most: no value is allowed: at_least 0.95 is not below"),
         ("constraints.tip={of: {reach: {body: finger, goal: target}}}", "constraints.tip: needs `at_least`"),
         ("constraints.tip.of.reach.group=tpi", "constraints.tip.of.reach.group: there is no group of the body"),
         ("constraints.tip.of.reach.weight=5", "constraints.tip.of.reach.weight: a constraint has no weight"),
