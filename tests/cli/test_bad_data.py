@@ -176,14 +176,14 @@ def test_an_unknown_marker(refused, tmp_path, positions):
 
 def test_a_doubled_marker(refused, tmp_path, positions):
     file = write_c3d(tmp_path / "swing.c3d", positions, names=("a", "b", "c", "c"))
-    assert "marker 'c' is there 2 times" in refused(file, {k: REST[k] for k in "abc"})
+    assert "marker 'c' appears 2 times" in refused(file, {k: REST[k] for k in "abc"})
 
 
 def test_a_marker_twice_at_one_time(refused, tmp_path, positions):
     file = write_csv(tmp_path / "swing.csv", positions)
     lines = file.read_text().splitlines()
     file.write_text("\n".join([*lines[:5], lines[4], *lines[5:]]))
-    assert "marker 'd' is there twice at time 0 s" in refused(file)
+    assert "marker 'd' appears twice at time 0 s" in refused(file)
 
 
 def test_time_that_goes_back(refused, tmp_path, positions):
@@ -207,7 +207,7 @@ def test_still_frames_outside(refused, tmp_path, positions):
 @pytest.mark.parametrize("still", ["[0, 0.15]", "[0.11, 0.2]"])
 def test_still_frames_in_the_motion(refused, tmp_path, positions, still):
     message = refused(write_c3d(tmp_path / "swing.c3d", positions), still=still)
-    assert f"the still frames, {still[1:-1].replace(',', ' to')} s, reach into 0.1 to 0.2 s" in message
+    assert f"the still frames, {still[1:-1].replace(',', ' to')} s, overlap with 0.1 to 0.2 s" in message
     assert "end `still` at 0.1 s at the latest" in message
 
 
@@ -220,7 +220,7 @@ def test_still_frames_after_the_earliest_start(cqrun, tmp_path, positions, earli
     scene.write_text(f"{BEAM_3D}data: {{recordings: {{swing: {swing}}}}}\n{unknowns}")
     found, _, err = cqrun("validate", scene)
     assert found == code
-    assert code == 0 or "end `still` at 0.085 s at the latest, the earliest that `start` may be" in err
+    assert code == 0 or "end `still` at 0.085 s at the latest, the earliest possible `start`" in err
 
 
 def test_fewer_than_three_markers(refused, tmp_path, positions):

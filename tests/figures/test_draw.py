@@ -143,7 +143,7 @@ def test_a_missing_file_is_told(capsys, copy, name, message):
 
 def test_a_trajectory_that_is_none_is_told(copy):
     (copy / "trajectory.h5").write_text("no HDF5")
-    with pytest.raises(UsageError, match=r"trajectory\.h5: no trajectory of cqrun"):
+    with pytest.raises(UsageError, match=r"trajectory\.h5: not a cqrun trajectory"):
         draw_run(copy)
 
 
