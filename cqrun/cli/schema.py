@@ -1,4 +1,4 @@
-"""`cqrun schema`: the JSON Schema of scenes."""
+"""`cqrun schema`: print the JSON Schema of scenes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cqrun.cli.options import PluginFiles
 
 
 def schema(plugin: PluginFiles = None) -> None:
-    """Print the JSON Schema of scenes: `cqrun schema > cqrun.schema.json` gives editors their completion."""
+    """Print the JSON Schema of scenes; with `cqrun schema > cqrun.schema.json` editors can complete scenes."""
     from cqrun.scene.plugin_files import load_plugin_files
     from cqrun.scene.schema_json import scene_json_schema
 

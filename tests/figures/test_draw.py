@@ -105,7 +105,7 @@ def test_files_among_the_runs_are_left_out(capsys, copy, tmp_path):
     summary = tmp_path / "summary-3.csv"
     summary.write_text("")
     code, out, err = command(capsys, "plot", copy, summary)
-    assert (code, err) == (0, f"left out: {summary} is a file, no run\n")
+    assert (code, err) == (0, f"skipped: {summary} is a file and not a run\n")
     assert str(copy) in out
     code, _, err = command(capsys, "plot", summary)
     assert code == 2
