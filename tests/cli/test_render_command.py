@@ -74,15 +74,15 @@ def test_the_command_prints_the_files(cqrun, beam_run):
 def test_a_warning_gives_the_actual_rate_of_a_gif(cqrun, beam_run, tmp_path):
     code, out, err = cqrun("render", beam_run, "--fps", 30, "-o", tmp_path / "a.gif")
     assert (code, out) == (0, f"{tmp_path / 'a.gif'}\n")
-    assert "warning: pictures of a GIF last whole hundredths of a second: 33.3 a second instead of 30" in err
+    assert "warning: pictures of a GIF last whole hundredths of a second: 33.3 per second instead of 30" in err
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--color", "activation"], "--color activation: the scene of this run has no actuators"),
-        (["--view", "top"], "--view top: the world of this run has two dimensions; it is seen as it is"),
-        (["--trail", "tip"], "--trail tip: no body or group is called so; there are: beam, beam.root, none"),
+        (["--view", "top"], "--view top: the world of this run has two dimensions, so it has only one view"),
+        (["--trail", "tip"], "--trail tip: no body or group has this name; there are: beam, beam.root, none"),
         (["--stills", 9], "--stills 9: the trajectory has only 3 frames"),
     ],
 )
