@@ -42,7 +42,7 @@ NO_TRAIL = "none"
 
 
 @dataclass(frozen=True)
-class Wanted:
+class RenderOptions:
     """What to draw.
 
     Attributes:
@@ -72,7 +72,7 @@ def _no_frames(run: RunData) -> str:
     return "nothing to draw before the first frame"
 
 
-def render(path: Path, wanted: Wanted, reporter: Reporter | None = None) -> list[Path]:
+def render(path: Path, options: RenderOptions, reporter: Reporter | None = None) -> list[Path]:
     """Draw the frames of a run that are written so far; return the paths of the files.
 
     Raises:
@@ -85,20 +85,20 @@ def render(path: Path, wanted: Wanted, reporter: Reporter | None = None) -> list
     run = read_run(path)
     if not run.has_trajectory():
         raise UsageError(f"{path}: there is no {TRAJECTORY}: {_no_frames(run)}")
-    if wanted.kind == "mp4":
+    if options.kind == "mp4":
         ffmpeg()
     if run.scene.dim == 3:
         require_pyvista()
     with Frames(path / TRAJECTORY) as frames, styled():
-        shown = shown_frames(len(frames), wanted)
+        shown = shown_frames(len(frames), options)
         reporter.phase(f"reading {len(shown)} of {len(frames)} frames")
-        stage = set_stage(run, frames, shown, wanted)
-        output = wanted.output or path / "figures" / _name(wanted, stage)
+        stage = set_stage(run, frames, shown, options)
+        output = options.output or path / "figures" / _name(options, stage)
         make_directory(output.parent)
-        return _draw(stage, frames, shown, wanted, output, reporter)
+        return _draw(stage, frames, shown, options, output, reporter)
 
 
-def shown_frames(count: int, wanted: Wanted) -> list[int]:
+def shown_frames(count: int, options: RenderOptions) -> list[int]:
     """Return the frames to draw: the last one, several that are spread over the time, or every n-th.
 
     Raises:
@@ -106,33 +106,33 @@ def shown_frames(count: int, wanted: Wanted) -> list[int]:
     """
     if count == 0:
         raise UsageError(f"{TRAJECTORY}: no frame in it yet, so there is nothing to draw")
-    every = list(range(0, count, wanted.every))
-    if wanted.kind in ("gif", "mp4"):
+    every = list(range(0, count, options.every))
+    if options.kind in ("gif", "mp4"):
         return every
-    if wanted.kind == "png":
+    if options.kind == "png":
         return [count - 1]
-    if wanted.count > count:
-        raise UsageError(f"--{wanted.kind} {wanted.count}: the trajectory has only {count} frames")
-    return [int(k) for k in np.round(np.linspace(0, count - 1, wanted.count))]
+    if options.count > count:
+        raise UsageError(f"--{options.kind} {options.count}: the trajectory has only {count} frames")
+    return [int(k) for k in np.round(np.linspace(0, count - 1, options.count))]
 
 
-def _name(wanted: Wanted, stage: Stage) -> str:
-    what = {"gif": "motion", "mp4": "motion", "png": "last", "stills": "still", "onion": "onion"}[wanted.kind]
-    suffix = wanted.kind if wanted.kind in ("gif", "mp4") else "png"
+def _name(options: RenderOptions, stage: Stage) -> str:
+    what = {"gif": "motion", "mp4": "motion", "png": "last", "stills": "still", "onion": "onion"}[options.kind]
+    suffix = options.kind if options.kind in ("gif", "mp4") else "png"
     return f"{what}_{stage.quantity}.{suffix}"
 
 
 # --- the stage ----------------------------------------------------------------------------------------------
 
 
-def set_stage(run: RunData, frames: Frames, shown: Sequence[int], wanted: Wanted) -> Stage:
+def set_stage(run: RunData, frames: Frames, shown: Sequence[int], options: RenderOptions) -> Stage:
     """Return the parts that are the same in all pictures; reads all frames shown, one at a time."""
     rest = frames.read("x", 0)
-    if run.scene.dim == 2 and wanted.view is not None:
-        view(run.scene, rest, wanted.view)  # raises the error that 2D has no views
+    if run.scene.dim == 2 and options.view is not None:
+        view(run.scene, rest, options.view)  # raises the error that 2D has no views
     box = np.array([rest.min(axis=0), rest.max(axis=0)])
-    followed = followed_particles(run, frames, wanted.trail)
-    visited = range(0, shown[-1] + 1, wanted.every)
+    followed = followed_particles(run, frames, options.trail)
+    visited = range(0, shown[-1] + 1, options.every)
     paths: dict[str, list[Array]] = {name: [] for name in followed}
     for frame in visited:
         x = frames.read("x", frame)
@@ -140,10 +140,10 @@ def set_stage(run: RunData, frames: Frames, shown: Sequence[int], wanted: Wanted
         for name, particles in followed.items():
             paths[name].append(x[particles].mean(axis=0))
     trails = Trails(np.array(visited), {name: np.array(path) for name, path in paths.items()})
-    look = PLANE if run.scene.dim == 2 else view(run.scene, box, wanted.view or "iso")
+    look = PLANE if run.scene.dim == 2 else view(run.scene, box, options.view or "iso")
     dots = Dots.of(rest, frames.bodies)
     suffix = "" if frames.complete else ": not complete yet"
-    quantity, scheme = colours(wanted.color, run, frames, shown)
+    quantity, scheme = colours(options.color, run, frames, shown)
     routes = cables(run, frames)
     marked = goals(run.scene, frames.provenance)
     corners = window_with_goals(_extent(frames, shown, look, trails), look, marked, dots.size)
@@ -197,29 +197,29 @@ def followed_particles(run: RunData, frames: Frames, trail: str | None) -> dict[
 
 
 def _draw(
-    stage: Stage, frames: Frames, shown: Sequence[int], wanted: Wanted, output: Path, reporter: Reporter
+    stage: Stage, frames: Frames, shown: Sequence[int], options: RenderOptions, output: Path, reporter: Reporter
 ) -> list[Path]:
-    movie = wanted.kind in ("gif", "mp4")
-    layers = len(shown) if wanted.kind == "onion" else 1
+    movie = options.kind in ("gif", "mp4")
+    layers = len(shown) if options.kind == "onion" else 1
     with Picture(stage, layers, MOVIE_DPI if movie else STILL_DPI) as picture:
-        if wanted.kind == "onion":
+        if options.kind == "onion":
             write_png(output, _onion(picture, frames, shown), STILL_DPI)
             return [output]
         if not movie:
             return _stills(picture, frames, shown, output, reporter)
         reporter.phase(f"drawing {len(shown)} pictures")
         pictures = _pictures(picture, frames, shown, reporter)
-        if wanted.kind == "mp4":
-            write_mp4(output, pictures, wanted.fps)
+        if options.kind == "mp4":
+            write_mp4(output, pictures, options.fps)
             return [output]
-        if not np.isclose(wanted.fps * gif_delay(wanted.fps), 1000.0):
+        if not np.isclose(options.fps * gif_delay(options.fps), 1000.0):
             reporter.warn(
-                f"pictures of a GIF last whole hundredths of a second: {1000 / gif_delay(wanted.fps):.3g} per second "
-                f"instead of {wanted.fps:g}"
+                f"pictures of a GIF last whole hundredths of a second: {1000 / gif_delay(options.fps):.3g} per second "
+                f"instead of {options.fps:g}"
             )
         spread = np.unique(np.linspace(0, len(shown) - 1, SAMPLES).astype(int))
         samples = [_frame(picture, frames, shown, int(k)) for k in spread]
-        write_gif(output, pictures, wanted.fps, samples)
+        write_gif(output, pictures, options.fps, samples)
         return [output]
 
 

@@ -14,7 +14,7 @@ from cqrun.build.particles import sample
 from cqrun.figures.convergence import unknown_curves
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.draw import draw_run
-from cqrun.figures.render import Wanted, render
+from cqrun.figures.render import RenderOptions, render
 from cqrun.figures.run_data import read_run
 from cqrun.jobs.control import run_control
 from cqrun.running.reporter import Silent
@@ -110,7 +110,7 @@ def test_the_weights_of_a_muscle_are_shown(tmp_path):
     assert np.ptp(shown[others]) > 1e-3
     figure = draw_design(read_run(run), data)
     assert figure.axes[-1].get_ylabel() == "share of the actuator's strength"
-    drawn = render(run, Wanted("png", 1, "weight", 25.0, 1, None, None, tmp_path / "w.png"), Silent())
+    drawn = render(run, RenderOptions("png", 1, "weight", 25.0, 1, None, None, tmp_path / "w.png"), Silent())
     assert drawn == [tmp_path / "w.png"]
 
 

@@ -16,7 +16,7 @@ from cqrun.build.particles import sample
 from cqrun.errors import MissingExtra, Stopped, UsageError
 from cqrun.figures import movie, solid
 from cqrun.figures.colours import colours
-from cqrun.figures.render import Wanted, followed_particles, render, set_stage, shown_frames, stamp
+from cqrun.figures.render import RenderOptions, followed_particles, render, set_stage, shown_frames, stamp
 from cqrun.figures.run_data import TRAJECTORY, read_run
 from cqrun.figures.scenery import goals, plot_goals
 from cqrun.figures.style import GROUND, TRUTH, new_figure, styled
@@ -89,24 +89,24 @@ def near(picture, colour):
 
 
 @pytest.mark.parametrize(
-    ("wanted", "expected"),
+    ("options", "expected"),
     [
-        (Wanted("gif"), [0, 1, 2, 3, 4, 5, 6]),
-        (Wanted("mp4", every=3), [0, 3, 6]),
-        (Wanted("png"), [6]),
-        (Wanted("stills", count=3), [0, 3, 6]),
-        (Wanted("onion", count=4), [0, 2, 4, 6]),
+        (RenderOptions("gif"), [0, 1, 2, 3, 4, 5, 6]),
+        (RenderOptions("mp4", every=3), [0, 3, 6]),
+        (RenderOptions("png"), [6]),
+        (RenderOptions("stills", count=3), [0, 3, 6]),
+        (RenderOptions("onion", count=4), [0, 2, 4, 6]),
     ],
 )
-def test_frames_shown(wanted, expected):
-    assert shown_frames(7, wanted) == expected
+def test_frames_shown(options, expected):
+    assert shown_frames(7, options) == expected
 
 
 def test_too_few_frames_are_refused():
     with pytest.raises(UsageError, match="--stills 8: the trajectory has only 7 frames"):
-        shown_frames(7, Wanted("stills", count=8))
+        shown_frames(7, RenderOptions("stills", count=8))
     with pytest.raises(UsageError, match="no frame in it yet"):
-        shown_frames(0, Wanted())
+        shown_frames(0, RenderOptions())
 
 
 def test_times_have_enough_digits_to_distinguish_frames(plane):
@@ -116,7 +116,7 @@ def test_times_have_enough_digits_to_distinguish_frames(plane):
 
 def test_the_window_contains_bodies_goal_and_trail(plane):
     with Frames(plane / TRAJECTORY) as frames:
-        stage = set_stage(read_run(plane), frames, [0, 3], Wanted("onion", count=2))
+        stage = set_stage(read_run(plane), frames, [0, 3], RenderOptions("onion", count=2))
         first, last = (frames.read("x", k) for k in (0, 3))
     low, high = stage.corners
     assert (low < first.min(axis=0)).all()
@@ -242,7 +242,7 @@ def test_a_scene_with_other_particles_than_the_trajectory_is_refused(tmp_path):
 
 
 def test_a_gif_shows_the_motion(plane):
-    (path,) = render(plane, Wanted("gif", fps=20))
+    (path,) = render(plane, RenderOptions("gif", fps=20))
     assert path == plane / "figures" / "motion_activation.gif"
     with Image.open(path) as gif:
         assert (gif.n_frames, gif.info["duration"], gif.info["loop"]) == (4, 50, 0)
@@ -257,11 +257,11 @@ def test_a_gif_shows_the_motion(plane):
 
 
 def test_stills_and_onion_skins(plane, tmp_path):
-    paths = render(plane, Wanted("stills", count=2, output=tmp_path / "deep" / "a.png"))
+    paths = render(plane, RenderOptions("stills", count=2, output=tmp_path / "deep" / "a.png"))
     assert [path.name for path in paths] == ["a_1.png", "a_2.png"]
-    (onion,) = render(plane, Wanted("onion", count=2, color="displacement", trail="none"))
+    (onion,) = render(plane, RenderOptions("onion", count=2, color="displacement", trail="none"))
     assert onion == plane / "figures" / "onion_displacement.png"
-    (last,) = render(plane, Wanted("png", color="displacement", trail="none"))
+    (last,) = render(plane, RenderOptions("png", color="displacement", trail="none"))
     instants, final = opened(onion), opened(last)
     pale = np.array([0.78 + 0.22 * c for c in (0.267, 0.005, 0.329)]) * 255  # the map's first colour, mixed with white
     assert (np.abs(instants - pale).max(axis=2) < 6).sum() > 500
@@ -270,12 +270,12 @@ def test_stills_and_onion_skins(plane, tmp_path):
 
 @needs_ffmpeg
 def test_an_mp4_contains_every_frame(plane, tmp_path):
-    (path,) = render(plane, Wanted("mp4", fps=10, output=tmp_path / "a.mp4"))
+    (path,) = render(plane, RenderOptions("mp4", fps=10, output=tmp_path / "a.mp4"))
     raw = subprocess.run(
         [movie.ffmpeg(), "-loglevel", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"],
         capture_output=True, check=True,
     ).stdout  # fmt: skip
-    still = opened(render(plane, Wanted("gif", output=tmp_path / "a.gif"))[0])
+    still = opened(render(plane, RenderOptions("gif", output=tmp_path / "a.gif"))[0])
     assert len(raw) == 4 * still.size
     first = np.frombuffer(raw, np.uint8)[: still.size].reshape(still.shape)
     assert np.abs(first.astype(int) - still).mean() < 3
@@ -289,7 +289,7 @@ def test_an_incomplete_trajectory_is_drawn_as_far_as_possible(tmp_path):
     writer.write(0, 0.0, x=x)
     writer.write(1, 0.1, x=x + 1e-3)
     writer.abandon()
-    (path,) = render(run, Wanted("gif"))
+    (path,) = render(run, RenderOptions("gif"))
     with Image.open(path) as gif:
         assert gif.n_frames == 2
 
@@ -305,22 +305,22 @@ class StopsAtTwo(Silent):
 @pytest.mark.parametrize("kind", ["gif", pytest.param("mp4", marks=needs_ffmpeg)])
 def test_a_stopped_movie_leaves_no_file(plane, tmp_path, kind):
     with pytest.raises(Stopped, match="no picture was written"):
-        render(plane, Wanted(kind, output=tmp_path / f"a.{kind}"), StopsAtTwo())
+        render(plane, RenderOptions(kind, output=tmp_path / f"a.{kind}"), StopsAtTwo())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_errors_say_what_to_do(plane, tmp_path, monkeypatch):
     with pytest.raises(UsageError, match="--view top: the world of this run has two dimensions"):
-        render(plane, Wanted(view="top"))
+        render(plane, RenderOptions(view="top"))
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MissingExtra, match=r"--mp4 needs imageio-ffmpeg.*pip install 'cqrun\[video\]'"):
-        render(plane, Wanted("mp4"))
+        render(plane, RenderOptions("mp4"))
     run = write_run(tmp_path, plane_scene({}), job="simulate", status="running")
     with pytest.raises(UsageError, match="nothing to draw before the first frame"):
-        render(run, Wanted())
+        render(run, RenderOptions())
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match="cannot be made"):
-        render(plane, Wanted(output=tmp_path / "file" / "a.gif"))
+        render(plane, RenderOptions(output=tmp_path / "file" / "a.gif"))
 
 
 # --- three dimensions ---------------------------------------------------------------------------------------
@@ -330,7 +330,7 @@ def test_without_pyvista_the_error_names_the_extra(tmp_path, monkeypatch):
     run = moving(tmp_path, block(), dim=3)
     monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(MissingExtra, match=r"needs pyvista .*pip install 'cqrun\[viz3d\]'"):
-        render(run, Wanted("png"))
+        render(run, RenderOptions("png"))
 
 
 @needs_pyvista
@@ -340,7 +340,7 @@ def test_without_a_display_or_its_replacements_there_is_an_error(tmp_path, monke
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(UsageError, match=r"there is no display, and none of libnone\.so\.1"):
-        render(run, Wanted("png"))
+        render(run, RenderOptions("png"))
 
 
 @needs_pyvista
@@ -350,14 +350,14 @@ def test_bodies_in_3d_move(tmp_path):
         solid.require_pyvista()
     except UsageError as error:
         pytest.skip(str(error))
-    (path,) = render(run, Wanted("gif", color="displacement"))
+    (path,) = render(run, RenderOptions("gif", color="displacement"))
     with Image.open(path) as gif:
         pictures = []
         for k in range(3):
             gif.seek(k)
             pictures.append(np.asarray(gif.convert("RGB")).astype(int))
     assert all((np.abs(a - b).max(axis=2) > 40).sum() > 500 for a, b in pairwise(pictures))
-    (side,) = render(run, Wanted("png", color="displacement", view="side", output=tmp_path / "side.png"))
+    (side,) = render(run, RenderOptions("png", color="displacement", view="side", output=tmp_path / "side.png"))
     rgb = opened(side)
     assert near(rgb, GROUND) > 1000  # the floor below it
     # all particles have the same displacement, so all have the last colour, a bright yellow with shading
