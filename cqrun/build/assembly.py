@@ -63,12 +63,12 @@ class Assembly:
     def _region_values(self, body: str, path: str) -> list[tuple[Array, str, float]]:
         """Return the values that `material_of` sets in place of a path's: (which particles (N_b,), path, value)."""
         base = f"bodies.{body}.material"
-        suffix, found = path.removeprefix(f"{base}."), []
+        suffix, regions = path.removeprefix(f"{base}."), []
         for name, other in self.scene.bodies[body].material_of.items():
             value = other.value(suffix)
             if value is not None:
-                found.append((self.particles.points[body].named(name), f"{base}_of.{name}.{suffix}", value))
-        return found
+                regions.append((self.particles.points[body].named(name), f"{base}_of.{name}.{suffix}", value))
+        return regions
 
     def _per_particle(self, body: str, path: str, default: float, values: Values) -> Array:
         """Return the value of a path for each of a body's particles (N_b,)."""

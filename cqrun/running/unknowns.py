@@ -33,13 +33,13 @@ def blocks_of(scene: Scene, particles: Particles) -> tuple[Block, ...]:
     return tuple(_block(scene, particles, path, unknown) for path, unknown in scene.unknowns.items())
 
 
-def values_found(scene: Scene, particles: Particles, found: Mapping[str, Any]) -> dict[str, Array]:
+def values_found(scene: Scene, particles: Particles, entries: Mapping[str, Any]) -> dict[str, Array]:
     """Return the values of the unknowns in a result, and of the values tied to them, by path.
 
     Args:
-        found: `unknowns` of a result: path -> an entry with `value`.
+        entries: `unknowns` of a result: path -> an entry with `value`.
     """
-    values = {path: np.array(entry["value"], float) for path, entry in found.items()}
+    values = {path: np.array(entry["value"], float) for path, entry in entries.items()}
     blocks = [block for block in blocks_of(scene, particles) if block.path in values]
     return values | {f.path: f.of(values[b.path]) for b in blocks for f in b.followers}
 

@@ -186,12 +186,12 @@ def _range(owner: type[BaseModel], name: str) -> tuple[float | None, float | Non
     return low, high  # type: ignore[return-value]  # annotated_types knows only that they compare
 
 
-def _leaves(node: Any, loc: Loc, reached: bool, everything: bool) -> Iterator[str]:
+def _leaves(node: Any, loc: Loc, reached: bool, all_leaves: bool) -> Iterator[str]:
     if isinstance(node, (int, float)) and not isinstance(node, bool):
-        if reached or everything:
+        if reached or all_leaves:
             yield joined(loc)
         return
     for key, child in children(node).items():
         if isinstance(node, Spec):
             reached = _reached(type(node), str(key), (*loc, key))
-        yield from _leaves(child, (*loc, key), reached, everything)
+        yield from _leaves(child, (*loc, key), reached, all_leaves)

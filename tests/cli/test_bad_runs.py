@@ -30,12 +30,12 @@ def finished(tmp_path_factory) -> dict[str, Path]:
 
 
 @pytest.fixture(scope="module")
-def apart(finished, tmp_path_factory) -> Path:
+def separate_run(finished, tmp_path_factory) -> Path:
     """Return the same least-squares run made by separate processes, which load compiled kernels from the cache.
 
     The last bits of Numba's results differ between the process that compiles the code and one that loads it.
     """
-    scene, out = finished["least_squares"].parents[1] / "fit.yaml", tmp_path_factory.mktemp("apart")
+    scene, out = finished["least_squares"].parents[1] / "fit.yaml", tmp_path_factory.mktemp("separate_run")
     for words in (["warmup", scene], ["sysid", scene, "--out", out, "--threads", "1", "--quiet"]):
         subprocess.run([sys.executable, "-m", "cqrun", *map(str, words)], check=True, cwd=ROOT, capture_output=True)
     (run,) = (out / "fit").iterdir()
@@ -172,7 +172,7 @@ def mounted(script: str, tmp_path: Path, *, options: str) -> subprocess.Complete
 
 
 @pytest.mark.parametrize("kib", [12, 48, 96])
-def test_a_run_on_a_full_disk_can_be_continued(apart, finished, tmp_path, kib):
+def test_a_run_on_a_full_disk_can_be_continued(separate_run, finished, tmp_path, kib):
     """The disk fills up at different moments; with more space the run gives bit-for-bit identical results."""
     scene = finished["least_squares"].parents[1] / "fit.yaml"
     script = (
@@ -186,7 +186,7 @@ def test_a_run_on_a_full_disk_can_be_continued(apart, finished, tmp_path, kib):
     assert "Free some space, then `cqrun resume` the run" in done.stderr
     assert "Traceback" not in done.stderr
     assert done.returncode == 0, done.stderr
-    assert_same(tmp_path / "kept", apart)
+    assert_same(tmp_path / "kept", separate_run)
 
 
 def test_a_read_only_disk(finished, tmp_path):
