@@ -1,4 +1,4 @@
-"""The house keeps its floors: imports go downward, files stay small, scenes stay short."""
+"""The architecture: imports go only downward, files are small, and scenes are short."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FLOORS = (
 )
 FLOOR_OF = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 DOORS = {"__init__", "__main__"}
-"""Modules of the package itself: they open every floor and are imported by none of them."""
+"""Modules of the package itself: they may import every floor, and no floor imports them."""
 
 HEAVY = {"numba", "scipy", "matplotlib", "h5py"}
 MOST_LINES, MOST_SCENE_LINES = 400, 50
@@ -38,19 +38,19 @@ def modules() -> list[Path]:
 
 
 def tracked() -> list[Path]:
-    """Return the files git knows or would add."""
+    """Return the files that git tracks or would add."""
     command = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
     listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     return [path for name in listing.splitlines() if (path := ROOT / name).is_file()]
 
 
 def room(path: Path) -> str:
-    """Return the part of the package a file belongs to: its folder or, on the top level, its own name."""
+    """Return the part of the package that a file belongs to: its folder, or its own name at the top level."""
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
 def imported(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield line and dotted name of every import in a file, those inside functions too."""
+    """Yield line and dotted name of every import in a file, including those inside functions."""
     package = [*path.relative_to(ROOT).parts[:-1]]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -91,7 +91,7 @@ def test_rooms_of_one_floor_import_each_other_in_no_circle():
     TopologicalSorter(uses).prepare()  # raises CycleError, which names the circle
 
 
-def test_the_walk_sees_imports_of_every_form():
+def test_imports_of_every_form_are_found():
     nested = PACKAGE / "engine" / "__init__.py"
     source = "import cqrun.jobs.sysid\nfrom cqrun import jobs\ndef f():\n    from ..jobs import sysid\n"
     stand_in = _Text(nested, source)
@@ -99,19 +99,19 @@ def test_the_walk_sees_imports_of_every_form():
 
 
 class _Text:
-    """A file's place with other contents."""
+    """The path of a file with other contents."""
 
     def __init__(self, place: Path, text: str) -> None:
         self.relative_to, self.read_text = place.relative_to, lambda: text
 
 
-def test_modules_are_one_room():
+def test_modules_are_short():
     sources = [path for path in tracked() if path.suffix == ".py"]
     long = [f"{p.relative_to(ROOT)}: {n} lines" for p in sources if (n := _lines(p)) >= MOST_LINES]
     assert not long, "\n".join(long)
 
 
-def test_scenes_fit_fifty_lines():
+def test_scenes_have_at_most_fifty_lines():
     scenes = sorted((ROOT / "scenes").rglob("*.yaml"))
     long = [f"{p.relative_to(ROOT)}: {n} lines" for p in scenes if (n := _lines(p)) > MOST_SCENE_LINES]
     assert not long, "\n".join(long)
@@ -129,9 +129,9 @@ def test_commands_import_nothing_heavy_at_the_top():
     assert not heavy, "\n".join(heavy)
 
 
-def test_no_path_of_one_machine_in_the_tree():
+def test_no_file_contains_a_path_of_a_machine():
     place = re.compile(r"(^|[^a-zA-Z.])/(" + "|".join(("work", "tmp", "root", "farm", "home", "Users")) + r")/")
-    found = []
+    lines_with_paths = []
     for path in tracked():
         if path == Path(__file__):
             continue
@@ -139,8 +139,10 @@ def test_no_path_of_one_machine_in_the_tree():
         if b"\0" in text:
             continue
         lines = text.decode("utf-8").splitlines()
-        found += [f"{path.relative_to(ROOT)}:{i}: {line}" for i, line in enumerate(lines, 1) if place.search(line)]
-    assert not found, "\n".join(found)
+        lines_with_paths += [
+            f"{path.relative_to(ROOT)}:{i}: {line}" for i, line in enumerate(lines, 1) if place.search(line)
+        ]
+    assert not lines_with_paths, "\n".join(lines_with_paths)
 
 
 def test_versions_agree():
@@ -148,7 +150,7 @@ def test_versions_agree():
     assert project["version"] == cqrun.__version__
 
 
-def test_the_lock_names_every_dependency_once_and_no_address():
+def test_the_constraints_name_every_dependency_once_and_no_address():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     lines = [x for x in (ROOT / "constraints.txt").read_text().splitlines() if x and not x.startswith("#")]
     assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9.+]+", line) for line in lines)
