@@ -1,4 +1,4 @@
-"""What pictures need of a run directory, whether the run is finished, going on or was stopped."""
+"""Read the data of a run directory that pictures need, whether the run is finished, running or stopped."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ HISTORY, RESULT, TRACKS, TRAJECTORY, SCENE = "history.csv", "result.json", "trac
 
 @dataclass(frozen=True)
 class Tracks:
-    """One recording beside the model.
+    """Tracks of markers in one recording and in the model.
 
     Attributes:
-        recording: its name.
-        markers: M names.
-        time: (T,) since the release [s].
-        data: (T, M, D) [m]; NaN where a marker was not seen.
-        model: (T, M, D) [m].
-        holdout: predicted, never fitted.
+        recording: name of the recording.
+        markers: names of the M markers.
+        time: time since the release (T,) [s].
+        data: recorded positions (T, M, D) [m]; NaN where a marker was not seen.
+        model: positions in the model (T, M, D) [m].
+        holdout: whether the recording was held out of the fit.
     """
 
     recording: str
@@ -48,11 +48,11 @@ class Tracks:
         return np.asarray(np.sqrt(np.sum((self.data - self.model) ** 2, axis=2)))
 
     def rmse(self) -> float:
-        """Return the root mean square error over what was seen [m]."""
+        """Return the root mean square error over all seen positions [m]."""
         return _root_mean_square(self.error)
 
     def rmse_by_marker(self) -> Array:
-        """Return the same by marker (M,) [m]; NaN for one that is not seen."""
+        """Return the root mean square error of each marker (M,) [m]; NaN for a marker that was never seen."""
         return np.array([_root_mean_square(column) for column in self.error.T])
 
 
@@ -63,14 +63,14 @@ def _root_mean_square(error: Array) -> float:
 
 @dataclass(frozen=True)
 class RunData:
-    """A run as its directory tells it.
+    """The content of a run directory.
 
     Attributes:
         path: the directory.
-        record: run.json.
-        scene: resolved.
+        record: content of run.json.
+        scene: the resolved scene.
         history: columns by name (K,); empty if there are no rows yet.
-        result: result.json, or None while there is none.
+        result: content of result.json, or None if there is none yet.
     """
 
     path: Path
@@ -81,27 +81,27 @@ class RunData:
 
     @property
     def job(self) -> str:
-        """What was run, such as sysid."""
+        """The job, such as sysid."""
         return str(self.record.get("job", ""))
 
     @property
     def name(self) -> str:
-        """The scene file's stem."""
+        """The stem of the scene file."""
         return self.path.resolve().parent.name
 
     @property
     def status(self) -> str:
-        """How the run ended, or that it goes on, in words."""
+        """The status in words: how the run ended, or that it is running."""
         return str(self.record["status"]).replace("_", " ")
 
     @property
     def succeeded(self) -> bool:
-        """Whether the run came to its end and found something."""
+        """Whether the run has finished without failing."""
         status = self.record["status"]
         return status in FINISHED and status != "failed"
 
     def has(self, name: str) -> bool:
-        """Say whether a file of the run is there."""
+        """Return whether a file of the run exists."""
         return (self.path / name).is_file()
 
     def require(self, name: str, why: str) -> None:
@@ -110,35 +110,35 @@ class RunData:
             raise UsageError(f"{self.path}: there is no {name}, {why}")
 
     def tracks(self) -> list[Tracks]:
-        """Return every recording beside the model.
+        """Return the tracks of every recording.
 
         Raises:
-            UsageError: there is no tracks.csv, or it cannot be read.
+            UsageError: tracks.csv is missing or cannot be read.
         """
         self.require(TRACKS, "so there are no markers to draw")
         holdouts = {name for name, recording in self.scene.recordings.items() if recording.holdout}
         return read_tracks(self.path / TRACKS, holdouts)
 
     def has_trajectory(self) -> bool:
-        """Say whether there is a trajectory, perhaps one that is being written."""
+        """Return whether there is a trajectory, perhaps incomplete."""
         path = self.path / TRAJECTORY
         return path.is_file() or part_path(path).is_file()
 
     def frames(self) -> Frames:
-        """Return the trajectory opened, a context manager that reads frame by frame; UsageError without one."""
+        """Open the trajectory to read it frame by frame (a context manager); raise a UsageError if there is none."""
         return Frames(self.path / TRAJECTORY)
 
     def trajectory(self) -> Trajectory:
-        """Return the trajectory, all of it in memory; UsageError without one."""
+        """Return the whole trajectory in memory; raise a UsageError if there is none."""
         return read_trajectory(self.path / TRAJECTORY)
 
 
 def read_run(path: Path) -> RunData:
-    """Read a run's directory.
+    """Read a run directory.
 
     Raises:
-        UsageError: it is no run, or a file of it cannot be read.
-        SceneError: its scene cannot be read by this version.
+        UsageError: the path is not a run, or one of its files cannot be read.
+        SceneError: this version cannot read the scene.
     """
     record = read_record(path)
     scene_file = path / SCENE
@@ -167,22 +167,22 @@ def _result(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}: unreadable ({error}); run the scene again with --fresh") from error
     if not isinstance(result, dict):
-        raise UsageError(f"{path}: holds no result; run the scene again with --fresh")
+        raise UsageError(f"{path}: is not a result; run the scene again with --fresh")
     return result
 
 
 def read_tracks(path: Path, holdouts: set[str] | frozenset[str] = frozenset()) -> list[Tracks]:
-    """Read tracks.csv: a row is recording, marker, time, then data and model coordinates.
+    """Read tracks.csv; each row has recording, marker, time, then the coordinates of data and model.
 
     Raises:
-        UsageError: it is not such a table.
+        UsageError: the file is not such a table.
     """
     with path.open(newline="") as file:
         rows = list(csv.reader(file))
     header, body = (rows[0], rows[1:]) if rows else ([], [])
     dim = sum(name.startswith("data_") for name in header)
     if header[:3] != ["recording", "marker", "time"] or len(header) != 3 + 2 * dim or not body:
-        raise UsageError(f"{path}: no table of tracks; run the scene again with --fresh")
+        raise UsageError(f"{path}: is not a table of tracks; run the scene again with --fresh")
     grouped: dict[str, dict[str, list[list[str]]]] = {}
     for row in body:
         grouped.setdefault(row[0], {}).setdefault(row[1], []).append(row[2:])
