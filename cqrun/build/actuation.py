@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from cqrun.actuators.actuator import held_to
-from cqrun.plugin.choice import Chosen
-from cqrun.plugin.contract import Array, Plugin
+from cqrun.build.particles import Particles
 from cqrun.engine.model import ActuatorModel
 from cqrun.errors import Problem, SceneError
-from cqrun.build.particles import Particles
+from cqrun.plugin.choice import Chosen
+from cqrun.plugin.contract import Array, Plugin
 from cqrun.scene.activation import Activation
 from cqrun.scene.schema import Scene
 

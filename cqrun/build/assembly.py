@@ -12,17 +12,17 @@ from typing import Any, cast
 
 import numpy as np
 
-from cqrun.plugin.contract import Array, Plugin, is_differentiable
+from cqrun.build.actuation import Actuation
+from cqrun.build.particles import Particles, stress_key
+from cqrun.build.regions import boundary
+from cqrun.build.rest_shape import Geometry
 from cqrun.engine.model import Inputs
 from cqrun.errors import UsageError
 from cqrun.explain import listed
 from cqrun.loads.gravity import Gravity
 from cqrun.loads.load import Load
 from cqrun.objectives.design import DESIGN, MASS, RATIO, STIFFNESS, VOLUME
-from cqrun.build.actuation import Actuation
-from cqrun.build.rest_shape import Geometry
-from cqrun.build.particles import Particles, stress_key
-from cqrun.build.regions import boundary
+from cqrun.plugin.contract import Array, Plugin, is_differentiable
 from cqrun.scene.schema import Scene
 from cqrun.state import ParticleFields, State
 

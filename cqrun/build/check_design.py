@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from cqrun.plugin.contract import Array
+from cqrun.build.check_particles import outside_world, overlapping_bodies, overlapping_parts
+from cqrun.build.particles import Particles
+from cqrun.build.rest_shape import Geometry
 from cqrun.design.spread import mirrored
 from cqrun.errors import MissingExtra, Problem, SceneError, UsageError
-from cqrun.build.check_particles import outside_world, overlapping_bodies, overlapping_parts
-from cqrun.build.rest_shape import Geometry
-from cqrun.build.particles import Particles
+from cqrun.plugin.contract import Array
 from cqrun.scene.paths import canonical, cuts, leaf, shapes_a_body, with_values
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import body_of, start, tied
@@ -80,7 +80,9 @@ def design_warnings(scene: Scene, particles: Particles) -> list[Problem]:
         for other, value in list(tied(scene, path, start(scene, path)).items())[1:]:
             in_scene = leaf(scene, other).value
             if differ(value, in_scene):
-                message = f"{other} starts at {value:g}, because of `also`, and not at its value {in_scene:g} in the scene"
+                message = (
+                    f"{other} starts at {value:g}, because of `also`, and not at its value {in_scene:g} in the scene"
+                )
                 warnings.append(Problem(scene.where(key), key, message))
     return warnings
 
