@@ -1,4 +1,4 @@
-"""The actuation of a scene: the parts of its actuators and forces, their limits and strengths, and the open-loop signals.
+"""The actuation of a scene: parts of actuators and forces, their limits and strengths, and the open-loop signals.
 
 Every part of an actuator has one activation per control step. An open-loop signal is given by knots, which are spread
 over the run or over the time `over`. With `interpolate: hold` each knot lasts for an equal part of that time. With

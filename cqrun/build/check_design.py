@@ -1,4 +1,4 @@
-"""Check the bounds of geometric unknowns: within them no body may leave the world, overlap another or become too thin."""
+"""Check the bounds of geometric unknowns: no body may leave the world, overlap another or become too thin."""
 
 from __future__ import annotations
 
@@ -114,7 +114,8 @@ def _ungrouped(scene: Scene, particles: Particles, path: str) -> Iterator[str]:
     body = body_of(scene, canonical(scene, path))
     count = np.sum([points for points in particles.points[body].groups.values()], axis=0)
     if (count == 0).any():
-        yield f"{(count == 0).sum():,} of {count.size:,} particles of '{body}' are in no group: their values do not change"
+        lost = (count == 0).sum()
+        yield f"{lost:,} of {count.size:,} particles of '{body}' are in no group: their values do not change"
     if (count > 1).any():
         yield f"{(count > 1).sum():,} particles of '{body}' are in several groups, and have the value of the last"
 
@@ -125,8 +126,8 @@ def _asymmetric(scene: Scene, particles: Particles, path: str, mirror: str) -> I
     outside = np.mean(~scene.bodies[body].whole().inside(image))
     if outside > ASYMMETRIC:
         yield (
-            f"'{body}' is not its own mirror image across {mirror}: the mirror images of {outside:.0%} of its particles "
-            "lie outside it, so the values of these particles follow places without material"
+            f"'{body}' is not its own mirror image across {mirror}: the mirror images of {outside:.0%} of its "
+            "particles lie outside it, so the values of these particles follow places without material"
         )
 
 

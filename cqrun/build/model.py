@@ -311,7 +311,7 @@ def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:
 
 
 def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
-    """Raise a SceneError if the given substeps would blow up; return a warning if they are close to it or far too many."""
+    """Raise a SceneError if the given substeps would blow up; return a warning if they nearly do, or are too many."""
     least = min(limits, key=lambda limit: limit.dt)
     dt = scene.time.control_step / int(scene.time.substeps)
     share = dt / least.dt

@@ -56,7 +56,7 @@ class Particles:
         return self.layout.slices()[self.names.index(body)]
 
     def inside(self, body: str | None, region: Any) -> Array:
-        """Return the indices of the particles of a body, or of all bodies, in a region, a named region, or everywhere."""
+        """Return the indices of the particles of a body, or of all bodies, in a region, a named one, or everywhere."""
         bodies = self.names if body is None else (body,)
         picked = [self.of(name).start + np.flatnonzero(self.points[name].pick(region)) for name in bodies]
         return np.concatenate(picked)

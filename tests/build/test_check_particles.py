@@ -104,9 +104,7 @@ def test_the_error_of_an_empty_group_says_where_the_body_is() -> None:
     }
     (message,) = problems(two_balls(groups=groups))
     assert message.startswith("scene: bodies.right.groups.out: holds no particle: 'right' lies within (0.505, ")
-    (placed,) = problems(
-        two_balls(groups=groups, place={"offset": [0.1, 0.0]})
-    )  # groups are in the shape's coordinates
+    (placed,) = problems(two_balls(groups=groups, place={"offset": [0.1, 0.0]}))  # groups are in shape coordinates
     assert "'right' lies within (0.505, " in placed
     assert placed.endswith("m before it is placed")
 

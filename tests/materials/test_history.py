@@ -1,4 +1,4 @@
-"""A material term with history, written as a plug-in file (tests/relaxation.py): everything that the state goes through."""
+"""A material term with history, as a plug-in file (tests/relaxation.py), in all that the state goes through."""
 
 from __future__ import annotations
 
