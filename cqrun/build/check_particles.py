@@ -140,7 +140,7 @@ def _placement_path(scene: Scene, body: str) -> str:
 
 
 def overlapping_parts(scene: Scene, points: Points) -> Iterator[Problem]:
-    """Yield a problem for each pair of parts that overlap: they are filled separately, so space would be filled twice."""
+    """Yield a problem for each pair of parts that overlap: filled separately, they would fill space twice."""
     for name, body in scene.bodies.items():
         place, particles = body.place or Place(), points[name]
         x = [place.to_local(particles.world[particles.piece == k]) for k in range(len(body.pieces))]
