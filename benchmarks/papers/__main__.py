@@ -17,11 +17,11 @@ from pathlib import Path
 
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Figure, Size
-from benchmarks.papers.page import write_page
-from benchmarks.papers.process import FAILED, ROOT, STOPPED
-from benchmarks.papers.publish import is_complete, publish_again, published, shown
-from benchmarks.papers.rebuild import Rebuild
-from benchmarks.papers.work import WorkError, span
+from benchmarks.papers.machinery.page import write_page
+from benchmarks.papers.machinery.process import FAILED, ROOT, STOPPED
+from benchmarks.papers.machinery.publish import is_complete, publish_again, published, shown
+from benchmarks.papers.machinery.rebuild import Rebuild
+from benchmarks.papers.machinery.work import WorkError, span
 from cqrun.errors import CqrunError, UsageError
 from cqrun.store.atomic import make_directory
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from benchmarks.papers.work import Found, Work
+from benchmarks.papers.machinery.work import Found, Work
 from cqrun.store import atomic
 
 if TYPE_CHECKING:

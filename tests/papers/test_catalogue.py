@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Judgement, Size
-from benchmarks.papers.publish import publish
-from benchmarks.papers.work import CLOCK, Runs
+from benchmarks.papers.machinery.publish import publish
+from benchmarks.papers.machinery.work import CLOCK, Runs
 from cqrun.build.model import build
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import yaml
 
-from benchmarks.papers import kept, wholeness
-from benchmarks.papers.ablations import ORDER, Ablation
 from benchmarks.papers.catalogue import FIGURES
+from benchmarks.papers.families import integrity as wholeness
+from benchmarks.papers.families.ablations import ORDER, Ablation
+from benchmarks.papers.families.distances import Distances
+from benchmarks.papers.families.histories import Run, curves, first_below, settled, smooth
 from benchmarks.papers.figure import Judgement, Size, read_table, stacked, write_table
-from benchmarks.papers.histories import Run, curves, first_below, settled, smooth
-from benchmarks.papers.learning import Distances
+from benchmarks.papers.machinery import archive as kept
 from cqrun.figures.style import styled
 from cqrun.store.atomic import write_json
 

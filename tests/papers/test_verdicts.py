@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.catalogue import FIGURES
+from benchmarks.papers.families.learners import GRADIENT, PPO
+from benchmarks.papers.families.violations import DESIGNED, effort_ratio
 from benchmarks.papers.figure import Judgement, Size, stacked
-from benchmarks.papers.learners import GRADIENT, PPO
-from benchmarks.papers.page import _done
-from benchmarks.papers.violations import DESIGNED, effort_ratio
+from benchmarks.papers.machinery.page import _done
 
 
 def learned(ends):

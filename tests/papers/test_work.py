@@ -13,11 +13,12 @@ from dataclasses import replace
 import pytest
 from toys import COUNT, TEAR
 
-from benchmarks.papers import rebuild, train_ppo
 from benchmarks.papers.catalogue import FIGURES
+from benchmarks.papers.families import train_ppo
 from benchmarks.papers.figure import Size
-from benchmarks.papers.process import HELD, ROOT, STOPPED, for_so_long
-from benchmarks.papers.work import CLOCK, DONE, WorkError
+from benchmarks.papers.machinery import rebuild
+from benchmarks.papers.machinery.process import HELD, ROOT, STOPPED, for_so_long
+from benchmarks.papers.machinery.work import CLOCK, DONE, WorkError
 from cqrun.errors import UsageError
 from cqrun.store.atomic import write_json
 from cqrun.store.lock import DirectoryLock
@@ -50,7 +51,7 @@ def test_work_that_is_killed_has_most_of_its_time(tmp_path, monkeypatch):
         seen.append(json.loads((folder / CLOCK).read_text())["seconds"])
         return True
 
-    monkeypatch.setattr("benchmarks.papers.work.TICK", 0.02)
+    monkeypatch.setattr("benchmarks.papers.machinery.work.TICK", 0.02)
     assert replace(COUNT, measure=long).do(tmp_path / "count", 1.0, 1)
     assert 0.1 < seen[0] <= COUNT.spent(tmp_path / "count")
 
@@ -86,7 +87,7 @@ def test_work_that_has_changed_is_done_anew(tmp_path):
 
 
 def test_more_seeds_go_on_and_comments_change_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr("benchmarks.papers.work.SCENES", tmp_path)
+    monkeypatch.setattr("benchmarks.papers.machinery.work.SCENES", tmp_path)
     scene = tmp_path / "simulate" / "tear.yaml"
     scene.parent.mkdir()
     scene.write_text("# a scene\nseed: 1\n")
@@ -104,7 +105,7 @@ def test_more_seeds_go_on_and_comments_change_nothing(tmp_path, monkeypatch):
 
 
 def test_a_file_that_a_scene_names_makes_it_other_work(tmp_path, monkeypatch):
-    monkeypatch.setattr("benchmarks.papers.work.SCENES", tmp_path)
+    monkeypatch.setattr("benchmarks.papers.machinery.work.SCENES", tmp_path)
     scene = tmp_path / "simulate" / "tear.yaml"
     (scene.parent / "shapes").mkdir(parents=True)
     scene.write_text("bodies: {a: {shape: {mesh: {file: shapes/a.stl}}}}\n")
@@ -117,7 +118,7 @@ def test_a_file_that_a_scene_names_makes_it_other_work(tmp_path, monkeypatch):
 
 
 def test_what_an_override_replaces_may_change_in_the_scene(tmp_path, monkeypatch):
-    monkeypatch.setattr("benchmarks.papers.work.SCENES", tmp_path)
+    monkeypatch.setattr("benchmarks.papers.machinery.work.SCENES", tmp_path)
     scene = tmp_path / "simulate" / "tear.yaml"
     scene.parent.mkdir()
     replaces, extends = (replace(TEAR, overrides=(f"optimizer{o}",)) for o in ("={adam: {}}", ".sgd.decay=1"))
@@ -157,8 +158,10 @@ def test_a_run_is_a_command_that_a_reader_can_type(tmp_path):
 
 def test_seeds_and_variants_run_side_by_side(tmp_path, monkeypatch):
     asked = []
-    monkeypatch.setattr("benchmarks.papers.process.for_so_long", lambda words, *_: asked.append(words) or (0, ""))
-    monkeypatch.setattr("benchmarks.papers.work.cores", lambda threads: 4)
+    monkeypatch.setattr(
+        "benchmarks.papers.machinery.process.for_so_long", lambda words, *_: asked.append(words) or (0, "")
+    )
+    monkeypatch.setattr("benchmarks.papers.machinery.work.cores", lambda threads: 4)
     for seeds, options, share in ((0, (), 1.0), (1, (), 0.5), (3, (), 1.0), (1, ("--ablate",), 1.0)):
         replace(TEAR, seeds=seeds, options=options).go_on(tmp_path, 1.0, 2, share)
     for option, given in (("--jobs", ["", "1", "2", "2"]), ("--threads", ["", "2", "", ""])):
@@ -174,8 +177,8 @@ def test_a_run_that_cannot_be_ends_with_its_command(tmp_path):
 def test_a_run_that_another_process_holds_is_waited_for(tmp_path, monkeypatch, capsys):
     """Whoever began it was killed, and it goes on alone."""
     answers = [(1, "tear: another process works on this run (pid 7)"), (0, "")]
-    monkeypatch.setattr("benchmarks.papers.process.for_so_long", lambda *_: answers.pop(0))
-    monkeypatch.setattr("benchmarks.papers.process.LOOK", 0.0)
+    monkeypatch.setattr("benchmarks.papers.machinery.process.for_so_long", lambda *_: answers.pop(0))
+    monkeypatch.setattr("benchmarks.papers.machinery.process.LOOK", 0.0)
     assert TEAR.do(tmp_path / "tear", 100.0, 1)
     assert "waiting for it" in capsys.readouterr().out
     answers.append((1, "tear: another process works on this run (pid 7)"))
@@ -184,7 +187,7 @@ def test_a_run_that_another_process_holds_is_waited_for(tmp_path, monkeypatch, c
 
 def test_a_run_that_was_killed_is_not_finished(tmp_path, monkeypatch, capsys):
     answers = [(1, "1 of 2 runs failed; was killed (SIGKILL); the same command goes on with it"), (1, "it blew up")]
-    monkeypatch.setattr("benchmarks.papers.process.for_so_long", lambda *_: answers.pop(0))
+    monkeypatch.setattr("benchmarks.papers.machinery.process.for_so_long", lambda *_: answers.pop(0))
     assert not TEAR.do(tmp_path / "tear", 100.0, 1)
     assert "was killed" in capsys.readouterr().out
     ended(tmp_path / "tear", "failed")
@@ -193,7 +196,7 @@ def test_a_run_that_was_killed_is_not_finished(tmp_path, monkeypatch, capsys):
 
 def test_a_seed_that_never_began_is_missed(tmp_path, monkeypatch):
     """Its process ended before it had a record; the others are no result without it."""
-    monkeypatch.setattr("benchmarks.papers.process.for_so_long", lambda *_: (1, "the disk is full"))
+    monkeypatch.setattr("benchmarks.papers.machinery.process.for_so_long", lambda *_: (1, "the disk is full"))
     two = replace(TEAR, seeds=2)
     ended(tmp_path / "tear", "iteration_limit")
     with pytest.raises(WorkError, match="the disk is full"):
@@ -212,7 +215,7 @@ def ended(folder, status, name="0123456789ab"):
 @pytest.mark.parametrize("status", ["", "new", "running", "stopped"])
 def test_a_run_that_ends_before_it_is_done_is_no_result(tmp_path, monkeypatch, status):
     """As where the disk is full: cqrun ends with 1 there, too."""
-    monkeypatch.setattr("benchmarks.papers.process.for_so_long", lambda *_: (1, "no space left"))
+    monkeypatch.setattr("benchmarks.papers.machinery.process.for_so_long", lambda *_: (1, "no space left"))
     if status:
         ended(tmp_path / "tear", status)
     with pytest.raises(WorkError, match=r"ended with 1 before it was done\nno space left"):
@@ -237,7 +240,7 @@ def test_more_parts_go_on(tmp_path):
 def test_rows_of_two_engines_are_not_mixed(tmp_path, monkeypatch):
     assert not COUNT.do(tmp_path / "count", 9.0, 1)
     for module in ("work", "measurement"):
-        monkeypatch.setattr(f"benchmarks.papers.{module}.engine_hash", lambda: "another")
+        monkeypatch.setattr(f"benchmarks.papers.machinery.{module}.engine_hash", lambda: "another")
     assert not COUNT.do(tmp_path / "count", 9.0, 1)
     assert [file.name for file in (tmp_path / "count").glob("*.txt")] == ["0.txt"]
     assert COUNT.engine(tmp_path / "count") == "another"
@@ -264,8 +267,8 @@ def test_a_run_that_is_stopped_before_it_listens_goes_on_later():
 
 def test_long_work_says_how_far_it_is(tmp_path, monkeypatch):
     said = []
-    monkeypatch.setattr("benchmarks.papers.process.LOOK", 0.1)
-    monkeypatch.setattr("benchmarks.papers.process.BEAT", 0.1)
+    monkeypatch.setattr("benchmarks.papers.machinery.process.LOOK", 0.1)
+    monkeypatch.setattr("benchmarks.papers.machinery.process.BEAT", 0.1)
     busy = [sys.executable, "-c", "import time; time.sleep(0.5)"]
     assert for_so_long(busy, time.monotonic() + 60.0, lambda: said.append(1))[0] == 0
     assert said

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, judged, stacked
-from benchmarks.papers.measurement import Measurement
-from benchmarks.papers.work import Runs
+from benchmarks.papers.machinery.measurement import Measurement
+from benchmarks.papers.machinery.work import Runs
 from cqrun.figures.style import new_figure
 
 TEAR = Runs("tear", 0.1, "simulate", "simulate/tear", ("time.duration=0.04", "time.substeps=8"))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.papers import train_ppo as training
+from benchmarks.papers.families import train_ppo as training
 from cqrun.store.atomic import write_bytes
 
 pytestmark = pytest.mark.rl

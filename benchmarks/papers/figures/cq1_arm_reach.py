@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmarks.papers.families.distances import SINGLE
+from benchmarks.papers.families.histories import Run, runs_below
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.histories import Run, runs_below
-from benchmarks.papers.learning import SINGLE
-from benchmarks.papers.work import Found, Runs, Work
+from benchmarks.papers.machinery.work import Found, Runs, Work
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """CQ1 V-B: a biped learns to walk, by the gradient and by PPO."""
 
+from benchmarks.papers.families.learners import CMA, GRADIENT, PPO, Learners
 from benchmarks.papers.figure import Size, Table, Verdict, lowered
-from benchmarks.papers.learners import CMA, GRADIENT, PPO, Learners
 
 
 class BipedAgainstPPO(Learners):

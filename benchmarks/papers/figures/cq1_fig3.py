@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from benchmarks.papers.families.frames import Frames
+from benchmarks.papers.families.integrity import WHOLE, checks
 from benchmarks.papers.figure import Size, Table, Verdict, judged, lowered
-from benchmarks.papers.frames import Frames
-from benchmarks.papers.wholeness import WHOLE, checks
-from benchmarks.papers.work import Runs
+from benchmarks.papers.machinery.work import Runs
 from cqrun.plugin.contract import Array
 
 COARSE = ("bodies.leg.spacing=0.25", "world.dx=0.8", "time.substeps=80")

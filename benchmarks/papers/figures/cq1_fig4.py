@@ -1,9 +1,9 @@
 """CQ1 Fig 4: a biped walks."""
 
+from benchmarks.papers.families.frames import Frames
+from benchmarks.papers.families.integrity import WHOLE, checks
 from benchmarks.papers.figure import Size, Table, Verdict, judged, lowered
-from benchmarks.papers.frames import Frames
-from benchmarks.papers.wholeness import WHOLE, checks
-from benchmarks.papers.work import Runs
+from benchmarks.papers.machinery.work import Runs
 
 QUICK = ("bodies.biped.sampling.lattice.count=10", "world.dx=0.04", "optimizer.sgd.max_iterations=60")
 LENGTH = 0.6

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmarks.papers.families.histories import runs_below
+from benchmarks.papers.families.violations import DESIGNED
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
 from benchmarks.papers.figures.cq1_fig8 import TwoLinkArm
-from benchmarks.papers.histories import runs_below
-from benchmarks.papers.violations import DESIGNED
-from benchmarks.papers.work import Found, Work
+from benchmarks.papers.machinery.work import Found, Work
 from cqrun.build.particles import sample
 from cqrun.figures.colours import material_of
 from cqrun.figures.run_data import read_run

@@ -4,11 +4,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from benchmarks.papers.families.distances import SINGLE
+from benchmarks.papers.families.frames import Frames
+from benchmarks.papers.families.integrity import WHOLE, checks
 from benchmarks.papers.figure import Size, Table, Verdict, judged, lowered
-from benchmarks.papers.frames import Frames
-from benchmarks.papers.learning import SINGLE
-from benchmarks.papers.wholeness import WHOLE, checks
-from benchmarks.papers.work import Runs
+from benchmarks.papers.machinery.work import Runs
 
 GOAL = np.array([1.4, 0.4, 0.5])
 NEAR = 0.15

@@ -1,7 +1,7 @@
 """CQ1 Fig 7: a finger reaches for a goal, by the gradient and by PPO; the goal is fixed, or drawn from two ranges."""
 
+from benchmarks.papers.families.learners import CMA, GRADIENT, PPO, Learners
 from benchmarks.papers.figure import Size
-from benchmarks.papers.learners import CMA, GRADIENT, PPO, Learners
 
 SMALL = ("bodies.finger.sampling.lattice.count=20",)
 SETTLED = "That ends are compared with PPO's, and what is exceeded, was settled after the runs"

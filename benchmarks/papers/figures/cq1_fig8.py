@@ -1,8 +1,8 @@
 """CQ1 Fig 8: an arm of two links comes to its goal and to rest, its stiffness designed or fixed."""
 
+from benchmarks.papers.families.histories import first_below
+from benchmarks.papers.families.violations import DESIGNED, Violations, effort_ratio
 from benchmarks.papers.figure import Size, Table, Verdict, judged
-from benchmarks.papers.histories import first_below
-from benchmarks.papers.violations import DESIGNED, Violations, effort_ratio
 
 MODULUS = "bodies.arm.material.elastic.fixed_corotated.youngs_modulus"
 LAST = 45

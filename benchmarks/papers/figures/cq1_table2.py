@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.measurement import Measurement
-from benchmarks.papers.work import Found, Work
+from benchmarks.papers.machinery.measurement import Measurement
+from benchmarks.papers.machinery.work import Found, Work
 from cqrun.figures.style import COLOURS, GREY, TRUTH, new_figure, titled
 from cqrun.jobs import bench
 from cqrun.jobs.bench import REPEAT, SIZES

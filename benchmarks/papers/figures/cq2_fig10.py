@@ -1,8 +1,8 @@
 """CQ2 Fig 10: an arm in 3D swings up to its goal and comes to rest there, its stiffness designed or fixed."""
 
+from benchmarks.papers.families.distances import SINGLE
+from benchmarks.papers.families.violations import DESIGNED, Violations, effort_ratio
 from benchmarks.papers.figure import Size, Table, Verdict, judged
-from benchmarks.papers.learning import SINGLE
-from benchmarks.papers.violations import DESIGNED, Violations, effort_ratio
 
 
 class SwingingArm(Violations):

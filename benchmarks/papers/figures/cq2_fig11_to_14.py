@@ -1,8 +1,8 @@
 """CQ2 Figs 11 to 14: walkers on two, four, six and eight legs and their material."""
 
-from benchmarks.papers.ablations import Ablation
+from benchmarks.papers.families.ablations import Ablation
+from benchmarks.papers.families.distances import SINGLE
 from benchmarks.papers.figure import Size
-from benchmarks.papers.learning import SINGLE
 
 LEFT_OPEN = (
     "30 % of the particles or fewer, and 3 seeds or one, so that a robot takes hours, not days; which way chambers "

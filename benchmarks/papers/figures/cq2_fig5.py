@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmarks.papers.families.histories import runs_below
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged
-from benchmarks.papers.histories import runs_below
-from benchmarks.papers.work import Found, Runs, Work
+from benchmarks.papers.machinery.work import Found, Runs, Work
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """CQ2 Fig 6: a biped walks on four cables."""
 
+from benchmarks.papers.families.distances import SINGLE, Distances, Variant
 from benchmarks.papers.figure import Size
-from benchmarks.papers.learning import SINGLE, Distances, Variant
 
 CABLES = ("back_left", "back_right", "front_left", "front_right")
 QUICK = ("bodies.biped.spacing=0.00625", "optimizer.adam.max_iterations=40")

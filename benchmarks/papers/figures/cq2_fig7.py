@@ -1,7 +1,7 @@
 """CQ2 Fig 7: a rhino from an image learns to walk."""
 
+from benchmarks.papers.families.distances import SINGLE, Distances, Variant
 from benchmarks.papers.figure import Size
-from benchmarks.papers.learning import SINGLE, Distances, Variant
 
 QUICK = ("bodies.rhino.spacing=0.006", "time.duration=2", "optimizer.adam.max_iterations=30")
 

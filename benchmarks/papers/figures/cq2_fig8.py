@@ -1,7 +1,7 @@
 """CQ2 Fig 8: a biped learns to walk on hills of particles."""
 
+from benchmarks.papers.families.distances import SINGLE, Distances, Variant
 from benchmarks.papers.figure import Size
-from benchmarks.papers.learning import SINGLE, Distances, Variant
 
 SMALL = (
     "bodies.biped.sampling.lattice.count=20", "bodies.terrain.spacing=0.006", "time.substeps=20",

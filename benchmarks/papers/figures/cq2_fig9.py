@@ -1,7 +1,7 @@
 """CQ2 Fig 9: a creature from a mesh learns to walk."""
 
+from benchmarks.papers.families.distances import SINGLE, Distances, Variant
 from benchmarks.papers.figure import Size
-from benchmarks.papers.learning import SINGLE, Distances, Variant
 
 QUICK = ("bodies.creature.spacing=0.0152", "time.duration=2", "optimizer.adam.max_iterations=20")
 

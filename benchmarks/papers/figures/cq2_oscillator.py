@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmarks.papers.families.observed import observables
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.observed import observables
-from benchmarks.papers.work import Found, Runs, Work
+from benchmarks.papers.machinery.work import Found, Runs, Work
 from cqrun.build.particles import sample
 from cqrun.figures.run_data import read_run
 from cqrun.figures.style import COLOURS, new_figure, titled

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmarks.papers.families.distances import SINGLE
 from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.learning import SINGLE
-from benchmarks.papers.measurement import Measurement
-from benchmarks.papers.process import STOPPED, with_memory
-from benchmarks.papers.work import SCENES, Found, Work, WorkError
+from benchmarks.papers.machinery.measurement import Measurement
+from benchmarks.papers.machinery.process import STOPPED, with_memory
+from benchmarks.papers.machinery.work import SCENES, Found, Work, WorkError
 from cqrun.build.model import build
 from cqrun.figures.style import COLOURS, INK, log_ticks, new_figure, titled
 from cqrun.plugin.contract import Array

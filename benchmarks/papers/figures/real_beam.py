@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.papers.figure import OWN, Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.measurement import Measurement
-from benchmarks.papers.process import ROOT
-from benchmarks.papers.work import Found, Work
+from benchmarks.papers.machinery.measurement import Measurement
+from benchmarks.papers.machinery.process import ROOT
+from benchmarks.papers.machinery.work import Found, Work
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
 from cqrun.store.atomic import write_json
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, lowered, read_table, write_table
-from benchmarks.papers.work import Work, WorkError
+from benchmarks.papers.machinery.work import Work, WorkError
 from cqrun.figures.style import save, styled
 from cqrun.store.atomic import make_directory, write_json
 

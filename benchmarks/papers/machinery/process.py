@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cqrun.cli.results import PICTURES
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 UNDRAWN = {PICTURES: "0"}
 """In a command's environment: its runs are drawn when their figure is, and not before."""

@@ -11,8 +11,8 @@ from jinja2 import Environment, StrictUndefined
 
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import OWN, Figure, Judgement, Size
-from benchmarks.papers.publish import is_as_asked, picture_of, shown
-from benchmarks.papers.work import WorkError
+from benchmarks.papers.machinery.publish import is_as_asked, picture_of, shown
+from benchmarks.papers.machinery.work import WorkError
 from cqrun.store.atomic import make_directory, write_text
 
 PAGE, GALLERY = (Path(__file__).with_name(name) for name in ("page.html.j2", "gallery.md.j2"))

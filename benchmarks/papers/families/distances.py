@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from benchmarks.papers.families.histories import Curves, curves, rows, runs_below, settled
+from benchmarks.papers.families.integrity import BEST, WHOLE, checks, worst
 from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, lowered, stacked
-from benchmarks.papers.histories import Curves, curves, rows, runs_below, settled
-from benchmarks.papers.wholeness import BEST, WHOLE, checks, worst
-from benchmarks.papers.work import Found, Runs, Work
+from benchmarks.papers.machinery.work import Found, Runs, Work
 from cqrun.figures.style import COLOURS, GREY, clock_ticks, new_figure, titled
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from benchmarks.papers.families.histories import first_below, runs_below
 from benchmarks.papers.figure import Figure, Size, Table, stacked
-from benchmarks.papers.histories import first_below, runs_below
-from benchmarks.papers.work import Found, Runs, Work
+from benchmarks.papers.machinery.work import Found, Runs, Work
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
 from cqrun.plugin.contract import Array
 

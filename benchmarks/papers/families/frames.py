@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from benchmarks.papers.families.histories import kept, runs_below
+from benchmarks.papers.families.integrity import watched
 from benchmarks.papers.figure import Figure, Size, Table
-from benchmarks.papers.histories import kept, runs_below
-from benchmarks.papers.wholeness import watched
-from benchmarks.papers.work import Found
+from benchmarks.papers.machinery.work import Found
 from cqrun.build.particles import sample
 from cqrun.figures.bodies import plot_body, snapshots, window_of
 from cqrun.figures.quantities import length_unit

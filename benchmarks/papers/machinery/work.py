@@ -22,7 +22,7 @@ from typing import Any
 
 import yaml
 
-from benchmarks.papers.process import FAILED, ROOT, STOPPED, USAGE, when_free
+from benchmarks.papers.machinery.process import FAILED, ROOT, STOPPED, USAGE, when_free
 from cqrun.errors import CqrunError
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine

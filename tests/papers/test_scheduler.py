@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 from toys import COUNT, TEAR
 
-from benchmarks.papers import process
-from benchmarks.papers.process import OVER, ROOT, STOPPED, for_so_long, with_memory
-from benchmarks.papers.turns import in_turn
+from benchmarks.papers.machinery import process
+from benchmarks.papers.machinery.process import OVER, ROOT, STOPPED, for_so_long, with_memory
+from benchmarks.papers.machinery.scheduler import in_turn
 
 ALONE, FIRST, SECOND, THIRD = (
     replace(COUNT, name=name, alone=name == "alone") for name in ("alone", "first", "second", "third")

@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.papers import kept, work
-from benchmarks.papers.kept import archive_of, keep, restore
-from benchmarks.papers.work import CLOCK, DONE, Runs, WorkError
+from benchmarks.papers.machinery import archive as kept
+from benchmarks.papers.machinery import work
+from benchmarks.papers.machinery.archive import archive_of, keep, restore
+from benchmarks.papers.machinery.work import CLOCK, DONE, Runs, WorkError
 
 SHORT = ("bodies.finger.sampling.lattice.count=5", "time.duration=0.05", "optimizer.sgd.max_iterations=2")
 LEARNED = Runs("finger", 0.1, "control", "control/finger", SHORT, 2)

@@ -13,13 +13,13 @@ import pytest
 from toys import COUNT, Toy
 
 from benchmarks.papers import __main__ as command
-from benchmarks.papers import rebuild
 from benchmarks.papers.catalogue import FIGURES
+from benchmarks.papers.families.learners import COMMITTED
 from benchmarks.papers.figure import Size
-from benchmarks.papers.learners import COMMITTED
-from benchmarks.papers.page import _remarks, write_page
-from benchmarks.papers.process import ROOT
-from benchmarks.papers.work import WorkError
+from benchmarks.papers.machinery import rebuild
+from benchmarks.papers.machinery.page import _remarks, write_page
+from benchmarks.papers.machinery.process import ROOT
+from benchmarks.papers.machinery.work import WorkError
 
 PUBLISHED = ROOT / "results" / "figures"
 
@@ -211,7 +211,7 @@ def test_work_that_figures_share_is_counted_once(two_figures, capsys):
 
 def test_committed_curves_of_ppo_are_of_the_work_that_they_are_taken_for(tmp_path, monkeypatch):
     finger = FIGURES["cq1_fig7_fixed"]
-    monkeypatch.setattr("benchmarks.papers.learners.importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("benchmarks.papers.families.learners.importlib.util.find_spec", lambda name: None)
     *_, ppo = finger.work(Size.QUICK)
     assert ppo.do(tmp_path / "a", 1.0, 1)
     assert ppo.remark(tmp_path / "a") == COMMITTED

@@ -6,8 +6,8 @@ import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from queue import SimpleQueue
 
-from benchmarks.papers.process import BEAT, GRACE, OVER
-from benchmarks.papers.work import Runs, Work
+from benchmarks.papers.machinery.process import BEAT, GRACE, OVER
+from benchmarks.papers.machinery.work import Runs, Work
 
 Outcome = bool | Exception
 """Whether work is finished, or why it cannot be."""

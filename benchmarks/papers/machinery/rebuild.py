@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.papers.figure import Figure, Size
-from benchmarks.papers.kept import archive_of, keep, restore
-from benchmarks.papers.process import FAILED, STOPPED
-from benchmarks.papers.publish import begun, is_complete, publish, published, so_far
-from benchmarks.papers.turns import in_turn
-from benchmarks.papers.work import Work, WorkError, span
+from benchmarks.papers.machinery.archive import archive_of, keep, restore
+from benchmarks.papers.machinery.process import FAILED, STOPPED
+from benchmarks.papers.machinery.publish import begun, is_complete, publish, published, so_far
+from benchmarks.papers.machinery.scheduler import in_turn
+from benchmarks.papers.machinery.work import Work, WorkError, span
 from cqrun.errors import CqrunError
 
 

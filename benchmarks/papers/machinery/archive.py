@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.papers.work import CLOCK, DONE, SCENES, WORTH, Work, WorkError, check_worth
+from benchmarks.papers.machinery.work import CLOCK, DONE, SCENES, WORTH, Work, WorkError, check_worth
 from cqrun.fingerprint import engine_hash
 from cqrun.store.atomic import make_directory, write_bytes
 from cqrun.store.run import FINISHED, read_record

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from benchmarks.papers.families.histories import first_below, runs_below, smooth
+from benchmarks.papers.families.train_ppo import checkpoint_of, episodes_in
 from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.histories import first_below, runs_below, smooth
-from benchmarks.papers.measurement import REMARK, Measurement
-from benchmarks.papers.process import STOPPED, when_free
-from benchmarks.papers.train_ppo import checkpoint_of, episodes_in
-from benchmarks.papers.work import SCENES, Found, Runs, Work, WorkError
+from benchmarks.papers.machinery.measurement import REMARK, Measurement
+from benchmarks.papers.machinery.process import STOPPED, when_free
+from benchmarks.papers.machinery.work import SCENES, Found, Runs, Work, WorkError
 from cqrun.figures.style import COLOURS, new_figure, titled
 from cqrun.plugin.contract import Array
 from cqrun.store.atomic import write_json, write_text
@@ -30,7 +30,7 @@ from cqrun.store.atomic import write_json, write_text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-KEPT = Path(__file__).with_name("ppo")
+KEPT = Path(__file__).parents[1] / "ppo"
 """Curves of PPO that are committed: SIZE/SCENE-SEED.csv, headed by the fingerprint of the work that they are of."""
 
 COMMITTED = "committed curves, the time of their training not counted"
@@ -130,7 +130,7 @@ class Learners(Figure):
     def _train(self, file: Path, head: str, seed: int, deadline: float, size: Size) -> bool:
         """Train PPO from one seed; say whether there was time enough."""
         words = [SCENES / f"{self.scene}.yaml", self.episodes[PPO][size], seed, file, head, *self._ppo_overrides(size)]
-        command = [sys.executable, "-m", "benchmarks.papers.train_ppo", *map(str, words)]
+        command = [sys.executable, "-m", "benchmarks.papers.families.train_ppo", *map(str, words)]
 
         def tell() -> None:
             done = episodes_in(checkpoint_of(file))

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from benchmarks.papers.work import Work, digest
+from benchmarks.papers.machinery.work import Work, digest
 from cqrun.fingerprint import engine_hash
 
 REMARK = "remark.json"

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 import yaml
 
+from benchmarks.papers.families.histories import Run, curves, rows, runs_below
+from benchmarks.papers.families.integrity import BEST, WHOLE, checks, worst
 from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, lowered, stacked
-from benchmarks.papers.histories import Run, curves, rows, runs_below
-from benchmarks.papers.wholeness import BEST, WHOLE, checks, worst
-from benchmarks.papers.work import Found, Runs, Work
+from benchmarks.papers.machinery.work import Found, Runs, Work
 from cqrun.figures.style import COLOURS, INK, clock_ticks, new_figure, titled, whole_ticks
 from cqrun.jobs.ablate import ALL, CONTROL, effects, group_of
 from cqrun.jobs.seeds import interval

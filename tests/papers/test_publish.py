@@ -11,8 +11,8 @@ from toys import COUNT, TEAR, Toy
 
 from benchmarks.papers.catalogue import FIGURES
 from benchmarks.papers.figure import Judgement, Size, judged, read_table
-from benchmarks.papers.publish import _digest, identity, publish, publish_again, verdict_on
-from benchmarks.papers.work import ROOT, WorkError
+from benchmarks.papers.machinery.publish import _digest, identity, publish, publish_again, verdict_on
+from benchmarks.papers.machinery.work import ROOT, WorkError
 from cqrun.fingerprint import engine_hash
 
 PUBLISHED = ROOT / "results" / "figures"

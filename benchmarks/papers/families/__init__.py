@@ -1,0 +1,1 @@
+"""What figures of one kind share: their table, their picture and their verdict."""
