@@ -1,4 +1,4 @@
-"""A family of figures: which material parameters help a walker, all eight combinations of three (CQ2 Figs 11 to 14)."""
+"""Figures of which material parameters help a walker: all eight combinations of three (CQ2 Figs 11 to 14)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 import yaml
 
-from benchmarks.papers.families.histories import Run, curves, rows, runs_below
-from benchmarks.papers.families.integrity import BEST, WHOLE, checks, worst
-from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, lowered, stacked
-from benchmarks.papers.machinery.work import Found, Runs, Work
+from benchmarks.papers.families.histories import Run, curve_rows, curves, runs_below
+from benchmarks.papers.families.integrity import IN_BEST, INTACT, checks, worst
+from benchmarks.papers.figure import Figure, Folders, Judgement, Size, Table, Verdict, table_of
+from benchmarks.papers.machinery.runs import Runs
 from cqrun.figures.style import COLOURS, INK, clock_ticks, new_figure, titled, whole_ticks
 from cqrun.jobs.ablate import ALL, CONTROL, effects, group_of
 from cqrun.jobs.seeds import interval
@@ -25,50 +25,39 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
 NAMES = {"youngs_modulus": "E", "poissons_ratio": "nu", "density": "mass"}
-"""Of what is free, in the order of a variant's label."""
+"""Of the free parameters, in the order in which they stand in a variant's label."""
 
 ORDER = ("control", "mass", "nu", "nu + mass", "E", "E + mass", "E + nu", "all")
-"""The paper's."""
+"""The variants in the paper's order."""
 
-READ = 0.02
-"""Distances are read off the paper's plots no finer than this [m]: what differs by less has no order."""
+RESOLUTION = 0.02
+"""Distances are read off the paper's plots no finer than this [m]. What differs by less has no order."""
 
 
 class Ablation(Figure):
-    """Distance after learning, with eight combinations of what is free.
+    """Distance after learning, with eight combinations of free parameters."""
 
-    Attributes:
-        scene: below scenes/.
-        term: of the objective that is the distance [m].
-        body: that is asked to stay whole.
-        quick, paper_size: overrides of the scene.
-        seeds, minutes: by size.
-        rate: of learning, of all variants.
-        printed: final distances, in the order of `ORDER` [m].
-        gain: of all over control, as printed.
-        particles: ours and the paper's, where ours are fewer.
-    """
-
-    scene: ClassVar[str]
-    term: ClassVar[str] = "far"
-    body: ClassVar[str]
-    quick: ClassVar[tuple[str, ...]]
+    scene: ClassVar[str]  # below scenes/
+    term: ClassVar[str] = "far"  # of the objective that is the distance [m]
+    body: ClassVar[str]  # has to hold together
+    quick: ClassVar[tuple[str, ...]]  # overrides of the scene
     paper_size: ClassVar[tuple[str, ...]] = ()
     seeds: ClassVar[Mapping[Size, int]]
     minutes: ClassVar[Mapping[Size, float]]
-    rate: ClassVar[Mapping[Size, float]]
-    printed: ClassVar[Sequence[float]]
-    gain: ClassVar[float]
-    particles: ClassVar[str] = ""
+    rate: ClassVar[Mapping[Size, float]]  # of learning, for all variants
+    printed: ClassVar[Sequence[float]]  # final distances, in the order of `ORDER` [m]
+    gain: ClassVar[float]  # of all over control, as printed
+    particles: ClassVar[str] = ""  # ours and the paper's, if ours are fewer
 
-    tolerance: ClassVar[dict[Size, str]] = {
-        Size.QUICK: "the design with everything free goes farther than control alone, in the mean and in most seeds; "
-        f"of both, {BEST}{WHOLE}",
-        Size.PAPER: "control alone reaches the paper's distance, or its 90 % interval does, without which nothing else "
-        "counts; the gain of all is nine tenths of the paper's or more; what E, nu and mass add, in the mean over "
-        "variants without, is in the paper's order, where its differ by .02 m at least, as its plots are read. "
-        "In part at best with fewer particles than the paper's; exceeded if all goes more than a tenth farther. Runs "
-        f"that blew up are left out; of control alone and of all, {BEST}{WHOLE}",
+    criteria: ClassVar[dict[Size, str]] = {
+        Size.QUICK: "with everything free the robot walks farther than with control alone, in the mean and for most "
+        f"seeds; for both variants, {IN_BEST}{INTACT}",
+        Size.PAPER: "control alone reaches the paper's distance, or its 90 % interval does; without that, nothing else "
+        "counts. The gain of everything free is at least nine tenths of the paper's. What E, nu and mass add, in the "
+        "mean over variants without them, has the paper's order wherever the paper's values differ by 0.02 m or more, "
+        "which is as fine as its plots can be read. The verdict is in part at best with fewer particles than the "
+        "paper's, and exceeded if everything free walks more than a tenth farther. Runs that blew up are not counted. "
+        f"For control alone and for everything free, {IN_BEST}{INTACT}",
     }
 
     @property
@@ -76,23 +65,23 @@ class Ablation(Figure):
         """The scene's name."""
         return self.scene.rpartition("/")[2]
 
-    def work(self, size: Size) -> Sequence[Work]:
+    def tasks(self, size: Size) -> Sequence[Runs]:
         """Return the ablation."""
-        small = self.quick if size is Size.QUICK else self.paper_size
+        overrides = self.quick if size is Size.QUICK else self.paper_size
         options = ("--ablate", "--rate", f"{self.rate[size]:g}")
         minutes, seeds = self.minutes[size], self.seeds[size]
-        return [Runs(self.stem, minutes, "codesign", self.scene, small, seeds, options, variants=len(ORDER))]
+        return [Runs(self.stem, minutes, "codesign", self.scene, overrides, seeds, options, variants=len(ORDER))]
 
-    def table(self, found: Found, size: Size) -> Table:
-        """Return variant, seed, iteration, seconds, value [m]; in a seed's last row, how whole its best run is."""
-        parts: list[dict[str, object]] = []
-        for label, run in sorted(_ended(found[self.stem]), key=lambda each: (ORDER.index(each[0]), each[1].seed)):
-            own = list(rows(label, [run], {run.seed: run.history[self.term]}))
-            parts += [*own[:-1], own[-1] | (worst(run.path, self.body) if label in (CONTROL, ALL) else {})]
-        return stacked(iter(parts))
+    def table(self, folders: Folders, size: Size) -> Table:
+        """Return variant, seed, iteration, seconds, value [m]; in a seed's last row, `worst` of its best motion."""
+        rows: list[dict[str, object]] = []
+        for label, run in sorted(_ended(folders[self.stem]), key=lambda each: (ORDER.index(each[0]), each[1].seed)):
+            *earlier, last = curve_rows(label, run, self.term)
+            rows += [*earlier, last | (worst(run.path, self.body) if label in (CONTROL, ALL) else {})]
+        return table_of(rows)
 
-    def draw(self, table: Table, size: Size, found: Found) -> Picture:
-        """Draw curves, and the ends beside the printed ones, of the seeds that are judged."""
+    def draw(self, table: Table, size: Size, folders: Folders) -> Picture:
+        """Draw the curves, and the final distances beside the printed ones, of the seeds that are judged."""
         table = _of_shared_seeds(table)
         picture = new_figure(9.0, 3.8)
         left, right = picture.subplots(1, 2)
@@ -107,9 +96,9 @@ class Ablation(Figure):
         right.set_ylim(bottom=min(0.0, right.get_ylim()[0]))
         right.set_ylabel("distance travelled [m]")
         right.legend()
-        timed = curves(table, labels[-1])
+        last = curves(table, labels[-1])
         whole_ticks(left.xaxis)
-        clock = clock_ticks(left.xaxis, np.arange(len(timed.seconds)), timed.seconds)
+        clock = clock_ticks(left.xaxis, np.arange(len(last.seconds)), last.seconds)
         left.set_xlabel(f"iteration, and below it the wall time of '{labels[-1]}' [{clock}]")
         left.set_ylabel("distance travelled [m]")
         left.legend(ncols=2, fontsize=7)
@@ -124,50 +113,56 @@ class Ablation(Figure):
         return np.asarray(curves(table, label).value[:, -1])
 
     def judge(self, table: Table, size: Size) -> Verdict:
-        """Judge control, the gain, and at the paper's size the order; gains of the seeds that all variants have."""
+        """Judge control alone, the gain, and at paper size the order; with the seeds that all variants have."""
         table = _of_shared_seeds(table)
         if {CONTROL, ALL} - set(table["variant"]):
-            return judged({"control alone and everything free were both learned": False})
-        control, every = self.ends(table, CONTROL), self.ends(table, ALL)
-        gain = interval(((every - control) / abs(control.mean())).tolist())
-        judged_ones = np.isin(table["variant"], (CONTROL, ALL))
-        whole = checks({name: column[judged_ones] for name, column in table.items()}, len(control) + len(every), BEST)
+            return Verdict.of({"control alone and everything free were both learned": False})
+        control, everything = self.ends(table, CONTROL), self.ends(table, ALL)
+        both = np.isin(table["variant"], (CONTROL, ALL))
+        motions = len(control) + len(everything)
+        intact = checks({name: column[both] for name, column in table.items()}, motions, IN_BEST)
         if size is Size.QUICK:
-            return lowered(judged(_farther(control, every)), whole)
-        between = f" ({gain['low']:+.0%} to {gain['high']:+.0%})" if gain["low"] is not None else ""
-        told = f"gain of {_seeds(len(every))} {gain['mean']:+.0%}{between}, paper {self.gain:+.0%}"
-        wanted, farthest = self.printed[0], self.printed[-1]
-        reach = interval(control.tolist())
-        reaches = bool(max(reach["mean"] or 0.0, reach["high"] or 0.0) >= wanted)
+            return Verdict.of(_farther(control, everything)).also(intact)
+        verdict = Verdict.of(self._beside_paper(table, control, everything))
+        if verdict.judgement is Judgement.MET and everything.mean() > 1.1 * self.printed[-1]:
+            verdict = replace(verdict, judgement=Judgement.EXCEEDED)
+        return verdict.also(intact)
+
+    def _beside_paper(self, table: Table, control: Array, everything: Array) -> dict[str, bool]:
+        """Return the checks of control alone, the gain and the order, beside the paper's."""
+        reach, printed = interval(control.tolist()), self.printed[0]
+        reaches = bool(max(reach["mean"] or 0.0, reach["high"] or 0.0) >= printed)
+        gain = interval(((everything - control) / abs(control.mean())).tolist())
+        spread = f" ({_percent(gain['low'])} to {_percent(gain['high'])})" if gain["low"] is not None else ""
+        seeds = _seeds(len(everything))
+        gains = f"gain of {seeds} {_percent(gain['mean'])}{spread}, paper {_percent(self.gain)}"
         fewer = {f"at the paper's size: {self.particles}": False} if self.particles else {}
-        verdict = judged({
-            f"control {control.mean():.2f} m, paper {wanted:g}": reaches,
-            told: reaches and float(gain["mean"] or 0.0) >= 0.9 * self.gain,
-            **{told: reaches and agrees for told, agrees in self._order(table).items()},
+        return {
+            f"control {control.mean():.2f} m, paper {printed:g}": reaches,
+            gains: reaches and float(gain["mean"] or 0.0) >= 0.9 * self.gain,
+            **{text: reaches and agrees for text, agrees in self._order(table).items()},
             **fewer,
-        })  # fmt: skip
-        exceeds = verdict.judgement is Judgement.MET and every.mean() > 1.1 * farthest
-        return lowered(replace(verdict, judgement=Judgement.EXCEEDED) if exceeds else verdict, whole)
+        }
 
     def _order(self, table: Table) -> dict[str, bool]:
-        """Return what each kind adds, in words, and whether that is in the paper's order; nothing if that has none."""
-        if lacking := set(ORDER) - set(table["variant"]):
-            return {f"what each adds: not known without {', '.join(sorted(lacking))}": False}
+        """Return the check that what each parameter adds has the paper's order; nothing if the paper has no order."""
+        if missing := set(ORDER) - set(table["variant"]):
+            return {f"what each adds: not known without {', '.join(sorted(missing))}": False}
         ours = effects({_free(label): self.ends(table, label) for label in ORDER})
-        theirs = effects({_free(label): np.array([far]) for label, far in zip(ORDER, self.printed, strict=True)})
-        each = " > ".join(f"{group} {_spread(ours[group])}" for group in sorted(ours, key=lambda g: -ours[g].mean()))
-        printed = ", ".join(f"{group} {theirs[group].mean():+.2f}" for group in sorted(theirs))
+        paper = effects({_free(label): np.array([far]) for label, far in zip(ORDER, self.printed, strict=True)})
+        ranking = " > ".join(f"{group} {_spread(ours[group])}" for group in sorted(ours, key=lambda g: -ours[g].mean()))
+        printed = ", ".join(f"{group} {paper[group].mean():+.2f}" for group in sorted(paper))
         pairs = [
             (more, less)
-            for more, less in permutations(theirs, 2)
-            if round(float(theirs[more].mean() - theirs[less].mean()), 4) >= READ
+            for more, less in permutations(paper, 2)
+            if round(float(paper[more].mean() - paper[less].mean()), 4) >= RESOLUTION
         ]
         agrees = all(ours[more].mean() > ours[less].mean() for more, less in pairs)
-        return {f"what each adds: {each}; paper {printed}": agrees} if pairs else {}
+        return {f"what each adds: {ranking}; paper {printed}": agrees} if pairs else {}
 
 
 def _ended(folder: Path) -> Iterator[tuple[str, Run]]:
-    """Yield the runs below a folder that ended well, with what their variants are called; at first, few."""
+    """Yield the runs below a folder that ended well, with the labels of their variants."""
     for run in runs_below(folder):
         if run.finished and read_record(run.path)["status"] != "failed":
             free = yaml.safe_load((run.path / "scene.yaml").read_text()).get("unknowns") or {}
@@ -175,22 +170,28 @@ def _ended(folder: Path) -> Iterator[tuple[str, Run]]:
 
 
 def _of_shared_seeds(table: Table) -> Table:
-    """Return a table without the seeds that one of its variants lacks, so that they can be compared in pairs."""
+    """Return a table of the seeds that all its variants have, so that variants can be compared seed by seed."""
     seeds = [set(table["seed"][table["variant"] == variant]) for variant in np.unique(table["variant"])]
-    own = np.isin(table["seed"], list(set.intersection(*seeds)))
-    return {name: column[own] for name, column in table.items()}
+    shared = np.isin(table["seed"], list(set.intersection(*seeds)))
+    return {name: column[shared] for name, column in table.items()}
 
 
-def _farther(control: Array, every: Array) -> dict[str, bool]:
-    """Return the checks that everything free goes farther than control alone: the mean, and most seeds."""
-    seeds, better = len(every), int(np.count_nonzero(every > control))
-    told = f"all beside control, {_seeds(seeds)}"
-    checks = {f"{told}: {control.mean():.2f} -> {every.mean():.2f} m": bool(every.mean() > control.mean())}
-    return checks if seeds == 1 else checks | {f"{better} of {seeds} seeds go farther with all": better > seeds / 2}
+def _farther(control: Array, everything: Array) -> dict[str, bool]:
+    """Return the checks that everything free walks farther than control alone, in the mean and for most seeds."""
+    seeds, better = len(everything), int(np.count_nonzero(everything > control))
+    text = f"control alone and everything free, {_seeds(seeds)}: {control.mean():.2f} -> {everything.mean():.2f} m"
+    checks = {text: bool(everything.mean() > control.mean())}
+    if seeds == 1:
+        return checks
+    return checks | {f"{better} of {seeds} seeds walk farther with everything free": better > seeds / 2}
 
 
 def _seeds(count: int) -> str:
     return "one seed" if count == 1 else f"{count} seeds"
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:+.0f} %"
 
 
 def _spread(values: Array) -> str:

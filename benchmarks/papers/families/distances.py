@@ -1,4 +1,4 @@
-"""A family of figures: distance against iteration and wall time, mean of seeds and its 90 % interval (CQ2 Figs 6-9)."""
+"""Figures of how far a robot walks, against iteration and wall time: the mean of seeds and its 90 % interval."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from benchmarks.papers.families.histories import Curves, curves, rows, runs_below, settled
-from benchmarks.papers.families.integrity import BEST, WHOLE, checks, worst
-from benchmarks.papers.figure import Figure, Judgement, Size, Table, Verdict, judged, lowered, stacked
-from benchmarks.papers.machinery.work import Found, Runs, Work
+from benchmarks.papers.families.histories import Curves, curve_rows, curves, ended_or_all, runs_below
+from benchmarks.papers.families.integrity import IN_BEST, INTACT, checks, worst
+from benchmarks.papers.figure import Figure, Folders, Judgement, Size, Table, Verdict, table_of
+from benchmarks.papers.machinery.runs import Runs
 from cqrun.figures.style import COLOURS, GREY, clock_ticks, new_figure, titled
 
 if TYPE_CHECKING:
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 
 SINGLE = ("precision=float32", "memory=8GiB")
-"""Overrides at paper size: the papers' own precision, and room for every state of a rollout."""
+"""Overrides at paper size: the papers' own precision, and memory for every state of a rollout."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One set of seeds: its label, overrides of the scene, and how many seeds and minutes at each size."""
+    """One set of seeds: its label, and at each size the overrides of the scene, the number of seeds, and minutes."""
 
     label: str
     overrides: Mapping[Size, tuple[str, ...]]
@@ -35,40 +35,27 @@ class Variant:
 
 
 class Distances(Figure):
-    """How far a robot comes, against the iteration.
+    """How far a robot walks, against the iteration."""
 
-    Attributes:
-        scene: below scenes/.
-        job: its command.
-        term: of the objective that is the distance [m].
-        body: that is asked to stay whole.
-        variants: the verdict is on the first that the size has, our choice of what the paper leaves open.
-        iterations: the paper's.
-        start, final: the paper's first and final mean.
-        interval: its 90 % interval.
-        interval_at: of what it is, where that is not the final mean.
-        seconds: its seconds an iteration (GTX 1080).
-    """
-
-    scene: ClassVar[str]
+    scene: ClassVar[str]  # below scenes/
     job: ClassVar[str] = "control"
-    term: ClassVar[str] = "far"
-    body: ClassVar[str]
-    variants: ClassVar[Sequence[Variant]]
-    iterations: ClassVar[int] = 100
-    start: ClassVar[float]
-    final: ClassVar[float]
-    interval: ClassVar[tuple[float, float]]
+    term: ClassVar[str] = "far"  # of the objective that is the distance [m]
+    body: ClassVar[str]  # has to hold together
+    variants: ClassVar[Sequence[Variant]]  # the first is judged; the others show choices that the paper leaves open
+    iterations: ClassVar[int] = 100  # the paper's, as all below
+    start: ClassVar[float]  # mean distance at first [m]
+    final: ClassVar[float]  # mean distance in the end [m]
+    interval: ClassVar[tuple[float, float]]  # 90 %, of the final mean, or of what `interval_at` says
     interval_at: ClassVar[str] = ""
-    seconds: ClassVar[float]
+    seconds: ClassVar[float]  # an iteration, on a GTX 1080
 
-    tolerance: ClassVar[dict[Size, str]] = {
-        Size.QUICK: f"the distance grows: by seed, the end is above the start; {BEST}{WHOLE}",
-        Size.PAPER: "at no more iterations, the mean over seeds is the paper's or more; in part within its 90 % "
-        f"interval, exceeded above that; {BEST}{WHOLE}",
+    criteria: ClassVar[dict[Size, str]] = {
+        Size.QUICK: f"the final distance of each seed is greater than its first; {IN_BEST}{INTACT}",
+        Size.PAPER: "after no more iterations than the paper's, the mean over seeds is at least the paper's; in part "
+        f"if it is within the paper's 90 % interval, exceeded if it is above that interval; {IN_BEST}{INTACT}",
     }
 
-    def work(self, size: Size) -> Sequence[Work]:
+    def tasks(self, size: Size) -> Sequence[Runs]:
         """Return one command for each variant that the size has."""
         return [
             Runs(self._name(v), v.minutes[size], self.job, self.scene, v.overrides[size], v.seeds[size])
@@ -79,25 +66,25 @@ class Distances(Figure):
     def _name(self, variant: Variant) -> str:
         return f"{Path(self.scene).name}_{variant.label.replace(' ', '_')}"
 
-    def table(self, found: Found, size: Size) -> Table:
-        """Return variant, seed, iteration, seconds, value [m]; in a seed's last row, how whole its best run is."""
-        parts: list[dict[str, object]] = []
+    def table(self, folders: Folders, size: Size) -> Table:
+        """Return variant, seed, iteration, seconds, value [m]; in a seed's last row, `worst` of its best motion."""
+        rows: list[dict[str, object]] = []
         for variant in self.variants:
-            if self._name(variant) in found:
-                for run in settled(runs_below(found[self._name(variant)])):
-                    own = list(rows(variant.label, [run], {run.seed: run.history[self.term]}))
-                    parts += [*own[:-1], own[-1] | worst(run.path, self.body)]
-        return stacked(iter(parts))
+            if self._name(variant) in folders:
+                for run in ended_or_all(runs_below(folders[self._name(variant)])):
+                    *earlier, last = curve_rows(variant.label, run, self.term)
+                    rows += [*earlier, last | worst(run.path, self.body)]
+        return table_of(rows)
 
-    def draw(self, table: Table, size: Size, found: Found) -> Picture:
-        """Draw every variant as mean and interval; the paper's start and end, this with its interval, as marks."""
+    def draw(self, table: Table, size: Size, folders: Folders) -> Picture:
+        """Draw all variants' means, the first one's interval, and the paper's start, end and interval as marks."""
         picture = new_figure(6.4, 3.8)
         axes = picture.add_subplot()
         labels = list(dict.fromkeys(table["variant"]))
         for colour, label in zip(COLOURS, labels, strict=False):
             draw_curves(axes, curves(table, label), label, colour, band=label == labels[0])
-        timed = max(labels, key=lambda label: curves(table, label).value.shape[1])
-        longest = curves(table, timed)
+        longest_label = max(labels, key=lambda label: curves(table, label).value.shape[1])
+        longest = curves(table, longest_label)
         end = longest.value.shape[1] - 1
         low, high = self.interval
         printed = np.array([[self.final - low], [high - self.final]])
@@ -106,7 +93,7 @@ class Distances(Figure):
         axes.errorbar(after, [self.final], yerr=printed, color=GREY, fmt="none", capsize=4, lw=1.2, zorder=4)
         axes.plot([0, *after], [self.start, self.final], "D", color=GREY, mec="white", ms=6, zorder=4, label=label)
         clock = clock_ticks(axes.xaxis, np.arange(end + 1), longest.seconds, self.iterations) if end else "s"
-        whose = f" of '{timed}'" if len(labels) > 1 else ""
+        whose = f" of '{longest_label}'" if len(labels) > 1 else ""
         axes.set_xlabel(f"iteration, and below it the wall time{whose} [{clock}]")
         axes.set_ylabel("distance travelled [m]")
         axes.legend(loc="best")
@@ -116,33 +103,36 @@ class Distances(Figure):
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge the first variant that there is."""
         label = next(v.label for v in self.variants if v.label in table["variant"])
-        found = curves(table, label)
-        own = {name: column[table["variant"] == label] for name, column in table.items()}
-        whole = checks(own, len(found.value), BEST)
-        first, last = found.value[:, 0], found.value[:, -1]
+        curve = curves(table, label)
+        of_variant = {name: column[table["variant"] == label] for name, column in table.items()}
+        intact = checks(of_variant, len(curve.value), IN_BEST)
+        first, last = curve.value[:, 0], curve.value[:, -1]
         if size is Size.QUICK:
-            told = f"{first.mean():.2f} -> {last.mean():.2f} m in {found.value.shape[1] - 1} iterations"
-            return lowered(judged({told: bool(np.all(last > first))}), whole)
+            text = f"{first.mean():.2f} -> {last.mean():.2f} m in {curve.value.shape[1] - 1} iterations"
+            return Verdict.of({text: bool(np.all(last > first))}).also(intact)
+        return self._beside_paper(curve).also(intact)
+
+    def _beside_paper(self, curve: Curves) -> Verdict:
+        """Return the verdict on the final mean, beside the paper's mean and interval."""
         low, high = self.interval
-        mean, half = float(found.mean[-1]), float(found.half[-1])
-        seeds = len(found.value)
+        mean, half = float(curve.mean[-1]), float(curve.half[-1])
+        seeds, iterations = len(curve.value), curve.value.shape[1] - 1
         ours = f"{mean:.2f} +- {half:.2f} m ({seeds} seeds)" if seeds > 1 else f"{mean:.2f} m (one seed)"
-        done = found.value.shape[1] - 1
-        early = "" if done >= self.iterations else f" after {done} of {self.iterations} iterations"
+        early = "" if iterations >= self.iterations else f" after {iterations} of {self.iterations} iterations"
         beyond = ", and above it" if mean > high else ""
-        verdict = judged({
+        verdict = Verdict.of({
             f"{ours}{early}, paper {self.final:g}": mean >= self.final,
             f"no less than the paper's 90 % interval, {self.interval_at}{low:g} to {high:g}{beyond}": mean >= low,
         })  # fmt: skip
-        return lowered(replace(verdict, judgement=Judgement.EXCEEDED) if mean > high else verdict, whole)
+        return replace(verdict, judgement=Judgement.EXCEEDED) if mean > high else verdict
 
 
-def draw_curves(axes: Axes, found: Curves, label: str, colour: str, *, band: bool = True) -> None:
-    """Draw seeds thin, their mean thick, and its interval as a band: of two or three seeds it may hide the rest."""
-    x = np.arange(found.value.shape[1])
-    if len(found.value) > 1:
-        axes.plot(x, found.value.T, color=colour, lw=0.5, alpha=0.35)
-    if len(found.value) > 1 and band:
-        axes.fill_between(x, found.mean - found.half, found.mean + found.half, color=colour, alpha=0.2, lw=0)
-    seeds = f", {len(found.value)} seeds" if len(found.value) > 1 else ""
-    axes.plot(x, found.mean, color=colour, lw=1.8, label=f"{label}{seeds}")
+def draw_curves(axes: Axes, curve: Curves, label: str, colour: str, *, band: bool = True) -> None:
+    """Draw each seed as a thin line, their mean as a thick one, and the interval of the mean as a band."""
+    x = np.arange(curve.value.shape[1])
+    if len(curve.value) > 1:
+        axes.plot(x, curve.value.T, color=colour, lw=0.5, alpha=0.35)
+    if len(curve.value) > 1 and band:
+        axes.fill_between(x, curve.mean - curve.half, curve.mean + curve.half, color=colour, alpha=0.2, lw=0)
+    seeds = f", {len(curve.value)} seeds" if len(curve.value) > 1 else ""
+    axes.plot(x, curve.mean, color=colour, lw=1.8, label=f"{label}{seeds}")

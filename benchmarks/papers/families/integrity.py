@@ -1,4 +1,4 @@
-"""Whether a body stays of one piece and nowhere inside out, from the trajectory of a run."""
+"""Whether a body holds together and no particle is inverted, from the trajectory of a run."""
 
 from __future__ import annotations
 
@@ -15,20 +15,22 @@ from cqrun.plugin.contract import Array
 from cqrun.store.atomic import write_json
 from cqrun.store.run import FINISHED, read_record
 
-WHOLE = "the body stays whole and nowhere inside out"
-"""What `checks` asks, in words."""
+INTACT = "the body holds together and no particle is inverted"
+"""What `checks` asks for."""
 
-BEST = "in each run's best motion "
-"""Put before that where distances are of the last motion: a run keeps its best one, which may be another."""
+IN_BEST = "in each run's best motion "
+"""Stands before INTACT where distances are of the last motion. A run keeps its best motion, which may be another."""
 
 NOTE = "whole.json"
-"""Beside a run: how whole its bodies stay."""
+"""Beside a run: what `worst` has found."""
 
 
-def watched(run: RunData, body: str) -> dict[str, Array]:
-    """Return how whole a body is at each frame of a run's motion.
+def watch(run: RunData, body: str) -> dict[str, Array]:
+    """Return how well a body holds together in each frame of a run's motion.
 
-    `fracture` is the share of neighbouring particles that share no node of the grid any more.
+    Returns:
+        least_volume_ratio: of all its particles, det F.
+        fracture: the share of pairs of neighbouring particles that no longer share a node of the grid.
     """
     fields, particles = run.trajectory().fields, sample(run.scene)
     part = particles.of(body)
@@ -38,34 +40,34 @@ def watched(run: RunData, body: str) -> dict[str, Array]:
 
 
 def worst(run: Path, body: str) -> dict[str, float]:
-    """Return the worst of `watched` over the motion that a run has kept; nothing where nobody has looked at it.
+    """Return the worst values of `watch` over the motion that a run has kept; nothing if they are not known.
 
-    It is noted beside the run, whose motion is not packed for other machines.
+    They are noted beside the run, because motions are not packed for other machines.
     """
     note = run / NOTE
     if not (run / "trajectory.h5").exists():
         return dict(json.loads(note.read_text())) if note.exists() else {}
-    seen = watched(read_run(run), body)
-    found = {"least_volume_ratio": float(seen["least_volume_ratio"].min()), "fracture": float(seen["fracture"].max())}
-    if read_record(run)["status"] in FINISHED and np.all(np.isfinite(list(found.values()))):
-        write_json(note, found)
-    return found
+    seen = watch(read_run(run), body)
+    values = {"least_volume_ratio": float(seen["least_volume_ratio"].min()), "fracture": float(seen["fracture"].max())}
+    if read_record(run)["status"] in FINISHED and np.all(np.isfinite(list(values.values()))):
+        write_json(note, values)
+    return values
 
 
 def checks(table: Mapping[str, Array], motions: int = 1, which: str = "") -> dict[str, bool]:
-    """Return the checks that bodies are of one piece and nowhere inside out, of so many motions in a table.
-
-    Rows without numbers (NaN) are of no motion; where a table has fewer numbers than motions, some were not recorded.
+    """Return the checks that bodies hold together and no particle is inverted.
 
     Args:
-        which: says which motions they are.
+        table: rows without numbers (NaN) belong to no motion.
+        motions: how many motions the table should have; if it has fewer, some were not recorded.
+        which: says in which motions.
     """
-    torn = table.get("fracture", np.empty(0))
-    seen = np.isfinite(torn)
+    fracture = table.get("fracture", np.empty(0))
+    seen = np.isfinite(fracture)
     if np.count_nonzero(seen) < motions:
-        return {f"{which}whether the body stays whole was not recorded": False}
-    most, least = float(torn[seen].max()), float(table["least_volume_ratio"][seen].min())  # NaN is not above nothing
+        return {f"it was not recorded whether {which}the body holds together": False}
+    most, least = float(fracture[seen].max()), float(table["least_volume_ratio"][seen].min())  # NaN is not above 0
     return {
-        f"{which}the body stays whole: {most:.2%} of its neighbours part": most == 0.0,
-        f"nowhere is it inside out: volumes are {least:.2f} of their own at least": least > 0.0,
+        f"{which}the body holds together: {100 * most:.2f} % of neighbouring particles separate": most == 0.0,
+        f"no particle is inverted: the least volume ratio is {least:.2f}": least > 0.0,
     }

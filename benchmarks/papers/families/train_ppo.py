@@ -1,8 +1,9 @@
-"""python -m benchmarks.papers.families.train_ppo SCENE EPISODES SEED FILE HEAD OVERRIDE...
+"""python -m benchmarks.papers.families.train_ppo SCENE EPISODES SEED FILE HEADER OVERRIDE...
 
-PPO in a scene, as stable-baselines3 has it: the loss at the end of every episode, as it explores, to FILE, below HEAD.
-In a process of its own, on one thread: torch's random numbers are one stream a process, and its sums hang on threads.
-Killed, it goes on from FILE.checkpoint, written after every ten episodes, and finds the same numbers.
+Train PPO of stable-baselines3 in a scene. Write the loss at the end of every episode, with exploration, to FILE, below
+the line HEADER. Use a process of its own with one thread: torch has one stream of random numbers in a process, and its
+sums depend on the number of threads. A killed training continues from FILE.checkpoint, which is written after
+every ten episodes, and gives the same numbers.
 """
 
 from __future__ import annotations
@@ -22,35 +23,35 @@ from cqrun.errors import CqrunError
 from cqrun.store.atomic import write_bytes, write_text
 from cqrun.store.lock import DirectoryLock
 
-AT_ONCE = 10
-"""Episodes between two updates of the networks."""
+EPISODES_AN_UPDATE = 10
+"""Of the networks."""
 
 
 def main(words: Sequence[str]) -> None:
     """Train as the words say."""
-    scene, episodes, seed, file, head, *overrides = words
-    kept = checkpoint_of(Path(file))
-    lock = DirectoryLock(Path(file).parent)  # whoever began it may have been killed, and it goes on
+    scene, episodes, seed, file, header, *overrides = words
+    checkpoint = checkpoint_of(Path(file))
+    lock = DirectoryLock(Path(file).parent)  # a training whose parent was killed may still run
     try:
-        if not Path(file).exists():  # it may have come to its end since
-            losses = train_ppo(Path(scene), overrides, int(episodes), int(seed), kept)
-            write_text(Path(file), "\n".join([head, *(f"{loss:.6g}" for loss in losses)]) + "\n")
-            kept.unlink(missing_ok=True)
+        if not Path(file).exists():  # that training may have ended since
+            losses = train_ppo(Path(scene), overrides, int(episodes), int(seed), checkpoint)
+            write_text(Path(file), "\n".join([header, *(f"{loss:.6g}" for loss in losses)]) + "\n")
+            checkpoint.unlink(missing_ok=True)
     finally:
         lock.release()
 
 
 def checkpoint_of(file: Path) -> Path:
-    """Return where training that is to end in a file goes on from."""
+    """Return the checkpoint of the training that ends in a file."""
     return file.with_name(f"{file.name}.checkpoint")
 
 
-def episodes_in(kept: Path) -> int:
-    """Return how many episodes a checkpoint holds; 0 without one."""
-    return len(pickle.loads(kept.read_bytes())["losses"]) if kept.exists() else 0
+def episodes_in(checkpoint: Path) -> int:
+    """Return how many episodes a checkpoint holds; 0 if there is none."""
+    return len(pickle.loads(checkpoint.read_bytes())["losses"]) if checkpoint.exists() else 0
 
 
-def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int, kept: Path) -> list[float]:
+def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int, checkpoint: Path) -> list[float]:
     """Return the loss at the end of every episode."""
     import gymnasium
     import torch
@@ -61,31 +62,31 @@ def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int, k
     import cqrun
 
     class Remembering(gymnasium.Wrapper[Any, Any, Any, Any]):
-        """Keeps what an episode's goals were drawn with, and what was done in it, so that it can be begun again."""
+        """Remembers the random state before an episode's goals were drawn, and its actions, to repeat the episode."""
 
-        drawn_with: Any = None
+        random_state: Any = None
 
         def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
             if seed is None:
-                self.drawn_with = copy.deepcopy(self.unwrapped.np_random.bit_generator.state)
-            self.acted: list[Any] = []
+                self.random_state = copy.deepcopy(self.unwrapped.np_random.bit_generator.state)
+            self.actions: list[Any] = []
             return super().reset(seed=seed, options=options)
 
         def step(self, action: Any) -> Any:
-            self.acted.append(np.array(action))
+            self.actions.append(np.array(action))
             return super().step(action)
 
-    class Keep(BaseCallback):
-        """Counts episodes, and writes a checkpoint after every ten."""
+    class Checkpoints(BaseCallback):
+        """Counts episodes, and writes a checkpoint before every update."""
 
         def _on_step(self) -> bool:
-            over = zip(self.locals["dones"], self.locals["infos"], strict=True)
-            losses.extend(facts["loss"] for done, facts in over if done)
+            ended = zip(self.locals["dones"], self.locals["infos"], strict=True)
+            losses.extend(facts["loss"] for done, facts in ended if done)
             return len(losses) < episodes
 
         def _on_rollout_start(self) -> None:
-            if world.drawn_with is not None:
-                write_bytes(kept, pickle.dumps(state()))
+            if world.random_state is not None:
+                write_bytes(checkpoint, pickle.dumps(state()))
 
     def state() -> dict[str, Any]:
         networks = io.BytesIO()
@@ -93,48 +94,51 @@ def train_ppo(scene: Path, overrides: Sequence[str], episodes: int, seed: int, k
         return {
             "losses": losses, "networks": networks.getvalue(), "scales": pickle.dumps(env), "returns": env.returns,
             "random": (torch.get_rng_state().numpy(), np.random.get_state(), random.getstate()),  # noqa: NPY002
-            "world": (world.drawn_with, world.acted, own.least, own.most),
+            "world": (world.random_state, world.actions, scene_world.least, scene_world.most),
         }  # fmt: skip
 
     torch.set_num_threads(1)
     losses: list[float] = []
     world = Remembering(cqrun.environment(scene, list(overrides), threads=1))
-    own: Any = world.unwrapped
-    steps = own.agent.model.n_controls
+    scene_world: Any = world.unwrapped
+    steps = scene_world.agent.model.n_controls
     worlds = DummyVecEnv([lambda: world])
-    if not kept.exists():
+    if not checkpoint.exists():
         env = VecNormalize(worlds)
-        model = PPO("MlpPolicy", env, n_steps=AT_ONCE * steps, batch_size=5 * steps // 2, device="cpu", seed=seed)
+        model = PPO(
+            "MlpPolicy", env, n_steps=EPISODES_AN_UPDATE * steps, batch_size=5 * steps // 2, device="cpu", seed=seed
+        )
     else:
-        told = pickle.loads(kept.read_bytes())
-        losses = told["losses"]
-        model, env = _taken_up(told, worlds, world)
-    model.learn(episodes * steps - model.num_timesteps, callback=Keep(), reset_num_timesteps=not losses)
+        saved = pickle.loads(checkpoint.read_bytes())
+        losses = saved["losses"]
+        model, env = _restored(saved, worlds, world)
+    model.learn(episodes * steps - model.num_timesteps, callback=Checkpoints(), reset_num_timesteps=not losses)
     return losses
 
 
-def _taken_up(told: dict[str, Any], worlds: Any, world: Any) -> tuple[Any, Any]:
-    """Return networks and scaled worlds as a checkpoint has them; put random numbers and the episode back.
+def _restored(saved: dict[str, Any], worlds: Any, world: Any) -> tuple[Any, Any]:
+    """Return the networks and the scaled worlds of a checkpoint; restore the random numbers and the episode.
 
-    Where one blew up, the next ones are not begun with an update of the networks: such an episode is acted once more.
+    After an episode that blew up, episodes no longer begin with an update of the networks. So the actions of an episode
+    that was begun before the checkpoint are repeated.
     """
     import torch
     from stable_baselines3 import PPO
 
-    env = pickle.loads(told["scales"])
+    env = pickle.loads(saved["scales"])
     env.set_venv(worlds)
-    env.returns = told["returns"]  # which are not among what it pickles
-    model = PPO.load(io.BytesIO(told["networks"]), env=env, device="cpu", force_reset=False)
-    worlds.reset()  # takes the seed that loading has left for it
-    own = world.unwrapped
-    own.np_random.bit_generator.state, acted, least, most = told["world"]
+    env.returns = saved["returns"]  # VecNormalize does not pickle them
+    model = PPO.load(io.BytesIO(saved["networks"]), env=env, device="cpu", force_reset=False)
+    worlds.reset()  # uses up the seed that loading has left for it
+    scene_world = world.unwrapped
+    scene_world.np_random.bit_generator.state, actions, least, most = saved["world"]
     world.reset()
-    for action in acted:
+    for action in actions:
         world.step(action)
-    own.least, own.most = least, most
-    torch.set_rng_state(torch.from_numpy(told["random"][0]))
-    np.random.set_state(told["random"][1])  # noqa: NPY002  what stable-baselines3 draws from
-    random.setstate(told["random"][2])
+    scene_world.least, scene_world.most = least, most
+    torch.set_rng_state(torch.from_numpy(saved["random"][0]))
+    np.random.set_state(saved["random"][1])  # noqa: NPY002  stable-baselines3 draws from it
+    random.setstate(saved["random"][2])
     return model, env
 
 

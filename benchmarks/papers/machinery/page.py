@@ -1,36 +1,38 @@
-"""All figures on one self-contained page, index.html, and as README.md for who reads the repository."""
+"""All figures on one page, index.html, and as README.md for readers of the repository."""
 
 from __future__ import annotations
 
 import base64
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 
-from benchmarks.papers.catalogue import FIGURES
-from benchmarks.papers.figure import OWN, Figure, Judgement, Size
-from benchmarks.papers.machinery.publish import is_as_asked, picture_of, shown
-from benchmarks.papers.machinery.work import WorkError
+from benchmarks.papers.figure import NOT_PRINTED, Figure, Judgement, Size
+from benchmarks.papers.machinery.publish import Publication, Record
+from benchmarks.papers.machinery.task import TaskError, duration
 from cqrun.store.atomic import make_directory, write_text
 
 PAGE, GALLERY = (Path(__file__).with_name(name) for name in ("page.html.j2", "gallery.md.j2"))
-KINDS = {
+STYLES = {
     Judgement.MET: "reproduced",
     Judgement.EXCEEDED: "reproduced",
     Judgement.PARTLY: "part",
     Judgement.MISSED: "missed",
     Judgement.UNFINISHED: "none",
 }
-"""The page's class of each verdict."""
+"""The page's CSS class of each verdict."""
 
-NOTHING, DAMAGED = "not run", "damaged"
+NOT_RUN, DAMAGED = "not run", "damaged"
 
 
-def write_page(out: Path) -> list[str]:
-    """Write index.html and README.md beside what was published below `out`; return what of that is damaged."""
-    rows = [_row(figure, out) for figure in FIGURES.values()]
+def write_page(figures: Iterable[Figure], out: Path) -> list[str]:
+    """Write index.html and README.md from what is published below `out`; return what of that is damaged."""
+    rows: list[dict[str, Any]] = [
+        {"figure": figure, "results": [_result(figure, size, out) for size in Size]} for figure in figures
+    ]
     totals = {size.value: _total(rows, k) for k, size in enumerate(Size)}
     make_directory(out)
     for template, name in ((PAGE, "index.html"), (GALLERY, "README.md")):
@@ -41,77 +43,54 @@ def write_page(out: Path) -> list[str]:
     return [result["error"] for row in rows for result in row["results"] if result["error"]]
 
 
-def _row(figure: Figure, out: Path) -> dict[str, Any]:
-    return {
-        "id": figure.id,
-        "source": figure.source,
-        "title": figure.title,
-        "paper": figure.paper,
-        "left_open": figure.left_open,
-        "results": [_result(figure, size, out) for size in Size],
-    }
-
-
 def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:
+    """Return what the templates show of a figure at one size."""
+    publication = Publication(figure, size, out)
+    empty = {"size": size.value, "verdict": NOT_RUN, "style": "none", "record": None, "error": ""}
     try:
-        record = shown(figure, size, out)
-    except WorkError as error:  # the other figures are shown
-        return _empty(size, DAMAGED, "missed", str(error))
-    if record is None:
-        return _empty(size, NOTHING, "none", "")
-    minutes = {name: work["minutes"] for name, work in record["works"].items()}
-    machines = {f"{machine['cores']} cores of {machine['processor']}" for machine in record["machines"]}
-    judgement = Judgement(record["verdict"])
-    return {
-        "size": size.value,
-        "verdict": judgement.value,
-        "kind": KINDS[judgement],
-        "picture": base64.b64encode(picture_of(figure, size, out)).decode(),
-        "error": "",
-        "checks": record["checks"],
-        "done": _done(record, is_as_asked(figure, size, record)),
-        "asked": record["asked"],
-        "time": _time(sum(minutes.values())) + _remarks(record) if machines else "shown is what there is so far",
-        "works": minutes,
+        verified = publication.verified()
+    except TaskError as error:  # the other figures are shown
+        return empty | {"verdict": DAMAGED, "style": "missed", "error": str(error)}
+    if verified is None:
+        return empty
+    record, picture = verified
+    machines = {f"{machine['cores']} cores of {machine['processor']}" for machine in record.machines}
+    return empty | {
+        "verdict": record.verdict.value,
+        "style": STYLES[record.verdict],
+        "record": record,
+        "picture": base64.b64encode(picture).decode(),
+        "missing": _missing(record, publication.is_current(record)),
+        "time": _time(record) if machines else "unfinished: these are the results so far",
         "machine": ", and ".join(sorted(machines)),
-        "engine": ", ".join(record["engine"]),
-        "commands": [work["command"] for work in record["works"].values()],
     }
 
 
-def _empty(size: Size, verdict: str, kind: str, error: str) -> dict[str, Any]:
-    return {"size": size.value, "verdict": verdict, "kind": kind, "picture": "", "works": {}, "error": error}
+def _missing(record: Record, is_current: bool) -> str:
+    """Return which tasks are not done, and whether they have changed; an empty text if nothing is missing."""
+    done, of = record.done
+    unfinished = [f"{done} of {of} tasks are done"] if done < of else []
+    return "; ".join(unfinished if is_current else [*unfinished, "the tasks have changed since"])
 
 
-def _done(record: dict[str, Any], as_asked: bool) -> str:
-    """Return how much of the work is done, if not all is, and whether it is the work that is asked today."""
-    done, whole = record["done"]
-    told = [f"{done} of {whole} parts of the work are done"] if done < whole else []
-    return "; ".join(told if as_asked else [*told, "what is asked has changed since"])
+def _time(record: Record) -> str:
+    """Return how long the tasks took, with their remarks."""
+    remarks = (f" ({name}: {task.remark})" for name, task in record.tasks.items() if task.remark)
+    return duration(sum(task.minutes for task in record.tasks.values())) + "".join(remarks)
 
 
-def _remarks(record: dict[str, Any]) -> str:
-    """Return what is to be said beside the time."""
-    told = (f"{name}: {work['remark']}" for name, work in record["works"].items() if work.get("remark"))
-    return "".join(f" ({each})" for each in told)
-
-
-def _time(minutes: float) -> str:
-    if minutes < 1 / 60:
-        return "under a second"
-    return (
-        f"{60 * minutes:.0f} s" if minutes < 2 else f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"
-    )
-
-
-def _total(rows: list[dict[str, Any]], size: int) -> str:
-    """Return how many verdicts of each kind there are, the papers' first, and how much work it was."""
-    papers, own = ([row["results"][size] for row in rows if (row["source"] == OWN) is ours] for ours in (False, True))
-    works = {name: minutes for result in papers + own for name, minutes in result["works"].items()}  # some are shared
-    return f"{_counted(papers)}; cqrun's own: {_counted(own)}; {_time(sum(works.values()))} of work in all"
+def _total(rows: list[dict[str, Any]], k: int) -> str:
+    """Return how often there is each verdict, for the papers' figures and for cqrun's own, and the time of all."""
+    papers: list[dict[str, Any]] = []
+    ours: list[dict[str, Any]] = []
+    for row in rows:
+        (ours if row["figure"].source == NOT_PRINTED else papers).append(row["results"][k])
+    records = [result["record"] for result in papers + ours if result["record"] is not None]
+    minutes = {name: task.minutes for record in records for name, task in record.tasks.items()}  # some are shared
+    return f"{_counted(papers)}; cqrun's own: {_counted(ours)}; {duration(sum(minutes.values()))} of work in all"
 
 
 def _counted(results: list[dict[str, Any]]) -> str:
     counts = Counter(result["verdict"] for result in results)
-    names = (*(judgement.value for judgement in Judgement), DAMAGED, NOTHING)
+    names = (*(judgement.value for judgement in Judgement), DAMAGED, NOT_RUN)
     return ", ".join(f"{counts[name]} {name}" for name in names if counts[name])

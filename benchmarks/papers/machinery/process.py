@@ -1,4 +1,4 @@
-"""A command of cqrun that is given some time: it is asked to stop when that, or everything, is over."""
+"""Run a command of cqrun for a limited time."""
 
 from __future__ import annotations
 
@@ -9,101 +9,93 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from cqrun.cli.results import PICTURES
 
 ROOT = Path(__file__).parents[3]
 
-UNDRAWN = {PICTURES: "0"}
-"""In a command's environment: its runs are drawn when their figure is, and not before."""
-
 FAILED, USAGE, STOPPED = 1, 2, 75
-"""How cqrun ends: runs failed or no design will do, which is a result too; bad input; it was asked to stop."""
+"""Exit statuses of cqrun: runs failed, or no design is feasible (both are results); bad input; asked to stop."""
 
-HELD = "another process works on this run"
-"""What cqrun says of such a run: one that goes on though who began it was killed, as a rule."""
+IN_USE = "another process works on this run"
+"""What cqrun says if another process has the run, usually one whose parent was killed."""
 
 GRACE = 120.0
-"""Seconds that a run has to finish its iteration when its time is over."""
+"""Seconds that a command has to finish its iteration after it was asked to stop."""
 
-LOOK = 60.0
-"""Seconds between two lines that say how far long work is, or two looks at a run that another process holds."""
+REPORT_EVERY = 60.0
+"""Seconds between two lines of progress, and between two attempts at a run that another process has."""
 
-BEAT = 0.5
-"""Seconds between two looks at whether everything is over."""
+POLL_EVERY = 0.5
+"""Seconds between two looks at the command and at STOP."""
 
-OVER = threading.Event()
-"""Set when everything is asked to stop."""
-
-
-def nothing(*_: object) -> None:
-    """Tell nothing, and look at nothing."""
+STOP = threading.Event()
+"""Set when every command is to stop."""
 
 
-def for_so_long(
-    command: list[str], end: float, tell: Callable[[], None] = nothing, look: Callable[[int], None] = nothing
-) -> tuple[int, str]:
-    """Run a command, telling how far it is and looking at its process; ask it to stop when its time is over.
+class Ended(NamedTuple):
+    """How a command ended: exit status, output, and its peak memory [GB], 0 where that is not known."""
 
-    Return its exit status, STOPPED if it ended because it was asked to, and what it said.
+    status: int
+    output: str
+    memory: float
+
+
+def run_command(name: str, command: list[str], deadline: float, report: Callable[[], None] | None = None) -> Ended:
+    """Run a command until a deadline, then ask it to stop. Wait first while another process has its run.
+
+    Args:
+        name: what messages call it.
+        deadline: of time.monotonic().
+        report: prints a line of progress.
+
+    Returns:
+        How it ended; the status is STOPPED if it was asked to stop or had to wait too long.
     """
+    ended = _run_once(command, deadline, report)
+    while ended.status in (FAILED, USAGE) and IN_USE in ended.output:
+        print(f"    {name}: {ended.output.strip()}\n    waiting for it", flush=True)
+        if STOP.wait(min(REPORT_EVERY, max(0.0, deadline - time.monotonic()))) or time.monotonic() >= deadline:
+            return ended._replace(status=STOPPED)
+        ended = _run_once(command, deadline, report)
+    return ended
+
+
+def _run_once(command: list[str], deadline: float, report: Callable[[], None] | None = None) -> Ended:
+    environment = os.environ | {PICTURES: "0"}  # the figure draws what the runs found
     process = subprocess.Popen(
-        command, cwd=ROOT, env=os.environ | UNDRAWN, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
-    end, told = max(end, time.monotonic() + 1.0), time.monotonic()
+    deadline, reported, memory = max(deadline, time.monotonic() + 1.0), time.monotonic(), 0.0
     try:
-        while (now := time.monotonic()) < end and not OVER.is_set():
-            if now - told >= LOOK:
-                tell()
-                told = now
+        while (now := time.monotonic()) < deadline and not STOP.is_set():
+            if report is not None and now - reported >= REPORT_EVERY:
+                report()
+                reported = now
             try:
-                said, _ = process.communicate(timeout=min(end - now, BEAT))
-                return process.returncode, said
+                output, _ = process.communicate(timeout=min(deadline - now, POLL_EVERY))
+                return Ended(process.returncode, output, memory)
             except subprocess.TimeoutExpired:
-                look(process.pid)
+                memory = _peak_memory(process.pid, memory)
         process.send_signal(signal.SIGTERM)
         try:
-            said, _ = process.communicate(timeout=GRACE)
+            output, _ = process.communicate(timeout=GRACE)
         except subprocess.TimeoutExpired:
             process.kill()
-            said, _ = process.communicate()
-        # it may have been asked before it could listen, and then ends by the signal itself
-        return STOPPED if process.returncode < 0 else process.returncode, said
+            output, _ = process.communicate()
+        # a process that was asked before it could listen ends by the signal itself
+        return Ended(STOPPED if process.returncode < 0 else process.returncode, output, memory)
     except BaseException:
         process.send_signal(signal.SIGTERM)
         process.wait()
         raise
 
 
-def when_free(
-    name: str, command: list[str], end: float, tell: Callable[[], None] = nothing, look: Callable[[int], None] = nothing
-) -> tuple[int, str]:
-    """Run a command as `for_so_long` does, once no other process holds its run."""
-    code, said = for_so_long(command, end, tell, look)
-    while code in (FAILED, USAGE) and HELD in said:
-        print(f"    {name}: {said.strip()}\n    waiting for it", flush=True)
-        if OVER.wait(min(LOOK, max(0.0, end - time.monotonic()))) or time.monotonic() >= end:
-            return STOPPED, said
-        code, said = for_so_long(command, end, tell, look)
-    return code, said
+def _peak_memory(pid: int, before: float) -> float:
+    """Return the peak memory of a process so far [GB]; what was known before if it cannot be read (Linux only).
 
-
-def with_memory(name: str, command: list[str], end: float) -> tuple[int, str, float]:
-    """Run a command as `when_free` does; return also the most memory it had [GB], 0 if not told."""
-    memory = 0.0
-
-    def look(pid: int) -> None:
-        nonlocal memory
-        memory = _peak(pid, memory)
-
-    code, said = when_free(name, command, end, look=look)
-    return code, said, memory
-
-
-def _peak(pid: int, before: float) -> float:
-    """Return the most memory that a process had so far [GB], or what was known before (Linux).
-
-    wait4 tells more than its own: a child begins with what its parent had.
+    The kernel's own figure for ended children counts the memory that a child shared with its parent when it started.
     """
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()

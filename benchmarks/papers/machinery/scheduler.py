@@ -1,4 +1,4 @@
-"""Whose turn it is: single runs side by side, a share of the machine each; what wants the whole of it, alone."""
+"""Which task runs when: single runs side by side, each with a share of the machine; exclusive tasks alone."""
 
 from __future__ import annotations
 
@@ -6,52 +6,53 @@ import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from queue import SimpleQueue
 
-from benchmarks.papers.machinery.process import BEAT, GRACE, OVER
-from benchmarks.papers.machinery.work import Runs, Work
+from benchmarks.papers.machinery.process import GRACE, POLL_EVERY, STOP
+from benchmarks.papers.machinery.runs import Runs
+from benchmarks.papers.machinery.task import Task
 
 Outcome = bool | Exception
-"""Whether work is finished, or why it cannot be."""
+"""Whether a task is finished, or why it failed."""
 
 
-def in_turn(works: Sequence[Work], at_once: int, do: Callable[[Work, float], bool]) -> Iterator[tuple[Work, Outcome]]:
-    """Do work, the first first that there is room for, and yield each as it ends.
+def schedule(tasks: Sequence[Task], at_once: int, do: Callable[[Task, float], bool]) -> Iterator[tuple[Task, Outcome]]:
+    """Do tasks, the first first that there is room for, and yield each as it ends.
 
-    A caller that is interrupted, by a signal or in the midst of its loop, leaves no run behind.
+    No run is left behind if the caller is interrupted, by a signal or by an error in its loop.
 
     Args:
-        works: each once.
+        tasks: each once.
         at_once: how many may run side by side.
-        do: (work, its share of the machine) -> whether it is finished.
+        do: (task, its share of the machine) -> whether it is finished.
     """
-    at_once = min(at_once, len(works))
-    waiting, ended = list(works), SimpleQueue[tuple[Work, Outcome]]()
-    running: dict[Work, threading.Thread] = {}
+    at_once = min(at_once, len(tasks))
+    waiting, ended = list(tasks), SimpleQueue[tuple[Task, Outcome]]()
+    running: dict[Task, threading.Thread] = {}
 
-    def run(work: Work) -> None:
+    def run(task: Task) -> None:
         try:
-            ended.put((work, do(work, 1.0 if work.is_alone else 1.0 / at_once)))
+            ended.put((task, do(task, 1.0 if task.exclusive else 1.0 / at_once)))
         except Exception as error:
-            ended.put((work, error))
+            ended.put((task, error))
 
-    OVER.clear()
+    STOP.clear()
     try:
         while waiting or running:
-            while (work := _next(waiting, running, at_once)) is not None:
-                waiting.remove(work)
-                running[work] = threading.Thread(target=run, args=(work,), daemon=True, name=work.name)
-                running[work].start()
-            work, outcome = ended.get()
-            del running[work]
-            yield work, outcome
+            while (task := _next(waiting, running, at_once)) is not None:
+                waiting.remove(task)
+                running[task] = threading.Thread(target=run, args=(task,), daemon=True, name=task.name)
+                running[task].start()
+            task, outcome = ended.get()
+            del running[task]
+            yield task, outcome
     except BaseException:
-        OVER.set()
-        for work, thread in running.items():
-            thread.join(GRACE if isinstance(work, Runs) else 4.0 * BEAT)  # most measurements listen to no one
+        STOP.set()
+        for task, thread in running.items():  # most measurements do not look at STOP
+            thread.join(GRACE if isinstance(task, Runs) else 4.0 * POLL_EVERY)
         raise
 
 
-def _next(waiting: Sequence[Work], running: Collection[Work], at_once: int) -> Work | None:
-    """Return the first work that there is room for: what wants to be alone waits for the others to end."""
-    if len(running) >= at_once or any(work.is_alone for work in running):
+def _next(waiting: Sequence[Task], running: Collection[Task], at_once: int) -> Task | None:
+    """Return the first task that there is room for. An exclusive one waits until no other runs."""
+    if len(running) >= at_once or any(task.exclusive for task in running):
         return None
-    return next((work for work in waiting if not (work.is_alone and running)), None)
+    return next((task for task in waiting if not (task.exclusive and running)), None)
