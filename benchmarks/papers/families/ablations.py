@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
@@ -25,10 +25,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
 NAMES = {"youngs_modulus": "E", "poissons_ratio": "nu", "density": "mass"}
-"""Of the free parameters, in the order in which they stand in a variant's label."""
+"""Of the free parameters."""
 
 ORDER = ("control", "mass", "nu", "nu + mass", "E", "E + mass", "E + nu", "all")
 """The variants in the paper's order."""
+
+FREE = {label: frozenset(label.split(" + ")) for label in ORDER} | {
+    CONTROL: frozenset(),
+    ALL: frozenset(NAMES.values()),
+}
+"""What is free in each variant."""
 
 RESOLUTION = 0.02
 """Distances are read off the paper's plots no finer than this [m]. What differs by less has no order."""
@@ -148,8 +154,8 @@ class Ablation(Figure):
         """Return the check that what each parameter adds has the paper's order; nothing if the paper has no order."""
         if missing := set(ORDER) - set(table["variant"]):
             return {f"what each adds: not known without {', '.join(sorted(missing))}": False}
-        ours = effects({_free(label): self.ends(table, label) for label in ORDER})
-        paper = effects({_free(label): np.array([far]) for label, far in zip(ORDER, self.printed, strict=True)})
+        ours = effects({FREE[label]: self.ends(table, label) for label in ORDER})
+        paper = effects({FREE[label]: np.array([far]) for label, far in zip(ORDER, self.printed, strict=True)})
         ranking = " > ".join(f"{group} {_spread(ours[group])}" for group in sorted(ours, key=lambda g: -ours[g].mean()))
         printed = ", ".join(f"{group} {paper[group].mean():+.2f}" for group in sorted(paper))
         pairs = [
@@ -165,8 +171,9 @@ def _ended(folder: Path) -> Iterator[tuple[str, Run]]:
     """Yield the runs below a folder that ended well, with the labels of their variants."""
     for run in runs_below(folder):
         if run.finished and read_record(run.path)["status"] != "failed":
-            free = yaml.safe_load((run.path / "scene.yaml").read_text()).get("unknowns") or {}
-            yield _label({group_of(path) for path in free}), run
+            unknowns = yaml.safe_load((run.path / "scene.yaml").read_text()).get("unknowns") or {}
+            free = {NAMES[group_of(path)] for path in unknowns}
+            yield next(label for label in ORDER if FREE[label] == free), run
 
 
 def _of_shared_seeds(table: Table) -> Table:
@@ -199,15 +206,3 @@ def _spread(values: Array) -> str:
     if found["low"] is None:
         return f"{found['mean']:+.2f} m"
     return f"{found['mean']:+.2f} m ({found['low']:+.2f} to {found['high']:+.2f})"
-
-
-def _free(label: str) -> frozenset[str]:
-    if label in (CONTROL, ALL):
-        return frozenset(NAMES.values() if label == ALL else ())
-    return frozenset(label.split(" + "))
-
-
-def _label(free: Set[str]) -> str:
-    if len(free) in (0, len(NAMES)):
-        return ALL if free else CONTROL
-    return " + ".join(short for group, short in NAMES.items() if group in free)

@@ -96,7 +96,8 @@ class Runs(Task):
             return False
         if ended.status not in (0, FAILED, STOPPED):
             raise TaskError(f"{self.name}: `{self.command}` ended with {ended.status}\n{ended.output}")
-        if ended.status == FAILED and not self._all_ended(folder):  # a full disk or our own fault is no result
+        runs = self._ended(folder)
+        if ended.status == FAILED and not (len(runs) >= self.count and all(runs)):  # a full disk, or our own fault
             raise TaskError(f"{self.name}: `{self.command}` ended with {FAILED} before it was done\n{ended.output}")
         return ended.status != STOPPED
 
@@ -104,17 +105,14 @@ class Runs(Task):
         """Return its run directories."""
         return sorted(path.parent for path in (folder / self.path.stem).glob("*/run.json"))
 
-    def _ended(self, folder: Path) -> int:
-        """Return how many of its runs have ended, well or not."""
-        return sum(read_record(run)["status"] in FINISHED for run in self.runs(folder))
-
-    def _all_ended(self, folder: Path) -> bool:
-        return len(self.runs(folder)) >= self.count and self._ended(folder) == len(self.runs(folder))
+    def _ended(self, folder: Path) -> list[bool]:
+        """Return for each of its runs whether it has ended, well or not."""
+        return [read_record(run)["status"] in FINISHED for run in self.runs(folder)]
 
     def left(self, folder: Path) -> float:
         """Return an estimate of the minutes that are left, from its own pace once a fifth of its runs have ended."""
         try:
-            ended = self._ended(folder)
+            ended = sum(self._ended(folder))
         except CqrunError:  # a damaged record: the run itself reports it
             ended = 0
         if not self.begun(folder) or ended < max(2.0, self.count / 5):

@@ -112,9 +112,7 @@ class Task(ABC):
         """
         if not self.begun(folder):
             _clear(folder)
-            make_directory(folder)
-            clock = {"fingerprint": self.fingerprint(), "engine": engine_hash(), "seconds": 0.0}
-            write_json(folder / CLOCK, clock)
+            self._begin(folder)
         with _timed(folder, share):
             finished = self.advance(folder, seconds, jobs, share)
         if finished:
@@ -129,11 +127,14 @@ class Task(ABC):
             TaskError: it took too long to be deleted without asking.
         """
         with CLOCK_LOCK:
-            clock = _read(folder / CLOCK)
-            require_short(folder, clock)
+            require_short(folder, _read(folder / CLOCK))
             shutil.rmtree(folder)
-            make_directory(folder)
-            write_json(folder / CLOCK, clock | {"engine": engine_hash(), "seconds": 0.0})
+            self._begin(folder)
+
+    def _begin(self, folder: Path) -> None:
+        make_directory(folder)
+        clock = {"fingerprint": self.fingerprint(), "engine": engine_hash(), "seconds": 0.0}
+        write_json(folder / CLOCK, clock)
 
 
 def require_short(path: Path, clock: dict[str, Any]) -> None:
