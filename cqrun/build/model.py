@@ -14,9 +14,9 @@ from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_memory import memory_problems
 from cqrun.build.history import fields_of
+from cqrun.build.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, push_limit, wave_limit
 from cqrun.build.particles import Particles, sample, stress_key
 from cqrun.build.regions import boundary
-from cqrun.engine.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, push_limit, wave_limit
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
 from cqrun.errors import Problem, SceneError
 from cqrun.materials.term import is_stress
