@@ -20,7 +20,7 @@ FLOORS = (
     {"tensor", "lanes", "polar", "compile", "packed", "records", "wide_records", "state"},
     {"materials", "actuators", "boundaries", "loads"},
     {"engine"},
-    {"geometry", "observers", "controllers", "objectives", "design", "optimizers"},
+    {"geometry", "observers", "controllers", "objectives", "measurements", "design", "optimizers"},
     {"scene", "store"},
     {"jobs"},
     {"cli", "figures"},

@@ -22,11 +22,11 @@ from cqrun.jobs.report import report_lines
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.validate import validate
+from cqrun.measurements.recording import Recording
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.scene.schema_json import scene_json_schema
 from cqrun.store.marker_csv import write_csv
-from cqrun.store.recording import Recording
 
 ROOT = Path(__file__).parents[1]
 SCENES = sorted((ROOT / "scenes").rglob("*.yaml"))

@@ -9,10 +9,11 @@ import numpy as np
 from cqrun.design.params import REGULARISER
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
-from cqrun.figures.quantities import MILLI, Unit, capitalised
+from cqrun.figures.quantities import capitalised
 from cqrun.figures.run_data import HISTORY, RunData
 from cqrun.optimizers.constrained import CONSTRAINT, KKT, VIOLATION
 from cqrun.plugin.contract import Array
+from cqrun.units import Unit
 
 LOSS = "loss"
 """What all terms together are called among them."""
@@ -29,8 +30,8 @@ class LossCurve:
         label: what it is, such as RMSE.
         iteration, seconds: of each row (K,).
         value: of each row (K,), in `unit`; of what is fitted to data, the root of the loss.
-        floor: RMSE that the noise of synthetic data alone makes [mm]; None where it is not known.
-        unit: mm, or nothing where the objective has its own.
+        floor: RMSE that the noise of synthetic data alone makes, in `unit`; None where it is not known.
+        unit: of the RMSE, or nothing where the objective has its own.
         log: it is drawn on a logarithmic axis.
         kept: the row whose parameters the run found best and kept, where that is not the last one.
     """
@@ -59,11 +60,12 @@ def loss_curve(run: RunData) -> LossCurve:
         known = loss[np.isfinite(loss)]
         falls = bool(known.size) and float(known.min()) > 0 and float(known.max() / known.min()) >= SPAN
         return LossCurve("loss", iteration, seconds, loss, unit="", log=falls, kept=_kept(run))
-    label = "distance to the target" if data.target is not None else "RMSE"
-    floor = None
+    measured, floor = run.scene.measured, None
+    label, shown = ("RMSE", measured.shown) if measured is not None else ("relative RMSE", Unit("", 1.0))
     if data.synthetic is not None and data.synthetic.noise > 0:
-        floor = MILLI * data.synthetic.noise * float(np.sqrt(run.scene.dim))
-    return LossCurve(label, iteration, seconds, MILLI * np.sqrt(np.maximum(loss, 0.0)), floor, kept=_kept(run))
+        floor = shown.factor * data.synthetic.noise * float(np.sqrt(run.scene.dim))
+    rmse = shown.factor * np.sqrt(np.maximum(loss, 0.0))
+    return LossCurve(label, iteration, seconds, rmse, floor, shown.name, kept=_kept(run))
 
 
 def term_names(run: RunData) -> list[str]:

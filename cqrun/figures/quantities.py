@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
+
+from cqrun.units import Unit
 
 MILLI = 1e3
 
@@ -24,17 +25,6 @@ _RAISED = str.maketrans({"^": None, "2": "²", "3": "³"})
 
 LARGE = 0.5
 """Lengths from here on are shown in metres [m]."""
-
-
-class Unit(NamedTuple):
-    """A unit to show numbers in: `shown = factor * SI`; no name for numbers without a unit."""
-
-    name: str
-    factor: float
-
-    def label(self, text: str) -> str:
-        """Return text with the unit behind it, for an axis."""
-        return f"{text} ({self.name})" if self.name else text
 
 
 def shown_unit(unit: str, largest: float) -> Unit:
@@ -96,8 +86,8 @@ def _apart(path: str, rivals: Sequence[str]) -> str:
     return f"{' '.join(apart).replace('_', ' ')}: "
 
 
-def millimetres(value: float) -> str:
-    """Return a length [mm] with three digits."""
+def error(value: float) -> str:
+    """Return an error with three digits."""
     return f"{value:#.3g}".rstrip(".") if np.isfinite(value) else "not seen"
 
 

@@ -1,4 +1,4 @@
-"""tracks_<recording>.png: recorded markers beside the model, and how far apart they are."""
+"""tracks_<recording>.png: what was measured beside the model, and how far apart they are."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.figures.quantities import MILLI, Unit, length_unit, millimetres
+from cqrun.figures.quantities import error, length_unit, shown_unit
 from cqrun.figures.run_data import Tracks
 from cqrun.figures.style import COLOURS, GREY, INK, new_figure, plain, titled
 from cqrun.plugin.contract import Array
+from cqrun.units import Unit
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -34,8 +35,15 @@ SHOWN_TIMES = 3
 
 
 def displacements(tracks: Tracks) -> tuple[Array, Array]:
-    """Return data and model (T, M, D) [m] from where the model's markers are in the first frame."""
-    return tracks.data - tracks.model[0], tracks.model - tracks.model[0]
+    """Return data and model (T, M, D): places from where the model's are in the first frame, others as they are."""
+    origin = tracks.model[0] if tracks.measurement.unit == "m" else 0.0
+    return tracks.data - origin, tracks.model - origin
+
+
+def rmse(tracks: Tracks) -> str:
+    """Return the root mean square error, in the unit in which it is shown."""
+    unit = tracks.measurement.shown
+    return f"{error(unit.factor * tracks.rmse())} {unit.name}".rstrip()
 
 
 def moving_axes(tracks: Tracks) -> list[int]:
@@ -62,7 +70,7 @@ def main_axes(tracks: Tracks) -> tuple[int, int]:
 def _spans(tracks: Tracks) -> Array:
     """Return how far the marker that moves most goes along each axis (D,) [m], outliers of the data left out."""
     model = np.ptp(tracks.model, axis=0).max(axis=0)
-    seen = [m for m in range(len(tracks.markers)) if np.isfinite(tracks.data[:, m]).any()]
+    seen = [m for m in range(len(tracks.channels)) if np.isfinite(tracks.data[:, m]).any()]
     if not seen:
         return np.asarray(model)
     low, high = np.nanpercentile(tracks.data[:, seen], [5, 95], axis=0)
@@ -84,49 +92,51 @@ def spread(points: Array, count: int, first: int = 0) -> list[int]:
 
 def draw_recording(tracks: Tracks, scene: str) -> Figure:
     """Return the picture of one recording."""
-    few = len(tracks.markers) <= FEW_MARKERS
-    figure = _draw_markers(tracks) if few else _draw_paths(tracks)
+    paths = len(tracks.channels) > FEW_MARKERS and tracks.data.shape[2] > 1
+    figure = _draw_paths(tracks) if paths else _draw_channels(tracks)
     kind = "held out" if tracks.holdout else "fitted"
-    title = f"{plain(scene)}, {plain(tracks.recording)} ({kind}): RMSE {millimetres(MILLI * tracks.rmse())} mm"
+    title = f"{plain(scene)}, {plain(tracks.recording)} ({kind}): RMSE {rmse(tracks)}"
     figure.suptitle(title, fontsize=10, fontweight="bold", color=INK, x=0.01, ha="left")
     return figure
 
 
-def _draw_markers(tracks: Tracks) -> Figure:
-    """Draw displacements against time: a row a coordinate, and one for the error."""
+def _draw_channels(tracks: Tracks) -> Figure:
+    """Draw each channel against time: a row a component, and one for the error."""
     axes = moving_axes(tracks)
     figure = new_figure(8.6, 0.6 + 2.0 * len(axes) + 1.5)
     panels = figure.subplots(len(axes) + 1, 1, sharex=True, height_ratios=[2.0] * len(axes) + [1.4])
     for panel, axis in zip(panels, axes, strict=False):
-        lines = plot_coordinate(panel, tracks, axis, range(len(tracks.markers)))
+        lines = plot_coordinate(panel, tracks, axis, range(len(tracks.channels)))
     explain(panels[0])
     _plot_errors(panels[-1], tracks)
     panels[-1].set_xlabel("time (s)")
-    named = zip(tracks.markers, tracks.rmse_by_marker(), strict=True)
-    texts = [f"{plain(name)}  {millimetres(MILLI * rmse)}" for name, rmse in named]
-    figure.legend(lines, texts, title="RMSE (mm)", loc="outside right upper", alignment="left")
+    unit = tracks.measurement.shown
+    named = zip(tracks.channels, tracks.rmse_by_channel(), strict=True)
+    texts = [f"{plain(name)}  {error(unit.factor * own)}" for name, own in named]
+    figure.legend(lines, texts, title=unit.label("RMSE"), loc="outside right upper", alignment="left")
     return figure
 
 
 def plot_coordinate(
-    panel: Axes, tracks: Tracks, axis: int, markers: Sequence[int], dots: str | None = None
+    panel: Axes, tracks: Tracks, axis: int, channels: Sequence[int], dots: str | None = None
 ) -> list[Artist]:
-    """Draw one coordinate of some markers against time: data as dots, the model as lines, which are returned.
+    """Draw one component of some channels against time: data as dots, the model as lines, which are returned.
 
     Args:
-        dots: colour of the data; that of the marker's line if not given.
+        dots: colour of the data; that of the channel's line if not given.
     """
     lines: list[Artist] = []
     data, model = displacements(tracks)
-    unit = length_unit(float(np.ptp(tracks.model, axis=0).max()))
-    for place, m in enumerate(markers):
+    unit = shown_unit(tracks.measurement.unit, float(np.ptp(tracks.model, axis=0).max()))
+    for place, m in enumerate(channels):
         colour = COLOURS[place % len(COLOURS)]
         panel.plot(
             tracks.time, unit.factor * data[:, m, axis], linestyle="none", marker="o", markersize=2.6,
             color=dots or colour, alpha=0.45, markeredgewidth=0,
         )  # fmt: skip
         lines += panel.plot(tracks.time, unit.factor * model[:, m, axis], color=colour, linewidth=1.3)
-    panel.set_ylabel(unit.label(f"{'xyz'[axis]} displacement"))
+    component, quantity = tracks.components[axis], tracks.measurement.quantity
+    panel.set_ylabel(unit.label(quantity if component == quantity else f"{component} {quantity}"))
     panel.margins(x=0.01)
     return lines
 
@@ -149,23 +159,25 @@ def _raise_top(panel: Axes, part: float) -> None:
 
 
 def _plot_errors(panel: Axes, tracks: Tracks) -> None:
-    """Draw every marker's distance from the model against time, and their root mean square."""
-    for m, column in enumerate(MILLI * tracks.error.T):
+    """Draw every channel's distance from the model against time, and their root mean square."""
+    factor = tracks.measurement.shown.factor
+    for m, column in enumerate(factor * tracks.error.T):
         panel.plot(tracks.time, column, color=COLOURS[m % len(COLOURS)], linewidth=0.8, alpha=0.4)
     time, mean = rms_over_markers(tracks)
-    panel.plot(time, MILLI * mean, color=INK, linewidth=1.3, label="root mean square of the markers")
+    label = f"root mean square of the {tracks.measurement.channel}s"
+    panel.plot(time, factor * mean, color=INK, linewidth=1.3, label=label)
     panel.legend(loc="upper right")
-    _finish_errors(panel)
+    _finish_errors(panel, tracks)
 
 
 def rms_over_markers(tracks: Tracks) -> tuple[Array, Array]:
-    """Return the times at which a marker was seen (K,) [s], and the root mean square error then (K,) [m]."""
+    """Return the times at which a channel was seen (K,) [s], and the root mean square error then (K,)."""
     seen = np.isfinite(tracks.error).any(axis=1)
     return tracks.time[seen], np.sqrt(np.nanmean(tracks.error[seen] ** 2, axis=1))
 
 
-def _finish_errors(panel: Axes) -> None:
-    panel.set_ylabel("error (mm)")
+def _finish_errors(panel: Axes, tracks: Tracks) -> None:
+    panel.set_ylabel(tracks.measurement.shown.label("error"))
     panel.set_ylim(bottom=0.0)
     _raise_top(panel, 0.2)
     panel.margins(x=0.01)
@@ -199,16 +211,17 @@ def _plot_paths(panel: Axes, tracks: Tracks, shown: list[int], plane: tuple[int,
     panel.set_aspect("equal", adjustable="datalim")
     panel.set_xlabel(unit.label("xyz"[plane[0]]))
     panel.set_ylabel(unit.label("xyz"[plane[1]]))
-    titled(panel, f"Paths of {len(shown)} of {len(tracks.markers)} markers")
+    titled(panel, f"Paths of {len(shown)} of {len(tracks.channels)} {tracks.measurement.channel}s")
     explain(panel)
 
 
 def _plot_error_band(panel: Axes, tracks: Tracks) -> None:
-    """Draw the error over all markers against time: root mean square, and where nine tenths lie."""
+    """Draw the error over all channels against time: root mean square, and where nine tenths lie."""
     time, mean = rms_over_markers(tracks)
     seen = np.isfinite(tracks.error).any(axis=1)
-    low, high = MILLI * np.nanpercentile(tracks.error[seen], [5, 95], axis=1)
-    panel.fill_between(time, low, high, color=COLOURS[0], alpha=0.18, linewidth=0, label="5 to 95 % of the markers")
-    panel.plot(time, MILLI * mean, color=COLOURS[0], label="root mean square")
+    factor, label = tracks.measurement.shown.factor, f"5 to 95 % of the {tracks.measurement.channel}s"
+    low, high = factor * np.nanpercentile(tracks.error[seen], [5, 95], axis=1)
+    panel.fill_between(time, low, high, color=COLOURS[0], alpha=0.18, linewidth=0, label=label)
+    panel.plot(time, factor * mean, color=COLOURS[0], label="root mean square")
     panel.legend(loc="upper right", ncols=2)
-    _finish_errors(panel)
+    _finish_errors(panel, tracks)

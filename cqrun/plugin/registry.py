@@ -25,6 +25,7 @@ FOLDERS = {
     "controller": "cqrun.controllers",
     "observer": "cqrun.observers",
     "objective": "cqrun.objectives",
+    "measurement": "cqrun.measurements",
     "optimizer": "cqrun.optimizers",
 }
 """Where the plug-ins of each kind live."""

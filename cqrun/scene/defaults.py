@@ -8,7 +8,6 @@ FILLED = {
     "World": {"gravity"},
     "Body": {"velocity", "spin"},
     "Recording": {"body"},
-    "Target": {"body", "time"},
     "Synthetic": {"body"},
 }
 """Fields, by model, that a user may leave out although the model has no default of its own."""
@@ -38,7 +37,7 @@ def _data(data: dict[str, Any], bodies: dict[str, Any], time: dict[str, Any]) ->
     changes: dict[str, Any] = {}
     if _mapping(data.get("recordings")):
         changes["recordings"] = {name: _filled(rec, body) for name, rec in data["recordings"].items()}
-    if "target" in data:
+    if "target" in data:  # is refused: for what is to be written in its place
         changes["target"] = _filled(data["target"], body | end)
     if "synthetic" in data:
         changes["synthetic"] = _filled(data["synthetic"], body)

@@ -3,47 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar
 
-from pydantic import ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
-from pydantic_core import InitErrorDetails
+from pydantic import Field
 
-from cqrun.explain import KEY, Loc, complaint, finding, listed, retold, suggest
+from cqrun.explain import Loc
 from cqrun.plugin.choice import Choice, Chosen
-from cqrun.plugin.contract import Plugin, Spec, quantity
-from cqrun.plugin.registry import plugins
+from cqrun.plugin.contract import Plugin, quantity
+from cqrun.scene.plugin_keys import PluginKeys
 
 TERMS = "material_term"
 """Kind of the plug-ins whose names are keys of a material."""
 
-TERMS_MARK = "x-cqrun-terms"
-"""JSON schema key that says that plug-ins of a kind are properties here."""
 
-
-class Terms(Spec):
+class Terms(PluginKeys):
     """Something whose further keys are the names of material terms, such as `viscosity`."""
 
-    model_config = ConfigDict(extra="allow", json_schema_extra={TERMS_MARK: TERMS})
+    keys_of: ClassVar[str] = TERMS
 
     @property
     def terms(self) -> dict[str, Plugin]:
         """The further terms by name, in alphabetical order."""
-        return dict(sorted((self.model_extra or {}).items()))
-
-    @model_validator(mode="wrap")
-    @classmethod
-    def _with_terms(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        if not isinstance(data, dict):
-            return handler(data)
-        findings: list[InitErrorDetails] = []
-        built = {k: v if k in cls.model_fields else _term(k, v, cls, findings) for k, v in data.items()}
-        try:
-            material = handler(built)
-        except ValidationError as error:
-            findings += [retold(e) for e in error.errors(include_url=False)]
-        if findings:
-            raise complaint(cls.__name__, findings)
-        return material
+        return self.chosen
 
 
 class Material(Terms):
@@ -90,19 +71,3 @@ def _fixed(place: Loc, own: Any, other: Any) -> Iterator[tuple[Loc, str]]:
         if name not in own.parameters and getattr(own, name) != getattr(other, name):
             message = f"must be {getattr(own, name)} as in the whole body, is {getattr(other, name)}"
             yield (*place, name), f"{message}; with another make this region a body of its own"
-
-
-def _term(name: str, value: Any, cls: type[Terms], findings: list[InitErrorDetails]) -> Plugin | None:
-    """Return the validated term, or add to the findings."""
-    legal = plugins(TERMS)
-    if name not in legal:
-        keys = [*cls.model_fields, *legal]
-        message = f"unknown key{suggest(name, keys)}; keys here: {listed(keys)}"
-        findings.append(finding(message, (name,), kind=KEY))
-        return None
-    try:
-        term: Plugin = legal[name].model_validate(value)
-    except ValidationError as error:
-        findings += [retold(e, (name,)) for e in error.errors(include_url=False)]
-        return None
-    return term

@@ -30,7 +30,7 @@ def findings_between(scene: Sections) -> list[InitErrorDetails]:
     named = [*_faces(scene), *_bodies(scene), *_groups(scene), *findings_of_regions(scene), *_goals_named(scene)]
     named += _columns(scene)
     placed = [*_goals_unused(scene), *_goals_outside(scene), *_positions_outside(scene)]
-    return [*found, *named, *_signals(scene), *_controller(scene), *placed, *_target(scene), *_skipped(scene)]
+    return [*found, *named, *_signals(scene), *_controller(scene), *placed, *_skipped(scene)]
 
 
 def _faces(scene: Sections) -> Iterator[InitErrorDetails]:
@@ -162,17 +162,6 @@ def _limits(scene: Sections, activation: Activation) -> Iterator[InitErrorDetail
             if not low <= a <= high:
                 message = f"must be between {low:g} and {high:g}, the limits of the {chosen.name} '{name}', is {a:g}"
                 yield finding(message, ("activation", *place))
-
-
-def _target(scene: Sections) -> Iterator[InitErrorDetails]:
-    target = scene.target
-    if target is not None and target.time > scene.time.duration * (1 + 1e-9):
-        message = f"{target.time:g} s is after the end of the run at {scene.time.duration:g} s"
-        yield finding(message, ("data", "target", "time"))
-    at = [] if target is None or len(target.position) != scene.dim else target.position
-    for k, (place, size) in enumerate(zip(at, scene.world.size, strict=False)):
-        if not 0 <= place <= size:
-            yield finding(_outside(k, f"{place:g}", size), ("data", "target", "position"))
 
 
 def _skipped(scene: Sections) -> Iterator[InitErrorDetails]:

@@ -13,8 +13,8 @@ from cqrun.plugin.contract import Spec
 def children(node: Any) -> dict[int | str, Any]:
     """Return what a node of a scene holds, by the key that a path uses for it."""
     if isinstance(node, Spec):
-        names = [*type(node).model_fields, *(node.model_extra or {})]
-        return {name: getattr(node, name) for name in names}
+        found: dict[int | str, Any] = {name: getattr(node, name) for name in type(node).model_fields}
+        return found | dict(node.model_extra or {})
     if isinstance(node, Chosen):
         return {node.name: node.value}
     if isinstance(node, dict):

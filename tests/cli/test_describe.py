@@ -48,7 +48,6 @@ def test_what_may_be_left_out_is_optional():
         "World": "world",
         "Body": "bodies",
         "Recording": "recordings",
-        "Target": "target",
         "Synthetic": "synthetic",
     }
     for part, fields in FILLED.items():
@@ -59,7 +58,7 @@ def test_what_may_be_left_out_is_optional():
 
 def test_lists_in_lists_are_told():
     assert "route: [m], list of list of number, required" in page("actuator", "cable")
-    assert re.search(r"markers: \[m\], name -> list of number, optional", page("recordings"))
+    assert re.search(r"markers: \[m\], name -> list of number, optional", page("synthetic"))
     assert "overrides: name -> value, optional" in page("recordings")
 
 

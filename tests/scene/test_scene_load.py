@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -57,10 +58,14 @@ def test_a_scene_is_frozen(beam: str) -> None:
         load_scene(beam).world.dx = 1.0  # type: ignore[misc]
 
 
-def test_the_target_defaults_to_the_only_body_at_the_end(beam: str) -> None:
-    target = load_scene(beam, ["data={target: {position: [0.1, 0.05]}}"]).data.target  # type: ignore[union-attr]
-    assert target is not None
-    assert (target.body, target.time) == ("beam", 1.5)
+def test_a_target_is_refused_with_the_objective_to_write_in_its_place(beam: str) -> None:
+    with pytest.raises(SceneError, match="a wanted place is an objective, not data: remove `data`") as info:
+        load_scene(beam, ["data={target: {position: [0.1, 0.05]}}"])
+    way_out = re.search(r"`objective: (\{.*\})`; `cqrun sysid` makes it small", str(info.value))
+    assert way_out
+    scene = load_scene(beam, ["data=null", f"objective={way_out[1]}"])
+    term = scene.objective["there"].value
+    assert (term.body, term.keys) == ("beam", [[1.5, 0.1, 0.05]])  # type: ignore[attr-defined]
 
 
 def test_overrides_merge_in_order(beam: str) -> None:

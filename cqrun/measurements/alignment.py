@@ -14,8 +14,8 @@ import numpy as np
 
 from cqrun.errors import DataError
 from cqrun.explain import listed
+from cqrun.measurements.recording import Recording
 from cqrun.plugin.contract import Array
-from cqrun.store.recording import Recording
 
 LARGEST_RESIDUAL = 5e-3
 """A marker further than this from its rest position after alignment is refused [m]."""
@@ -138,20 +138,6 @@ def still_mean(recording: Recording, still: tuple[float, float]) -> Array:
             )
     shown = np.where(seen[..., None], recording.positions[frames], 0.0)
     return np.asarray(shown.sum(axis=0) / seen.sum(axis=0)[:, None])
-
-
-def require_before_motion(still: tuple[float, float], begin: float, end: float, source: str) -> None:
-    """Refuse still frames that reach into the time, `begin` to `end`, in which the model moves [s].
-
-    Raises:
-        DataError: they do; their mean would be no rest position.
-    """
-    slack = 1e-9 * max(abs(begin), abs(end))
-    if still[1] > begin + slack and still[0] < end - slack:
-        raise DataError(
-            f"{source}: the still frames, {still[0]:g} to {still[1]:g} s, reach into {begin:g} to {end:g} s, in which "
-            f"the body may move already: end `still` at {begin:g} s at the latest, the earliest that `start` may be"
-        )
 
 
 def align(mean: Array, rest: Array, names: tuple[str, ...], source: str = "") -> Alignment:
