@@ -132,13 +132,16 @@ class Data(Spec):
 
 
 def _instead_of(target: Any) -> str:
-    """Return what to write in the place of a target."""
+    """Return what to write in the place of a target: where the body ends, or where it is at a time."""
     given = target if isinstance(target, dict) else {}
-    position, time, body = given.get("position", ["X", "Y"]), given.get("time", "TIME"), given.get("body", "BODY")
-    point = ", ".join(str(number) for number in [time, *(position if isinstance(position, list) else ["X", "Y"])])
+    position = given.get("position")
+    numbers = [str(number) for number in position] if isinstance(position, list) else ["X", "Y"]
+    term, place = "reach", f"position: [{', '.join(numbers)}]"
+    if "time" in given:
+        term, place = "track", f"keys: [[{', '.join([str(given['time']), *numbers])}]]"
+    objective = f"objective: {{there: {{{term}: {{body: {given.get('body', 'BODY')}, {place}}}}}}}"
     return (
-        "a wanted place is an objective, not data: remove `data` and write "
-        f"`objective: {{there: {{track: {{body: {body}, keys: [[{point}]]}}}}}}`; `cqrun sysid` makes it small"
+        f"a wanted place is an objective, not data: remove `data` and write `{objective}`; `cqrun sysid` makes it small"
     )
 
 

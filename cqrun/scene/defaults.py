@@ -1,4 +1,4 @@
-"""Defaults that depend on other parts of the scene: zero vectors, the only body, the end of the run."""
+"""Defaults that depend on other parts of the scene: zero vectors, the only body."""
 
 from __future__ import annotations
 
@@ -27,18 +27,17 @@ def with_defaults(scene: Any) -> Any:
     if bodies:
         changes["bodies"] = {name: _filled(body, zero) for name, body in bodies.items()}
     if _mapping(scene.get("data")):
-        changes["data"] = _data(scene["data"], bodies, _mapping(scene.get("time")))
+        changes["data"] = _data(scene["data"], bodies)
     return {**scene, **changes}
 
 
-def _data(data: dict[str, Any], bodies: dict[str, Any], time: dict[str, Any]) -> dict[str, Any]:
+def _data(data: dict[str, Any], bodies: dict[str, Any]) -> dict[str, Any]:
     body = {"body": next(iter(bodies))} if len(bodies) == 1 else {}
-    end = {"time": time["duration"]} if "duration" in time else {}
     changes: dict[str, Any] = {}
     if _mapping(data.get("recordings")):
         changes["recordings"] = {name: _filled(rec, body) for name, rec in data["recordings"].items()}
     if "target" in data:  # is refused: for what is to be written in its place
-        changes["target"] = _filled(data["target"], body | end)
+        changes["target"] = _filled(data["target"], body)
     if "synthetic" in data:
         changes["synthetic"] = _filled(data["synthetic"], body)
     return {**data, **changes}
