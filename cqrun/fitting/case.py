@@ -38,7 +38,7 @@ class Case:
     holdout: bool = False
 
     @classmethod
-    def recording(cls, name: str, built: Built, comparisons: tuple[Comparison, ...], **rest: Any) -> Case:
+    def probed(cls, name: str, built: Built, comparisons: tuple[Comparison, ...], **rest: Any) -> Case:
         """Return the case whose model records what its comparisons ask for: all for the same sums of particles."""
         return cls(name, replace(built, model=replace(built.model, probe=comparisons[0].rows)), comparisons, **rest)
 

@@ -47,7 +47,7 @@ def _recorded(built: Built, name: str, spec: Recording) -> Case:
         None if spec.still is None else (spec.still[0], spec.still[1]), spec.weight,
     )  # fmt: skip
     comparison = spec.measurement.bind(recorded, matter_of(own, {}))
-    return Case.recording(name, own, (comparison,), start_path=path, start=begins, holdout=spec.holdout)
+    return Case.probed(name, own, (comparison,), start_path=path, start=begins, holdout=spec.holdout)
 
 
 def _own(built: Built, spec: Recording) -> Built:

@@ -36,7 +36,7 @@ def wanted_case(built: Built) -> Case:
         raise SceneError([_problem(scene, error.name, str(error))]) from error
     goals = {name: np.array(goal.position) for name, goal in scene.goals.items()}
     wanted = Wanted(objective, goals, matter)
-    case = Case.recording(NAME, built, (wanted,))
+    case = Case.probed(NAME, built, (wanted,))
     if problems := list(_no_distances(scene, terms, wanted.track(case.still_records()), objective)):
         raise SceneError(problems)
     return case

@@ -91,11 +91,6 @@ class MarkerComparison(SeriesComparison):
         super().__init__(spec, recorded, *series, **options)
         self.observer, self.alignment = observer, alignment
 
-    @property
-    def components(self) -> tuple[str, ...]:
-        """The axes."""
-        return tuple("xyz"[: self.data.shape[2]])
-
     def observe(self, records: Records) -> tuple[Array, Array]:
         """Return positions [m] and velocities [m/s] of the markers, both (T+1, M, D)."""
         return self.observer.observe(records)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -12,6 +12,9 @@ from cqrun.plugin.registry import plugins
 from cqrun.scene.fields import Interval, Name, Seed, Vector
 from cqrun.scene.plugin_keys import PluginKeys
 from cqrun.units import LengthUnit
+
+if TYPE_CHECKING:
+    from cqrun.measurements.measurement import Measurement
 
 
 def exactly_one(part: Spec, names: tuple[str, ...]) -> None:
@@ -43,9 +46,9 @@ class Recording(PluginKeys):
     weight: float = quantity("1", "Weight in the loss", gt=0, default=1.0)
 
     @property
-    def measurement(self) -> Any:
+    def measurement(self) -> Measurement:
         """The measurement: `markers` where none is named."""
-        return next(iter(self.chosen.values())) if self.chosen else markers()
+        return next(iter(self.chosen.values()), None) or markers()
 
     @model_validator(mode="after")
     def _measured_in_one_way(self) -> Self:
@@ -72,9 +75,10 @@ class Recording(PluginKeys):
         return self
 
 
-def markers() -> Any:
+def markers() -> Measurement:
     """Return the measurement of recordings that name none, and of synthetic data."""
-    return plugins("measurement")["markers"]()
+    markers: Measurement = plugins("measurement")["markers"]()
+    return markers
 
 
 class Synthetic(Spec):
@@ -121,12 +125,12 @@ class Data(Spec):
         exactly_one(self, ("recordings", "synthetic"))
         return self
 
-    def measurement(self, name: str) -> Any:
+    def measurement(self, name: str) -> Measurement:
         """Return the measurement of a recording, or of a sequence of synthetic data."""
         return markers() if self.recordings is None else self.recordings[name].measurement
 
     @property
-    def measurements(self) -> list[Any]:
+    def measurements(self) -> list[Measurement]:
         """The measurements of all recordings."""
         return [markers()] if self.recordings is None else [r.measurement for r in self.recordings.values()]
 

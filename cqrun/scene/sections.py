@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
@@ -16,6 +16,9 @@ from cqrun.scene.control import Episodes, Goal
 from cqrun.scene.data import Data, Recording, Synthetic, Unknown
 from cqrun.scene.fields import Memory, Name, Seed
 from cqrun.scene.world_and_time import Time, World
+
+if TYPE_CHECKING:
+    from cqrun.measurements.measurement import Measurement
 
 
 class Sections(Spec):
@@ -88,7 +91,7 @@ class Sections(Spec):
         return self.data.synthetic if self.data is not None else None
 
     @property
-    def measured(self) -> Any:
+    def measured(self) -> Measurement | None:
         """A measurement in whose unit all recordings are; None without data, or where units differ."""
         found = [] if self.data is None else self.data.measurements
         return found[0] if len({m.unit for m in found}) == 1 else None
