@@ -1,4 +1,4 @@
-# Needs git, make and Python >= 3.11; everything else goes into .venv.
+# Needs git, make and Python >= 3.11. Everything else is installed in .venv.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -8,17 +8,17 @@ DEMO := scenes/sysid/beam_twin.yaml
 SIZE ?= quick
 MINUTES ?= inf
 
-# Tests run two at a time, each on one thread, unless a test asks for more itself.
+# Two tests run at a time, each on one thread unless the test itself asks for more.
 PYTEST := NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 PARALLEL := -n 2 --dist loadfile
 
 .DEFAULT_GOAL := help
 .PHONY: help setup lint types test test-nojit test-slow test-rl test-render bench profile demo reproduce-figures clean-cache clean
 
-help: ## list these targets
+help: ## list all targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-17s %s\n", $$1, $$2}'
 
-setup: $(READY) ## make the environment in .venv, from constraints.txt
+setup: $(READY) ## create the environment in .venv, with the versions in constraints.txt
 
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -28,46 +28,46 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[dev]'
 	@touch $@
 
-lint: $(READY) ## ruff
+lint: $(READY) ## run ruff
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .
 
-types: $(READY) ## mypy
+types: $(READY) ## run mypy
 	$(BIN)/mypy
 
-test: $(READY) ## the fast tests, ruff and mypy among them
+test: $(READY) ## run the fast tests, ruff and mypy
 	$(PYTEST) $(PARALLEL)
 
-test-nojit: $(READY) ## the fast tests without whole jobs, in plain Python: slow kernels, but index errors show
+test-nojit: $(READY) ## run the fast tests without whole jobs in plain Python: slow, but index errors show
 	NUMBA_DISABLE_JIT=1 $(PYTEST) $(PARALLEL) $(addprefix --ignore=tests/,jobs cli test_scenes.py benchmarks)
 
-test-slow: $(READY) ## the tests that take minutes
+test-slow: $(READY) ## run the tests that take minutes
 	$(PYTEST) $(PARALLEL) -m slow
 
-test-rl: $(READY) ## scenes as environments, PPO, autoencoders; installs the extra `rl` (plain torch: several GB; install a CPU build first)
+test-rl: $(READY) ## test environments, PPO and autoencoders; installs the extra `rl` (plain torch is several GB: install its CPU build first)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[rl]'
 	$(PYTEST) -n0 -m rl
 
-test-render: $(READY) ## pictures in 3D and films; installs the extras `viz3d` and `video`
+test-render: $(READY) ## test 3D pictures and films; installs the extras `viz3d` and `video`
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-build-isolation --editable '.[viz3d,video]'
 	$(PYTEST) -n0 tests/figures/test_render.py
 
-bench: $(READY) ## ns per particle and substep, pass by pass, and beside the peers that are installed -> benchmarks/measured
+bench: $(READY) ## measure ns per particle and substep of each pass, and of installed peers -> benchmarks/measured
 	$(BIN)/cqrun bench --output benchmarks/measured/bench.json
 	$(BIN)/python -m benchmarks.peers
 
-profile: $(READY) ## where a run's time goes, pass by pass: make profile SCENE=path/to/scene.yaml
+profile: $(READY) ## measure the time of each pass in a scene: make profile SCENE=path/to/scene.yaml
 	$(BIN)/cqrun bench $(SCENE)
 
-demo: $(READY) ## recover the material of a soft beam from its motion, in under five minutes
+demo: $(READY) ## identify the material of a soft beam from its motion, in under five minutes
 	$(BIN)/cqrun sysid $(DEMO) --fresh
 	@echo; echo "The result: $$(ls -td results/$(basename $(notdir $(DEMO)))/*/ | head -n 1)"
 
-reproduce-figures: $(READY) ## both papers' figures with a verdict each -> results/figures/index.html; SIZE=paper takes days, MINUTES=n stops after n
+reproduce-figures: $(READY) ## rebuild both papers' figures, with verdicts -> results/figures/index.html; SIZE=paper takes days, MINUTES=n stops after n
 	$(BIN)/python -m benchmarks.papers --size $(SIZE) --minutes $(MINUTES)
 
-clean-cache: $(READY) ## forget the compiled kernels of every version
+clean-cache: $(READY) ## delete the compiled kernels of all versions
 	$(BIN)/python -c 'import platformdirs, shutil; shutil.rmtree(platformdirs.user_cache_dir("cqrun"), True)'
 
-clean: ## remove the environment and the tools' caches; results stay
+clean: ## delete the environment and the caches of tools; results stay
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

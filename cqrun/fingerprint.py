@@ -19,6 +19,7 @@ KERNELS = (
     "state.py",
     "materials",
     "actuators",
+    "forces",
     "boundaries",
     "loads",
     "engine",

@@ -11,8 +11,11 @@
     W S    spline weights and slopes;  f   position in its stencil, in cells
     *_bar  cotangent: derivative of the loss by *;   *_vjp   adjoint of *
 
-Kernels hold all of a particle's numbers as the rows of one table `q` (rows, n): x, v, C, F, row-major, packed
-lane by lane (`packed.py`), so that a lane of neighbours lies together and a checkpoint is one copy. Bodies
+Kernels hold all of a particle's numbers as the rows of one table `q` (rows, n). `StateTable` names these rows: x, v, C,
+F, and after them the histories of material terms that have one (`materials/term.py`), each row-major. What packs,
+unpacks, checkpoints, records, differentiates or writes the state asks that table, and spells no row number itself.
+
+q is packed lane by lane (`packed.py`), so that a lane of neighbours lies together and a checkpoint is one copy. Bodies
 follow each other, each padded to whole lanes with massless copies of its last particle, which move as it does
 and never leave the grid. `memory` is one flat float64 vector that controllers, actuators, observers and
 accumulators remember by; it is saved, replayed and differentiated like x.
@@ -20,8 +23,12 @@ accumulators remember by; it is saved, replayed and differentiated like x.
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from math import prod
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,17 +43,96 @@ MASS, VOLUME, DECAY, FORCE = 0, 1, 2, 3
 """Rows of the kernels' particle fields (3 + D, n): mass, rest volume, damping factor a substep, external force."""
 
 
-def rows_of(dim: int) -> tuple[int, int, int, int, int]:
-    """Return the first rows of x, v, C, F in q, and the number of rows."""
-    return 0, dim, 2 * dim, 2 * dim + dim * dim, 2 * dim + 2 * dim * dim
+class StateField(NamedTuple):
+    """Some numbers of each particle that change.
+
+    Attributes:
+        name: in `State`, in records and in files.
+        shape: of one particle's numbers; () for one number.
+        initial: these numbers at rest, row-major.
+        unit: of the numbers.
+        description: what they are.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    initial: tuple[float, ...]
+    unit: str = "1"
+    description: str = ""
+
+    @property
+    def size(self) -> int:
+        """How many numbers there are for each particle."""
+        return prod(self.shape)
+
+    def at_rest(self, n: int) -> Array:
+        """Return the initial numbers of n particles (n, *shape)."""
+        return np.tile(np.array(self.initial, float), n).reshape(n, *self.shape)
+
+
+@dataclass(frozen=True)
+class StateTable:
+    """The fields of the state, in the order of their rows in q."""
+
+    fields: tuple[StateField, ...]
+
+    @cached_property
+    def rows(self) -> dict[str, slice]:
+        """The rows of each field in q, by name."""
+        ends = np.cumsum([0, *(field.size for field in self.fields)])
+        return {field.name: slice(int(a), int(b)) for field, (a, b) in zip(self.fields, pairwise(ends), strict=True)}
+
+    @property
+    def n_rows(self) -> int:
+        """The number of rows of q."""
+        return sum(field.size for field in self.fields)
+
+    @property
+    def history(self) -> tuple[StateField, ...]:
+        """The fields that material terms add."""
+        return self.fields[len(MOTION) :]
+
+
+MOTION = ("x", "v", "C", "F")
+"""The fields of every state, in order; x comes first, so a particle's position is in the first rows of q."""
+
+
+@lru_cache
+def state_table(dim: int, history: tuple[StateField, ...] = ()) -> StateTable:
+    """Return the table of a state in `dim` dimensions, with the histories of material terms.
+
+    Raises:
+        ValueError: two fields have one name.
+    """
+    zero, vector, matrix = (0.0,), (dim,), (dim, dim)
+    identity = tuple(float(i == j) for i in range(dim) for j in range(dim))
+    motion = (
+        StateField("x", vector, zero * dim, "m", "position"),
+        StateField("v", vector, zero * dim, "m/s", "velocity"),
+        StateField("C", matrix, zero * dim**2, "1/s", "affine velocity matrix (APIC)"),
+        StateField("F", matrix, identity, "1", "deformation gradient"),
+    )
+    names = [field.name for field in (*motion, *history)]
+    if len(set(names)) < len(names):
+        raise ValueError(f"two fields of the state have one name: {names}")
+    return StateTable((*motion, *history))
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the particles of each body lie: in user arrays (N), and padded in kernels' arrays (n)."""
+    """Where the particles of each body lie: in user arrays (N), and padded in kernels' arrays (n).
+
+    `history` are the fields that material terms add to the state.
+    """
 
     dim: int
     counts: tuple[int, ...]
+    history: tuple[StateField, ...] = ()
+
+    @property
+    def table(self) -> StateTable:
+        """The fields of the state."""
+        return state_table(self.dim, self.history)
 
     @property
     def n_particles(self) -> int:
@@ -66,7 +152,7 @@ class Layout:
     def slices(self) -> list[slice]:
         """Return each body's slice of the user arrays."""
         ends = np.cumsum([0, *self.counts])
-        return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     def columns(self) -> Array:
         """Return the kernel column of each particle (N,)."""
@@ -87,40 +173,60 @@ class Layout:
 
 @dataclass
 class State:
-    """What moves, in user order; a cotangent is another State."""
+    """What moves, in user order; a cotangent is another State.
+
+    `history` has the fields of material terms by name, (N, *shape) each.
+    """
 
     x: Array
     v: Array
     C: Array
     F: Array
     memory: Array = field(default_factory=lambda: np.zeros(0))
+    history: dict[str, Array] = field(default_factory=dict)
 
     @classmethod
-    def at_rest(cls, x: Array) -> State:
+    def at_rest(cls, x: Array, history: Sequence[StateField] = ()) -> State:
         """Return undeformed particles at rest at x (N, D)."""
         n, dim = x.shape
-        return cls(x.copy(), np.zeros((n, dim)), np.zeros((n, dim, dim)), np.tile(np.eye(dim), (n, 1, 1)))
+        motion = {f.name: f.at_rest(n) for f in state_table(dim).fields} | {"x": x.copy()}
+        return cls(**motion, history={f.name: f.at_rest(n) for f in history})
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """The fields by name, without the memory."""
+        return {name: getattr(self, name) for name in MOTION} | self.history
+
+    def zeros_like(self) -> State:
+        """Return a zero cotangent."""
+        zeros = {name: np.zeros_like(getattr(self, name)) for name in (*MOTION, "memory")}
+        return State(**zeros, history={name: np.zeros_like(a) for name, a in self.history.items()})
+
+    def __add__(self, other: State) -> State:
+        """Return the sum of two cotangents; what only one of them has counts as zero in the other."""
+        total = {name: getattr(self, name) + getattr(other, name) for name in (*MOTION, "memory")}
+        both = self.history | other.history
+        shared = self.history.keys() & other.history.keys()
+        return State(**total, history=both | {name: self.history[name] + other.history[name] for name in shared})
 
     def pack(self, layout: Layout, real: type = np.float64) -> Array:
         """Return the kernels' packed q."""
-        n = layout.n_particles
-        rows = np.concatenate([a.reshape(n, -1) for a in (self.x, self.v, self.C, self.F)], axis=1)
+        n, arrays = layout.n_particles, self.arrays
+        rows = np.concatenate([arrays[f.name].reshape(n, -1) for f in layout.table.fields], axis=1)
         return pack(rows[layout.sources()].T, real)
+
+    def pack_bar(self, layout: Layout, real: type = np.float64) -> Array:
+        """Return the packed cotangent of q; histories that it lacks count as zero."""
+        missing = {f.name: np.zeros((len(self.x), *f.shape)) for f in layout.history if f.name not in self.history}
+        return replace(self, history=self.history | missing).pack(layout, real)
 
     @classmethod
     def unpack(cls, q: Array, layout: Layout, memory: Array) -> State:
         """Return the state in the kernels' packed q, as float64."""
-        d = layout.dim
-        X, V, C, F, end = rows_of(d)
-        rows = unpack(q)[:, layout.columns()].T
-        shape = (len(rows), d, d)
-        return cls(
-            rows[:, X:V].copy(),
-            rows[:, V:C].copy(),
-            rows[:, C:F].reshape(shape).copy(),
-            rows[:, F:end].reshape(shape).copy(),
-            memory.copy(),
-        )
+        table, rows = layout.table, unpack(q)[:, layout.columns()].T
+        arrays = {f.name: rows[:, table.rows[f.name]].reshape(len(rows), *f.shape).copy() for f in table.fields}
+        motion = {name: arrays.pop(name) for name in MOTION}
+        return cls(**motion, memory=memory.copy(), history=arrays)
 
 
 @dataclass

@@ -1,3 +1,3 @@
 """The version of cqrun: pyproject.toml has it too, and a test holds them equal."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import relaxation
 from numba import config
 from scipy import sparse
 
@@ -25,22 +26,29 @@ from cqrun.boundaries.slip import Slip
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.model import ActuatorModel, ConditionModel, GroupModel, Inputs, Model
 from cqrun.engine.setting import grid_shape, node_positions
+from cqrun.forces import spring
 from cqrun.materials import fixed_corotated, incompressibility, neo_hookean, viscosity
 from cqrun.state import Layout, ParticleFields, State
 
 TERMS = (
-    lambda theta: fixed_corotated.Kernel(theta, (0, 0)),
-    lambda theta: neo_hookean.Kernel(theta, (0, 0)),
-    lambda theta: viscosity.Kernel(theta, (0, 0)),
-    lambda theta: incompressibility.Kernel(theta, (0, 0), 2),
+    lambda theta: fixed_corotated.FixedCorotatedKernel(theta, (0, 0)),
+    lambda theta: neo_hookean.NeoHookeanKernel(theta, (0, 0)),
+    lambda theta: viscosity.ViscosityKernel(theta, (0, 0)),
+    lambda theta: incompressibility.IncompressibilityKernel(theta, (0, 0), 2),
+    lambda theta: relaxation.RelaxationKernel(theta, (0, 0), ()),
 )
 """The terms of every body, in the order of `Inputs.terms`; active stresses follow."""
+
+STRAIN = "relaxation.strain"
+HISTORY = ((), (), (), (), (STRAIN,))
+"""The fields of the state that the terms have."""
 
 CONDITIONS = (Friction,) * 4 + (Slip,) * 3 + (Separate, Sticky)
 """The kinds of boundary condition of every model, in the order of `Inputs.coefficients`."""
 
-STRESSES, FORCES = (muscle.Kernel, pressure.Kernel), (cable.Kernel, body_force.Kernel)
-"""The kinds of actuators of every model, in the order of `Inputs.activation`."""
+STRESSES, FORCES = (muscle.MuscleKernel, pressure.PressureKernel), (cable.CableKernel, body_force.BodyForceKernel)
+PASSIVE = spring.SpringKernel
+"""The kinds of actuators of every model, in the order of `Inputs.activation`, and of forces without an activation."""
 
 needs_jit = pytest.mark.skipif(config.DISABLE_JIT, reason="threads and speed need compiled kernels")
 """Marks a test that is of threads, or that would take minutes in plain Python."""
@@ -115,38 +123,46 @@ def conditions(walls: list[Wall], size: np.ndarray, dx: float) -> tuple[tuple[Co
 def world(
     x: np.ndarray | list[np.ndarray], *, size: list[float], dx: float, dt: float, substeps: int, controls: int,
     mass: Any = 1.0, volume: Any = 1.0, E: Any = 0.0, nu: Any = 0.3, neo_hookean: Any = 0.0, eta: Any = 0.0,
-    zeta: Any = 0.0, incompressible: Any = 0.0, damping: Any = 0.0, gravity: Any = None,
+    zeta: Any = 0.0, incompressible: Any = 0.0, relaxing: Any = 0.0, relaxation_time: Any = 1.0,
+    damping: Any = 0.0, gravity: Any = None,
     walls: list[Wall] | None = None, muscles: tuple[tuple[np.ndarray, np.ndarray], ...] = (),
-    actuators: tuple[Acting, ...] = (), activation: np.ndarray | None = None, probe: Any = None,
+    actuators: tuple[Acting, ...] = (), springs: tuple[Acting, ...] = (),
+    activation: np.ndarray | None = None, probe: Any = None,
     real: Any = np.float64, budget: int = 2**30,
 ) -> tuple[Model, Inputs]:  # fmt: skip
     """Return a model and its inputs: bodies at rest at x (N, D) each.
 
     Numbers are one for all particles or one each; `neo_hookean` and `incompressible` are the Young's moduli of
     those terms; `muscles` are (particles, direction matrix), `actuators` others after them, in the order of their
-    kinds, and `activation` (T, A) is of both.
+    kinds, and `activation` (T, A) is of both; `springs` have none.
     """
     bodies = x if isinstance(x, list) else [x]
     x = np.concatenate(bodies)
     (n, dim), size_ = x.shape, np.asarray(size, float)
-    layout = Layout(dim, tuple(len(b) for b in bodies))
+    fields_ = tuple(f._replace(name=STRAIN) for f in relaxation.Relaxation(modulus=0, time=1).history(dim))
+    layout = Layout(dim, tuple(len(b) for b in bodies), fields_)
     planes, coefficients = conditions(walls or [], size_, dx)
-    wanted = [Acting(muscle.Kernel, np.asarray(p), symmetric_rows(np.asarray(S, float))) for p, S in muscles]
+    wanted = [Acting(muscle.MuscleKernel, np.asarray(p), symmetric_rows(np.asarray(S, float))) for p, S in muscles]
     acting, chosen = every_kind([*wanted, *actuators], dim)
-    parts = tuple(ActuatorModel(f"actuator {k}", a.kind, a.particles, a.constants) for k, a in enumerate(acting))
+    passive = springs or (Acting(PASSIVE, np.zeros(0, np.int64), np.zeros(0)),)
+    parts, more = (
+        tuple(ActuatorModel(f"{name} {k}", a.kind, a.particles, a.constants) for k, a in enumerate(of))
+        for name, of in (("actuator", acting), ("spring", passive))
+    )
     model = Model(
         size_, dx, dt, substeps, controls, tuple(f"body {k}" for k in range(len(bodies))), layout,
-        (GroupModel(tuple(range(len(bodies))), TERMS, STRESSES),), planes, parts,
-        None if probe is None else sparse.csr_array(probe), real, budget,
+        (GroupModel(tuple(range(len(bodies))), TERMS, STRESSES, HISTORY),), planes, parts,
+        None if probe is None else sparse.csr_array(probe), real, budget, more,
     )  # fmt: skip
     fields = ParticleFields.zeros(n, dim)
     fields.mass[:], fields.volume[:], fields.damping[:] = mass, volume, damping
     if gravity is not None:
         fields.force[:] = fields.mass[:, None] * np.asarray(gravity, float)
-    pairs = ((E, nu), (neo_hookean, nu), (eta, zeta), (incompressible, nu))
+    pairs = ((E, nu), (neo_hookean, nu), (eta, zeta), (incompressible, nu), (relaxing, relaxation_time))
     terms = [np.array([np.broadcast_to(np.asarray(a, float), n) for a in pair]) for pair in pairs]
     signals = np.zeros((controls, len(acting)))
     if activation is not None:
         signals[:, chosen] = activation
-    rest = np.array([a.rest for a in acting])
-    return model, Inputs(State.at_rest(x), fields, [terms], signals, np.ones(len(acting)), coefficients, rest=rest)
+    rest = np.array([a.rest for a in (*acting, *passive)])
+    state = State.at_rest(x, layout.history)
+    return model, Inputs(state, fields, [terms], signals, np.ones(len(rest)), coefficients, rest=rest)

@@ -6,9 +6,11 @@ import ast
 import re
 import subprocess
 import tomllib
-from collections.abc import Iterator
-from graphlib import TopologicalSorter
+from collections.abc import Collection, Iterator, Mapping
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+
+import pytest
 
 import cqrun
 
@@ -16,25 +18,32 @@ ROOT = Path(cqrun.__file__).parents[1]
 PACKAGE = ROOT / "cqrun"
 
 FLOORS = (
-    {"contract", "registry", "units", "errors", "explain", "choice", "fingerprint"},
-    {"tensor", "lanes", "polar", "compile", "packed", "records", "wide_records", "state"},
-    {"materials", "actuators", "boundaries", "loads"},
-    {"engine"},
-    {"geometry", "observers", "controllers", "objectives", "measurements", "design", "optimizers"},
+    {"errors", "explain", "units", "fingerprint", "state", "version", "numerics", "plugin"},
+    {"materials", "actuators", "forces", "boundaries", "loads"},
+    {"engine", "geometry", "observers", "controllers", "objectives", "measurements", "design", "optimizers"},
     {"scene", "store"},
+    {"build"},
+    {"running"},
+    {"fitting", "learning"},
     {"jobs"},
     {"cli", "figures"},
 )
+APART = ({"fitting", "learning"},)
+"""Rooms of one floor that do not import each other."""
 FLOOR_OF = {name: floor for floor, names in enumerate(FLOORS) for name in names}
-DOORS = {"__init__", "__main__"}
+DOORS = {"", "__main__"}
 """Modules of the package itself: they open every floor and are imported by none of them."""
 
 HEAVY = {"numba", "scipy", "matplotlib", "h5py"}
 MOST_LINES, MOST_SCENE_LINES = 400, 50
 
 
-def modules() -> list[Path]:
-    return sorted(PACKAGE.rglob("*.py"))
+def modules() -> dict[str, Path]:
+    """Return the files of the package by the dotted names of their modules."""
+    names = {
+        path: path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".") for path in PACKAGE.rglob("*.py")
+    }
+    return {name.removesuffix(".__init__"): path for path, name in sorted(names.items())}
 
 
 def tracked() -> list[Path]:
@@ -44,65 +53,95 @@ def tracked() -> list[Path]:
     return [path for name in listing.splitlines() if (path := ROOT / name).is_file()]
 
 
-def room(path: Path) -> str:
-    """Return the part of the package a file belongs to: its folder or, on the top level, its own name."""
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+def room(module: str) -> str:
+    """Return the part of the package a module belongs to: its folder or, on the top level, its own name."""
+    return module.split(".")[1] if "." in module else ""
 
 
-def imported(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield line and dotted name of every import in a file, those inside functions too."""
-    package = [*path.relative_to(ROOT).parts[:-1]]
-    for node in ast.walk(ast.parse(path.read_text())):
+def imported(module: str, source: str, known: Collection[str]) -> Iterator[tuple[int, str]]:
+    """Yield line and module of every import of the package's own, those inside functions and for types alone too."""
+    package = module.split(".") if module in PACKAGES else module.split(".")[:-1]
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            yield from ((node.lineno, alias.name) for alias in node.names)
+            names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else []
-            source = ".".join([*base, *([node.module] if node.module else [])])
-            yield from ((node.lineno, f"{source}.{alias.name}") for alias in node.names)
+            origin = ".".join([*base, *([node.module] if node.module else [])])
+            names = [full if (full := f"{origin}.{alias.name}") in known else origin for alias in node.names]
+        else:
+            continue
+        yield from ((node.lineno, name) for name in names if name in known and name != module)
 
 
-def test_every_module_has_a_floor():
-    rooms = {room(path) for path in modules()} - DOORS
+PACKAGES = {name for name, path in modules().items() if path.name == "__init__.py"}
+
+
+def problems(sources: Mapping[str, str]) -> list[str]:
+    """Return what is wrong with the imports of modules, given their sources by name."""
+    found, uses = [], dict[str, set[str]]()
+    for module, source in sources.items():
+        uses[module] = set()
+        for line, name in imported(module, source, sources):
+            here, there = room(module), room(name)
+            if here not in FLOOR_OF or there not in FLOOR_OF:  # a door, or what the test of floors names
+                continue
+            uses[module].add(name)
+            if FLOOR_OF[there] > FLOOR_OF[here]:
+                found.append(f"{module}:{line}: floor {FLOOR_OF[here]} imports {name}")
+            if here != there and any({here, there} <= apart for apart in APART):
+                found.append(f"{module}:{line}: {here} and {there} do not import each other: {name}")
+    try:
+        TopologicalSorter(uses).prepare()
+    except CycleError as error:
+        found.append(f"circle: {' -> '.join(error.args[1])}")
+    return found
+
+
+@pytest.fixture(scope="module")
+def sources() -> dict[str, str]:
+    return {name: path.read_text() for name, path in modules().items()}
+
+
+def test_every_module_has_a_floor(sources):
+    rooms = {room(name) for name in sources} - DOORS
     assert rooms <= FLOOR_OF.keys(), f"not on any floor: {sorted(rooms - FLOOR_OF.keys())}"
 
 
-def test_imports_go_downward():
-    upward = []
-    for path in modules():
-        here = room(path)
-        if here not in FLOOR_OF:  # a door, or what the test above names
-            continue
-        for line, name in imported(path):
-            parts = name.split(".")
-            if parts[0] != "cqrun" or parts[1:] == ["__version__"]:
-                continue
-            there = FLOOR_OF.get(".".join(parts[1:2]), len(FLOORS))
-            if there > FLOOR_OF[here]:
-                upward.append(f"{path.relative_to(ROOT)}:{line}: floor {FLOOR_OF[here]} imports {name}")
-    assert not upward, "\n".join(upward)
+def test_imports_go_downward_and_in_no_circle_file_by_file(sources):
+    found = problems(sources)
+    assert not found, "\n".join(found)
 
 
-def test_rooms_of_one_floor_import_each_other_in_no_circle():
-    uses: dict[str, set[str]] = {}
-    for path in modules():
-        here = room(path)
-        found = {name.split(".")[1] for _, name in imported(path) if name.startswith("cqrun.")} - {here}
-        uses.setdefault(here, set()).update(there for there in found if there in FLOOR_OF)
-    TopologicalSorter(uses).prepare()  # raises CycleError, which names the circle
+MUTATIONS = {
+    "upward": ("cqrun.engine.step", "import cqrun.jobs.sysid\n", "floor 2 imports cqrun.jobs.sysid"),
+    "upward, relative": ("cqrun.engine.step", "from ..jobs import sysid\n", "floor 2 imports cqrun.jobs.sysid"),
+    "upward, in a function": (
+        "cqrun.store.run", "def f():\n    from cqrun.running import runs\n", "floor 3 imports cqrun.running.runs",
+    ),
+    "a circle of files in one room": (
+        "cqrun.engine.setting", "from cqrun.engine import step\n", "circle: cqrun.engine.",
+    ),
+    "a circle for types alone": (
+        "cqrun.scene.sections",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from cqrun.scene.schema import Scene\n",
+        "circle: cqrun.scene.",
+    ),
+    "a circle inside a function": (
+        "cqrun.store.recording", "def f():\n    import cqrun.store.recordings\n", "circle: cqrun.store.",
+    ),
+    "rooms that are apart": (
+        "cqrun.fitting.problem", "from cqrun.learning.agent import Agent\n", "do not import each other: cqrun.learning",
+    ),
+}  # fmt: skip
 
 
-def test_the_walk_sees_imports_of_every_form():
-    nested = PACKAGE / "engine" / "__init__.py"
-    source = "import cqrun.jobs.sysid\nfrom cqrun import jobs\ndef f():\n    from ..jobs import sysid\n"
-    stand_in = _Text(nested, source)
-    assert [name for _, name in imported(stand_in)] == ["cqrun.jobs.sysid", "cqrun.jobs", "cqrun.jobs.sysid"]
-
-
-class _Text:
-    """A file's place with other contents."""
-
-    def __init__(self, place: Path, text: str) -> None:
-        self.relative_to, self.read_text = place.relative_to, lambda: text
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_the_walk_finds_every_kind_of_wrong_import(name, sources):
+    module, line, message = MUTATIONS[name]
+    source = sources[module].replace(
+        "from __future__ import annotations\n", f"from __future__ import annotations\n{line}", 1
+    )
+    assert any(message in problem for problem in problems({**sources, module: source}))
 
 
 def test_modules_are_one_room():

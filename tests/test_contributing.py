@@ -1,7 +1,8 @@
-"""The worked example of CONTRIBUTING.md, run as it stands."""
+"""The worked examples of CONTRIBUTING.md, run as they stand: a kernel plug-in and a NumPy plug-in."""
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import json
 import os
@@ -9,15 +10,20 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import get_args
 
 import numpy as np
 import pytest
+from made_matter import made_matter
+from made_tracks import a_track, adjoint_error
 from numba import config
 from plugin_sandbox import sandbox
 
 from cqrun.cli.describe import _lines
+from cqrun.objectives.term import Over
 from cqrun.plugin import registry
 
 ROOT = Path(__file__).parents[1]
@@ -27,11 +33,17 @@ THETA = (2.0e5, 0.3)
 whole_job = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="a whole job takes minutes without the compiler")
 
 
-def block(language: str) -> str:
-    """Return the only block of a language in the page."""
-    blocks = re.findall(rf"^```{language}\n(.*?)^```$", (ROOT / "CONTRIBUTING.md").read_text(), re.M | re.S)
-    assert len(blocks) == 1
-    return blocks[0]
+def section(number: int) -> str:
+    """Return the text of an example of the page."""
+    page = (ROOT / "CONTRIBUTING.md").read_text()
+    (text,) = re.findall(rf"^## Example {number}: .*?(?=^## |\Z)", page, re.M | re.S)
+    return text
+
+
+def block(language: str, number: int = 1) -> str:
+    """Return the only block of a language in an example of the page."""
+    (text,) = re.findall(rf"^```{language}\n(.*?)^```$", section(number), re.M | re.S)
+    return text
 
 
 @pytest.fixture
@@ -39,16 +51,22 @@ def source() -> str:
     return block("python")
 
 
-@pytest.fixture
-def example(source, tmp_path) -> Iterator[ModuleType]:
-    """Import the example as the part of the package it would be, and forget it afterwards."""
+@contextmanager
+def part_of_the_package(name: str, source: str, folder: Path) -> Iterator[ModuleType]:
+    """Import an example as the part of the package it would be, and forget it afterwards."""
     with sandbox(), pytest.MonkeyPatch.context() as patch:
-        path = tmp_path / f"{NAME}.py"
+        path = folder / f"{name.rpartition('.')[2]}.py"
         path.write_text(source)
-        spec = importlib.util.spec_from_file_location(f"cqrun.materials.{NAME}", path)
+        spec = importlib.util.spec_from_file_location(name, path)
         module = importlib.util.module_from_spec(spec)
         patch.setitem(sys.modules, spec.name, module)
         spec.loader.exec_module(module)
+        yield module
+
+
+@pytest.fixture
+def example(source, tmp_path) -> Iterator[ModuleType]:
+    with part_of_the_package(f"cqrun.materials.{NAME}", source, tmp_path) as module:
         yield module
 
 
@@ -120,9 +138,10 @@ def test_it_is_found_and_described(example):
     assert "youngs_modulus: [Pa], number, > 0, required, differentiable" in text
 
 
-def test_it_obeys_the_linter(source, tmp_path):
-    path = tmp_path / f"{NAME}.py"
-    path.write_text(source)
+@pytest.mark.parametrize("number", [1, 2])
+def test_it_obeys_the_linter(number, tmp_path):
+    path = tmp_path / "example.py"
+    path.write_text(block("python", number))
     command = [sys.executable, "-m", "ruff", "check", "--config", str(ROOT / "pyproject.toml"), str(path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
@@ -149,3 +168,67 @@ def test_its_adjoint_agrees_with_complex_step(example, rng, dim):
     forward = np.dot(np.imag(moved) / h, tau_bar)
     assert np.dot(F_bar, F_dot) + np.dot(theta_bar, theta_dot) == pytest.approx(forward, rel=1e-12)
     assert C_bar == (0.0,) * n
+
+
+# --- the NumPy plug-in ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def level(tmp_path) -> Iterator[type]:
+    """Return the objective of the second example, as a part of the package."""
+    with part_of_the_package("cqrun.objectives.level", block("python", 2), tmp_path) as module:
+        yield module.Level
+
+
+@pytest.fixture
+def table(tmp_path) -> Path:
+    """Return a user's folder, with the two files of the second example."""
+    (tmp_path / "level.py").write_text(block("python", 2))
+    (tmp_path / "level.yaml").write_text(block("yaml", 2))
+    return tmp_path
+
+
+def test_the_objective_is_found_and_described(level):
+    assert registry.plugins("objective")["level"] is level
+    text = "\n".join(_lines("objective", "level"))
+    assert "groups: list of text, required" in text
+
+
+@pytest.mark.parametrize("over", get_args(Over))
+@pytest.mark.parametrize("dim", [2, 3])
+def test_dot_product_of_the_objective(level, dim, over, rng):
+    """The line that the page adds to the generated tests, with what they ask."""
+    (line,) = re.findall(r'^    "level": (\[.*\]),$', section(2), re.M)
+    for fields in ast.literal_eval(line):
+        bound = level.model_validate(fields | {"over": over}).bind(made_matter(dim))
+        track = a_track(bound.rows.shape[0], dim, rng)
+        assert adjoint_error(bound.value, bound.value_vjp, track, rng) <= 1e-9
+
+
+def test_a_level_body_costs_nothing(level, rng):
+    bound = level.model_validate({"body": "arm", "groups": ["left", "tip"]}).bind(made_matter(2))
+    track = a_track(2, 2, rng)
+    track.x[-1, :, 1] = [0.3, 0.1]
+    assert bound.value(track) == pytest.approx(0.04)
+    track.x[-1, :, 1] = 0.2
+    assert bound.value(track) == 0.0
+
+
+@whole_job
+def test_the_table_learns_to_be_level(table):
+    words = ("level.yaml", "--allow-plugins", "--quiet", "--threads", "1")
+    told = re.search(r"falls from (\S+) to (\S+) m\^2", section(2)).groups()
+    result = json.loads((run_of(cqrun("control", *words, folder=table), table) / "result.json").read_text())
+    learned = [f"{result[when]['terms']['level']:.2g}" for when in ("start", "trained")]
+    assert [float(number) for number in learned] == [float(number) for number in told]
+    done = cqrun("gradcheck", *words, folder=table)
+    assert done.returncode == 0, done.stdout
+    assert "adjoint and differences agree" in done.stdout
+
+
+def test_a_group_that_the_table_has_not_is_an_error(table):
+    (table / "level.yaml").write_text(block("yaml", 2).replace("right_end]", "right_and]"))
+    done = cqrun("validate", "level.yaml", "--allow-plugins", folder=table)
+    assert done.returncode == 2
+    assert "right_and" in done.stderr
+    assert "right_end" in done.stderr

@@ -27,10 +27,25 @@ def test_the_readme_has_every_command():
     assert set(re.findall(r"^\| `cqrun (\w+)", README, re.MULTILINE)) == NAMES
 
 
+FENCED = re.compile(r"^```\w*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def code_of(text: str) -> str:
+    """Return the code of a page: fenced blocks, then what stands between backticks, then indented lines."""
+    rest = FENCED.sub("", text)
+    indented = re.findall(r"^    (.*)$", rest, re.MULTILINE)
+    return "\n".join([*FENCED.findall(text), *re.findall(r"`([^`]+)`", rest), *indented])
+
+
+def test_code_is_told_from_prose():
+    page = "Say `cqrun a`, or\n\n```yaml\ncqrun: 1\n```\n\nthen cqrun does `b`.\n\n    cqrun c\n"
+    assert code_of(page).split("\n") == ["cqrun: 1", "", "cqrun a", "b", "cqrun c"]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_a_page_names_only_what_there_is(page):
     text = page.read_text()
-    code = "\n".join(re.findall(r"`([^`]+)`", text) + re.findall(r"^    (.*)$", text, re.MULTILINE))
+    code = code_of(text)
     assert set(re.findall(r"\bcqrun ([a-z]+)\b", code)) <= NAMES
     assert set(re.findall(r"\bmake ([a-z-]+)\b", code)) <= TARGETS
     links = [link for link in re.findall(r"\]\(([^)#]+)", text) if "://" not in link]

@@ -2,27 +2,23 @@
 
 An activation is one number, held through a control step; a stress or a force is proportional to it and to the
 actuator's strength (a modulus, a pressure, a stiffness: the field that `scale` names). Stress actuators are terms of
-the Kirchhoff stress (`materials/term.py`) whose parameters the activations fill; the others push particles
-(`push.py`).
+the Kirchhoff stress (`materials/term.py`) whose parameters the activations fill; the others exert forces on particles,
+which depend on the state (`forces/force.py`) or are steady through a control step (`forces/steady.py`).
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from cqrun.explain import Loc
+from cqrun.forces.force import Inside
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin, quantity
-
-Point = Annotated[list[float], Field(min_length=2, max_length=3)]
-
-Inside = Callable[[str | None, Any], Array]
-"""From a body and a region, each or neither, to the indices of the particles there."""
+from cqrun.plugin.reference import BodyName, GroupName
 
 
 class Actuator(Plugin):
@@ -31,7 +27,7 @@ class Actuator(Plugin):
     An actuator may have several parts, each with an activation of its own.
     """
 
-    body: str = Field(description="Body it lies in")
+    body: BodyName = Field(description="Body it lies in")
     rate: float | None = quantity(
         "1/s", "Greatest change of the activation in a second, at first from where it does nothing; any if absent",
         gt=0, default=None,
@@ -45,11 +41,6 @@ class Actuator(Plugin):
 
     kernel: ClassVar[type]
     """The class of the kernels' view: of a term of the stress, or of a force."""
-
-    @property
-    def full(self) -> float:
-        """What an activation of 1 stands for: the value of the field that `scale` names."""
-        return float(getattr(self, self.scale))
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -109,7 +100,7 @@ class RegionActuator(Actuator):
     region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
         description="Where, at rest; the whole body if absent", default=None
     )
-    each: list[str] | None = Field(
+    each: list[GroupName] | None = Field(
         description="Groups of the body, each with an activation of its own", min_length=1, default=None
     )
 

@@ -5,20 +5,21 @@ f_p = activation acceleration m_p n, with the unit vector n. Alone among the act
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from cqrun.actuators.actuator import RegionActuator
-from cqrun.actuators.push import register_push, starts_of
 from cqrun.explain import Loc
+from cqrun.forces.force import Levels
+from cqrun.forces.steady import register_steady, starts_of
 from cqrun.numerics.compile import kernel
 from cqrun.plugin.contract import Array, quantity, vector
 from cqrun.plugin.registry import plugin
 from cqrun.state import MASS
 
 
-class Kernel(NamedTuple):
+class BodyForceKernel(NamedTuple):
     """All body forces of a scene."""
 
     start: Array  # (A_k + 1,) where an actuator's particles begin
@@ -35,7 +36,7 @@ class BodyForce(RegionActuator):
     acceleration: float = quantity("m/s^2", "Acceleration at activation 1", differentiable=True, ge=0)
 
     scale = "acceleration"
-    kernel = Kernel
+    kernel = BodyForceKernel
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
@@ -51,18 +52,18 @@ class BodyForce(RegionActuator):
         return np.array(self.direction) / np.linalg.norm(self.direction)
 
 
-def make_kernel(actuators: Array, columns: list[Array], constants: list[Array]) -> Kernel:
+def make_kernel(actuators: Array, columns: list[Array], constants: list[Array]) -> BodyForceKernel:
     """Return the kernels' view of all body forces."""
-    return Kernel(*starts_of(columns), actuators, np.array(constants))
+    return BodyForceKernel(*starts_of(columns), actuators, np.array(constants))
 
 
 @kernel
-def accelerate(bodies: Kernel, drive: Any, control: int, q: Array, fields: Array, force: Array) -> None:
+def accelerate(bodies: BodyForceKernel, levels: Levels, control: int, fields: Array, force: Array) -> None:
     """Add the forces."""
     w = force.shape[2]
     for k in range(len(bodies.actuators)):
         a = bodies.actuators[k]
-        pull = drive.activation[control, a] * drive.strength[a]
+        pull = levels.activation[control, a] * levels.strength[a]
         for index in range(bodies.start[k], bodies.start[k + 1]):
             p = bodies.columns[index]
             for d in range(force.shape[1]):
@@ -71,14 +72,19 @@ def accelerate(bodies: Kernel, drive: Any, control: int, q: Array, fields: Array
 
 @kernel
 def accelerate_vjp(
-    bodies: Kernel, drive: Any, drive_bar: Any, control: int, q: Array, q_bar: Array, fields: Array, fields_bar: Array
+    bodies: BodyForceKernel,
+    levels: Levels,
+    levels_bar: Levels,
+    control: int,
+    fields: Array,
+    fields_bar: Array,
+    force_bar: Array,
 ) -> None:
     """Carry the cotangent of the forces back to activation, strength and mass."""
-    force_bar = drive_bar.push
     w = force_bar.shape[2]
     for k in range(len(bodies.actuators)):
         a, total = bodies.actuators[k], 0.0
-        pull = drive.activation[control, a] * drive.strength[a]
+        pull = levels.activation[control, a] * levels.strength[a]
         for index in range(bodies.start[k], bodies.start[k + 1]):
             p = bodies.columns[index]
             along = 0.0
@@ -86,8 +92,8 @@ def accelerate_vjp(
                 along += force_bar[p // w, d, p % w] * bodies.direction[k, d]
             total += along * fields[p // w, MASS, p % w]
             fields_bar[p // w, MASS, p % w] += pull * along
-        drive_bar.activation[control, a] += total * drive.strength[a]
-        drive_bar.strength[a] += total * drive.activation[control, a]
+        levels_bar.activation[control, a] += total * levels.strength[a]
+        levels_bar.strength[a] += total * levels.activation[control, a]
 
 
-register_push(Kernel, make_kernel, accelerate, accelerate_vjp)
+register_steady(BodyForceKernel, make_kernel, accelerate, accelerate_vjp)

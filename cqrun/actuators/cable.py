@@ -11,25 +11,38 @@ t_i = (x_{i+1} - x_i) / |x_{i+1} - x_i|. It adds no net force and no net torque.
 
 from __future__ import annotations
 
-import itertools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from cqrun.actuators.actuator import Actuator, Inside, Point
-from cqrun.actuators.push import register_push, starts_of
+from cqrun.actuators.actuator import Actuator
 from cqrun.explain import Loc
+from cqrun.forces.force import ACTIVATION, REST, STRENGTH, Inside, Levels, Shares, register_force
+from cqrun.forces.route import (
+    Point,
+    clear_item,
+    length_along,
+    particles_along,
+    pull_along,
+    pull_along_vjp,
+    route_length,
+    route_length_vjp,
+    route_problem,
+    route_problems,
+    segments_of,
+    tension_bar,
+)
 from cqrun.numerics.compile import kernel
 from cqrun.plugin.contract import Array, quantity
 from cqrun.plugin.registry import plugin
 
 
-class Kernel(NamedTuple):
+class CableKernel(NamedTuple):
     """All cables of a scene."""
 
-    start: Array  # (A_k + 1,) where a cable's particles begin
-    columns: Array  # particles along the routes, in order
-    actuators: Array  # (A_k,)
+    shares: Shares
+    parts: Array
+    constants: Array
 
 
 @plugin("actuator", "cable")
@@ -51,7 +64,7 @@ class Cable(Actuator):
 
     scale = "stiffness"
     neutral = 1.0
-    kernel = Kernel
+    kernel = CableKernel
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -60,56 +73,15 @@ class Cable(Actuator):
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        return (
-            super().dim_problems(dim)
-            + [
-                (("route", k), f"must have {dim} entries in this {dim}D world, has {len(point)}")
-                for k, point in enumerate(self.route)
-                if len(point) != dim
-            ]
-            + [
-                (("route", k + 1), "is where the point before it is: remove one of the two")
-                for k, (one, next_one) in enumerate(itertools.pairwise(self.route))
-                if one == next_one
-            ]
-        )
+        return super().dim_problems(dim) + route_problems(self.route, dim)
 
     def particles(self, part: str, x: Array, inside: Inside) -> Array:
         """Return the particles along the route, in order; see `Actuator.particles`."""
-        own = inside(self.body, None)
-
-        def nearest(place: Array) -> int:
-            return int(own[np.argmin(((x[own] - place) ** 2).sum(axis=1))])
-
-        points = np.array(self.route)
-        tied = [nearest(point) for point in points]
-        route = tied[:1]
-        for k, (begin, end) in enumerate(itertools.pairwise(points)):
-            pieces = 1 if self.spacing is None else max(1, round(float(np.linalg.norm(end - begin)) / self.spacing))
-            for piece in range(1, pieces):
-                found = nearest(begin + (end - begin) * piece / pieces)
-                # a line that is tied more often than there are particles meets some of them again
-                if found not in (route[-1], tied[k + 1]):
-                    route.append(found)
-            route.append(tied[k + 1])
-        return np.array(route, np.int64)
+        return particles_along(self.route, self.spacing, self.body, x, inside)
 
     def problem(self, x: Array, dx: float) -> str | None:
         """Return what is wrong with a route along particles at x (r, D) in cells of dx, or None."""
-        for point in self.route:
-            gap = np.linalg.norm(x - np.array(point), axis=1)
-            if gap.min() > dx:
-                near, place = (", ".join(f"{c:.4g}" for c in of) for of in (x[np.argmin(gap)], point))
-                return (
-                    f"its point ({place}) is {gap.min():.3g} m from the body '{self.body}', whose nearest particle at "
-                    f"rest is at ({near}): each point of a route lies within a cell ({dx:.3g} m) of a particle"
-                )
-        different = len(np.unique(x, axis=0))
-        if different < 2:
-            return "runs through fewer than two particles: lengthen the route"
-        if different < len(x):
-            return "runs through a particle twice: separate the points of the route, or tie it less often (`spacing`)"
-        return None
+        return route_problem(self.route, self.body, x, dx)
 
     def constants(self, x: Array) -> Array:
         """Return nothing."""
@@ -117,44 +89,15 @@ class Cable(Actuator):
 
     def rest_length(self, x: Array) -> float:
         """Return the length [m] of a route along particles at x (r, D) [m]."""
-        return float(np.linalg.norm(np.diff(x, axis=0), axis=1).sum())
+        return route_length(x)
 
     def rest_length_vjp(self, x: Array, bar: float) -> Array:
         """Return the cotangent of x (r, D)."""
-        gaps = np.diff(x, axis=0)
-        along = bar * gaps / np.linalg.norm(gaps, axis=1, keepdims=True)
-        ends = np.zeros((1, x.shape[1]))
-        return np.asarray(np.concatenate([ends, along]) - np.concatenate([along, ends]))
+        return route_length_vjp(x, bar)
 
     def stiffness_at_nodes(self, strength: float) -> float:
         """Return that of a node between two springs of the cable's stiffness [N/m]."""
         return 4.0 * strength
-
-
-def make_kernel(actuators: Array, columns: list[Array], constants: list[Array]) -> Kernel:
-    """Return the kernels' view of all cables."""
-    return Kernel(*starts_of(columns), actuators)
-
-
-@kernel
-def segment(q: Array, p: int, r: int, in_3d: bool) -> tuple[float, float, float, float]:
-    """Return the unit vector from particle p to particle r, and their distance [m]."""
-    w = q.shape[2]
-    x = q[r // w, 0, r % w] - q[p // w, 0, p % w]
-    y = q[r // w, 1, r % w] - q[p // w, 1, p % w]
-    z = q[r // w, 2, r % w] - q[p // w, 2, p % w] if in_3d else 0.0 * x
-    length = np.sqrt(x * x + y * y + z * z)
-    inverse = 1.0 / length if length > 0.0 else 0.0 * length
-    return x * inverse, y * inverse, z * inverse, length
-
-
-@kernel
-def stretch(cables: Kernel, k: int, left: float, q: Array, in_3d: bool) -> float:
-    """Return how far a cable is stretched beyond what is left of it [m]; negative where it is slack."""
-    total = 0.0
-    for i in range(cables.start[k], cables.start[k + 1] - 1):
-        total += segment(q, cables.columns[i], cables.columns[i + 1], in_3d)[3]
-    return total - left
 
 
 @kernel
@@ -164,78 +107,37 @@ def reeled(u: float) -> float:
 
 
 @kernel
-def add_to(table: Array, p: int, x: float, y: float, z: float, in_3d: bool) -> None:
-    """Add a vector to a particle's first rows of a packed table."""
-    w = table.shape[2]
-    table[p // w, 0, p % w] += x
-    table[p // w, 1, p % w] += y
-    if in_3d:
-        table[p // w, 2, p % w] += z
+def pull(cables: CableKernel, item: int, levels: Levels, control: int, q: Array) -> None:
+    """Write the shares of one cable."""
+    a, shares = cables.parts[item], cables.shares
+    left = reeled(levels.activation[control, a]) * levels.rest[a]
+    tension = levels.strength[a] * (length_along(shares, item, q) - left)
+    # what is not a number pulls too, so that it is found where it moves a particle
+    if not tension <= 0.0:
+        pull_along(shares, item, tension, q)
+    else:
+        clear_item(shares.force, shares, item)
 
 
 @kernel
-def pull(cables: Kernel, drive: Any, control: int, q: Array, fields: Array, force: Array) -> None:
-    """Add the cables' forces."""
-    in_3d = force.shape[1] == 3
-    for k in range(len(cables.actuators)):
-        a = cables.actuators[k]
-        left = reeled(drive.activation[control, a]) * drive.rest[a]
-        tension = drive.strength[a] * stretch(cables, k, left, q, in_3d)
-        # what is not a number pulls too, so that it is found where it moves a particle
-        if not tension <= 0.0:
-            for i in range(cables.start[k], cables.start[k + 1] - 1):
-                p, r = cables.columns[i], cables.columns[i + 1]
-                x, y, z, _ = segment(q, p, r, in_3d)
-                add_to(force, p, tension * x, tension * y, tension * z, in_3d)
-                add_to(force, r, -tension * x, -tension * y, -tension * z, in_3d)
-
-
-@kernel
-def difference(force_bar: Array, p: int, r: int, in_3d: bool) -> tuple[float, float, float]:
-    """Return the cotangent of the force on p less that of the force on r."""
-    w = force_bar.shape[2]
-    x = force_bar[p // w, 0, p % w] - force_bar[r // w, 0, r % w]
-    y = force_bar[p // w, 1, p % w] - force_bar[r // w, 1, r % w]
-    z = force_bar[p // w, 2, p % w] - force_bar[r // w, 2, r % w] if in_3d else 0.0 * x
-    return x, y, z
-
-
-@kernel
-def pull_vjp(
-    cables: Kernel, drive: Any, drive_bar: Any, control: int, q: Array, q_bar: Array, fields: Array, fields_bar: Array
-) -> None:
+def pull_vjp(cables: CableKernel, item: int, levels: Levels, control: int, q: Array, push_bar: Array) -> None:
     """Carry the cotangent of the forces back: through the tension, and through the segments' directions."""
-    force_bar = drive_bar.push
-    in_3d = force_bar.shape[1] == 3
-    for k in range(len(cables.actuators)):
-        a = cables.actuators[k]
-        u, stiffness = drive.activation[control, a], drive.strength[a]
-        s = stretch(cables, k, reeled(u) * drive.rest[a], q, in_3d)
-        # one-sided at the kinks: just taut (s = 0) as if stretched; reeled in (u = 0) as for u > 0,
-        # the only side within the limits
-        if s >= 0.0:
-            tension, tension_bar = stiffness * s, 0.0
-            for i in range(cables.start[k], cables.start[k + 1] - 1):
-                p, r = cables.columns[i], cables.columns[i + 1]
-                x, y, z, _ = segment(q, p, r, in_3d)
-                fx, fy, fz = difference(force_bar, p, r, in_3d)
-                tension_bar += fx * x + fy * y + fz * z
-            length_bar = stiffness * tension_bar
-            drive_bar.strength[a] += s * tension_bar
-            drive_bar.rest[a] -= reeled(u) * length_bar
-            if u >= 0.0:
-                drive_bar.activation[control, a] -= drive.rest[a] * length_bar
-            for i in range(cables.start[k], cables.start[k + 1] - 1):
-                p, r = cables.columns[i], cables.columns[i + 1]
-                x, y, z, length = segment(q, p, r, in_3d)
-                fx, fy, fz = difference(force_bar, p, r, in_3d)
-                along = fx * x + fy * y + fz * z
-                turn = tension / length if length > 0.0 else 0.0 * length
-                dx = turn * (fx - along * x) + length_bar * x
-                dy = turn * (fy - along * y) + length_bar * y
-                dz = turn * (fz - along * z) + length_bar * z
-                add_to(q_bar, r, dx, dy, dz, in_3d)
-                add_to(q_bar, p, -dx, -dy, -dz, in_3d)
+    a, shares = cables.parts[item], cables.shares
+    u, stiffness = levels.activation[control, a], levels.strength[a]
+    s = length_along(shares, item, q) - reeled(u) * levels.rest[a]
+    # one-sided at the kinks: just taut (s = 0) as if stretched; reeled in (u = 0) as for u > 0,
+    # the only side within the limits
+    shares.level_bar[item, :] = 0.0
+    if s >= 0.0:
+        T_bar = tension_bar(shares, item, q, push_bar)
+        length_bar = stiffness * T_bar
+        shares.level_bar[item, STRENGTH] = s * T_bar
+        shares.level_bar[item, REST] = -(reeled(u) * length_bar)
+        if u >= 0.0:
+            shares.level_bar[item, ACTIVATION] = -(levels.rest[a] * length_bar)
+        pull_along_vjp(shares, item, stiffness * s, length_bar, q, push_bar)
+    else:
+        clear_item(shares.x_bar, shares, item)
 
 
-register_push(Kernel, make_kernel, pull, pull_vjp)
+register_force(CableKernel, segments_of, pull, pull_vjp)

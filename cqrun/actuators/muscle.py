@@ -19,7 +19,7 @@ from cqrun.plugin.contract import Array, quantity
 from cqrun.plugin.registry import plugin
 
 
-class Kernel(NamedTuple):
+class MuscleKernel(NamedTuple):
     """What kernels see: rows S_ij (D * (D + 1) / 2: diagonal first) [Pa], filled from the activations."""
 
     theta: Array
@@ -36,7 +36,7 @@ class Muscle(DirectedStress):
     strength: float = quantity("Pa", "Active stress at activation 1", differentiable=True, ge=0)
 
     scale = "strength"
-    kernel = Kernel
+    kernel = MuscleKernel
 
     def constants(self, x: Array) -> Array:
         """Return S / (activation strength) as rows (D (D + 1) / 2,)."""
@@ -98,4 +98,4 @@ def _to_rows_vjp(S_bar):
     return _TO[len(S_bar)]
 
 
-register(Kernel, stress, stress_vjp)
+register(MuscleKernel, stress, stress_vjp)

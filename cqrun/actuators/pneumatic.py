@@ -46,7 +46,7 @@ class Pneumatic(DirectedStress):
     @property
     def kernel(self) -> type:  # type: ignore[override]
         """The class of the kernels' view, of the law."""
-        return pressure.Kernel if self.law == "pressure" else muscle.Kernel
+        return pressure.PressureKernel if self.law == "pressure" else muscle.MuscleKernel
 
     def constants(self, x: Array) -> Array:
         """Return the pressure (1,), or S as rows (D (D + 1) / 2,), at activation and strength 1."""

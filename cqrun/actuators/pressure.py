@@ -12,7 +12,7 @@ from cqrun.numerics.tensor import cofactor, det, plus_diagonal, scale, trace
 from cqrun.plugin.contract import Array
 
 
-class Kernel(NamedTuple):
+class PressureKernel(NamedTuple):
     """What kernels see: one row, the pressure [Pa], filled from the activations."""
 
     theta: Array
@@ -30,4 +30,4 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
     return (pull * det(F),), scale(cofactor(F), pull * theta[0]), zeros_like_rows(F)
 
 
-register(Kernel, stress, stress_vjp)
+register(PressureKernel, stress, stress_vjp)

@@ -13,21 +13,24 @@ At a kink the branch of H(x) = [x >= 0] is taken, as in CQ1.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numba.core import types
-from numba.extending import overload, register_jitable
+from numba.extending import overload
 from pydantic import Field, model_validator
 
 from cqrun.numerics.compile import named, own_symbols, written
+from cqrun.numerics.dispatch import ByClass
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin, quantity, vector
+from cqrun.plugin.reference import Face
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "z_min", "z_max")
 
-_PROJECT: dict[type, Callable[..., Any]] = {}
-_PROJECT_VJP: dict[type, Callable[..., Any]] = {}
+_PROJECT = ByClass("project", "condition, v")
+_PROJECT_VJP = ByClass("project_vjp", "condition, v, out_bar")
+project, project_vjp = _PROJECT.call, _PROJECT_VJP.call
 
 
 class NodeNormals(NamedTuple):
@@ -47,9 +50,7 @@ class BoundaryCondition(Plugin):
     """A condition on grid nodes: on faces of the world, or in a region."""
 
     needs_normal: ClassVar[bool] = True
-    face: Literal["x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "all"] | None = Field(
-        description="Face of the world, or all of them", default=None
-    )
+    face: Face | None = Field(description="Face of the world, or all of them", default=None)
     region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
         description="Region whose nodes are held", default=None
     )
@@ -118,30 +119,8 @@ class BoundaryCondition(Plugin):
 
 def register(kernel_class: type, project_: Callable[..., Any], project_vjp_: Callable[..., Any]) -> None:
     """Make the two functions those of a kernel class."""
-    own_symbols(kernel_class)
-    _PROJECT[kernel_class], _PROJECT_VJP[kernel_class] = project_, project_vjp_
-
-
-def project(condition: Any, v: Any) -> Any:
-    """Return a node's velocity after one condition."""
-    return _PROJECT[type(condition)](condition, v)
-
-
-def project_vjp(condition: Any, v: Any, out_bar: Any) -> Any:
-    """Return (v_bar, coefficient_bar) of one condition."""
-    return _PROJECT_VJP[type(condition)](condition, v, out_bar)
-
-
-@overload(project)
-def _project(condition, v):
-    body = register_jitable(_PROJECT[condition.instance_class])
-    return lambda condition, v: body(condition, v)
-
-
-@overload(project_vjp)
-def _project_vjp(condition, v, out_bar):
-    body = register_jitable(_PROJECT_VJP[condition.instance_class])
-    return lambda condition, v, out_bar: body(condition, v, out_bar)
+    _PROJECT.register(kernel_class, project_)
+    _PROJECT_VJP.register(kernel_class, project_vjp_)
 
 
 # --- all conditions that hold a node: bit k of `held` is condition k ----------------------------------------

@@ -21,7 +21,7 @@ SMOOTHING = 1e-7
 """eps [(m/s)^2] of both papers: keeps v_t / l_t defined at rest."""
 
 
-class Kernel(NamedTuple):
+class FrictionKernel(NamedTuple):
     """What kernels see."""
 
     normal: tuple[float, ...]
@@ -34,8 +34,8 @@ class Friction(BoundaryCondition):
 
     coefficient: float = quantity("1", "Coulomb friction coefficient", differentiable=True, ge=0)
 
-    def kernel_condition(self, normal: Any) -> Kernel:
-        return Kernel(normal, self.coefficient)
+    def kernel_condition(self, normal: Any) -> FrictionKernel:
+        return FrictionKernel(normal, self.coefficient)
 
 
 def rub(condition: Any, v: Any) -> Any:
@@ -65,4 +65,4 @@ def rub_vjp(condition: Any, v: Any, out_bar: Any) -> Any:
     return add(v_t_bar, scale(n, l_n_bar - dot(v_t_bar, n))), left_bar * pressed
 
 
-register(Kernel, rub, rub_vjp)
+register(FrictionKernel, rub, rub_vjp)

@@ -9,7 +9,7 @@ from cqrun.numerics.tensor import dot, scale, sub
 from cqrun.plugin.registry import plugin
 
 
-class Kernel(NamedTuple):
+class SeparateKernel(NamedTuple):
     """What kernels see."""
 
     normal: tuple[float, ...]
@@ -20,8 +20,8 @@ class Kernel(NamedTuple):
 class Separate(BoundaryCondition):
     """A frictionless wall that lets go: v - min(v . n, 0) n."""
 
-    def kernel_condition(self, normal: Any) -> Kernel:
-        return Kernel(normal, 0.0)
+    def kernel_condition(self, normal: Any) -> SeparateKernel:
+        return SeparateKernel(normal, 0.0)
 
 
 def stop(condition: Any, v: Any) -> Any:
@@ -37,4 +37,4 @@ def stop_vjp(condition: Any, v: Any, out_bar: Any) -> Any:
     return sub(out_bar, scale(condition.normal, dot(out_bar, condition.normal))), 0.0
 
 
-register(Kernel, stop, stop_vjp)
+register(SeparateKernel, stop, stop_vjp)

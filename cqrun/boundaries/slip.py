@@ -9,7 +9,7 @@ from cqrun.numerics.tensor import dot, scale, sub
 from cqrun.plugin.registry import plugin
 
 
-class Kernel(NamedTuple):
+class SlipKernel(NamedTuple):
     """What kernels see."""
 
     normal: tuple[float, ...]
@@ -20,8 +20,8 @@ class Kernel(NamedTuple):
 class Slip(BoundaryCondition):
     """A frictionless wall that also holds what would leave it: v - (v . n) n."""
 
-    def kernel_condition(self, normal: Any) -> Kernel:
-        return Kernel(normal, 0.0)
+    def kernel_condition(self, normal: Any) -> SlipKernel:
+        return SlipKernel(normal, 0.0)
 
 
 def slide(condition: Any, v: Any) -> Any:
@@ -34,4 +34,4 @@ def slide_vjp(condition: Any, v: Any, out_bar: Any) -> Any:
     return sub(out_bar, scale(condition.normal, dot(out_bar, condition.normal))), 0.0
 
 
-register(Kernel, slide, slide_vjp)
+register(SlipKernel, slide, slide_vjp)

@@ -9,7 +9,7 @@ from cqrun.numerics.tensor import scale
 from cqrun.plugin.registry import plugin
 
 
-class Kernel(NamedTuple):
+class StickyKernel(NamedTuple):
     """What kernels see."""
 
     normal: tuple[float, ...]
@@ -22,8 +22,8 @@ class Sticky(BoundaryCondition):
 
     needs_normal: ClassVar[bool] = False
 
-    def kernel_condition(self, normal: Any) -> Kernel:
-        return Kernel(normal, 0.0)
+    def kernel_condition(self, normal: Any) -> StickyKernel:
+        return StickyKernel(normal, 0.0)
 
 
 def held(condition: Any, v: Any) -> Any:
@@ -36,4 +36,4 @@ def held_vjp(condition: Any, v: Any, out_bar: Any) -> Any:
     return scale(out_bar, 0.0), 0.0
 
 
-register(Kernel, held, held_vjp)
+register(StickyKernel, held, held_vjp)

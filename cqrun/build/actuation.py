@@ -1,4 +1,4 @@
-"""What drives a scene's actuators: their parts, limits and strengths, and open-loop signals.
+"""What drives a scene's actuators and forces: their parts, limits and strengths, and open-loop signals.
 
 Every part of an actuator has one activation a control step. Open-loop signals are knots: held ones each last an equal
 part of the run, or of the time that they are spread `over`; linear ones stand at equal distances from its beginning to
@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.actuators.actuator import Actuator, held_to
-from cqrun.plugin.contract import Array
+from cqrun.actuators.actuator import held_to
+from cqrun.plugin.choice import Chosen
+from cqrun.plugin.contract import Array, Plugin
 from cqrun.engine.model import ActuatorModel
 from cqrun.errors import Problem, SceneError
 from cqrun.build.particles import Particles
@@ -26,21 +27,25 @@ Values = Mapping[str, Array]
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an actuator: `path` is the actuator's, without a field."""
+    """A part of an actuator, or of a force without an activation: `path` is that of the whole, without a field."""
 
     name: str
     actuator: str
     path: str
-    spec: Actuator
+    spec: Any
     model: ActuatorModel
 
 
 class Actuation:
-    """All parts of all actuators of a scene, in order.
+    """All parts of all actuators and forces of a scene, in order.
 
     Args:
-        scene: its actuators and open-loop signals.
+        scene: its actuators and forces, and open-loop signals.
         particles: its particles.
+
+    Attributes:
+        parts: of actuators, each with an activation.
+        passive: of forces without an activation; they come after `parts` where each part has a number.
 
     Raises:
         SceneError: a part holds no particle, or its particles cannot be what it needs.
@@ -48,7 +53,8 @@ class Actuation:
 
     def __init__(self, scene: Scene, particles: Particles) -> None:
         self.scene, self.particles = scene, particles
-        self.parts = tuple(self._parts())
+        self.parts = tuple(self._parts("actuators", scene.actuators))
+        self.passive = tuple(self._parts("forces", scene.forces))
         limits = np.array([part.spec.limits for part in self.parts]).reshape(-1, 2)
         self.low, self.high = limits[:, 0], limits[:, 1]
         # what does nothing, or as little as it may
@@ -56,11 +62,11 @@ class Actuation:
         step = scene.time.control_step
         self.change = np.array([np.inf if p.spec.rate is None else p.spec.rate * step for p in self.parts])
 
-    def _parts(self) -> Iterator[Part]:
+    def _parts(self, section: str, chosen_by_name: Mapping[str, Chosen[Plugin]]) -> Iterator[Part]:
         x, scene = self.particles.x, self.scene
-        for name, chosen in scene.actuators.items():
+        for name, chosen in chosen_by_name.items():
             spec: Any = chosen.value
-            path = f"actuators.{name}.{chosen.name}"
+            path = f"{section}.{name}.{chosen.name}"
             for part in spec.parts():
                 held = spec.particles(part, x, self.particles.inside)
                 problem = spec.problem(x[held], scene.world.dx) if len(held) else None
@@ -71,19 +77,19 @@ class Actuation:
                 yield Part(full, name, path, spec, model)
 
     @property
-    def models(self) -> tuple[ActuatorModel, ...]:
-        """What the engine knows of every part."""
-        return tuple(part.model for part in self.parts)
+    def every(self) -> tuple[Part, ...]:
+        """All parts that have a strength: those of actuators, then those of forces."""
+        return (*self.parts, *self.passive)
 
     # --- strengths ----------------------------------------------------------------------------------------------
 
     def strengths(self, values: Values) -> Array:
-        """Return every part's strength (A,), in its actuator's own unit."""
-        return np.array([float(values.get(self._scale(p), p.spec.full)) for p in self.parts])
+        """Return the strength of `every` part, in its own unit."""
+        return np.array([float(values.get(self._scale(p), getattr(p.spec, p.spec.scale))) for p in self.every])
 
     def strengths_vjp(self, strength_bar: Array, out: dict[str, Array]) -> None:
         """Add to the gradients of the strengths that are wanted."""
-        for part, bar in zip(self.parts, strength_bar, strict=True):
+        for part, bar in zip(self.every, strength_bar, strict=True):
             if self._scale(part) in out:
                 out[self._scale(part)] += bar
 
@@ -94,13 +100,13 @@ class Actuation:
     # --- lengths at rest ------------------------------------------------------------------------------------------
 
     def rests(self, x: Array) -> Array:
-        """Return every part's length at rest (A,) [m] where particles rest at x (N, D)."""
-        return np.array([part.spec.rest_length(x[part.model.particles]) for part in self.parts])
+        """Return the length at rest of `every` part [m] where particles rest at x (N, D)."""
+        return np.array([part.spec.rest_length(x[part.model.particles]) for part in self.every])
 
     def rests_vjp(self, x: Array, rest_bar: Array) -> Array:
         """Return the cotangent of x (N, D)."""
         x_bar = np.zeros(x.shape)
-        for part, bar in zip(self.parts, rest_bar, strict=True):
+        for part, bar in zip(self.every, rest_bar, strict=True):
             held = part.model.particles
             np.add.at(x_bar, held, part.spec.rest_length_vjp(x[held], float(bar)))
         return x_bar
@@ -123,7 +129,7 @@ class Actuation:
 
     def on_particles(self, values: Values) -> Iterator[tuple[Part, Array]]:
         """Yield every part with its strength on each of its particles (n,), in its actuator's own unit."""
-        for part, strength in zip(self.parts, self.strengths(values), strict=True):
+        for part, strength in zip(self.parts, self.strengths(values), strict=False):
             yield part, strength * self._weights_of(part, values)
 
     def weights_vjp(self, weights_bar: Array, out: dict[str, Array]) -> None:
@@ -224,7 +230,7 @@ class Actuation:
     def greatest_stress(self, values: Values) -> Array:
         """Return the greatest active stress of each particle (N,) [Pa]."""
         out = np.zeros(len(self.particles.x))
-        sizes = self.greatest(values) * self.strengths(values)
+        sizes = self.greatest(values) * self.strengths(values)[: len(self.parts)]
         for part, size in zip(self.parts, sizes, strict=True):
             out[part.model.particles] += size * part.spec.wave_modulus() * self._weights_of(part, values)
         return out

@@ -120,7 +120,7 @@ class Assembly:
     def inputs(self, values: Values) -> Inputs:
         """Return the engine's inputs."""
         x, volume = self.geometry.at_rest(values)
-        state = State.at_rest(x)
+        state = State.at_rest(x, self.particles.layout.history)
         for body in self.particles.names:
             state.v[self.particles.of(body)] = self._velocities(body, x, values)
         fields, _ = self._fields(volume, values)

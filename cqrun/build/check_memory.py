@@ -10,7 +10,6 @@ from cqrun.engine.setting import grid_shape
 from cqrun.errors import Problem
 from cqrun.build.particles import Particles
 from cqrun.scene.schema import Scene
-from cqrun.state import rows_of
 from cqrun.units import format_bytes
 
 DOUBLE = 8
@@ -39,7 +38,7 @@ def _needs(scene: Scene, particles: Particles) -> Iterator[tuple[str, str, float
     yield "world", what, working, "use a larger dx or a smaller world"
     # at every control step, were it of one marker, and of every actuator
     steps = float(scene.time.control_steps)
-    records = DOUBLE * steps * (rows_of(scene.dim)[-1] + len(scene.actuators))
+    records = DOUBLE * steps * (particles.layout.table.n_rows + len(scene.actuators))
     what = f"the records of {steps:.3g} control steps"
     yield "time.duration", what, records, "use fewer: longer ones, or a shorter run"
     made = scene.synthetic

@@ -12,8 +12,10 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cqrun.plugin.choice import Chosen
+from cqrun.boundaries.condition import BoundaryCondition
+from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import NamesBody, body_of, marked_fields
 from cqrun.errors import Problem, UsageError
 from cqrun.geometry.file_shape import FileShape
 from cqrun.geometry.half_space import HalfSpace
@@ -22,8 +24,9 @@ from cqrun.geometry.region import Region
 from cqrun.geometry.shape import Shape, cell_centres, counted_volume, finite_bounds
 from cqrun.scene.keypath import joined
 from cqrun.build.regions import BodyPoints, boundary
+from cqrun.scene.files import unreadable_files
 from cqrun.scene.schema import Scene
-from cqrun.scene.walk import parts
+from cqrun.scene.walk import marked, parts
 
 ROUNDED = 1e-9
 """Of a length: a multiple of another one, however both are rounded."""
@@ -45,16 +48,20 @@ CHANCE = 3.0
 _MEASURING_CELLS = 200_000
 """That tell the volume of a shape without a formula to some thousandths, quickly."""
 
+READ_WHEN_BUILT = ("bodies", "regions", "boundaries", "loads", "actuators")
+"""The sections whose files are read as a scene is built; those of others are read by who needs them."""
+
 PROBES = 16
 """Points along every axis that ask how much of a part lies in another."""
 
 
 def file_problems(scene: Scene) -> tuple[list[Problem], list[Problem]]:
-    """Return what is wrong with the files that shapes are read from, and warnings on them."""
-    problems, warnings = [], []
+    """Return what is wrong with the files that a scene is built from, and warnings on those of shapes."""
+    problems, warnings = unreadable_files(scene, READ_WHEN_BUILT), []
+    unreadable = {problem.path for problem in problems}
     for loc, part in parts(scene):
-        if isinstance(part, FileShape):
-            path = joined((*loc, "file"))
+        path = joined((*loc, "file"))
+        if isinstance(part, FileShape) and path not in unreadable:
             try:
                 warnings += [_problem(scene, path, message) for message in part.examine()]
             except UsageError as error:
@@ -183,13 +190,11 @@ def empty_regions(scene: Scene, points: Points) -> Iterator[Problem]:
             path = f"bodies.{body}.groups.{group}" if group in spec.groups else _placed(scene, body)
             what = "holds" if group in spec.groups else f"the colour '{group}' holds"
             yield from _empty(scene, path, group, {body: points[body]}, what)
-    for loc, part in parts(scene):
-        region = getattr(part, "region", None)
-        if not (isinstance(region, Chosen) and isinstance(region.value, Region) and hasattr(part, "body")):
-            continue
-        body = part.body
-        held = {body: points[body]} if body is not None else points
-        yield from _empty(scene, joined((*loc, "region")), region, held)
+    for found in marked(scene, Choice):
+        if isinstance(found.value.value, Region) and marked_fields(type(found.part), NamesBody):
+            owner = body_of(found.part)
+            held = {owner: points[owner]} if owner is not None else points
+            yield from _empty(scene, joined(found.loc), found.value, held)
 
 
 def _empty(
@@ -299,9 +304,11 @@ def walls_outside(scene: Scene) -> Iterator[Problem]:
     for axis, size in enumerate(scene.world.size):
         letter, cells = "xyz"[axis], max(1, round(size / dx))
         for name, chosen in scene.boundaries.items():
-            face, thickness = getattr(chosen.value, "face", None), getattr(chosen.value, "thickness", 0.0)
-            held = dx * np.ceil((size * (1 - ROUNDED) - thickness) / dx)
-            if face in (f"{letter}_max", "all") and held > size * (1 + ROUNDED):
+            spec = chosen.value
+            if not isinstance(spec, BoundaryCondition) or spec.face not in (f"{letter}_max", "all"):
+                continue
+            held = dx * np.ceil((size * (1 - ROUNDED) - spec.thickness) / dx)
+            if held > size * (1 + ROUNDED):
                 message = (
                     f"{size:.6g} m along {letter} is no multiple of dx = {dx:.6g} m, so '{name}' holds what is beyond "
                     f"{held:.6g} m, {held - size:.3g} m outside the world; give dx = {size / cells:.6g} m, or a "
@@ -315,7 +322,8 @@ def planes_between_nodes(scene: Scene) -> Iterator[Problem]:
     """Yield warnings for half-spaces across an axis that no row of nodes meets: what they hold begins below them."""
     dx = scene.world.dx
     for name, chosen in scene.boundaries.items():
-        shape = getattr(getattr(boundary(scene, name), "region", None), "value", None)
+        region = boundary(scene, name).region
+        shape = None if region is None else region.value
         if not isinstance(shape, HalfSpace) or len(across := np.flatnonzero(shape.normal)) != 1:
             continue
         axis = int(across[0])

@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.actuators.push import pushes
 from cqrun.plugin.contract import Array
 from cqrun.engine.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, push_limit, wave_limit
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
+from cqrun.materials.term import is_stress
 from cqrun.errors import Problem, SceneError
 from cqrun.build.actuation import Actuation
 from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_memory import memory_problems
+from cqrun.build.history import fields_of
 from cqrun.build.particles import Particles, sample, stress_key
+from cqrun.plugin.reference import body_of
 from cqrun.scene.paths import with_values
 from cqrun.build.regions import boundary
 from cqrun.scene.schema import Scene
@@ -84,7 +86,8 @@ def build(scene: Scene) -> Built:
         layout=particles.layout,
         groups=_groups(scene, particles, assembly),
         conditions=_conditions(scene),
-        actuators=assembly.actuation.models,
+        actuators=tuple(part.model for part in assembly.actuation.parts),
+        forces=tuple(part.model for part in assembly.actuation.passive),
         real=np.dtype(scene.precision).type,
         memory_budget=scene.memory,
     )
@@ -133,18 +136,18 @@ def _doubts(scene: Scene) -> list[Problem]:
     asked: list[tuple[str, Iterator[tuple[str, str]]]] = []
     if scene.controller is not None:
         controller: Any = scene.controller.value
-        asked.append((f"controller.{scene.controller.name}", controller.doubts(scene.time.control_step)))
+        asked.append((f"controller.{scene.controller.name}", controller.likely_mistakes(scene.time.control_step)))
     actuators: dict[str, Any] = {name: chosen.value for name, chosen in scene.actuators.items()}
     neutral = {name: actuator.neutral for name, actuator in actuators.items()}
     terms: dict[str, Any] = {f"objective.{name}.{c.name}": c.value for name, c in scene.objective.items()}
     terms |= {f"constraints.{name}.of.{c.of.name}": c.of.value for name, c in scene.constraints.items()}
-    asked += [(path, term.doubts(neutral)) for path, term in terms.items()]
+    asked += [(path, term.likely_mistakes(neutral)) for path, term in terms.items()]
     told = ((f"{path}.{field}", message) for path, found in asked for field, message in found)
     return [Problem(scene.where(path), path, message) for path, message in told]
 
 
 def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[GroupModel, ...]:
-    parts = [part for part in assembly.actuation.parts if not pushes(part.model.kernel)]
+    parts = [part for part in assembly.actuation.parts if is_stress(part.model.kernel)]
     groups = []
     for _, members in groupby(enumerate(particles.names), key=lambda item: stress_key(scene, item[1])):
         indices, names = zip(*members, strict=True)
@@ -152,7 +155,8 @@ def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[Gro
         specs: list[Any] = [material.elastic.value, *material.terms.values()]
         makers = tuple(spec.kernel_term for spec in specs)
         active = dict.fromkeys(part.model.kernel for part in parts if part.spec.body in names)
-        groups.append(GroupModel(tuple(indices), makers, tuple(active)))
+        history = tuple(tuple(field.name for field in fields_of(spec, scene.dim)) for spec in specs)
+        groups.append(GroupModel(tuple(indices), makers, tuple(active), history))
     return tuple(groups)
 
 
@@ -208,7 +212,7 @@ def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict
 
 def _push_limits(scene: Scene, actuation: Actuation, values: dict[str, Array], body: str) -> list[Limit]:
     """Return the bounds of what accelerates particles of a body as it is."""
-    each = zip(actuation.parts, actuation.greatest(values), actuation.strengths(values), strict=True)
+    each = zip(actuation.parts, actuation.greatest(values), actuation.strengths(values), strict=False)
     found = [
         push_limit(part.path, scene.world.dx, part.spec.greatest_acceleration(activation * strength))
         for part, activation, strength in each
@@ -226,8 +230,8 @@ def _spring_limits(
     """
     parts = [
         (part.path, part.model.particles, k)
-        for part, strength in zip(actuation.parts, actuation.strengths(values), strict=True)
-        if part.spec.body == body and (k := part.spec.stiffness_at_nodes(strength)) > 0.0
+        for part, strength in zip(actuation.every, actuation.strengths(values), strict=True)
+        if body_of(part.spec) == body and (k := part.spec.stiffness_at_nodes(strength)) > 0.0
     ]
     if not parts:
         return []

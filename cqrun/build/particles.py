@@ -20,6 +20,7 @@ from cqrun.build.check_particles import (
     sparse_bodies,
     walls_outside,
 )
+from cqrun.build.history import history_of
 from cqrun.build.regions import BodyPoints
 from cqrun.scene.schema import Scene
 from cqrun.state import Layout
@@ -107,7 +108,7 @@ def sample(scene: Scene) -> Particles:
         spacing[name] = float(volumes[name].mean() ** (1 / scene.dim))
         if scene.bodies[name].unit_mass:
             room[name], volumes[name] = volumes[name], room[name]
-    layout = Layout(scene.dim, tuple(len(points[name].x) for name in names))
+    layout = Layout(scene.dim, tuple(len(points[name].x) for name in names), history_of(scene))
     return Particles(
         names,
         layout,

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.boundaries.condition import BoundaryCondition
 from cqrun.plugin.choice import Chosen
-from cqrun.plugin.contract import Array, Plugin
+from cqrun.plugin.contract import Array
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.geometry.named import Named
 from cqrun.geometry.region import Region
@@ -66,7 +67,7 @@ class BodyPoints:
     def coloured(self, colour: str) -> Array:
         """Return which particles lie in pixels of a colour of the image that their piece is made of."""
         pieces = list(self.scene.bodies[self.body].pieces.values())
-        if not any(shape.pictured for shape in pieces):
+        if not any(shape.has_colours for shape in pieces):
             raise UsageError(f"the body '{self.body}' is made of no image, so its particles have no colour")
         found = coloured_parts(pieces, self.local, colour)
         return np.any([(self.piece == k) & held for k, held in enumerate(found)], axis=0)
@@ -105,20 +106,20 @@ class _NodeRegion:
         return self.region.pick(NodePoints(self.scene, nodes))
 
 
-def boundary(scene: Scene, name: str) -> Plugin:
+def boundary(scene: Scene, name: str) -> BoundaryCondition:
     """Return a boundary whose region, if any, can be asked for nodes: a name in it means what the scene says.
 
     Raises:
         SceneError: it needs a normal, and what the name stands for has none.
     """
-    spec: Any = scene.boundaries[name].value
-    region = getattr(spec, "region", None)
+    spec: BoundaryCondition = scene.boundaries[name].value  # type: ignore[assignment]  # by its kind
+    region: Chosen[Any] | None = spec.region
     if region is None or isinstance(region.value, Shape):
         return spec
     meant = _meant(scene, region)
     held: Any = meant.value if isinstance(meant.value, Shape) else _NodeRegion(scene, meant.value)
     spec = spec.model_copy(update={"region": Chosen(meant.name, held)})
-    if getattr(spec, "lacks_normal", False):
+    if spec.lacks_normal:
         path = f"boundaries.{name}.{spec.name}"
         raise SceneError([Problem(scene.where(path), path, spec.lack)])
     return spec

@@ -127,7 +127,7 @@ def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
         yield f"{indent}  no fields"
     for name, info in cls.model_fields.items():
         unit = field_unit(cls, name)
-        facts = [f"[{unit}]" if unit else "", _what(info), _range(info), _default(cls, name, info)]
+        facts = [f"[{unit}]" if unit else "", _what(info), _range(info), _default(info)]
         facts.append("differentiable" if is_differentiable(cls, name) else "")
         facts.append("differentiable in a body" if is_geometric(cls, name) else "")
         yield f"{indent}  {name}: " + ", ".join(fact for fact in facts if fact)
@@ -156,10 +156,9 @@ def _parts(annotation: Any) -> Iterator[Any]:
 def _choices(info: FieldInfo) -> list[str]:
     """Return the kinds of plug-in a field chooses from."""
     from cqrun.plugin.choice import Choice
+    from cqrun.plugin.reference import marks
 
-    marks = [*info.metadata, *_parts(info.annotation)]
-    marks += [mark for part in marks for mark in getattr(part, "__metadata__", ())]
-    return list(dict.fromkeys(mark.kind for mark in marks if isinstance(mark, Choice)))
+    return [mark.kind for mark in marks(info, Choice)]
 
 
 def _what(info: FieldInfo) -> str:
@@ -197,12 +196,10 @@ def _range(info: FieldInfo) -> str:
     return " and ".join(f"{sign} {limit}" for sign, limit in limits if limit is not None)
 
 
-def _default(cls: type[BaseModel], name: str, info: FieldInfo) -> str:
-    from cqrun.scene.defaults import FILLED
+def _default(info: FieldInfo) -> str:
+    from cqrun.plugin.reference import FilledIn, marks
 
-    if info.is_required() and name not in FILLED.get(cls.__name__, ()):
-        return "required"
     if info.is_required():
-        return "optional"
+        return "optional" if marks(info, FilledIn) else "required"
     default = info.get_default() if info.default_factory is None else None
     return "optional" if default is None else f"default {default}"

@@ -1,7 +1,7 @@
-"""What a controller is: at every control step it turns observations and time into one number an actuator.
+"""Base of controllers: at every control step a controller turns observations and time into a number for each actuator.
 
-Its parameters are arrays by name, kept outside: the same plug-in acts with any of them. A `bounded` controller
-gives numbers in [-1, 1], which the caller maps to the actuators' ranges; another gives activations themselves.
+Its parameters are named arrays that are stored outside it, so the same plug-in can act with any of them. A `bounded`
+controller returns numbers in [-1, 1], which the caller maps to the actuators' ranges. Others return activations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cqrun.plugin.contract import Array, Plugin
 
 @dataclass(frozen=True)
 class ParameterBlock:
-    """One array of parameters: where it starts, and its bounds (one for all entries, or each its own)."""
+    """One array of parameters: its initial values, and its bounds (one for all entries, or one for each)."""
 
     name: str
     initial: Array
@@ -30,29 +30,29 @@ class ParameterBlock:
 class Controller(Plugin):
     """Base of the plug-ins of kind `controller`.
 
-    `bounded`: it gives numbers in [-1, 1], not activations. `closed_loop`: it looks at observations.
-    `unit_inputs`: what it starts with is for observations of about 1. `of_the_start`: fields that only say where its
-    parameters start.
+    `bounded`: it returns numbers in [-1, 1], not activations. `closed_loop`: it uses observations. `unit_inputs`: its
+    initial parameters are meant for observations of about 1. `initial_fields`: fields that only set the initial
+    parameters.
     """
 
     bounded: ClassVar[bool] = True
     closed_loop: ClassVar[bool] = True
     unit_inputs: ClassVar[bool] = False
-    of_the_start: ClassVar[tuple[str, ...]] = ()
+    initial_fields: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def blocks(
         self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, neutral: Array, rng: np.random.Generator
     ) -> list[ParameterBlock]:
-        """Return the parameters, as they start.
+        """Return the initial parameters.
 
         Args:
             n_in: number of observations.
             n_out: number of actuators A.
             n_controls: control steps in a run.
             low, high: (A,) the actuators' ranges.
-            neutral: (A,) activations within them that do nothing, or as little as they may.
-            rng: what random parameters are drawn from.
+            neutral: (A,) activations within these ranges that do nothing, or as little as possible.
+            rng: generator for random parameters.
 
         Raises:
             UsageError: it does not fit these numbers.
@@ -60,12 +60,12 @@ class Controller(Plugin):
 
     @abstractmethod
     def act(self, parameters: Mapping[str, Array], z: Array, control: int, time: float) -> Array:
-        """Return one number an actuator (A,).
+        """Return a number for each actuator (A,).
 
         Args:
-            parameters: by the names of the blocks, of their shapes.
+            parameters: arrays by the names of the blocks, with their shapes.
             z: (n_in,) observations.
-            control: number of the control step, from 0; a replay may run past the last.
+            control: number of the control step, from 0; a replay may go on after the last.
             time: since the start [s].
         """
 
@@ -79,9 +79,9 @@ class Controller(Plugin):
         u_bar: Array,
         out: dict[str, Array],
     ) -> Array:
-        """Return the cotangent of z (n_in,) from that of the result, and add those of the parameters to `out`."""
+        """Return the cotangent of z (n_in,) from that of the result; add those of the parameters to `out`."""
 
-    def doubts(self, control_step: float) -> Iterator[tuple[str, str]]:
+    def likely_mistakes(self, control_step: float) -> Iterator[tuple[str, str]]:
         """Yield what is likely a slip: the field's name, and what is wrong with it.
 
         Args:
@@ -90,7 +90,7 @@ class Controller(Plugin):
         yield from ()
 
     def require_observations(self, n_in: int) -> None:
-        """Refuse to act on nothing."""
+        """Raise UsageError if there are no observations."""
         if n_in == 0:
             raise UsageError(
                 f"the controller {self.name} acts on observations and there are none: add an observer, "

@@ -15,9 +15,12 @@ from cqrun.plugin.registry import plugin
 
 @plugin("controller", "linear_tanh")
 class LinearTanh(Controller):
-    """u = gain tanh(W z + b) of observations z; W starts normal with standard deviation `spread`, b zero, as in CQ1."""
+    """u = gain tanh(W z + b) of observations z, as in CQ1.
 
-    of_the_start: ClassVar[tuple[str, ...]] = ("spread",)
+    W starts from a normal distribution with standard deviation `spread`, b from zero.
+    """
+
+    initial_fields: ClassVar[tuple[str, ...]] = ("spread",)
     gain: float = Field(description="Largest |u|: the share of the actuators' ranges in use", gt=0, le=1, default=1.0)
     spread: float = Field(description="Standard deviation of the initial weights", ge=0, default=0.02)
 

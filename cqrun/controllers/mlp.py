@@ -20,17 +20,17 @@ Width = Annotated[int, Field(ge=1)]
 class Mlp(Controller):
     """Hidden layers, relu(W z + b) or tanh(W z + b), then u = tanh(W z + b); CQ2 has two of 64 with relu.
 
-    Weights start normal: into a relu with variance 2 / inputs (He et al. 2015), into a tanh with variance
-    2 / (inputs + outputs) (Glorot and Bengio 2010); the output layer's times `output_spread`. Biases start at zero.
-    The slope of relu at 0 is 0.
+    Initial weights have a normal distribution, with variance 2 / inputs before a relu (He et al. 2015) and
+    2 / (inputs + outputs) before a tanh (Glorot and Bengio 2010). Those of the output layer are multiplied by
+    `output_spread`. Biases start at zero. The derivative of relu at 0 is taken as 0.
     """
 
     unit_inputs: ClassVar[bool] = True
-    of_the_start: ClassVar[tuple[str, ...]] = ("output_spread",)
+    initial_fields: ClassVar[tuple[str, ...]] = ("output_spread",)
     hidden: list[Width] = Field(description="Width of each hidden layer", default=[64, 64])
-    activation: Literal["relu", "tanh"] = Field(description="Of the hidden layers", default="relu")
+    activation: Literal["relu", "tanh"] = Field(description="Activation function of the hidden layers", default="relu")
     output_spread: float = Field(
-        description="Factor on the output layer's initial weights: a small one starts the robot gently",
+        description="Factor on the output layer's initial weights; if small, the robot starts to move gently",
         gt=0, default=1.0,
     )  # fmt: skip
 
@@ -38,14 +38,14 @@ class Mlp(Controller):
         self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, neutral: Array, rng: np.random.Generator
     ) -> list[ParameterBlock]:
         self.require_observations(n_in)
-        widths, found = [n_in, *self.hidden, n_out], []
+        widths, blocks = [n_in, *self.hidden, n_out], []
         for k, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
             last = k == len(self.hidden)
             relu = self.activation == "relu" and not last
             spread = np.sqrt(2.0 / (inputs if relu else inputs + outputs)) * (self.output_spread if last else 1.0)
-            found.append(ParameterBlock(f"weights{k}", spread * rng.normal(size=(outputs, inputs))))
-            found.append(ParameterBlock(f"biases{k}", np.zeros(outputs)))
-        return found
+            blocks.append(ParameterBlock(f"weights{k}", spread * rng.normal(size=(outputs, inputs))))
+            blocks.append(ParameterBlock(f"biases{k}", np.zeros(outputs)))
+        return blocks
 
     def act(self, parameters: Mapping[str, Array], z: Array, control: int, time: float) -> Array:
         return self._layers(parameters, z)[-1]
@@ -71,7 +71,7 @@ class Mlp(Controller):
         return np.asarray(bar)
 
     def _layers(self, parameters: Mapping[str, Array], z: Array) -> list[Array]:
-        """Return z and what each layer makes of the one before."""
+        """Return z and the output of each layer."""
         layers = [z]
         for k in range(len(self.hidden) + 1):
             total = parameters[f"weights{k}"] @ layers[-1] + parameters[f"biases{k}"]

@@ -1,4 +1,4 @@
-"""Open loop: a table of activations."""
+"""Open loop: a table of activations over time."""
 
 from __future__ import annotations
 
@@ -16,21 +16,24 @@ from cqrun.plugin.registry import plugin
 
 @plugin("controller", "open_loop")
 class OpenLoop(Controller):
-    """Activations by time alone: a knot an actuator at every `every`-th control step, held or interpolated between.
+    """A table of activations over time: a knot for each actuator every `every` control steps.
 
-    It looks at nothing. A replay that runs longer holds the last knot.
+    Between knots activations are held or interpolated. Observations are not used. A replay that runs longer than the
+    table holds the last knot.
     """
 
     bounded: ClassVar[bool] = False
     closed_loop: ClassVar[bool] = False
-    of_the_start: ClassVar[tuple[str, ...]] = ("initial", "noise")
+    initial_fields: ClassVar[tuple[str, ...]] = ("initial", "noise")
 
     every: int = Field(description="Control steps from one knot to the next", ge=1, default=1)
-    interpolate: Literal["hold", "linear"] = Field(description="Between knots", default="hold")
-    initial: float | None = quantity(
-        "1", "Activation at the start of the optimization; absent: each actuator's own that does nothing", default=None
+    interpolate: Literal["hold", "linear"] = Field(
+        description="Activations between knots: hold the last knot, or linear", default="hold"
     )
-    noise: float = quantity("1", "Standard deviation of a random part of it, kept in range", ge=0, default=0.0)
+    initial: float | None = quantity(
+        "1", "Initial value of all knots; if absent, the activation that does nothing", default=None
+    )
+    noise: float = quantity("1", "Standard deviation of noise added to it, within the range", ge=0, default=0.0)
 
     def blocks(
         self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, neutral: Array, rng: np.random.Generator
@@ -40,8 +43,8 @@ class OpenLoop(Controller):
                 f"open_loop starts at {self.initial:g}, which is out of an actuator's range; the ranges have "
                 f"{np.max(low):g} to {np.min(high):g} in common"
             )
-        whole, past = divmod(n_controls - 1, self.every)
-        shape = (whole + 1 + (self.interpolate == "linear" and past > 0), n_out)
+        intervals, rest = divmod(n_controls - 1, self.every)
+        shape = (intervals + 1 + (self.interpolate == "linear" and rest > 0), n_out)
         initial = np.broadcast_to(neutral if self.initial is None else self.initial, shape)
         start = initial + self.noise * rng.normal(size=shape)
         low, high = np.broadcast_to(low, shape).copy(), np.broadcast_to(high, shape).copy()
@@ -65,7 +68,7 @@ class OpenLoop(Controller):
         return np.zeros(len(z))
 
     def _weights(self, n_knots: int, control: int) -> list[tuple[int, float]]:
-        """Return the knots that act at a control step, and how much."""
+        """Return the knots that act at a control step, with their weights."""
         k, past = divmod(control, self.every)
         if self.interpolate == "hold" or past == 0 or k + 1 >= n_knots:
             return [(min(k, n_knots - 1), 1.0)]

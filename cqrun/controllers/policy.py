@@ -1,9 +1,9 @@
 """Observers, a controller and the actuators' limits as one policy (`engine/policy.py`).
 
-    z = observe(record, memory),  u = controller(z, t),  a_k = held(u mapped to the limits, a_{k-1})
+    z = observe(record, memory),  u = controller(z, t),  a_k = limited(u mapped to the limits, a_{k-1})
 
-The memory is that of the observers and then, where an actuator has a rate, the activations of the step before: at the
-first step those of actuators that do nothing.
+The memory is that of the observers. If an actuator has a rate, the activations of the previous control step follow; at
+the first control step these are the activations that do nothing.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from cqrun.actuators.actuator import held_to
 from cqrun.controllers.controller import Controller
 from cqrun.observers.observer import Moment, Observation
 from cqrun.plugin.contract import Array
-from cqrun.state import State, rows_of
+from cqrun.state import State, state_table
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What activations may be, each (A,).
+    """Limits of the activations, each (A,).
 
     Attributes:
-        low, high: the least and the greatest.
-        change: the greatest change in a control step, infinite where any.
-        neutral: those that do nothing, or as little as they may: before the first control step.
+        low, high: smallest and largest activation.
+        change: largest change in a control step; infinite for an actuator without a rate.
+        neutral: activations that do nothing, or as little as possible: those before the first control step.
     """
 
     low: Array
@@ -37,12 +37,12 @@ class Limits:
 
     @property
     def slow(self) -> bool:
-        """Whether any changes with a limit, so that it is remembered."""
+        """Whether an actuator has a rate, so that the previous activations are part of the memory."""
         return bool(np.isfinite(self.change).any())
 
 
-def remembered(observation: Observation, limits: Limits) -> int:
-    """Return how many numbers a policy takes from one control step to the next: observers', and slow activations."""
+def memory_size(observation: Observation, limits: Limits) -> int:
+    """Return the size M of a policy's memory: that of the observers, and activations if an actuator has a rate."""
     return observation.n_memory + len(limits.low) * limits.slow
 
 
@@ -50,17 +50,17 @@ class ControlPolicy:
     """Decides the activations of one rollout.
 
     Args:
-        observation: what is seen; its rows are the probe's first.
-        controller: what is done about it.
-        parameters: of the controller, by block.
-        limits: of the actuators.
-        goals: of this episode, by name.
-        control_step: [s].
-        dim: of the world.
+        observation: the observers; their rows are the first of the probe.
+        controller: computes activations from observations.
+        parameters: parameters of the controller, by block.
+        limits: limits of the actuators.
+        goals: goals of this episode, by name.
+        control_step: length of a control step [s].
+        dim: dimension of the world.
 
     Attributes:
-        memory: (M,) what it remembers at the start.
-        saw: what the controller got (Z,), an entry for every control step that it acted in.
+        memory: (M,) memory at the start.
+        observations: observations (Z,) that the controller was given, one entry for each control step so far.
     """
 
     def __init__(
@@ -69,9 +69,9 @@ class ControlPolicy:
     ) -> None:  # fmt: skip
         self.observation, self.controller, self.parameters = observation, controller, parameters
         self.limits, self.goals, self.control_step, self.dim = limits, goals, control_step, dim
-        self.saw: list[Array] = []
+        self.observations: list[Array] = []
         self.slow = limits.slow
-        self.memory = np.zeros(remembered(observation, limits))
+        self.memory = np.zeros(memory_size(observation, limits))
         if self.slow:
             self.memory[observation.n_memory :] = limits.neutral
         half = 0.5 * (limits.high - limits.low)
@@ -79,19 +79,19 @@ class ControlPolicy:
 
     def act(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
         """Return the activations (A,) of a control step, and the next memory (M,)."""
-        z, remembered = self.seen(control, record, memory, state)
-        self.saw.append(z)
+        z, observers_memory = self.observe(control, record, memory, state)
+        self.observations.append(z)
         u = self.controller.act(self.parameters, z, control, control * self.control_step)
-        return self.driven(u, remembered, memory)
+        return self.activate(u, observers_memory, memory)
 
-    def seen(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
-        """Return what the observers see, and what they remember of it."""
+    def observe(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
+        """Return the observations (Z,), and the observers' next memory."""
         return self.observation.observe(self._moment(control, record, memory, state))
 
-    def driven(self, u: Array, remembered: Array, memory: Array) -> tuple[Array, Array]:
-        """Return the activations that a controller's answer u (A,) gives, and the next memory."""
-        given, _, _ = self._held(u, memory)
-        return given, np.concatenate([remembered, given]) if self.slow else remembered
+    def activate(self, u: Array, observers_memory: Array, memory: Array) -> tuple[Array, Array]:
+        """Return the activations (A,) for the controller's output u (A,), and the next memory (M,)."""
+        activation, _, _ = self._limited(u, memory)
+        return activation, np.concatenate([observers_memory, activation]) if self.slow else observers_memory
 
     def act_vjp(
         self, control: int, record: Array, memory: Array, state: Callable[[], State], activation_bar: Array,
@@ -100,44 +100,43 @@ class ControlPolicy:
         """Return the cotangents of record, memory and state; add those of the parameters to `parameters_bar`."""
         moment, time = self._moment(control, record, memory, state), control * self.control_step
         z, _ = self.observation.observe(moment)
-        _, by_wanted, by_previous = self._held(self.controller.act(self.parameters, z, control, time), memory)
+        _, by_wanted, by_previous = self._limited(self.controller.act(self.parameters, z, control, time), memory)
         n = self.observation.n_memory
-        given_bar = activation_bar + memory_bar[n:] if self.slow else activation_bar
+        total_bar = activation_bar + memory_bar[n:] if self.slow else activation_bar
         z_bar = self.controller.act_vjp(
-            self.parameters, z, control, time, by_wanted * given_bar * self._scale, parameters_bar
+            self.parameters, z, control, time, by_wanted * total_bar * self._scale, parameters_bar
         )
         bar = self.observation.observe_vjp(moment, z_bar, memory_bar[:n])
         out = np.zeros_like(memory_bar)
         if bar.memory is not None:
             out[:n] = bar.memory
         if self.slow:
-            out[n:] = by_previous * given_bar
+            out[n:] = by_previous * total_bar
         return self._record_bar(record.shape, bar), out, bar.state
 
     def parameters_zero(self) -> dict[str, Array]:
-        """Return cotangents of the controller's parameters to add to, by block."""
+        """Return zero cotangents of the controller's parameters, by block."""
         return {name: np.zeros_like(value) for name, value in self.parameters.items()}
 
-    def _held(self, u: Array, memory: Array) -> tuple[Array, Array, Array]:
+    def _limited(self, u: Array, memory: Array) -> tuple[Array, Array, Array]:
+        """Return activations within the limits, and their derivatives by the unlimited and by the previous ones."""
         limits = self.limits
         previous = memory[self.observation.n_memory :] if self.slow else limits.neutral
         return held_to(self._shift + self._scale * u, previous, limits.low, limits.high, limits.change)
 
     def _moment(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> Moment:
         D, k = self.dim, self.observation.rows.shape[0]
-        X, V, C, F, end = rows_of(D)
-        seen = record[:, :k].T
+        fields, sums = state_table(D).fields, record[:, :k].T
+        x, v, C, F = (sums[:, state_table(D).rows[f.name]].reshape(k, *f.shape) for f in fields)
         return Moment(
-            seen[:, X:V], seen[:, V:C], seen[:, C:F].reshape(k, D, D), seen[:, F:end].reshape(k, D, D),
-            control * self.control_step, control, self.goals, memory[: self.observation.n_memory], state,
+            x, v, C, F, control * self.control_step, control, self.goals, memory[: self.observation.n_memory], state,
         )  # fmt: skip
 
     def _record_bar(self, shape: tuple[int, ...], bar: object) -> Array:
         """Return the cotangent of the probe's rows (rows, K) from that of a moment."""
-        X, V, C, F, end = rows_of(self.dim)
         k, out = self.observation.rows.shape[0], np.zeros(shape)
-        for name, begin, stop in (("x", X, V), ("v", V, C), ("C", C, F), ("F", F, end)):
+        for name, rows in state_table(self.dim).rows.items():
             part = getattr(bar, name)
             if part is not None:
-                out[begin:stop, :k] = part.reshape(k, -1).T
+                out[rows, :k] = part.reshape(k, -1).T
         return out

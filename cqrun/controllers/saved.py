@@ -1,4 +1,4 @@
-"""A controller's parameters in a file."""
+"""Controller files: a controller's parameters, and what else should be known about them."""
 
 from __future__ import annotations
 
@@ -14,47 +14,47 @@ from cqrun.errors import UsageError
 from cqrun.observers.npz import read_arrays, write_arrays
 from cqrun.plugin.contract import Array
 
-WHAT = "file of a controller"
+FILE_KIND = "a controller file"
 META = "meta"
 
 
 def save_controller(path: Path, parameters: Mapping[str, Array], meta: Mapping[str, Any]) -> None:
-    """Write parameters by name, and what else should be known of them (JSON), to an .npz file.
+    """Write parameters by name, and facts about them (`meta`, JSON), to an .npz file.
 
     Raises:
-        OSError: the disk refuses.
+        OSError: writing fails.
     """
     write_arrays(path, {META: np.array(json.dumps(dict(meta), sort_keys=True, allow_nan=False)), **parameters})
 
 
 def read_controller(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Return the parameters in a file by name, of whatever controller, and what was noted with them.
+    """Read the parameters of any controller by name, and the facts that were saved with them.
 
     Raises:
-        UsageError: the file is no controller's.
+        UsageError: the file is not a controller file.
     """
-    arrays = read_arrays(path, WHAT)
+    arrays = read_arrays(path, FILE_KIND)
     text = arrays.pop(META, np.zeros(0))
     if text.ndim or text.dtype.kind != "U":
-        raise UsageError(f"{path}: is no {WHAT}: it lacks the entry '{META}' that cqrun writes")
+        raise UsageError(f"{path}: is not {FILE_KIND}: it lacks the entry '{META}' that cqrun writes")
     try:
         return arrays, json.loads(text.item())
     except ValueError as error:
-        raise UsageError(f"{path}: is no {WHAT}: its entry '{META}' is no JSON: {error}") from error
+        raise UsageError(f"{path}: is not {FILE_KIND}: its entry '{META}' is not JSON: {error}") from error
 
 
 def load_controller(path: Path, blocks: Sequence[ParameterBlock]) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Return the parameters in a file, for a controller with these blocks, and what was noted with them.
+    """Read the parameters of a controller with these blocks, and the facts that were saved with them.
 
     Raises:
-        UsageError: the file is no controller's, of one of another shape, or holds what is not finite.
+        UsageError: the file is not a controller file, its arrays have other shapes, or a number is not finite.
     """
     arrays, meta = read_controller(path)
-    held = {name: array.shape for name, array in arrays.items()}
-    wanted = {block.name: np.shape(block.initial) for block in blocks}
-    if held != wanted:
+    shapes = {name: array.shape for name, array in arrays.items()}
+    expected = {block.name: np.shape(block.initial) for block in blocks}
+    if shapes != expected:
         raise UsageError(
-            f"{path}: holds a controller of another shape: {_listed(held)}; this scene's has {_listed(wanted)}: "
+            f"{path}: holds a controller of another shape: {_listed(shapes)}; this scene's has {_listed(expected)}: "
             "observers, actuators, controller and (open loop) control steps must be those it was trained with"
         )
     bad = [name for name, array in arrays.items() if array.dtype.kind != "f" or not np.isfinite(array).all()]

@@ -1,4 +1,4 @@
-"""Sinusoids: a central pattern generator, CQ1's crawler."""
+"""Sinusoids: a central pattern generator, as in CQ1's crawler."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from cqrun.plugin.registry import plugin
 class Sinusoid(Controller):
     """u_j = gain tanh(sum_k W_jk sin(2 pi f t + phase_k) + b_j), with phase_k = 2 pi k / count for k = 0 .. count - 1.
 
-    It looks at time alone. Phases and the frequency f stay as they are, unless `learn` names them. W starts normal
-    with standard deviation `spread`, b zero. CQ1's crawler has count 8 and 0.06 rad a step of 5 ms: 1.91 Hz.
+    Observations are not used. Phases and the frequency f are fixed, unless `learn` names them. W starts from a normal
+    distribution with standard deviation `spread`, b from zero. CQ1's crawler has count 8 and a phase of 0.06 rad per
+    step of 5 ms, which is 1.91 Hz.
     """
 
     closed_loop: ClassVar[bool] = False
-    of_the_start: ClassVar[tuple[str, ...]] = ("spread",)
+    initial_fields: ClassVar[tuple[str, ...]] = ("spread",)
 
-    count: int = Field(description="How many sinusoids", ge=1, default=8)
+    count: int = Field(description="Number of sinusoids", ge=1, default=8)
     frequency: float = quantity("Hz", "Frequency f of all of them", gt=0)
     learn: list[Literal["phase", "frequency"]] = Field(
-        description="What is learned beside W and b", default_factory=list[Literal["phase", "frequency"]]
+        description="What is learned besides W and b", default_factory=list[Literal["phase", "frequency"]]
     )
     gain: float = Field(description="Largest |u|: the share of the actuators' ranges in use", gt=0, le=1, default=1.0)
     spread: float = Field(description="Standard deviation of the initial weights", ge=0, default=0.02)
@@ -35,24 +36,24 @@ class Sinusoid(Controller):
     def blocks(
         self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, neutral: Array, rng: np.random.Generator
     ) -> list[ParameterBlock]:
-        found = [
+        blocks = [
             ParameterBlock("weights", self.spread * rng.normal(size=(n_out, self.count))),
             ParameterBlock("biases", np.zeros(n_out)),
         ]
         if "phase" in self.learn:
-            found.append(ParameterBlock("phase", self._phases()))
+            blocks.append(ParameterBlock("phase", self._phases()))
         if "frequency" in self.learn:
-            found.append(ParameterBlock("frequency", np.array([self.frequency]), lower=0.0))
-        return found
+            blocks.append(ParameterBlock("frequency", np.array([self.frequency]), lower=0.0))
+        return blocks
 
-    def doubts(self, control_step: float) -> Iterator[tuple[str, str]]:
+    def likely_mistakes(self, control_step: float) -> Iterator[tuple[str, str]]:
         highest = 0.5 / control_step
         if self.frequency > highest:
-            told = (
+            message = (
                 f"{self.frequency:g} Hz is above {highest:g} Hz, half the rate of control steps of {control_step:g} s: "
                 "actuators would see a slower wave (aliasing); lower it, or shorten time.control_step"
             )
-            yield "frequency", told
+            yield "frequency", message
 
     def act(self, parameters: Mapping[str, Array], z: Array, control: int, time: float) -> Array:
         waves = np.sin(self._angles(parameters, time))

@@ -1,1 +1,1 @@
-"""Unknowns: from key paths in a scene to engine inputs, and gradients back."""
+"""Unknowns of a scene as one vector, with bounds, scales and gradients."""

@@ -1,7 +1,8 @@
-"""From few numbers to one for every particle: linear maps whose rows sum to 1, so that bounds on the few hold for all.
+"""Linear maps from a few numbers to a value for every particle.
 
-A smooth field is a sum of quadratic B-splines on a grid over the body (the same functions that carry momentum to the
-grid); a mirrored body has one number for each pair of particles, or a field that is the mean of itself and its image.
+Entries are not negative and rows sum to 1, so values keep the bounds of the numbers. A smooth field is a sum of
+quadratic B-splines on a grid over the body, as in the transfer of momentum to the grid. A mirrored body has one number
+for each pair of particles, or a field that is the mean of itself and its mirror image.
 """
 
 from __future__ import annotations
@@ -20,22 +21,23 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 NEAR = 0.3
-"""Distance of a mirrored point from its partner, in distances to the nearest neighbour, that is still a match."""
+"""Largest distance of a mirrored point from its partner, in distances to the nearest neighbour."""
 
 ALIKE = 0.9
-"""Part of the particles of two groups that are one another's mirror images where the groups are."""
+"""Share of common particles at which a group and a mirrored group are mirror images of each other."""
 
 
 def field(x: Array, resolution: int) -> csr_array:
     """Return the values (n, k) of quadratic B-splines at points x (n, D).
 
     Args:
-        resolution: cells of the grid along the longest edge of the points' box; k is (cells + 2) to the power of D.
+        resolution: number of cells along the longest edge of the points' bounding box; k is the product of (cells + 2)
+            over the axes.
     """
     from scipy.sparse import csr_array
 
     low, high = x.min(axis=0), x.max(axis=0)
-    cell = float((high - low).max()) / resolution or 1.0  # of one point any will do
+    cell = float((high - low).max()) / resolution or 1.0  # a single point has no extent; any size will do
     cells = np.maximum(1, np.ceil((high - low) / cell - 1e-9).astype(int))
     place = np.clip((x - low) / cell, 0.0, cells - 1e-9)
     first = np.floor(place).astype(int)
@@ -54,14 +56,14 @@ def field(x: Array, resolution: int) -> csr_array:
 
 
 def mirrored(x: Array, axis: int) -> Array:
-    """Return points (n, D) mirrored across the middle of their box along an axis."""
+    """Return points (n, D) mirrored across the middle of their bounding box along an axis."""
     image = x.copy()
     image[:, axis] = x[:, axis].min() + x[:, axis].max() - x[:, axis]
     return image
 
 
 def mirrored_field(x: Array, resolution: int, axis: int) -> csr_array:
-    """Return a field (n, k) that is the mean of itself and its mirror image."""
+    """Return a map (n, k) to fields that are equal to their mirror image."""
     from scipy.sparse import csr_array
 
     both = field(np.concatenate([x, mirrored(x, axis)]), resolution)
@@ -69,10 +71,10 @@ def mirrored_field(x: Array, resolution: int, axis: int) -> csr_array:
 
 
 def partners(x: Array, axis: int, what: str) -> Array:
-    """Return the mirror image (n,) of each of points x (n, D), at least two, among them.
+    """Return for each of at least two points x (n, D) the index of its mirror image among them (n,).
 
     Args:
-        what: the points are called in an error.
+        what: name of the points in an error message.
 
     Raises:
         UsageError: a point has no mirror image among the others.
@@ -82,19 +84,19 @@ def partners(x: Array, axis: int, what: str) -> Array:
     tree, image = cKDTree(x), mirrored(x, axis)
     spacing = tree.query(x, k=2)[0][:, 1]
     distance, partner = tree.query(image)
-    lone = np.flatnonzero((distance > NEAR * spacing) | (partner[partner] != np.arange(len(x))))
-    if len(lone):
-        k = int(lone[0])
+    unmatched = np.flatnonzero((distance > NEAR * spacing) | (partner[partner] != np.arange(len(x))))
+    if len(unmatched):
+        k = int(unmatched[0])
         place = ", ".join(f"{a:.5g}" for a in x[k])
         raise UsageError(
-            f"{len(lone)} of {len(x)} {what} have no mirror image across {'xyz'[axis]}, the first at ({place}) m: "
+            f"{len(unmatched)} of {len(x)} {what} have no mirror image across {'xyz'[axis]}, the first at ({place}) m: "
             "symmetry needs a body that is its own mirror image; leave out `mirror`, or use a field"
         )
     return np.asarray(partner)
 
 
 def pairs(partner: Array) -> csr_array:
-    """Return a map (n, k) from one number for each pair; one on the middle plane is its own partner (n,)."""
+    """Return the map (n, k) from a number for each pair; a point on the middle plane is its own partner (n,)."""
     from scipy.sparse import csr_array
 
     n = len(partner)
@@ -103,46 +105,47 @@ def pairs(partner: Array) -> csr_array:
 
 
 def group_partners(groups: Mapping[str, Array], partner: Array, axis: int, what: str) -> Array:
-    """Return which of a body's groups (G,) is the mirror image of each.
+    """Return for each of a body's groups the index of its mirror image (G,).
 
     Args:
-        groups: which particles (n,) each holds, by name.
-        partner: mirror image of each particle (n,).
-        what: the body is called in an error.
+        groups: for each group, by name, which particles belong to it (n,) bool.
+        partner: index of each particle's mirror image (n,).
+        what: name of the body in an error message.
 
     Raises:
         UsageError: a group has no mirror image among the others.
     """
-    held = np.array(list(groups.values()), dtype=float)  # (G, n)
-    both = held @ held[:, partner].T
-    alike = both / np.maximum(1.0, held.sum(axis=1)[:, None] + held.sum(axis=1) - both)
-    found = np.argmax(alike, axis=1)
-    lone = [name for k, name in enumerate(groups) if alike[k, found[k]] < ALIKE or found[found[k]] != k]
-    if lone:
+    member = np.array(list(groups.values()), dtype=float)  # (G, n)
+    common = member @ member[:, partner].T
+    alike = common / np.maximum(1.0, member.sum(axis=1)[:, None] + member.sum(axis=1) - common)
+    image = np.argmax(alike, axis=1)
+    unmatched = [name for k, name in enumerate(groups) if alike[k, image[k]] < ALIKE or image[image[k]] != k]
+    if unmatched:
         raise UsageError(
-            f"{len(lone)} of {len(groups)} groups of {what} have no mirror image across {'xyz'[axis]}: {listed(lone)}; "
+            f"{len(unmatched)} of {len(groups)} groups of {what} have no mirror image across {'xyz'[axis]}: "
+            f"{listed(unmatched)}; "
             "symmetry needs groups of mirrored particles; leave out `mirror`, or use a field"
         )
-    return np.asarray(found)
+    return np.asarray(image)
 
 
 def shifted(x: Array, y: Array, what: str, of_what: str) -> Array:
-    """Return, for each of points y (n, D), which of points x (n, D) it is where y is moved onto x.
+    """Return for each of points y (n, D) the index of the same point in x (n, D), where y is x moved and reordered.
 
     Args:
-        what, of_what: y and x are called in an error.
+        what, of_what: names of y and x in an error message.
 
     Raises:
-        UsageError: y is not x in another place.
+        UsageError: y is not a moved copy of x.
     """
     from scipy.spatial import cKDTree
 
     if len(x) == len(y):
         tree = cKDTree(x)
         spacing = tree.query(x, k=2)[0][:, 1] if len(x) > 1 else np.ones(1)
-        distance, found = tree.query(y - y.min(axis=0) + x.min(axis=0))
-        if (distance <= NEAR * spacing[found]).all() and len(np.unique(found)) == len(x):
-            return np.asarray(found)
+        distance, match = tree.query(y - y.min(axis=0) + x.min(axis=0))
+        if (distance <= NEAR * spacing[match]).all() and len(np.unique(match)) == len(x):
+            return np.asarray(match)
     raise UsageError(
         f"the {len(y):,} {what} are not the {len(x):,} {of_what} in another place: they must match one by one"
     )

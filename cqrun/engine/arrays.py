@@ -15,6 +15,7 @@ from cqrun.numerics.compile import written
 from cqrun.numerics.lanes import floor, select
 from cqrun.numerics.packed import accumulate, load, store
 from cqrun.numerics.records import load_quads, store_quads
+from cqrun.state import MOTION, state_table
 
 _NAMES = {
     "load": load, "store": store, "accumulate": accumulate,
@@ -36,12 +37,24 @@ def _tuple(entries: list[str]) -> str:
     return "(" + "".join(entry + ", " for entry in entries) + ")"
 
 
+def _of_field(name: str, item: str, more: str = "") -> Any:
+    """Return a function of (q, i, ..., dims) on the rows that a field has in the state, as the state's table says."""
+
+    def body(dim: int) -> str:
+        rows = state_table(dim).rows[name]
+        return _tuple([item.format(r=r, k=k) for k, r in enumerate(range(rows.start, rows.stop))])
+
+    return _per_dimension(f"q, i, {more}dims", body)
+
+
+load_x, load_v, load_C, load_F = (_of_field(name, "load(q, {r}, i)") for name in MOTION)
+store_x, store_v, store_C, store_F = (_of_field(name, "store(q, {r}, i, u[{k}])", "u, ") for name in MOTION)
+add_x = _of_field("x", "accumulate(q, {r}, i, u[{k}])", "u, ")
+first_row_of_v = _per_dimension("dims", lambda d: str(state_table(d).rows["v"].start))
+
+# vectors in other tables than the state: r is their first row
 load_vector = _per_dimension("a, r, i, dims", lambda d: _tuple([f"load(a, r + {k}, i)" for k in range(d)]))
-load_matrix = _per_dimension("a, r, i, dims", lambda d: _tuple([f"load(a, r + {k}, i)" for k in range(d * d)]))
 store_vector = _per_dimension("a, r, i, u, dims", lambda d: _tuple([f"store(a, r + {k}, i, u[{k}])" for k in range(d)]))
-store_matrix = _per_dimension(
-    "a, r, i, u, dims", lambda d: _tuple([f"store(a, r + {k}, i, u[{k}])" for k in range(d * d)])
-)
 add_vector = _per_dimension(
     "a, r, i, u, dims", lambda d: _tuple([f"accumulate(a, r + {k}, i, u[{k}])" for k in range(d)])
 )

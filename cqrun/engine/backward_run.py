@@ -9,7 +9,9 @@ import numpy as np
 from cqrun.engine.forward_run import ForwardRun
 from cqrun.engine.model import Inputs, LossBar
 from cqrun.engine.probe import record_vjp
+from cqrun.engine.setting import Bars, Crew, Drive
 from cqrun.engine.step import reverse
+from cqrun.forces.force import Levels
 from cqrun.numerics.packed import aligned, pack, unpack
 from cqrun.plugin.contract import Array
 from cqrun.state import DECAY, FORCE, MASS, VOLUME, State
@@ -27,26 +29,27 @@ class BackwardRun:
 
     def __init__(self, rollout: ForwardRun, loss_bar: LossBar) -> None:
         self.rollout = rollout
-        drive = rollout.drive
         self.q_bar = aligned(rollout.start.shape, rollout.start.dtype)
         self.fields_bar = aligned(rollout.fields.shape, rollout.fields.dtype)
-        self.drive_bar = drive._replace(
-            activation=np.zeros_like(drive.activation),
-            strength=np.zeros_like(drive.strength),
-            rest=np.zeros_like(drive.rest),
-            stresses=tuple(
-                s._replace(theta=np.zeros_like(s.theta), weight=np.zeros_like(s.weight)) for s in drive.stresses
-            ),
-            push=np.zeros_like(drive.push),
-        )
+        self.drive_bar = self._drive_bar()
         zeros = [[np.zeros_like(theta) for theta in group] for group in rollout.inputs.terms]
         self.groups_bar = rollout.kernel_groups(zeros, self.drive_bar)
         self.coefficient_bar = np.zeros(len(rollout.model.conditions))
+        self.pairs = tuple(zip(rollout.groups, self.groups_bar, strict=True))
+        self.stresses = tuple(zip(rollout.drive.stresses, self.drive_bar.stresses, strict=True))
+        push_bar = np.zeros_like(rollout.bundle.push)
+        self.bundle = Bars(self.q_bar, self.fields_bar, push_bar, rollout.model.no_push(rollout.drive.steady))
         self.before: dict[int, float] = {}
         self.after: dict[int, float] = {}
         self.whole = aligned(self.q_bar.shape, self.q_bar.dtype)
         self.parameters_bar: Any = None if rollout.policy is None else rollout.policy.parameters_zero()
         self._begin(loss_bar)
+
+    def _drive_bar(self) -> Drive:
+        """Return zero cotangents of what drives particles."""
+        drive = self.rollout.drive
+        stresses = (s._replace(theta=np.zeros_like(s.theta), weight=np.zeros_like(s.weight)) for s in drive.stresses)
+        return drive._replace(levels=Levels(*map(np.zeros_like, drive.levels)), stresses=tuple(stresses))
 
     def _begin(self, loss_bar: LossBar) -> None:
         rollout = self.rollout
@@ -56,15 +59,15 @@ class BackwardRun:
             self.memory_bar += loss_bar.final.memory
         self.records_bar = np.zeros_like(rollout.records)
         if loss_bar.records is not None:
-            self.records_bar += loss_bar.records.to_rows()
+            self.records_bar += loss_bar.records.to_rows(rollout.model.layout.table)
         if loss_bar.activation is not None:
-            self.drive_bar.activation[...] = loss_bar.activation
+            self.drive_bar.levels.activation[:, : len(rollout.model.actuators)] = loss_bar.activation
         if rollout.policy is not None:
             self.after[rollout.model.n_controls] = self._size(self.records_bar[-1])
 
     def _add_state(self, bar: State) -> None:
         layout, real = self.rollout.model.layout, self.rollout.model.real
-        self.q_bar += pack(unpack(bar.pack(layout, real)) * layout.real(), real)
+        self.q_bar += pack(unpack(bar.pack_bar(layout, real)) * layout.real(), real)
 
     def run(self, begin: int, end: int, states: Array) -> None:
         """Run the adjoints of substeps end - 1 .. begin, whose states are kept in `states`."""
@@ -95,7 +98,7 @@ class BackwardRun:
         assert r.policy is not None
         record_bar, self.memory_bar, state_bar = r.policy.act_vjp(
             control, r.records[control], r.memory[control], lambda: r.unpack(q, control),
-            self.drive_bar.activation[control], self.memory_bar, self.parameters_bar,
+            self.drive_bar.levels.activation[control, : len(r.model.actuators)], self.memory_bar, self.parameters_bar,
         )  # fmt: skip
         if state_bar is not None:
             self._add_state(state_bar)
@@ -113,14 +116,11 @@ class BackwardRun:
 
     def _reverse(self, begin: int, end: int, states: Array) -> None:
         r = self.rollout
-        pairs = tuple(zip(r.groups, self.groups_bar, strict=True))
-        stresses = tuple(zip(r.drive.stresses, self.drive_bar.stresses, strict=True))
 
         def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
             reverse(
-                from_, end, r.groups, pairs, r.conditions, self.coefficient_bar, states, self.q_bar,
-                r.fields, self.fields_bar, r.drive, self.drive_bar, stresses, r.probe, self.records_bar,
-                r.setting, r.work, thread, n,
+                r.groups, self.pairs, r.conditions, self.coefficient_bar, r.drive, self.stresses, self.drive_bar.levels,
+                r.bundle, self.bundle, states, from_, end, r.probe, self.records_bar, Crew(thread, n),
             )  # fmt: skip
 
         if r.threads > 1:
@@ -140,10 +140,11 @@ class BackwardRun:
         for g, (group, slice_) in enumerate(zip(self.groups_bar, r.model.group_slices(), strict=True)):
             for k in range(len(bar.terms[g])):
                 bar.terms[g][k][:] = unpack(group.terms[k].theta)[:, columns[slice_]]
-        bar.activation[:], bar.strength[:] = self.drive_bar.activation, self.drive_bar.strength
+        bar.activation[:] = self.drive_bar.levels.activation[:, : len(r.model.actuators)]
+        bar.strength[:] = self.drive_bar.levels.strength
         bar.coefficients[:] = self.coefficient_bar
         if len(bar.rest):
-            bar.rest[:] = self.drive_bar.rest
+            bar.rest[:] = self.drive_bar.levels.rest
         if len(bar.weights):
             self._add_weights(bar.weights)
         return bar

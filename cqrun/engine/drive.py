@@ -1,15 +1,16 @@
-"""Activations to active stresses, once a control step, and to forces, every substep; and back. One thread runs these.
+"""Activations to active stresses and steady forces, once a control step, and back. One thread runs these.
 
-theta_p = sum_a activation_a strength_a weight_ap direction_a over the stress actuators a that hold particle p; what
-forces do is their own (`actuators/push.py`).
+theta_p = sum_a activation_a strength_a weight_ap direction_a over the stress actuators a that hold particle p. What
+steady forces do is their own (`forces/steady.py`).
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from cqrun.actuators.push import push, push_vjp
-from cqrun.engine.setting import Drive, Stresses
+from cqrun.engine.setting import Bars, Drive, Run, Stresses
+from cqrun.forces.force import Levels
+from cqrun.forces.steady import hold, hold_vjp
 from cqrun.numerics.compile import for_each, kernel
 from cqrun.plugin.contract import Array
 
@@ -31,7 +32,7 @@ def stress(stresses: Stresses, activation: Array, strength: Array, control: int)
 
 
 @kernel
-def stress_vjp(pair: tuple[Stresses, Stresses], activation: Array, strength: Array, control: int, bar: Drive) -> None:
+def stress_vjp(pair: tuple[Stresses, Stresses], activation: Array, strength: Array, control: int, bar: Levels) -> None:
     """Turn the cotangent of theta, summed over a control step, into those of activation, strength, weight; clear it."""
     stresses, theta_bar = pair[0], pair[1].theta
     width = theta_bar.shape[2]
@@ -52,42 +53,50 @@ def stress_vjp(pair: tuple[Stresses, Stresses], activation: Array, strength: Arr
 
 
 @kernel
-def clear_push(force_kernel: Any, force: Array) -> None:
-    """Forget what the actuators of one kind pushed."""
+def clear_columns(columns: Array, force: Array) -> None:
+    """Set the force on some particles to zero."""
     width = force.shape[2]
-    for p in force_kernel.columns:
+    for p in columns:
         force[p // width, :, p % width] = 0.0
+
+
+@kernel
+def clear_steady(steady: Any, force: Array) -> None:
+    """Set the force on the particles of one kind of steady force to zero."""
+    clear_columns(steady.columns, force)
 
 
 stress_of_each = for_each(stress)
 stress_vjp_of_each = for_each(stress_vjp)
-clear_each_push = for_each(clear_push)
-push_of_each = for_each(push)
-push_vjp_of_each = for_each(push_vjp)
+clear_each_steady = for_each(clear_steady)
+hold_of_each = for_each(hold)
+hold_vjp_of_each = for_each(hold_vjp)
 
 
 @kernel
-def activate(drive: Drive, control: int) -> None:
-    """Set the active stresses of a control step."""
-    stress_of_each(drive.stresses, drive.activation, drive.strength, control)
+def activate(drive: Drive, run: Run, control: int) -> None:
+    """Set the active stresses and the steady forces of a control step."""
+    levels, pulled, push = drive.levels, drive.pulled, run.push
+    stress_of_each(drive.stresses, levels.activation, levels.strength, control)
+    if push.shape[0] > 0:
+        clear_columns(pulled.columns, push)
+        clear_each_steady(drive.steady, push)
+        hold_of_each(drive.steady, levels, control, run.fields, push)
+        width = push.shape[2]
+        for j in range(len(pulled.columns)):
+            p = pulled.columns[j]
+            for d in range(push.shape[1]):
+                pulled.base[j, d] = push[p // width, d, p % width]
 
 
 @kernel
-def activate_vjp(drive: Drive, drive_bar: Drive, pairs: Any, control: int) -> None:
-    """Carry the cotangents of a control step's active stresses back; `pairs` are the stresses with theirs."""
-    stress_vjp_of_each(pairs, drive.activation, drive.strength, control, drive_bar)
+def activate_vjp(stresses: Any, drive: Drive, levels_bar: Levels, run: Run, bars: Bars, control: int) -> None:
+    """Carry the cotangents of a control step's active stresses and steady forces back, and clear them.
 
-
-@kernel
-def push_particles(drive: Drive, control: int, q: Array, fields: Array) -> None:
-    """Set the actuators' forces at the state q."""
-    clear_each_push(drive.forces, drive.push)
-    push_of_each(drive.forces, drive, control, q, fields, drive.push)
-
-
-@kernel
-def push_particles_vjp(
-    drive: Drive, drive_bar: Drive, control: int, q: Array, q_bar: Array, fields: Array, fields_bar: Array
-) -> None:
-    """Add what the forces' cotangent (`drive_bar.push`) gives to those of state, fields and activations."""
-    push_vjp_of_each(drive.forces, drive, drive_bar, control, q, q_bar, fields, fields_bar)
+    `stresses` are the active stresses, each with its cotangent.
+    """
+    levels, steady_bar = drive.levels, bars.steady_push
+    stress_vjp_of_each(stresses, levels.activation, levels.strength, control, levels_bar)
+    if steady_bar.shape[0] > 0:
+        hold_vjp_of_each(drive.steady, levels, levels_bar, control, run.fields, bars.fields, steady_bar)
+        steady_bar[:] = 0.0

@@ -10,13 +10,14 @@ from numba import config
 from cqrun.engine.model import Inputs, Model, Records
 from cqrun.engine.policy import Policy
 from cqrun.engine.probe import record
-from cqrun.engine.setting import MARGIN, Drive, Group, Setting, make_work, node_strides
+from cqrun.engine.setting import MARGIN, Crew, Drive, Group, Run, Setting, make_work, node_strides, pulled_lanes
 from cqrun.engine.step import advance
 from cqrun.engine.team import Team
 from cqrun.errors import RolloutError
+from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import pack, unpack
 from cqrun.plugin.contract import Array
-from cqrun.state import DECAY, FORCE, MASS, VOLUME, ParticleFields, State, rows_of
+from cqrun.state import DECAY, FORCE, MASS, VOLUME, ParticleFields, State
 
 THREAD_WORTH = 1000
 """Particles for which a thread gains more than it costs to hand the grid over, pass by pass."""
@@ -62,7 +63,7 @@ class ForwardRun:
         self.adjoint, self.policy = adjoint, policy
         self.team = Team(useful_threads(model, threads))
         self._pack()
-        self.rows = rows_of(model.dim)[-1]
+        self.rows = model.layout.table.n_rows
         self.records: Array = np.zeros((model.n_controls + 1, self.rows, len(self.probe.start) - 1))
         record(self.probe, self.start, self.records[0])
         self.memory = np.tile(inputs.state.memory, (model.n_controls + 1, 1))
@@ -70,8 +71,8 @@ class ForwardRun:
 
     @property
     def activation(self) -> Array:
-        """Activations (T, A), one row a control step."""
-        return self.drive.activation
+        """Activations (T, A) of the actuators, one row a control step."""
+        return self.drive.levels.activation[:, : len(self.model.actuators)]
 
     @property
     def state_bytes(self) -> int:
@@ -86,8 +87,8 @@ class ForwardRun:
     # --- setting up ---------------------------------------------------------------------------------
 
     def _chained(self) -> bool:
-        """Say whether substeps may follow each other tile by tile: what pushes must see all particles in between."""
-        return self.start.nbytes >= CHAINED_FROM and self.model.substeps > 1 and not len(self.drive.push)
+        """Say whether substeps follow each other tile by tile."""
+        return self.start.nbytes >= CHAINED_FROM and self.model.substeps > 1
 
     def _pack(self) -> None:
         model, inputs = self.model, self.inputs
@@ -111,6 +112,8 @@ class ForwardRun:
             adjoint=self.adjoint,
             team=self.team,
         )
+        push = model.no_push([*self.drive.steady, *self.drive.forces])
+        self.bundle = Run(self.setting, self.work, self.fields, push)
         self._check_start()
 
     def _pack_fields(self, fields: ParticleFields) -> Array:
@@ -134,13 +137,22 @@ class ForwardRun:
         for g, slice_, thetas in zip(model.groups, model.group_slices(), terms, strict=True):
             lo, hi = int(starts[g.bodies[0]]), int(starts[g.bodies[-1] + 1])
             views = []
-            for make, theta in zip(g.kernel_terms, thetas, strict=True):
+            histories = g.history or ((),) * len(g.kernel_terms)
+            for make, theta, names in zip(g.kernel_terms, thetas, histories, strict=True):
                 full = np.zeros((len(theta), model.layout.n))
                 full[:, lo:hi] = theta[:, sources[lo:hi] - slice_.start]
-                views.append(make(pack(full, model.real)))
+                view = make(pack(full, model.real))
+                views.append(view._replace(history=self._rows(names)) if names else view)
             views += [kind(active[kind].theta, (0,) * active[kind].theta.shape[1]) for kind in g.active]
-            groups.append(Group(lo, hi, tuple(views)))
+            groups.append(
+                Group(lo, hi, tuple(views), *pulled_lanes(drive.pulled.columns, lo, hi, lane_width(model.real)))
+            )
         return tuple(groups)
+
+    def _rows(self, names: tuple[str, ...]) -> tuple[int, ...]:
+        """Return the rows of the state that fields of these names have."""
+        rows = self.model.layout.table.rows
+        return tuple(row for name in names for row in range(rows[name].start, rows[name].stop))
 
     def _check_start(self) -> None:
         astray = self._astray(self.start)
@@ -181,7 +193,7 @@ class ForwardRun:
                 break
             self.advance(control * self.model.substeps, (control + 1) * self.model.substeps, states, keep=False)
         self.final = states[0]
-        return Records.from_rows(self.records, self.model.dim)
+        return Records.from_rows(self.records, self.model.layout.table)
 
     def unpack(self, q: Array, control: int) -> State:
         """Return a packed state at a control step as a State."""
@@ -213,24 +225,13 @@ class ForwardRun:
         work.stray[:] = -1
 
         def body(thread: int, to: int = end, n: int = self.threads) -> int:
+            crew = Crew(thread, n)
             return int(
                 advance(
-                    begin,
-                    to,
-                    keep,
-                    self.groups,
-                    self.conditions,
-                    states,
-                    self.fields,
-                    self.drive,
-                    self.probe,
-                    self.records,
-                    self.setting,
-                    work,
-                    thread,
-                    n,
+                    self.groups, self.conditions, self.drive, self.bundle, states, begin, to, keep, self.probe,
+                    self.records, crew,
                 )
-            )
+            )  # fmt: skip
 
         if self.threads > 1:
             body(0, begin, 1)  # compiled by one thread, before the others could wait for it

@@ -14,7 +14,7 @@ from numba.extending import overload
 
 from cqrun.boundaries.condition import project_all, project_all_vjp
 from cqrun.engine.blocks import BLOCK, first_node
-from cqrun.engine.setting import Setting, Work
+from cqrun.engine.setting import Crew, Run
 from cqrun.numerics.compile import kernel, share
 from cqrun.numerics.lanes import lane, with_lane
 from cqrun.numerics.records import load4, make4, store4
@@ -46,9 +46,10 @@ def _record(u, extra, like):
 
 
 @kernel
-def clear(grid: Array, records: int, setting: Setting, work: Work, thread: int, n_threads: int) -> None:
+def clear(grid: Array, records: int, run: Run, crew: Crew) -> None:
     """Set the listed nodes of a grid of so many records a node to zero."""
-    lo, hi = share(work.blocks.n_nodes[0], thread, n_threads)
+    setting, work = run.setting, run.work
+    lo, hi = share(work.blocks.n_nodes[0], crew.thread, crew.n_threads)
     strides = setting.strides
     for index in range(lo, hi):
         first = first_node(work.blocks, work.blocks.nodes[index], strides)
@@ -60,9 +61,10 @@ def clear(grid: Array, records: int, setting: Setting, work: Work, thread: int, 
 
 
 @kernel
-def update_grid(setting: Setting, conditions: Any, work: Work, thread: int, n_threads: int) -> None:
+def update_grid(conditions: Any, run: Run, crew: Crew) -> None:
     """Turn momentum and mass into velocity."""
-    lo, hi = share(work.blocks.n_nodes[0], thread, n_threads)
+    setting, work = run.setting, run.work
+    lo, hi = share(work.blocks.n_nodes[0], crew.thread, crew.n_threads)
     strides = setting.strides
     for index in range(lo, hi):
         first = first_node(work.blocks, work.blocks.nodes[index], strides)
@@ -84,9 +86,10 @@ def update_grid(setting: Setting, conditions: Any, work: Work, thread: int, n_th
 
 
 @kernel
-def update_grid_vjp(setting: Setting, conditions: Any, work: Work, thread: int, n_threads: int) -> None:
+def update_grid_vjp(conditions: Any, run: Run, crew: Crew) -> None:
     """Turn momentum and mass into velocity, and the cotangent of velocity into theirs."""
-    lo, hi = share(work.blocks.n_nodes[0], thread, n_threads)
+    setting, work = run.setting, run.work
+    lo, hi = share(work.blocks.n_nodes[0], crew.thread, crew.n_threads)
     strides = setting.strides
     for index in range(lo, hi):
         first = first_node(work.blocks, work.blocks.nodes[index], strides)
@@ -120,8 +123,10 @@ def update_grid_vjp(setting: Setting, conditions: Any, work: Work, thread: int, 
 
 
 @kernel
-def add_friction_bar(coefficient_bar: Array, work: Work) -> None:
+def add_friction_bar(coefficient_bar: Array, run: Run, crew: Crew) -> None:
     """Add the blocks' partial sums (one thread, in block order)."""
-    for index in range(work.blocks.n_nodes[0]):
-        for k in range(len(coefficient_bar)):
-            coefficient_bar[k] += work.friction_bar[index * len(coefficient_bar) + k]
+    work = run.work
+    if crew.thread == 0:
+        for index in range(work.blocks.n_nodes[0]):
+            for k in range(len(coefficient_bar)):
+                coefficient_bar[k] += work.friction_bar[index * len(coefficient_bar) + k]

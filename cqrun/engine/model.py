@@ -7,20 +7,21 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
-from cqrun.actuators.push import make_kernel, pushes, starts_of
 from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
 from cqrun.engine.probe import make_probe
-from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
+from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, make_pulled, node_positions
+from cqrun.forces.force import Kind, Levels, is_force, make_forces
+from cqrun.forces.steady import is_steady, make_steady, starts_of
 from cqrun.numerics.packed import pack
 from cqrun.plugin.contract import Array
-from cqrun.state import Layout, ParticleFields, State, rows_of
+from cqrun.state import MOTION, Layout, ParticleFields, State, StateField, StateTable, state_table
 
 
 @dataclass(frozen=True)
@@ -28,17 +29,19 @@ class GroupModel:
     """Consecutive bodies with the same terms of stress.
 
     `kernel_terms` make each term's kernel view from its packed parameters theta; `active` are the kinds of active
-    stress among its actuators, terms like the others but for the activations that fill them.
+    stress among its actuators, terms like the others but for the activations that fill them; `history` names the fields
+    of the state that belong to each of the terms, empty if no term has any.
     """
 
     bodies: tuple[int, ...]
     kernel_terms: tuple[Callable[[Array], Any], ...]
     active: tuple[type, ...] = ()
+    history: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
 class ActuatorModel:
-    """What has one activation: a part of an actuator.
+    """A part of an actuator, which has one activation, or of a force, which has none.
 
     `kernel` is the class of its kind, `constants` what `Actuator.constants` says; particles are in user order, those
     of a cable in the order of its route.
@@ -83,6 +86,7 @@ class Model:
     probe: sparse.csr_array | None = None  # (K, N) weighted sums to record
     real: Any = np.float64
     memory_budget: int = 2 * 2**30  # bytes for states kept for gradients
+    forces: tuple[ActuatorModel, ...] = ()  # parts of forces without an activation
     spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # memory for them (`checkpoint.py`)
 
     @property
@@ -115,12 +119,18 @@ class Model:
     def kernel_probe(self) -> Probe:
         """Return the probe over kernel columns."""
         matrix = sparse.csr_array((0, self.layout.n_particles)) if self.probe is None else self.probe
-        return make_probe(matrix, self.layout.columns(), rows_of(self.dim)[-1])
+        return make_probe(matrix, self.layout.columns(), self.layout.table.n_rows)
 
-    def kinds(self) -> tuple[list[type], list[type]]:
-        """Return the kinds of active stress, and of force, of the actuators."""
-        kinds = list(dict.fromkeys(a.kernel for a in self.actuators))
-        return [k for k in kinds if not pushes(k)], [k for k in kinds if pushes(k)]
+    @property
+    def parts(self) -> tuple[ActuatorModel, ...]:
+        """All parts that have a strength: those of actuators, and after them those of forces without an activation."""
+        return (*self.actuators, *self.forces)
+
+    def kinds(self) -> tuple[list[type], list[type], list[type]]:
+        """Return the kinds of active stress, of steady force, and of force that depends on the state."""
+        kinds = list(dict.fromkeys(part.kernel for part in self.parts))
+        steady, forces = [k for k in kinds if is_steady(k)], [k for k in kinds if is_force(k)]
+        return [k for k in kinds if k not in steady + forces], steady, forces
 
     @property
     def weight_slices(self) -> list[slice]:
@@ -129,32 +139,38 @@ class Model:
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
     def kernel_drive(self, inputs: Inputs) -> Drive:
-        """Return what the actuators act through."""
-        weights, rest = inputs.weights, inputs.rest
-        columns, (stresses, forces) = self.layout.columns(), self.kinds()
-        pieces, shares = [columns[a.particles] for a in self.actuators], self.weight_slices
+        """Return what actuators and forces act through."""
+        weights, rest, parts = inputs.weights, inputs.rest, self.parts
+        columns, (stresses, steady, forces) = self.layout.columns(), self.kinds()
+        pieces, shares = [columns[part.particles] for part in parts], self.weight_slices
         if not len(weights):
             weights = np.ones(shares[-1].stop if shares else 0)
 
         def of(kind: type) -> tuple[Array, list[Array], list[Array]]:
-            own = [k for k, a in enumerate(self.actuators) if a.kernel is kind]
-            return np.array(own, np.int64), [pieces[k] for k in own], [self.actuators[k].constants for k in own]
+            mine = [k for k, part in enumerate(parts) if part.kernel is kind]
+            return np.array(mine, np.int64), [pieces[k] for k in mine], [parts[k].constants for k in mine]
 
         def stress(kind: type) -> Stresses:
-            own, held, directions = of(kind)
+            mine, held, directions = of(kind)
             theta = pack(np.zeros((len(directions[0]), self.layout.n)), self.real)
-            weight = np.concatenate([weights[shares[k]] for k in own])
-            return Stresses(theta, *starts_of(held), own, np.array(directions, float), weight)
+            weight = np.concatenate([weights[shares[k]] for k in mine])
+            return Stresses(theta, *starts_of(held), mine, np.array(directions, float), weight)
 
-        n_pushed = self.layout.n if forces else 0
-        return Drive(
-            np.array(inputs.activation, np.float64, order="C"),
+        always_on = np.ones((len(inputs.activation), len(self.forces)))
+        levels = Levels(
+            np.concatenate([np.asarray(inputs.activation, np.float64), always_on], axis=1),
             np.array(inputs.strength, np.float64),
-            np.array(rest, np.float64) if len(rest) else np.zeros(len(self.actuators)),
-            tuple(stress(kind) for kind in stresses),
-            tuple(make_kernel(kind, *of(kind)) for kind in forces),
-            pack(np.zeros((self.dim, n_pushed)), self.real),
+            np.array(rest, np.float64) if len(rest) else np.zeros(len(parts)),
         )
+        kernels, all_shares = make_forces([Kind(kind, *of(kind)) for kind in forces], self.dim)
+        return Drive(
+            levels, tuple(stress(kind) for kind in stresses), tuple(make_steady(kind, *of(kind)) for kind in steady),
+            kernels, make_pulled(all_shares),
+        )  # fmt: skip
+
+    def no_push(self, kinds: Sequence[Any]) -> Array:
+        """Return forces on particles of zero, packed; without columns where there is no kind of force."""
+        return pack(np.zeros((self.dim, self.layout.n if kinds else 0)), self.real)
 
 
 @dataclass
@@ -162,9 +178,9 @@ class Inputs:
     """What a rollout depends on; as a cotangent, the derivative of the loss by each of them.
 
     `terms[g][k]` (rows, N_g) are the parameters of term k of group g, `activation` (T, A) has one row a control step,
-    `strength` (A,) one number an actuator, in its own unit, `coefficients` one a plane of a boundary condition,
+    `strength` one number a part of `Model.parts`, in its own unit, `coefficients` one a plane of a boundary condition,
     `weights` one a particle of each actuator, one actuator after another; all 1 if empty. Forces have no weights.
-    `rest` (A,) is the length at rest of each actuator [m], which cables have; all 0 if empty.
+    `rest` is the length at rest of each of these parts [m], which cables and springs have; all 0 if empty.
     """
 
     state: State
@@ -181,7 +197,7 @@ class Inputs:
         """Return a zero cotangent."""
         s, n, dim = other.state, *other.state.x.shape
         return cls(
-            State(*(np.zeros_like(a) for a in (s.x, s.v, s.C, s.F)), np.zeros_like(s.memory)),
+            s.zeros_like(),
             ParticleFields.zeros(n, dim),
             [[np.zeros_like(theta) for theta in group] for group in other.terms],
             np.zeros_like(other.activation),
@@ -192,43 +208,54 @@ class Inputs:
         )
 
 
-class Records(NamedTuple):
+@dataclass
+class Records:
     """What a rollout writes down at control steps 0 .. T of K weighted means over particles; or the cotangent of that.
+
+    Iterating over it gives x, v, C and F.
 
     Attributes:
         x, v: (T + 1, K, D) position [m], velocity [m/s].
         C, F: (T + 1, K, D, D) velocity gradient [1/s], deformation gradient [1].
+        history: (T + 1, K, ...) of material terms that have one, by name.
     """
 
     x: Array
     v: Array
     C: Array
     F: Array
+    history: dict[str, Array] = field(default_factory=dict)
+
+    def __iter__(self) -> Iterator[Array]:
+        """Iterate over x, v, C and F."""
+        return iter((self.x, self.v, self.C, self.F))
 
     @classmethod
-    def from_rows(cls, rows: Array, dim: int) -> Records:
+    def from_rows(cls, rows: Array, table: StateTable) -> Records:
         """Return the records in kernel rows (T + 1, rows, K)."""
         a = np.ascontiguousarray(rows.transpose(0, 2, 1))
-        shape = (*a.shape[:2], dim, dim)
-        d = dim
-        return cls(
-            a[..., :d],
-            a[..., d : 2 * d],
-            a[..., 2 * d : 2 * d + d * d].reshape(shape),
-            a[..., 2 * d + d * d :].reshape(shape),
-        )
+        arrays = {f.name: a[..., table.rows[f.name]].reshape(*a.shape[:2], *f.shape) for f in table.fields}
+        motion = {name: arrays.pop(name) for name in MOTION}
+        return cls(**motion, history=arrays)
 
-    def to_rows(self) -> Array:
-        """Return kernel rows (T + 1, rows, K)."""
-        flat = (*self.x.shape[:2], self.x.shape[2] ** 2)  # not -1: there may be no rows
-        parts = [self.x, self.v, self.C.reshape(flat), self.F.reshape(flat)]
-        out = np.empty((len(self.x), sum(part.shape[2] for part in parts), self.x.shape[1]), self.x.dtype)
-        return np.concatenate([part.transpose(0, 2, 1) for part in parts], axis=1, out=out)
+    def zeros_like(self) -> Records:
+        """Return zero records of the same shapes."""
+        x, v, C, F = (np.zeros_like(a) for a in self)
+        return Records(x, v, C, F, {name: np.zeros_like(a) for name, a in self.history.items()})
+
+    def to_rows(self, table: StateTable) -> Array:
+        """Return kernel rows (T + 1, rows, K); histories that it lacks count as zero."""
+        out = np.zeros((len(self.x), table.n_rows, self.x.shape[1]), self.x.dtype)
+        for name, array in ({name: getattr(self, name) for name in MOTION} | self.history).items():
+            rows = table.rows[name]
+            out[:, rows] = array.reshape(*array.shape[:2], rows.stop - rows.start).transpose(0, 2, 1)
+        return out
 
     @classmethod
-    def zeros(cls, n_controls: int, k: int, dim: int) -> Records:
+    def zeros(cls, n_controls: int, k: int, dim: int, history: Sequence[StateField] = ()) -> Records:
         """Return zero records, as a cotangent to fill."""
-        return cls.from_rows(np.zeros((n_controls + 1, 2 * dim + 2 * dim * dim, k)), dim)
+        table = state_table(dim, tuple(history))
+        return cls.from_rows(np.zeros((n_controls + 1, table.n_rows, k)), table)
 
 
 @dataclass

@@ -100,7 +100,7 @@ class Rollout(ForwardRun):
                     self.advance(ends(last), ends(action.n1), chunk_states, keep=True)
             elif isinstance(action, EndForward):
                 final = chunk_states[n_steps - ends(plan.n_chunks - 1)]
-                records = Records.from_rows(self.records.copy(), model.dim)
+                records = Records.from_rows(self.records.copy(), model.layout.table)
                 sweeps += [BackwardRun(self, bar) for bar in loss_bars(records, self.unpack(final, model.n_controls))]
             elif isinstance(action, Reverse):
                 for sweep in sweeps:

@@ -8,6 +8,7 @@ import numpy as np
 
 from cqrun.engine.blocks import BLOCK, Blocks, make_blocks
 from cqrun.engine.team import Team
+from cqrun.forces.force import Levels, Shares
 from cqrun.numerics.packed import aligned
 from cqrun.plugin.contract import Array
 
@@ -31,11 +32,16 @@ class Setting(NamedTuple):
 
 
 class Group(NamedTuple):
-    """A body's columns and the terms of its stress."""
+    """A body's columns, the terms of its stress, and the lanes of it that forces pull.
+
+    A pulled lane is written once more after the forces are known, so tiles need not wait for them (`forces.py`).
+    """
 
     lo: int
     hi: int
     terms: tuple[Any, ...]
+    lanes: Array  # (L,) first columns of the lanes with pulled particles, increasing
+    pulled: Array  # (L + 1,) where the particles of each of these lanes begin in `Pulled.columns`
 
 
 class Stresses(NamedTuple):
@@ -52,15 +58,27 @@ class Stresses(NamedTuple):
     weight: Array  # of each of the columns [1]
 
 
-class Drive(NamedTuple):
-    """What activations act through; as a cotangent, theta, push, activation, strength and rest are theirs."""
+class Pulled(NamedTuple):
+    """The particles that forces pull, and which shares each of them adds up."""
 
-    activation: Array  # (T, A) one row a control step [1]
-    strength: Array  # (A,) in each actuator's own unit
-    rest: Array  # (A,) length at rest [m]
+    columns: Array  # (P,) increasing
+    begin: Array  # (P + 1,) where the shares of a particle begin in `order`
+    order: Array  # (S,) shares, those of a particle in the order in which they are added
+    shares: Shares  # of all kinds of force
+    base: Array  # (P, D) the steady force on each [N]
+
+
+class Drive(NamedTuple):
+    """What drives particles: the parts of actuators, and after them those of forces without an activation.
+
+    As a cotangent, the theta and weight of the stresses and the levels are theirs.
+    """
+
+    levels: Levels
     stresses: tuple[Stresses, ...]  # one a kind of active stress
-    forces: tuple[Any, ...]  # one kernel a kind of force
-    push: Array  # (D, n) force of the actuators, packed [N]; no columns where nothing pushes
+    steady: tuple[Any, ...]  # one kernel a kind of steady force
+    forces: tuple[Any, ...]  # one kernel a kind of force that depends on the state
+    pulled: Pulled
 
 
 class Probe(NamedTuple):
@@ -95,6 +113,66 @@ class Work(NamedTuple):
     tile_slope: Array  # (threads, TILE, 4)
     blocks: Blocks
     arrivals: Array  # where threads meet (`team.py`)
+
+
+# --- what passes take: what stays the same through a rollout, the cotangents, one substep, one thread -------------
+
+
+class Run(NamedTuple):
+    """What all passes of a rollout work with."""
+
+    setting: Setting
+    work: Work
+    fields: Array  # of particles (`state.py`), packed
+    push: Array  # (D, n) force of actuators and forces on particles, packed [N]; no columns where nothing pushes
+
+
+class Bars(NamedTuple):
+    """The cotangents of the state and of what all particles have, packed."""
+
+    q: Array  # from that of q_next to that of q
+    fields: Array
+    push: Array  # of one substep
+    steady_push: Array  # of the steady forces, summed over a control step; no columns where there are none
+
+
+class Substep(NamedTuple):
+    """One substep, from the state q to q_next, which may be q.
+
+    `begun` says that the substep before has done this one's first pass, `ahead` that this one does the first of the
+    next (`step.py`); backward, before and next change places. Particles are sorted where `due` is a multiple of
+    SORT_EVERY.
+    """
+
+    control: int
+    due: int
+    begun: bool
+    ahead: bool
+    q: Array
+    q_next: Array
+    q_before: Array  # the state that the substep before began from; used backward if `ahead`
+
+
+class Crew(NamedTuple):
+    """One of the threads that run a pass together."""
+
+    thread: int
+    n_threads: int
+
+
+def make_pulled(shares: Shares) -> Pulled:
+    """Return which particles all shares pull, in the order of their columns."""
+    columns, order = np.unique(shares.columns), np.argsort(shares.columns, kind="stable")
+    begin = np.append(np.searchsorted(shares.columns[order], columns), len(order))
+    base = np.zeros((len(columns), shares.force.shape[1]))
+    return Pulled(columns.astype(np.int64), begin.astype(np.int64), order.astype(np.int64), shares, base)
+
+
+def pulled_lanes(columns: Array, lo: int, hi: int, width: int) -> tuple[Array, Array]:
+    """Return the lanes of columns lo .. hi that hold pulled particles: their first columns, and `Group.pulled`."""
+    first, last = np.searchsorted(columns, [lo, hi])
+    lanes = np.unique(columns[first:last] // width) * width
+    return lanes.astype(np.int64), np.searchsorted(columns, [*lanes, hi]).astype(np.int64)
 
 
 def grid_shape(size: Array, dx: float) -> tuple[int, ...]:

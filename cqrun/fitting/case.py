@@ -92,13 +92,15 @@ class Case:
         found: dict[str, float] = {"loss": 0.0, "start": 0.0}
 
         def loss_bar(records: Records, final: Any) -> LossBar:
-            total = Records.zeros(model.n_controls, records.x.shape[1], model.dim)
+            total = records.zeros_like()
             for weight, comparison in zip(weights, self.comparisons, strict=True):
                 found["loss"] += weight * comparison.loss(records, start)
                 bar, start_bar = comparison.loss_vjp(records, start, weight)
                 found["start"] += start_bar
                 for out, part in zip(total, bar, strict=True):
                     out += part
+                for name, part in bar.history.items():
+                    total.history[name] += part
             return LossBar(total)
 
         _, inputs_bar = rollout.gradient(loss_bar)

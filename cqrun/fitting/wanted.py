@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -65,8 +66,9 @@ class Wanted(Comparison):
 
     def track(self, records: Records) -> Track:
         """Return a rollout as the terms see it."""
-        nothing = np.zeros((self.matter.n_controls, self.matter.n_actuators))
-        return Track(*records, nothing, self.goals, self.matter.control_step, self.matter.design)
+        nothing, matter = np.zeros((self.matter.n_controls, self.matter.n_actuators)), self.matter
+        x, v, C, F = records
+        return Track(x, v, C, F, nothing, self.goals, matter.control_step, matter.design)
 
     def wanted(self) -> dict[str, Any]:
         """Return what a trajectory says of where its bodies should go [m]."""
@@ -83,5 +85,5 @@ class Wanted(Comparison):
     def loss_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Records, float]:
         """Return the cotangents of the records and, 0, of `start` from that of the loss."""
         bar = self.objective.loss_vjp(self.track(records), loss_bar)
-        found = zip(records, (bar.x, bar.v, bar.C, bar.F), strict=True)
-        return Records(*(np.zeros(np.shape(part)) if own is None else own for part, own in found)), 0.0
+        found = {name: part for name in "xvCF" if (part := getattr(bar, name)) is not None}
+        return replace(records.zeros_like(), **found), 0.0

@@ -1,1 +1,1 @@
-"""Shapes and samplings, one file each."""
+"""Shapes, regions and samplings, one file each."""

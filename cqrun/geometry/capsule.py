@@ -1,4 +1,4 @@
-"""A capsule: everything within a radius of a segment."""
+"""A capsule: all points within a radius of a segment."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from cqrun.plugin.registry import plugin
 
 @plugin("region", "colour")
 class Colour(Region):
-    """The particles in pixels of one colour of the image that their body is made of."""
+    """The particles in pixels of one colour of the image from which their body is made."""
 
     shorthand: ClassVar[str] = "colour"
     of_particles: ClassVar[bool] = True

@@ -1,4 +1,4 @@
-"""Union, difference and intersection of regions: as those of shapes, but of names and other regions as well."""
+"""Union, difference and intersection of regions: like those of shapes, but also of names and other regions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cqrun.plugin.registry import plugin
 
 @plugin("region", "union")
 class RegionUnion(Region):
-    """What any of its regions holds: `union: [legs, {ball: {...}}]`."""
+    """The points that any of its regions contains: `union: [legs, {ball: {...}}]`."""
 
     shorthand: ClassVar[str] = "shapes"
 
@@ -26,11 +26,11 @@ class RegionUnion(Region):
 
 @plugin("region", "difference")
 class RegionDifference(Region):
-    """What the first region holds and none of the others does: `difference: [body, legs]`."""
+    """The points of the first region that none of the others contains: `difference: [body, legs]`."""
 
     shorthand: ClassVar[str] = "shapes"
 
-    shapes: list[ChosenRegion] = Field(description="A region, then what is taken out of it", min_length=2)
+    shapes: list[ChosenRegion] = Field(description="A region, then those that are taken out of it", min_length=2)
 
     def pick(self, points: Points) -> Array:
         first, *others = (region.value.pick(points) for region in self.shapes)
@@ -39,11 +39,11 @@ class RegionDifference(Region):
 
 @plugin("region", "intersection")
 class RegionIntersection(Region):
-    """What all of its regions hold: `intersection: [legs, {half_space: {...}}]`."""
+    """The points that all of its regions contain: `intersection: [legs, {half_space: {...}}]`."""
 
     shorthand: ClassVar[str] = "shapes"
 
-    shapes: list[ChosenRegion] = Field(description="Regions that must all hold a point", min_length=1)
+    shapes: list[ChosenRegion] = Field(description="Regions that must all contain a point", min_length=1)
 
     def pick(self, points: Points) -> Array:
         return np.all([region.value.pick(points) for region in self.shapes], axis=0)

@@ -13,14 +13,14 @@ from cqrun.plugin.registry import plugin
 
 @plugin("shape", "difference")
 class Difference(Shape):
-    """The points of the first shape that none of the others holds: `difference: [shape, hole, ...]`.
+    """The points of the first shape that none of the others contains: `difference: [shape, hole, ...]`.
 
-    As numbers of the first shape change, its particles follow it: holes move and stretch with it.
+    If a field of the first shape is an unknown, particles follow that shape, so holes move and stretch with it.
     """
 
     shorthand: ClassVar[str] = "shapes"
 
-    shapes: list[ChosenShape] = Field(description="A shape, then what is cut out of it", min_length=2)
+    shapes: list[ChosenShape] = Field(description="A shape, then those that are cut out of it", min_length=2)
 
     def inside(self, points: Array) -> Array:
         first, *holes = (part.value for part in self.shapes)
@@ -34,8 +34,8 @@ class Difference(Shape):
         return self.shapes[0].value.colour_names
 
     @property
-    def pictured(self) -> bool:
-        return self.shapes[0].value.pictured
+    def has_colours(self) -> bool:
+        return self.shapes[0].value.has_colours
 
     def coloured(self, points: Array, colour: str) -> Array:
         return self.shapes[0].value.coloured(points, colour)

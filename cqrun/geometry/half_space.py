@@ -1,4 +1,4 @@
-"""A half-space: everything behind a plane."""
+"""A half-space: all points behind a plane."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cqrun.plugin.registry import plugin
 
 
 def _unit(normal: list[float]) -> list[float]:
-    """Return the vector with length 1, unchanged to the last bit where it has that length already."""
+    """Scale a vector to length 1; one that has this length already is returned unchanged."""
     length = float(np.linalg.norm(normal))
     if length == 0:
         raise ValueError("must not be zero: it points out of the half-space")
@@ -22,17 +22,17 @@ def _unit(normal: list[float]) -> list[float]:
 
 @plugin("shape", "half_space")
 class HalfSpace(Shape):
-    """Everything behind a plane (2D: a line): (x - point) . normal <= 0; the normal points out of it."""
+    """All points behind a plane (2D: a line): (x - point) . normal <= 0. The normal points outward."""
 
-    point: list[float] = vector("m", "A point of the plane")
-    normal: Annotated[list[float], AfterValidator(_unit)] = vector("1", "Outward normal, made unit")
+    point: list[float] = vector("m", "A point on the plane")
+    normal: Annotated[list[float], AfterValidator(_unit)] = vector("1", "Outward normal, scaled to length 1")
 
     def inside(self, points: Array) -> Array:
         slack = slack_at(points) + slack_at(np.array([self.point]))
         return (points - np.array(self.point)) @ np.array(self.normal) <= slack
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return the bounds: infinite, but on the plane's side where the normal is along an axis."""
+        """Return the bounds: infinite, except at the plane if its normal is along an axis."""
         lower, upper = np.full(len(self.point), -np.inf), np.full(len(self.point), np.inf)
         along = np.flatnonzero(self.normal)
         if len(along) == 1:

@@ -1,4 +1,4 @@
-"""Terrain: everything below a height over x."""
+"""Terrain: all points below a height over x."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ class Sinusoid(Spec):
 
 @plugin("shape", "height_field")
 class HeightField(Shape):
-    """Everything below a height h(x): terrain, as a body of particles or as the region of a boundary.
+    """All points below a height h(x): terrain, as a body of particles or as the region of a boundary.
 
-    The height goes straight from point to point and on level beyond the ends, or is a sinusoid. In 3D it does not
-    change along the third axis. A body needs `span` and `bottom`; a boundary does not.
+    The height is interpolated linearly between `points` and constant beyond the ends, or it is a sinusoid. In 3D it
+    does not change along the third axis. A body needs `span` and `bottom`; a boundary does not.
     """
 
     points: list[Pair] | None = quantity("m", "Profile: [x, height] each, x increasing", min_length=2, default=None)
     sinusoid: Sinusoid | None = Field(description="Profile of hills instead of points", default=None)
-    span: Pair | None = quantity("m", "Where along x it begins and ends; without end if absent", default=None)
-    bottom: float | None = quantity("m", "How deep it reaches; without end if absent", geometric=True, default=None)
+    span: Pair | None = quantity("m", "Where along x it begins and ends; infinite if absent", default=None)
+    bottom: float | None = quantity("m", "Height of its lower side; infinite if absent", geometric=True, default=None)
     up: Literal["y", "z"] | None = Field(description="Axis of the height in 3D; y in 2D", default=None)
 
     @model_validator(mode="after")
     def _is_a_profile(self) -> Self:
-        found = []
+        problems = []
         if (self.points is None) == (self.sinusoid is None):
-            found.append(finding("must have exactly one of points, sinusoid", involves=("points", "sinusoid")))
+            problems.append(finding("must have exactly one of points, sinusoid", involves=("points", "sinusoid")))
         if self.points is not None and (np.diff(np.array(self.points)[:, 0]) <= 0).any():
-            found.append(finding("must go from left to right: every x greater than the one before", ("points",)))
+            problems.append(finding("must go from left to right: every x greater than the previous one", ("points",)))
         if self.span is not None and not self.span[0] < self.span[1]:
-            found.append(finding(f"must begin before it ends, is {self.span}", ("span",)))
-        if found:
-            raise complaint(self.name, found)
+            problems.append(finding(f"must begin before it ends, is {self.span}", ("span",)))
+        if problems:
+            raise complaint(self.name, problems)
         if self.bottom is not None and self.bottom >= self._highest():
             message = f"must be below the highest point, {self._highest():.6g} m, is {self.bottom:g}"
             raise complaint(self.name, [finding(message, ("bottom",))])
@@ -59,7 +59,7 @@ class HeightField(Shape):
         if dim == 3 and self.up is None:
             return [(("up",), "is missing: in a 3D world say whether heights are along y or z")]
         if dim == 2 and self.up is not None:
-            return [(("up",), "is of a 3D world; in 2D heights are along y")]
+            return [(("up",), "is for a 3D world; in 2D heights are along y")]
         return []
 
     def height(self, x: Array) -> Array:
@@ -95,7 +95,7 @@ class HeightField(Shape):
         return lower, upper
 
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
-        """Stretch every column of matter between the bottom and the height."""
+        """Stretch every vertical column between the bottom and the height."""
         height, bottom, bottom_to = self.height(points[:, 0]), self._depth, to._depth
         stretch = (to.height(points[:, 0]) - bottom_to) / (height - bottom)
         moved = points.astype(stretch.dtype)
@@ -117,17 +117,17 @@ class HeightField(Shape):
         return self.sinusoid
 
     def _slope(self, x: Array) -> Array:
-        """Return dh/dx at x (N,); at a corner of the profile that of the segment on its right."""
+        """Return dh/dx at x (N,); at a corner of the profile, the slope of the segment on its right."""
         if self.points is None:
             hills = self._hills
             angle = 2 * np.pi * x / hills.wavelength + np.deg2rad(hills.phase)
             return np.asarray(2 * np.pi * hills.amplitude / hills.wavelength * np.cos(angle))
         corners, heights = np.array(self.points).T
-        slopes = np.concatenate([[0.0], np.diff(heights) / np.diff(corners), [0.0]])  # level beyond the ends
+        slopes = np.concatenate([[0.0], np.diff(heights) / np.diff(corners), [0.0]])  # constant beyond the ends
         return np.asarray(slopes[np.searchsorted(corners, x, side="right")])
 
     def _highest(self) -> float:
-        """Return the greatest height in the span."""
+        """Return the largest height within the span."""
         if self.points is not None:
             candidates = np.array(self.points)[:, 0]
         elif self.span is not None:

@@ -1,4 +1,4 @@
-"""A body cut out of an image."""
+"""A body that is cut out of an image."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from cqrun.plugin.contract import Array, quantity, vector
 from cqrun.plugin.registry import plugin
 
 MAX_PIXELS = 40_000_000
-"""A larger image is a mistake: particles are far coarser."""
+"""A larger image is refused: particles are far coarser."""
 
 _OPAQUE = 128
-"""The least alpha of a pixel that counts as opaque, of 255."""
+"""Smallest alpha of an opaque pixel, of 255."""
 
 
 def _is_colour(text: str) -> bool:
@@ -40,8 +40,8 @@ HexColour = Annotated[str, AfterValidator(_colour)]
 class Image(FileShape):
     """The pixels of a PNG that are opaque and not background (2D only); `colours` name groups of the body.
 
-    A pixel belongs to the named colour that is nearest to its own, if that is within `tolerance`; what has none of
-    the named colours is part of the body all the same.
+    A pixel belongs to the nearest named colour, if that is within `tolerance`. Pixels without a named colour are also
+    part of the body.
     """
 
     height: float | None = quantity("m", "Height of the whole image; or give width", gt=0, geometric=True, default=None)
@@ -49,11 +49,13 @@ class Image(FileShape):
     corner: list[float] | None = vector(
         "m", "Lower left corner of the image; the origin if absent", geometric=True, default=None
     )
-    colours: dict[str, HexColour] = Field(description="Name of a group -> its colour, #rrggbb", default_factory=dict)
+    colours: dict[str, HexColour] = Field(
+        description="Name of a group -> colour of its pixels, #rrggbb", default_factory=dict
+    )
     background: HexColour | None = Field(
         description="Colour that is not part of the body; white if absent and no pixel is transparent", default=None
     )
-    tolerance: int = quantity("1", "How far red, green and blue may be from a colour, of 255", ge=0, le=255, default=24)
+    tolerance: int = quantity("1", "Largest difference from a colour in each channel, of 255", ge=0, le=255, default=24)
 
     @model_validator(mode="after")
     def _one_size(self) -> Self:
@@ -63,7 +65,7 @@ class Image(FileShape):
             raise complaint(self.name, [finding(message, involves=("height", "width"))])
         bad = [name for name in self.colours if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)]
         if bad:
-            message = "a name has letters, digits and _, and begins with no digit; this does not"
+            message = "a name has letters, digits and _, and does not begin with a digit"
             raise complaint(self.name, [finding(message, ("colours", name)) for name in bad])
         return self
 
@@ -84,13 +86,13 @@ class Image(FileShape):
         if colour in self.colours:
             return self._at(points, self._nearest() == list(self.colours).index(colour))
         if not _is_colour(colour):
-            named = f"named here are {listed(self.colours)}{suggest(colour, self.colours)}"
-            known = named if self.colours else "none is named"
-            raise UsageError(f"'{colour}' is no colour of {self.path}: {known}; or give #rrggbb")
+            named = f"its named colours are {listed(self.colours)}{suggest(colour, self.colours)}"
+            known = named if self.colours else "it has no named colours"
+            raise UsageError(f"'{colour}' is not a colour of {self.path}: {known}; or give #rrggbb")
         wanted = self._cut_out() & (self._far_from(colour.lower()) <= self.tolerance)
         if not wanted.any():
-            found = ", ".join(_commonest(self._pixels()[self._cut_out()]))
-            raise UsageError(f"no pixel of {self.path} has the colour {colour}; the commonest are {found}")
+            common = ", ".join(_most_common(self._pixels()[self._cut_out()]))
+            raise UsageError(f"no pixel of {self.path} has the colour {colour}; the most common are {common}")
         return self._at(points, wanted)
 
     def bounds(self) -> tuple[Array, Array]:
@@ -112,21 +114,23 @@ class Image(FileShape):
         size = f"{pixels.shape[1]} x {pixels.shape[0]} pixels"
         packed = np.ascontiguousarray(pixels).view(np.uint32)[..., 0]
         if (packed == packed[0, 0]).all():
-            found = "are transparent" if pixels[0, 0, 3] < _OPAQUE else f"have the colour {_hex(pixels[0, 0])}"
-            raise UsageError(f"{self.path}: an image of one colour, nothing can be cut out: all of its {size} {found}")
+            colour = "are transparent" if pixels[0, 0, 3] < _OPAQUE else f"have the colour {_hex(pixels[0, 0])}"
+            raise UsageError(f"{self.path}: an image of one colour, nothing can be cut out: all of its {size} {colour}")
         body = self._cut_out()
         if not body.any():
-            told = f"the background {self.background}" if self.background else "white, the background"
-            raise UsageError(f"{self.path}: none of its {size} is part of a body: all are transparent or {told}")
-        twice = [name for k, name in enumerate(self.colours) if self.colours[name] in list(self.colours.values())[:k]]
-        if twice:
-            raise UsageError(f"{self.path}: {listed(twice)}: its colour has another name too; give each its own")
+            other = f"the background {self.background}" if self.background else "white, the background"
+            raise UsageError(f"{self.path}: none of its {size} is part of a body: all are transparent or {other}")
+        duplicates = [
+            name for k, name in enumerate(self.colours) if self.colours[name] in list(self.colours.values())[:k]
+        ]
+        if duplicates:
+            raise UsageError(f"{self.path}: {listed(duplicates)}: its colour has another name too; give each its own")
         nearest = self._nearest()
         absent = [name for k, name in enumerate(self.colours) if not (nearest == k).any()]
         if absent:
-            told = ", ".join(f"'{name}' ({self.colours[name]})" for name in absent)
-            found = ", ".join(_commonest(pixels[body]))
-            raise UsageError(f"{self.path}: no pixel has the colour {told}; the commonest are {found}")
+            missing = ", ".join(f"'{name}' ({self.colours[name]})" for name in absent)
+            common = ", ".join(_most_common(pixels[body]))
+            raise UsageError(f"{self.path}: no pixel has the colour {missing}; the most common are {common}")
         return []
 
     # --- pixels ---------------------------------------------------------------------------------------------
@@ -143,18 +147,18 @@ class Image(FileShape):
         rows, columns, _ = self._pixels().shape
         return self.height / rows if self.height is not None else (self.width or 0.0) / columns
 
-    def _at(self, points: Array, held: Array) -> Array:
-        """Return `held` (rows, columns) at points (N, 2) [m]; a pixel has its lower and its left edge."""
-        rows, columns = held.shape
+    def _at(self, points: Array, mask: Array) -> Array:
+        """Return `mask` (rows, columns) at points (N, 2) [m]; a pixel includes its lower and its left edge."""
+        rows, columns = mask.shape
         place = np.floor((points - self._corner()) / self._pixel())
         on_it = ((place >= 0) & (place < [columns, rows])).all(axis=1)
         column, row = place[on_it].astype(int).T
         result = np.zeros(len(points), bool)
-        result[on_it] = held[rows - 1 - row, column]
+        result[on_it] = mask[rows - 1 - row, column]
         return result
 
     def _far_from(self, colour: str) -> Array:
-        """Return the greatest difference (rows, columns) of red, green and blue from a colour."""
+        """Return the largest difference in red, green and blue from a colour (rows, columns)."""
         wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
         return np.abs(self._pixels()[..., :3].astype(int) - wanted).max(axis=2)
 
@@ -165,7 +169,7 @@ class Image(FileShape):
         return opaque if background is None else opaque & (self._far_from(background) > self.tolerance)
 
     def _nearest(self) -> Array:
-        """Return which of the named colours each pixel has (rows, columns), -1 for none."""
+        """Return the index of each pixel's named colour (rows, columns), -1 for none."""
         body = self._cut_out()
         if not self.colours:
             return np.full(body.shape, -1)
@@ -177,8 +181,8 @@ def _hex(pixel: Array) -> str:
     return "#" + "".join(f"{int(c):02x}" for c in pixel[:3])
 
 
-def _commonest(pixels: Array, count: int = 4) -> list[str]:
-    """Return the commonest colours of pixels (n, 4), with their shares."""
+def _most_common(pixels: Array, count: int = 4) -> list[str]:
+    """Return the most common colours of pixels (n, 4), with their shares."""
     packed = (pixels[:, :3].astype(int) << [16, 8, 0]).sum(axis=1)
     values, counts = np.unique(packed, return_counts=True)
     most = np.argsort(-counts, kind="stable")[:count]
@@ -186,7 +190,7 @@ def _commonest(pixels: Array, count: int = 4) -> list[str]:
 
 
 def _eight_bits(image: Any) -> Any:
-    """Return an image of grey with 16 bits a pixel as one of eight, which `convert` would cut off at 255 instead."""
+    """Scale a grey image from 16 bits to 8 bits per pixel; `convert` would clip its values at 255 instead."""
     from PIL import Image as Pillow
 
     if not image.mode.startswith("I"):
@@ -196,7 +200,7 @@ def _eight_bits(image: Any) -> Any:
 
 @lru_cache(maxsize=8)
 def _read(path: Path, time: int, size: int) -> Array:
-    """Return the pixels of an image file, read anew when it changes."""
+    """Read the pixels of an image file (rows, columns, 4); it is read again when it changes."""
     from PIL import Image as Pillow
     from PIL import UnidentifiedImageError
 
@@ -206,7 +210,7 @@ def _read(path: Path, time: int, size: int) -> Array:
                 raise UsageError(f"{path}: {image.width} x {image.height} pixels; at most {MAX_PIXELS:.0e} are read")
             pixels = np.asarray(_eight_bits(image).convert("RGBA"))
     except UnidentifiedImageError:
-        raise UsageError(f"{path}: is no image that can be read; save it as PNG") from None
+        raise UsageError(f"{path}: is not an image that can be read; save it as PNG") from None
     except (OSError, SyntaxError, ValueError, Pillow.DecompressionBombError) as error:
         raise UsageError(f"{path}: cannot be read as an image: {error}; save it as PNG again") from None
     pixels.flags.writeable = False

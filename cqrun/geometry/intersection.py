@@ -14,14 +14,15 @@ from cqrun.plugin.registry import plugin
 
 @plugin("shape", "intersection")
 class Intersection(Shape):
-    """The points that all of its shapes hold: `intersection: [shape, ...]`.
+    """The points that all of its shapes contain: `intersection: [shape, ...]`.
 
-    As numbers of the first shape change, its particles follow it: where the others cut it moves and stretches with it.
+    If a field of the first shape is an unknown, particles follow that shape, and the cuts by the others move and
+    stretch with it.
     """
 
     shorthand: ClassVar[str] = "shapes"
 
-    shapes: list[ChosenShape] = Field(description="Shapes that must all hold a point", min_length=1)
+    shapes: list[ChosenShape] = Field(description="Shapes that must all contain a point", min_length=1)
 
     def inside(self, points: Array) -> Array:
         return np.all([part.value.inside(points) for part in self.shapes], axis=0)
@@ -31,8 +32,8 @@ class Intersection(Shape):
         return tuple(name for part in self.shapes for name in part.value.colour_names)
 
     @property
-    def pictured(self) -> bool:
-        return any(part.value.pictured for part in self.shapes)
+    def has_colours(self) -> bool:
+        return any(part.value.has_colours for part in self.shapes)
 
     def coloured(self, points: Array, colour: str) -> Array:
         return np.any(coloured_parts([part.value for part in self.shapes], points, colour), axis=0)

@@ -1,4 +1,4 @@
-"""Particles on a lattice, each moved at random inside its cell."""
+"""Particles on a lattice, each moved randomly within its cell."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from cqrun.plugin.registry import plugin
 
 @plugin("sampling", "jittered")
 class Jittered(Sampling):
-    """The lattice, each particle moved by up to amount/2 spacings along every axis; volume spacing^D each."""
+    """A lattice whose particles are moved randomly by up to amount/2 spacings along every axis; volume spacing^D."""
 
-    amount: float = quantity("1", "Width of the move in spacings", ge=0, le=1, default=0.5)
+    amount: float = quantity("1", "Range of the random moves, in spacings", ge=0, le=1, default=0.5)
     seed: int = Field(description="Seed of the moves", ge=0, default=0)
 
     def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:

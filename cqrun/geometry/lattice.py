@@ -14,14 +14,14 @@ from cqrun.plugin.registry import plugin
 
 @plugin("sampling", "lattice")
 class Lattice(Sampling):
-    """A particle at (k + 1/2) * spacing from the shape's lower corner, k whole; volume spacing^D each.
+    """Particles at (k + 1/2) * spacing from the shape's lower corner, k an integer; volume spacing^D each.
 
-    With `count`: n^D cells of equal size over the bounds of the shape, or of each part, a particle in the middle
-    of every cell whose middle the shape holds, with the cell's volume. Parts of different size then have equally
-    many particles, as the robots of CQ1 do.
+    With `count` there are count^D cells of equal size over the bounds of the shape, or of each part, and a particle in
+    every cell whose centre is in the shape, with the cell's volume. So parts of different sizes have the same number of
+    particles, as in the robots of CQ1.
     """
 
-    count: int | None = Field(description="Cells along every axis, instead of a spacing", ge=1, default=None)
+    count: int | None = Field(description="Number of cells along every axis, instead of a spacing", ge=1, default=None)
 
     @property
     def needs_spacing(self) -> bool:
@@ -35,7 +35,7 @@ class Lattice(Sampling):
         lower, upper = finite_bounds(shape)
         dim = len(lower)
         if self.count**dim > MAX_POINTS:
-            raise UsageError(f"a count of {self.count} makes {self.count**dim:.3g} cells; at most {MAX_POINTS:.0e} are")
+            raise UsageError(f"a count of {self.count} makes {self.count**dim:.3g} cells, more than {MAX_POINTS:.0e}")
         size = (upper - lower) / self.count
         points = cell_centres(lower, size, np.full(dim, self.count))
         points = points[shape.inside(points)]

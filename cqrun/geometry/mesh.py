@@ -1,4 +1,4 @@
-"""A body in a triangle mesh."""
+"""A body from a triangle mesh."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from cqrun.plugin.registry import plugin
 FORMATS = (".stl", ".obj", ".ply")
 
 _PROBES = 24
-"""Points along every axis at which a mesh is tried out."""
+"""Number of points along every axis at which a mesh is checked."""
 
 _COUNTING_CELLS = 200_000
-"""Of the lattice that measures a volume without a formula; a winding number takes microseconds."""
+"""Number of lattice cells for a volume that has no formula; a winding number takes microseconds."""
 
 _DECIDED = 0.1
-"""How far from 1/2 a winding number is at least where it tells inside from outside."""
+"""Smallest distance of a winding number from 1/2 at which inside and outside can be told apart."""
 
 _NOTHING = 1e-3
-"""Share of its bounds that a surface with holes encloses at least."""
+"""Smallest share of its bounds that a surface with holes must enclose."""
 
 _OPEN, _CROSSED = 0.1, 0.05
-"""Shares of what the surface encloses: undecided, and enclosed the wrong way round, above which it is refused; less
-of the second is told."""
+"""Shares of the enclosed volume above which a surface is refused: undecided, and enclosed the wrong way round. Less of
+the second gives a warning."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Surface:
     Attributes:
         vertices: (V, 3) in units of the file.
         faces: (T, 3) indices of vertices, counterclockwise seen from outside.
-        winding: (P,) winding numbers of `_PROBES`^3 points over the bounds.
-        closed: whether every edge has two faces.
+        winding: (P,) winding numbers at `_PROBES`^3 points over the bounds.
+        closed: whether every edge belongs to two faces.
     """
 
     vertices: Array
@@ -56,10 +56,10 @@ class Surface:
 
 @plugin("shape", "mesh")
 class Mesh(Place, FileShape):
-    """What a triangle mesh encloses (3D only): STL, OBJ or PLY; the extra `mesh` reads it.
+    """The points that a triangle mesh encloses (3D only): STL, OBJ or PLY; needs the extra `mesh`.
 
-    Inside is where the surface winds around a point by more than one half, so small holes do no harm, and bodies
-    that overlap in one file are joined. Local coordinates are those of the file: world = offset + scale R local.
+    A point is inside if its winding number is above 1/2. So small holes do no harm, and bodies that overlap in a file
+    are joined. Local coordinates are those of the file: world = offset + scale R local.
     """
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
@@ -82,17 +82,19 @@ class Mesh(Place, FileShape):
     def volume(self) -> float:
         surface = self._surface()
         w = surface.winding
-        if not surface.closed or (w > 1.5).any() or (w < -0.5).any():  # the formula counts twice, or takes off
+        if (
+            not surface.closed or (w > 1.5).any() or (w < -0.5).any()
+        ):  # the formula would count it twice, or subtract it
             return counted_volume(self, _COUNTING_CELLS)
         a, b, c = surface.vertices[surface.faces].transpose(1, 0, 2)
         return float(self.scale**3 * np.einsum("nd,nd->", a, np.cross(b, c)) / 6)
 
     def examine(self) -> list[str]:
-        """Read the file; judge it by its winding numbers w, which are whole where a surface is closed.
+        """Read the file and check its winding numbers w, which are integers if the surface is closed.
 
-        Only what `inside` gets wrong is refused. It asks for w > 1/2, so w = 2, where two closed surfaces overlap, is
-        as good as 1, and a hole matters only where it makes w come near 1/2; there a tiny change of the mesh would
-        make other particles. Where w is -1, a part of the surface is inside out, or it crosses itself so; that part
+        A mesh is refused only if `inside` would be wrong. `inside` tests w > 1/2. So w = 2, where two closed surfaces
+        overlap, is as good as w = 1. A hole matters only where it brings w near 1/2, because there a tiny change of the
+        mesh would change the particles. Where w = -1, a part of the surface is inside out or crosses itself; that part
         is left out.
         """
         surface = self._surface()
@@ -100,12 +102,12 @@ class Mesh(Place, FileShape):
         enclosed = int((w > 0.5).sum())
         if not surface.closed and enclosed < _NOTHING * len(w):
             raise UsageError(f"{self.path}: encloses nothing: it is a sheet, or its holes are too large; close it")
-        enclosed = max(1, enclosed)  # a closed surface may pass between the points
+        enclosed = max(1, enclosed)  # a closed surface may lie between the points
         undecided = (np.abs(w - 0.5) < _DECIDED).sum() / enclosed
         if undecided > _OPEN and surface.closed:
             raise UsageError(
                 f"{self.path}: crosses itself, or its faces are turned both ways: for {undecided:.0%} of what it "
-                "encloses, inside and outside cannot be told apart; mend it where it crosses, or make the normals of "
+                "encloses, inside and outside cannot be told apart; repair it where it crosses, or make the normals of "
                 "all faces point outward"
             )
         if undecided > _OPEN:
@@ -117,7 +119,7 @@ class Mesh(Place, FileShape):
         if inverted > _CROSSED:
             raise UsageError(
                 f"{self.path}: crosses itself, or is inside out in parts: {inverted:.0%} as much as it encloses is "
-                "enclosed the wrong way round; mend it where it crosses, or turn the normals of those parts"
+                "enclosed the wrong way round; repair it where it crosses, or turn the normals of those parts"
             )
         warnings = []
         if inverted > 0.0:
@@ -136,7 +138,7 @@ class Mesh(Place, FileShape):
 
 
 def _libraries() -> tuple[Any, Any]:
-    """Return trimesh and igl."""
+    """Return the modules trimesh and igl; MissingExtra if one is not installed."""
     try:
         import igl
         import trimesh
@@ -146,28 +148,28 @@ def _libraries() -> tuple[Any, Any]:
 
 
 def _winding(vertices: Array, faces: Array, points: Array) -> Array:
-    """Return how often a surface winds around points (N, 3): (N,)."""
+    """Return the winding numbers (N,) of a surface around points (N, 3)."""
     _, igl = _libraries()
     return np.asarray(igl.fast_winding_number(vertices, faces, np.ascontiguousarray(points, float)))
 
 
 @lru_cache(maxsize=4)
 def _read(path: Path, time: int, size: int) -> Surface:
-    """Return the surface in a file, read anew when it changes, turned right way out if it is inside out as a whole."""
+    """Read the surface in a file, again when it changes; turn it if it is inside out as a whole."""
     trimesh, _ = _libraries()
     if path.suffix.lower() not in FORMATS:
         raise UsageError(f"{path}: a mesh is read from {listed(FORMATS)}; save it as one of them")
     try:
-        with warnings.catch_warnings(action="ignore"):  # of numbers that are told of below
+        with warnings.catch_warnings(action="ignore"):  # about the numbers that are refused below
             mesh = trimesh.load_mesh(path, process=False)
             strange = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
-            mesh.process()  # which leaves out what is not finite, without a word
-    except Exception as error:  # whatever its readers raise on a broken file
+            mesh.process()  # silently removes vertices that are not finite
+    except Exception as error:  # its readers raise many kinds of errors for a broken file
         raise UsageError(
             f"{path}: cannot be read as {path.suffix[1:].upper()} ({error}); is the file whole? save it again"
         ) from None
     if strange:
-        raise UsageError(f"{path}: {strange} of its points are no finite numbers")
+        raise UsageError(f"{path}: {strange} of its points are not finite")
     vertices, faces = np.ascontiguousarray(mesh.vertices, float), np.ascontiguousarray(mesh.faces, np.int64)
     if not len(faces):
         raise UsageError(f"{path}: holds no triangle; is it a {path.suffix[1:].upper()} file of a surface, and whole?")

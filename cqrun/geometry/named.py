@@ -8,6 +8,7 @@ from pydantic import Field
 
 from cqrun.geometry.region import Points, Region
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import RegionName
 from cqrun.plugin.registry import plugin
 
 
@@ -19,7 +20,9 @@ class Named(Region):
     stands_alone: ClassVar[bool] = True
     is_name: ClassVar[bool] = True
 
-    region: str = Field(description="Name of a group, a part or a colour of the body, or of a region of the scene")
+    region: RegionName = Field(
+        description="Name of a group, a part or a colour of the body, or of a region of the scene"
+    )
 
     def pick(self, points: Points) -> Array:
         return points.named(self.region)

@@ -15,10 +15,10 @@ from cqrun.plugin.registry import plugin
 
 @plugin("region", "nearest_marker")
 class NearestMarker(Region):
-    """The points that are nearer to one marker than to the others; on a tie the first marker has them."""
+    """The points that are nearer to one marker than to the others; ties go to the first marker."""
 
     markers: dict[str, list[float]] = quantity("m", "Name -> position at rest", min_length=2)
-    marker: str = Field(description="Whose region it is")
+    marker: str = Field(description="Name of the marker whose region this is")
 
     @model_validator(mode="after")
     def _is_one_of_them(self) -> Self:
@@ -30,8 +30,8 @@ class NearestMarker(Region):
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        told = f"must have {dim} entries in this {dim}D world, has "
-        return [(("markers", name), f"{told}{len(x)}") for name, x in self.markers.items() if len(x) != dim]
+        message = f"must have {dim} entries in this {dim}D world, has "
+        return [(("markers", name), f"{message}{len(x)}") for name, x in self.markers.items() if len(x) != dim]
 
     def pick(self, points: Points) -> Array:
         places = np.array(list(self.markers.values()))

@@ -11,29 +11,29 @@ from cqrun.plugin.contract import Array, Spec, quantity, vector
 class Place(Spec):
     """A similarity: world = offset + scale * rotation * local."""
 
-    scale: float = quantity("1", "World lengths for one of local length", gt=0, default=1.0, geometric=True)
+    scale: float = quantity("1", "World length of one unit of local length", gt=0, default=1.0, geometric=True)
     offset: list[float] | None = vector(
         "m", "World position of the local origin; zero if absent", geometric=True, default=None
     )
     angle: float | None = quantity(
-        "deg", "Turn about the local origin, counterclockwise (2D)", geometric=True, default=None
+        "deg", "Counterclockwise rotation about the local origin (2D)", geometric=True, default=None
     )
     rotation: list[float] | None = quantity(
-        "deg", "Turn about the local origin, along the axis by its length (3D)",
+        "deg", "Rotation vector about the local origin: its length is the angle (3D)",
         geometric=True, min_length=3, max_length=3, default=None,
     )  # fmt: skip
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        found = super().dim_problems(dim)
+        problems = super().dim_problems(dim)
         if dim == 3 and self.angle is not None:
-            found.append((("angle",), "turns in the plane of a 2D world; in 3D give `rotation`: [x, y, z] in degrees"))
+            problems.append((("angle",), "is for a 2D world; in 3D give `rotation`: [x, y, z] in degrees"))
         if dim == 2 and self.rotation is not None:
-            found.append((("rotation",), "is of a 3D world; in 2D give `angle` in degrees"))
-        return found
+            problems.append((("rotation",), "is for a 3D world; in 2D give `angle` in degrees"))
+        return problems
 
     def matrix(self, dim: int) -> Array:
-        """Return the rotation matrix (dim, dim), complex where the angles are; quarter turns are exact."""
+        """Return the rotation matrix (dim, dim), complex if the angles are; multiples of 90 degrees are exact."""
         if self.angle:
             angle = self.angle * (np.pi / 180)
             R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -58,15 +58,15 @@ class Place(Spec):
         return self._turned((points - self._origin()) / self.scale, self.matrix(points.shape[1]).T)
 
     def world_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Return the world corners (D,) [m] of a box around a local box, which may be without end."""
+        """Return the world corners (D,) [m] of a box around a local box, which may be infinite."""
         R = self.matrix(len(lower))
-        # 0 * inf is no number: an axis that does not take part adds nothing
+        # 0 * inf is nan, so axes with a zero entry are left out
         ends = [np.multiply(R, end, out=np.zeros_like(R), where=R != 0) for end in (lower, upper)]
         low, high = np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
         return self._origin() + self.scale * low, self._origin() + self.scale * high
 
     def _turned(self, points: Array, R: Array) -> Array:
-        """Return R x of points (N, D), which stay what they are to the bit where nothing turns them."""
+        """Return R x of points (N, D); without a rotation they are returned unchanged."""
         return points @ R.T if self.angle or self.rotation else points
 
     def _origin(self) -> Array | float:

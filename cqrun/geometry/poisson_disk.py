@@ -1,4 +1,4 @@
-"""Particles at random, none too near to another."""
+"""Particles at random places with a minimum distance."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 
 NEAREST = {2: 0.78, 3: 0.84}
-"""Least distance in spacings, by dimension: a filled space then has about one particle in spacing^D (measured)."""
+"""Minimum distance in spacings, by dimension, at which there is about one particle in spacing^D (measured)."""
 
 MOST = 50_000
-"""Particles over the bounds of a shape; SciPy makes about a thousand in a second."""
+"""Largest number of particles over the bounds of a shape; SciPy makes about a thousand in a second."""
 
 
 @plugin("sampling", "poisson_disk")
 class PoissonDisk(Sampling):
-    """Particles at random, at least 0.78 (3D: 0.84) spacings apart: about as many as on a lattice, without its axes.
+    """Particles at random places, at least 0.78 (3D: 0.84) spacings apart: about as many as on a lattice.
 
-    The volume of each is the shape's own over their number. Slow: use `jittered` for more than some ten thousand.
+    Unlike a lattice they have no preferred axes. The volume of each is the shape's volume divided by their number. This
+    is slow: use `jittered` for more than about 10,000 particles.
     """
 
-    seed: int = Field(description="Seed of the places", ge=0, default=0)
+    seed: int = Field(description="Seed of the random places", ge=0, default=0)
 
     def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:
         from scipy.stats.qmc import PoissonDisk as Filler

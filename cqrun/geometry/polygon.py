@@ -1,8 +1,8 @@
 """A polygon, in 2D.
 
-The test is own code, although shapely could do it: it is the one loop below, needs no further package, and says what
-a polygon that crosses itself holds, which shapely calls invalid. Where corners are unknowns, shapely cuts it into
-triangles.
+The test for points inside is written here, although shapely has one: it is a single loop, it needs no other package,
+and it is defined for polygons that cross themselves, which shapely refuses. If corners are unknowns, shapely divides
+the polygon into triangles.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 @plugin("shape", "polygon")
 class Polygon(Shape):
-    """A polygon through `points` in order (2D only); where it crosses itself the even-odd rule decides."""
+    """A polygon through `points` in order (2D only). If it crosses itself, the even-odd rule applies."""
 
     points: list[Corner] = quantity("m", "Corners in order, [x, y] each", geometric=True, min_length=3)
 
@@ -32,7 +32,7 @@ class Polygon(Shape):
         return [] if dim == 2 else [((), "a polygon needs a 2D world; use box, capsule or cylinder in 3D")]
 
     def inside(self, points: Array) -> Array:
-        """Return which points (N, 2) lie on an edge, or a ray towards +x leaves through an odd number: (N,) bool."""
+        """Return which points (N, 2) lie on an edge, or have an odd number of edges in direction +x: (N,) bool."""
         x, y = points[:, 0], points[:, 1]
         result, on_edge = np.zeros((2, len(points)), bool)
         corners = np.array(self.points)
@@ -48,20 +48,20 @@ class Polygon(Shape):
         return result | on_edge
 
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
-        """Carry each point with the triangle of corners that it lies in."""
+        """Move each point with the triangle of corners in which it lies."""
         triangles = self._triangles()
         a, b, c = np.array(self.points)[triangles].transpose(1, 0, 2)
         weight_b = cross(points[:, None] - a, c - a) / cross(b - a, c - a)
         weight_c = cross(b - a, points[:, None] - a) / cross(b - a, c - a)
         weights = np.stack([1.0 - weight_b - weight_c, weight_b, weight_c], axis=2)
-        chosen = weights.min(axis=2).argmax(axis=1)  # on an edge of two triangles rounding decides, and does no harm
+        chosen = weights.min(axis=2).argmax(axis=1)  # on an edge of two triangles either will do
         a_to, b_to, c_to = np.array(to.points)[triangles].transpose(1, 0, 2)
         growth = cross(b_to - a_to, c_to - a_to) / cross(b - a, c - a)
         corners_to = np.stack([a_to, b_to, c_to], axis=1)[chosen]
         return np.einsum("nk,nkd->nd", weights[np.arange(len(points)), chosen], corners_to), growth[chosen]
 
     def _triangles(self) -> Array:
-        """Return corners (T, 3) of triangles that fill the polygon.
+        """Return the corners' indices (T, 3) of triangles that fill the polygon.
 
         Raises:
             MissingExtra: shapely is not installed. UsageError: the polygon crosses itself.
@@ -76,8 +76,8 @@ class Polygon(Shape):
         if not whole.is_valid:
             raise UsageError("a polygon whose corners are unknowns must not cross or touch itself")
         number = {tuple(corner): k for k, corner in enumerate(self.points)}
-        found = shapely.constrained_delaunay_triangles(whole).geoms
-        return np.array([[number[corner] for corner in part.exterior.coords[:3]] for part in found])
+        parts = shapely.constrained_delaunay_triangles(whole).geoms
+        return np.array([[number[corner] for corner in part.exterior.coords[:3]] for part in parts])
 
     def bounds(self) -> tuple[Array, Array]:
         corners = np.array(self.points)
@@ -85,7 +85,7 @@ class Polygon(Shape):
 
 
 def _beside(points: Array, start: Array, end: Array) -> Array:
-    """Return how far points (N, 2) are from the line through an edge, or from its one point: (N,) [m]."""
+    """Return the distance (N,) [m] of points (N, 2) from the line through an edge, or from an edge of length 0."""
     edge, offset = end - start, points - start
     length = np.hypot(*edge)
     return np.asarray(np.abs(cross(edge, offset)) / length if length > 0 else np.hypot(*offset.T))

@@ -16,10 +16,10 @@ _BATCH = 4096
 
 @plugin("sampling", "random")
 class Random(Sampling):
-    """`count` particles, uniform in the shape and independent; volume: the shape's own over count."""
+    """`count` independent particles with uniform density in the shape; volume: the shape's divided by count."""
 
-    count: int = Field(description="How many particles", ge=1, le=MAX_POINTS)
-    seed: int = Field(description="Seed of the places", ge=0, default=0)
+    count: int = Field(description="Number of particles", ge=1, le=MAX_POINTS)
+    seed: int = Field(description="Seed of the random places", ge=0, default=0)
 
     @property
     def needs_spacing(self) -> bool:
@@ -28,13 +28,13 @@ class Random(Sampling):
     def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:
         lower, upper = finite_bounds(shape)
         rng = np.random.default_rng(self.seed)
-        kept: list[Array] = []
-        found, tried = 0, 0
-        while found < self.count:
+        inside: list[Array] = []
+        n_inside, tried = 0, 0
+        while n_inside < self.count:
             trial = rng.uniform(lower, upper, (_BATCH, len(lower)))
-            kept.append(trial[shape.inside(trial)])
-            found, tried = found + len(kept[-1]), tried + _BATCH
-            if found < 1e-5 * tried and tried >= 1_000_000:
+            inside.append(trial[shape.inside(trial)])
+            n_inside, tried = n_inside + len(inside[-1]), tried + _BATCH
+            if n_inside < 1e-5 * tried and tried >= 1_000_000:
                 raise UsageError(f"the {shape.name} fills less than 1e-5 of its bounds; is it empty?")
-        points = np.concatenate(kept)[: self.count]
+        points = np.concatenate(inside)[: self.count]
         return points, np.full(self.count, shape.volume() / self.count)

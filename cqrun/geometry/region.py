@@ -1,7 +1,7 @@
-"""What every region is: a way to pick points, by where they are at rest or by what they belong to.
+"""Base of regions: a region selects points, by their position at rest or by what they belong to.
 
 Every shape is a region, and so is the name of one: `region: legs`. A region is resolved once, in material
-coordinates, on the particles of one body after the other, or on the nodes of the grid for a boundary.
+coordinates: on the particles of one body after the other, or on the grid nodes for a boundary.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from cqrun.plugin.contract import Array, Plugin
 
 
 class Points(Protocol):
-    """Points at rest, and what they can be asked."""
+    """Points at rest, with their names and colours."""
 
     @property
     def x(self) -> Array:
@@ -22,10 +22,10 @@ class Points(Protocol):
 
     @property
     def body(self) -> str | None:
-        """The body whose particles they are; None for nodes of the grid."""
+        """Name of the body to which the particles belong; None for grid nodes."""
 
     def named(self, name: str) -> Array:
-        """Return which points a group of their body, or else a region of the scene, holds: (N,) bool."""
+        """Return which points belong to a group of their body, or else to a region of the scene: (N,) bool."""
 
     def coloured(self, colour: str) -> Array:
         """Return which points lie in pixels of a colour, by its name or `#rrggbb`: (N,) bool."""
@@ -35,11 +35,11 @@ class Region(Plugin):
     """A region of a body."""
 
     of_particles: ClassVar[bool] = False
-    """Whether it has a meaning for particles alone, and none for nodes of the grid."""
+    """Whether it is defined for particles only, and not for grid nodes."""
 
     @abstractmethod
     def pick(self, points: Points) -> Array:
-        """Return which points the region holds: (N,) bool.
+        """Return which points the region contains: (N,) bool.
 
         Raises:
             UsageError: it cannot be resolved on these points.

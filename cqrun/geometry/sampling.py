@@ -1,4 +1,4 @@
-"""What every sampling is: a way to fill a shape with particles."""
+"""Base of samplings: a sampling fills a shape with particles."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from cqrun.plugin.contract import Array, Plugin
 
 
 class Sampling(Plugin):
-    """A way to fill a shape with particles; the same settings give the same particles to the bit."""
+    """Fills a shape with particles; the same settings give bit-for-bit identical particles."""
 
     @property
     def needs_spacing(self) -> bool:
-        """Whether the body must say how far apart particles are."""
+        """Whether the body must give a spacing of particles."""
         return True
 
     @abstractmethod

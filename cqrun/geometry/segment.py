@@ -1,4 +1,4 @@
-"""What capsules and cylinders share: a segment from start to end, with a radius."""
+"""Base of capsules and cylinders: a segment from start to end, with a radius."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class SegmentShape(Shape):
         return float(np.linalg.norm(np.subtract(self.end, self.start)))
 
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
-        """Stretch along the axis between its ends, turn with it, and scale what is beside or beyond it by the radius.
+        """Stretch along the axis, rotate with it, and scale distances from the segment with the radius.
 
-        The turn is the least one from the unit axis d to the new d':
+        The rotation is the smallest one from the unit axis d to the new d':
         R v = v - (d + d') (d + d').v / (1 + d.d') + 2 d' d.v.
         """
         fraction, axis = self.along(points)
@@ -50,7 +50,7 @@ class SegmentShape(Shape):
         return start + core[:, None] * axis_to + scale * turned, growth
 
     def along(self, points: Array) -> tuple[Array, Array]:
-        """Return where points (N, D) fall on the axis, 0 at start to 1 at end: (N,); and the axis (D,)."""
+        """Return the projections (N,) of points (N, D) on the axis, 0 at start and 1 at end, and the axis (D,)."""
         axis = np.subtract(self.end, self.start)
         return (points - np.array(self.start)) @ axis / (axis @ axis), axis
 

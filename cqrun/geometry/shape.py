@@ -1,4 +1,4 @@
-"""What every shape is: a closed set of points that knows its bounds and its volume."""
+"""Base of shapes: a shape is a closed set of points with bounds and a volume."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array
 
 _COUNTING_CELLS = 2_000_000
-"""About the number of cells that measure a shape without a formula: an error near 1e-4 of its bounds."""
+"""Approximate number of cells for a volume without a formula; the error is about 1e-4 of the bounds' volume."""
 
 SLACK = 1e-9
-"""Of a shape's own size, or of where its face lies: a grid node on a face is held, however 0.1 + 0.2 was rounded."""
+"""Relative tolerance, so that a grid node on a face is inside in spite of rounding, as in 0.1 + 0.2. It is relative to
+the shape's size or to the position of its face."""
 
 MAX_POINTS = 20_000_000
-"""More lattice points than this are a mistyped spacing."""
+"""Largest number of lattice points; more are a mistake in the spacing."""
 
 
 class Shape(Region):
@@ -31,17 +32,17 @@ class Shape(Region):
 
     @abstractmethod
     def inside(self, points: Array) -> Array:
-        """Return which points (N, D) [m] the shape holds, its surface included: (N,) bool."""
+        """Return which points (N, D) [m] are in the shape or on its surface: (N,) bool."""
 
     @abstractmethod
     def bounds(self) -> tuple[Array, Array]:
         """Return the lower and upper corner (D,) [m] of an axis-aligned box around the shape."""
 
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
-        """Return where points (N, D) [m] that it holds go as it becomes `to`, and their volumes' growth (N,).
+        """Return the positions of points (N, D) [m] of this shape as it becomes `to`, and their volumes' growth (N,).
 
-        The map is affine in pieces and continuous, the identity where nothing changes. `to` is the same shape with
-        other numbers; they may be complex, for the derivative by a complex step.
+        The map is continuous, piecewise affine, and the identity if nothing changes. `to` is the same kind of shape
+        with other numbers; they may be complex, for a derivative by complex step.
         """
         return points, np.ones(len(points))
 
@@ -59,12 +60,12 @@ class Shape(Region):
         return np.zeros(len(points), bool)
 
     @property
-    def pictured(self) -> bool:
-        """Whether an image gives it colours."""
+    def has_colours(self) -> bool:
+        """Whether it has colours from an image."""
         return type(self).coloured is not Shape.coloured
 
     def volume(self) -> float:
-        """Return the volume [m^3] (2D: area [m^2]), counted on a fine lattice unless a formula is known."""
+        """Return the volume [m^3] (2D: area [m^2]), counted on a fine lattice if there is no formula."""
         return counted_volume(self)
 
 
@@ -75,36 +76,37 @@ ChosenShape = Annotated[Chosen[Shape], Choice("shape")]
 def coloured_parts(parts: Sequence[Shape], points: Array, colour: str) -> list[Array]:
     """Return which points (N, D) [m] lie in pixels of a colour, for each of several shapes: (N,) bool each.
 
-    Only those that know a name are asked for it; of `#rrggbb` some may have no pixel.
+    A name is looked up only in shapes that define it. For `#rrggbb`, some of the images may have no such pixel.
 
     Raises:
-        UsageError: there are images, and none has the colour.
+        UsageError: there are images, and none of them has the colour.
     """
     named = any(colour in part.colour_names for part in parts)
-    asked = [part for part in parts if (colour in part.colour_names if named else part.pictured)]
-    found: dict[int, Array] = {}
+    candidates = [part for part in parts if (colour in part.colour_names if named else part.has_colours)]
+    masks: dict[int, Array] = {}
     errors: list[UsageError] = []
-    for part in asked:
+    for part in candidates:
         try:
-            found[id(part)] = part.coloured(points, colour)
+            masks[id(part)] = part.coloured(points, colour)
         except UsageError as error:
             errors.append(error)
-    if errors and not found:
+    if errors and not masks:
         raise errors[0]
-    return [found.get(id(part), np.zeros(len(points), bool)) for part in parts]
+    return [masks.get(id(part), np.zeros(len(points), bool)) for part in parts]
 
 
 def slack_at(points: Array) -> Array:
-    """Return how far (N,) [m] outside a face points (N, D) [m] still lie on it, for faces of no size of their own."""
+    """Return the tolerance (N,) [m] at points (N, D) [m] for faces of infinite size."""
     return np.asarray(SLACK * np.linalg.norm(points, axis=1))
 
 
 def counted_volume(shape: Shape, cells: int = _COUNTING_CELLS) -> float:
-    """Return a shape's volume [m^D], counted on a lattice of about so many cells over its bounds."""
+    """Return a shape's volume [m^D], counted on a lattice of about `cells` cells over its bounds."""
     lower, upper = finite_bounds(shape)
     size = upper - lower
     spacing = float(np.prod(size) / cells) ** (1 / len(size))
-    counts = 4 * np.ceil(size / (4 * spacing)).astype(int)  # fits faces on the bounds and halfway
+    # multiples of 4, so that faces on the bounds and halfway lie between cells
+    counts = 4 * np.ceil(size / (4 * spacing)).astype(int)
     return float(shape.inside(cell_centres(lower, size / counts, counts)).mean() * np.prod(size))
 
 
@@ -115,11 +117,11 @@ def lattice_points(shape: Shape, spacing: float) -> Array:
         UsageError: the shape is unbounded, or the lattice is far too fine for it.
     """
     lower, upper = finite_bounds(shape)
-    counts = np.ceil((upper - lower) / spacing * (1 - 1e-12))  # a last cell that is rounding's alone is none
+    counts = np.ceil((upper - lower) / spacing * (1 - 1e-12))  # without a last cell that only rounding would add
     if np.prod(counts) > MAX_POINTS:
         raise UsageError(
             f"a spacing of {spacing:g} m puts {np.prod(counts):.3g} lattice points around the {shape.name}; "
-            f"at most {MAX_POINTS:.0e} are made: check the units of spacing, dx and the shape"
+            f"at most {MAX_POINTS:.0e} are allowed: check the units of spacing, dx and the shape"
         )
     points = cell_centres(lower, np.full(len(lower), spacing), counts.astype(int))
     return points[shape.inside(points)]
@@ -132,10 +134,10 @@ def cell_centres(lower: Array, spacing: Array, counts: Array) -> Array:
 
 
 def finite_bounds(shape: Shape) -> tuple[Array, Array]:
-    """Return the bounds of a shape that can be filled; UsageError where it has no end or no content."""
+    """Return the bounds of a shape that can be filled; UsageError if it is infinite or empty."""
     lower, upper = shape.bounds()
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
-        raise UsageError(f"the {shape.name} has no end; intersect it with a box to fill it with particles")
+        raise UsageError(f"the {shape.name} is infinite; intersect it with a box to fill it with particles")
     if (upper <= lower).any():
         raise UsageError(f"the {shape.name} is empty: its parts do not meet")
     return lower, upper

@@ -1,4 +1,4 @@
-"""A shape that is scaled, turned and moved."""
+"""A shape that is scaled, rotated and moved."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from cqrun.plugin.registry import plugin
 
 @plugin("shape", "transformed")
 class Transformed(Place, Shape):
-    """A shape in coordinates of its own: world = offset + scale * rotation * local; may be nested.
+    """A shape in local coordinates: world = offset + scale * rotation * local; it may be nested.
 
-    Its bounds are those of the turned bounding box, and may be wider than the shape.
+    Its bounds are those of the rotated bounding box, which may be wider than the shape.
     """
 
     shape: ChosenShape = Field(description="The shape, in local coordinates")
@@ -30,8 +30,8 @@ class Transformed(Place, Shape):
         return self.shape.value.colour_names
 
     @property
-    def pictured(self) -> bool:
-        return self.shape.value.pictured
+    def has_colours(self) -> bool:
+        return self.shape.value.has_colours
 
     def coloured(self, points: Array, colour: str) -> Array:
         return self.shape.value.coloured(self.to_local(points), colour)

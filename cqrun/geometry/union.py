@@ -15,16 +15,16 @@ from cqrun.plugin.registry import plugin
 
 @plugin("shape", "union")
 class Union(Shape):
-    """All points of any of its shapes: `union: [shape, ...]`.
+    """The points that any of its shapes contains: `union: [shape, ...]`.
 
-    `union: {shapes: [...], scale: 0.2, offset: [...]}` describes the parts in units of their own:
-    world = scale * local + offset. Parts that overlap are filled once: one lattice goes through all.
+    `union: {shapes: [...], scale: 0.2, offset: [...]}` gives the shapes in local units: world = scale * local + offset.
+    Overlaps are filled once, as one lattice fills the whole union.
     """
 
     shorthand: ClassVar[str] = "shapes"
 
     shapes: list[ChosenShape] = Field(description="Shapes, in local coordinates", min_length=1)
-    scale: float = quantity("1", "World lengths for one of local length", gt=0, geometric=True, default=1.0)
+    scale: float = quantity("1", "World length of one unit of local length", gt=0, geometric=True, default=1.0)
     offset: list[float] | None = vector("m", "World position of the local origin", geometric=True, default=None)
 
     def inside(self, points: Array) -> Array:
@@ -36,8 +36,8 @@ class Union(Shape):
         return tuple(name for part in self.shapes for name in part.value.colour_names)
 
     @property
-    def pictured(self) -> bool:
-        return any(part.value.pictured for part in self.shapes)
+    def has_colours(self) -> bool:
+        return any(part.value.has_colours for part in self.shapes)
 
     def coloured(self, points: Array, colour: str) -> Array:
         local = (points - self._origin()) / self.scale
@@ -49,24 +49,24 @@ class Union(Shape):
         return self.scale * np.min(lower, axis=0) + origin, self.scale * np.max(upper, axis=0) + origin
 
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
-        """Carry each point with the first of the shapes that holds it."""
+        """Move each point with the first of the shapes that contains it."""
         local = (points - self._origin()) / self.scale
         owner, order, carried = self._owners(local), [], []
         for k, (part, part_to) in enumerate(zip(self.shapes, to.shapes, strict=True)):
-            held = np.flatnonzero(owner == k)
-            order.append(held)
-            carried.append(part.value.carried(local[held], part_to.value))
+            indices = np.flatnonzero(owner == k)
+            order.append(indices)
+            carried.append(part.value.carried(local[indices], part_to.value))
         back = np.argsort(np.concatenate(order))
         moved, growth = (np.concatenate(each)[back] for each in zip(*carried, strict=True))
         return to._origin() + to.scale * moved, growth * (to.scale / self.scale) ** points.shape[1]
 
     def _owners(self, local: Array) -> Array:
-        """Return which of the shapes carries each point (N,): the first that holds it.
+        """Return the index of the shape that moves each point (N,): the first that contains it.
 
-        Points that none holds, as jittered ones beside a surface, go with the nearest one that is held.
+        A point outside all shapes, such as a jittered one beside a surface, moves with the nearest point inside.
         """
-        held = np.array([part.value.inside(local) for part in self.shapes])
-        owner, stray = held.argmax(axis=0), ~held.any(axis=0)
+        contained = np.array([part.value.inside(local) for part in self.shapes])
+        owner, stray = contained.argmax(axis=0), ~contained.any(axis=0)
         if stray.any() and not stray.all():
             _, nearest = cKDTree(local[~stray]).query(local[stray])
             owner[stray] = owner[~stray][nearest]

@@ -105,7 +105,7 @@ def shares(told: dict[str, Any], whole: str) -> Iterator[Share]:
     passes = told["passes"]
     own = {name: ns for name, ns in passes.items() if name.endswith(("_vjp", "_both")) == (whole == "backward")}
     if whole == "backward":  # the substep's first part is run again, for what it scatters
-        own = {name: passes[name] for name in ("push", "momentum", "sort") if name in passes} | own
+        own = {name: passes[name] for name in ("momentum", "forces", "sort") if name in passes} | own
     own["the rest"] = told[whole] - sum(own.values())
     for name, ns in own.items():
         yield Share(name, ns, ns / told[whole])

@@ -18,7 +18,7 @@ from cqrun.learning.episodes import EpisodeProblem
 from cqrun.plugin.contract import Array
 from cqrun.running.unknowns import make_params
 from cqrun.scene.paths import canonical, leaf, leaves
-from cqrun.state import State
+from cqrun.state import MOTION, State
 
 INSIDE = 0.025
 """How far the point that is checked stays from the bounds, where 1 is from bound to bound: steps go both ways."""
@@ -156,11 +156,13 @@ def _weights(state: State, rng: np.random.Generator) -> State:
         size = float(np.sqrt(np.mean(a**2)))
         return rng.normal(size=a.shape) / (size if size > 0 else 1.0)
 
-    return State(drawn(state.x), drawn(state.v), drawn(state.C), drawn(state.F), np.zeros_like(state.memory))
+    drawn_motion = {name: drawn(getattr(state, name)) for name in MOTION}
+    history = {name: drawn(a) for name, a in state.history.items()}
+    return State(**drawn_motion, memory=np.zeros_like(state.memory), history=history)
 
 
 def _pairs(state: State, weights: State) -> list[tuple[Array, Array]]:
-    return [(state.x, weights.x), (state.v, weights.v), (state.C, weights.C), (state.F, weights.F)]
+    return [(array, weights.arrays[name]) for name, array in state.arrays.items()]
 
 
 def _product(state: State, weights: State) -> float:

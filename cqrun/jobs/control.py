@@ -26,9 +26,9 @@ from cqrun.optimizers.constrained import (
     VIOLATION,
     ConstrainedOptimizer,
     ReplayedConstrained,
-    excess_told,
     ranked,
     report_names,
+    violations_in_row,
 )
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugins
@@ -234,7 +234,7 @@ class Keeping(Progress):
         self._rank = min((self._of(row, row["loss"]) for row in rows), default=(np.inf, np.inf, np.inf))
 
     def _of(self, row: Mapping[str, float], loss: float) -> tuple[float, float, float]:
-        return ranked(excess_told(self._problem, row), loss, self._tolerance)
+        return ranked(violations_in_row(self._problem, row), loss, self._tolerance)
 
     def __call__(self, iteration: int, x: Array, loss: float, terms: Mapping[str, float]) -> None:
         super().__call__(iteration, x, loss, terms)

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cqrun.engine.backward_run import BackwardRun
-from cqrun.engine.blocks import SORT_EVERY, sort_particles
-from cqrun.engine.drive import activate, activate_vjp, push_particles, push_particles_vjp
-from cqrun.engine.grid import clear, update_grid, update_grid_vjp
+from cqrun.engine.blocks import SORT_EVERY
+from cqrun.engine.drive import activate, activate_vjp
 from cqrun.engine.model import LossBar
 from cqrun.engine.probe import record, record_vjp
 from cqrun.engine.rollout import Rollout
-from cqrun.engine.step import (
-    momentum_of_each,
-    momentum_of_each_vjp,
-    move_each,
-    move_each_vjp,
-    scatter_blocks,
-)
+from cqrun.engine.setting import Crew, Substep
+from cqrun.engine.step import BACKWARD, FORWARD, MEET
+from cqrun.numerics.compile import Pass as KernelPass
 from cqrun.plugin.contract import Array
 from cqrun.state import State
 
@@ -51,8 +48,8 @@ class Excerpt:
         self.q = rollout.start if q is None else q
         self.states = np.empty((length + 1, *self.q.shape), self.q.dtype)
         self.here = np.empty((1, *self.q.shape), self.q.dtype)
-        last = State.at_rest(rollout.inputs.state.x)
-        last.memory = np.zeros_like(rollout.inputs.state.memory)
+        x, memory = rollout.inputs.state.x, np.zeros_like(rollout.inputs.state.memory)
+        last = replace(State.at_rest(x), memory=memory)
         self.backward = BackwardRun(rollout, LossBar(final=last))
 
     def forward(self) -> None:
@@ -99,70 +96,66 @@ class Excerpt:
 
     # --- pass by pass, in an order in which each finds what it needs ------------------------------------------------
 
+    def _at(self, q: Array, q_next: Array, *, ahead: bool = False) -> Substep:
+        """Return a substep that sorts its particles, and does all its passes itself."""
+        return Substep(self.control, 0, False, ahead, q, q_next, self.states[0])
+
+    def _measurable(self, passes: Sequence[KernelPass]) -> Iterator[tuple[KernelPass, float]]:
+        """Yield the passes that there is something to do for, with how often a substep each runs."""
+        chained = self.rollout.setting.chained
+        calls = {"sort": 1.0 / SORT_EVERY}
+        if chained:  # the others go on from pass to pass
+            calls |= dict.fromkeys(("momentum", "move", "move_vjp", "momentum_vjp"), 1.0 / self.substeps)
+        for each in passes:
+            if each is not MEET and (self.rollout.drive.forces or not each.name.startswith("forces")):
+                yield each, calls.get(each.name, 1.0)
+
+    def _run(self, each: KernelPass, at: Substep, thread: int) -> None:
+        """Run a pass on one thread."""
+        r, b = self.rollout, self.backward
+        known: dict[str, Any] = {
+            "groups": r.groups, "conditions": r.conditions, "drive": r.drive, "run": r.bundle, "pairs": b.pairs,
+            "coefficient_bar": b.coefficient_bar, "levels_bar": b.drive_bar.levels, "bars": b.bundle, "at": at,
+            "crew": Crew(thread, r.threads),
+        }  # fmt: skip
+        each.run(*(known[name] for name in each.arguments.split(", ")))
+
     def forward_passes(self) -> Iterator[Pass]:
-        """Yield the passes of a substep, as `engine/step.py` lists them."""
+        """Yield the passes of a substep."""
         self.rewind()
         self.store()
-        r, n, control = self.rollout, self.rollout.threads, self.control
-        setting, work, drive, fields = r.setting, r.work, r.drive, r.fields
-        q, q_next = self.states[0], self.states[1]
-        once = 1.0 / self.substeps
-        apart = once if setting.chained else 1.0
+        r, control, once = self.rollout, self.control, 1.0 / self.substeps
         if r.policy is not None:
             yield Pass("policy", alone(self._policy), once)
-        if drive.stresses:
-            yield Pass("activate", alone(lambda: activate(drive, control)), once)
-        if len(drive.push):
-            yield Pass("push", alone(lambda: push_particles(drive, control, q, fields)))
-        yield Pass("momentum", lambda t: momentum_of_each(r.groups, q, fields, drive.push, setting, work, t, n), apart)
-        yield Pass("sort", alone(lambda: sort_particles(work.blocks, work.place)), 1.0 / SORT_EVERY)
-        yield Pass("clear", lambda t: clear(work.grid, 1, setting, work, t, n))
-        value, affine = (work.value,), (work.affine,)
-        yield Pass("scatter", lambda t: scatter_blocks(work.grid, value, affine, setting, work, t, n))
-        yield Pass("update_grid", lambda t: update_grid(setting, r.conditions, work, t, n))
-
-        def move(thread: int, ahead: bool = False) -> None:
-            move_each(r.groups, q, q_next, fields, drive.push, ahead, setting, work, thread, n)
-
-        yield Pass("move", move, apart)
-        if setting.chained:
-            yield Pass("move_momentum", lambda t: move(t, True), 1.0 - apart)
+        if r.drive.stresses or r.drive.steady:
+            yield Pass("activate", alone(lambda: activate(r.drive, r.bundle, control)), once)
+        q, q_next = self.states[0], self.states[1]
+        for each, calls in self._measurable(FORWARD):
+            yield Pass(each.name, partial(self._run, each, self._at(q, q_next)), calls)
+        if r.setting.chained:
+            move = next(each for each in FORWARD if each.name == "move")
+            yield Pass("move_momentum", partial(self._run, move, self._at(q, q_next, ahead=True)), 1.0 - once)
         if r.probe.start.shape[0] > 1:
             rows = np.ones_like(r.records[0])
             yield Pass("record", alone(lambda: record(r.probe, q, rows)), once)
 
     def backward_passes(self) -> Iterator[Pass]:
         """Yield the passes of a substep's adjoint, but for those that it does again of the substep."""
-        r, b, n, control = self.rollout, self.backward, self.rollout.threads, self.control
-        setting, work, drive, bar, fields = r.setting, r.work, r.drive, b.drive_bar, r.fields
-        q, q_next = self.states[0], self.states[1]
+        r, b, control = self.rollout, self.backward, self.control
         once, rows = 1.0 / self.substeps, np.ones_like(r.records[0])
-        apart = once if setting.chained else 1.0
         if r.probe.start.shape[0] > 1:
             yield Pass("record_vjp", alone(lambda: record_vjp(r.probe, b.q_bar, rows)), once)
-        yield Pass("move_vjp", lambda t: move_each_vjp(r.groups, q, q_next, b.q_bar, setting, work, t, n), apart)
-        values, affines = (work.value, work.value_2), (work.affine, work.affine_2)
-        yield Pass("clear_both", lambda t: clear(work.both, 2, setting, work, t, n))
-        yield Pass("scatter_both", lambda t: scatter_blocks(work.both, values, affines, setting, work, t, n))
-        yield Pass("update_grid_vjp", lambda t: update_grid_vjp(setting, r.conditions, work, t, n))
-        pairs = tuple(zip(r.groups, b.groups_bar, strict=True))
-
-        def momentum_vjp(thread: int, ahead: bool = False) -> None:
-            momentum_of_each_vjp(
-                pairs, q_next, b.q_bar, fields, b.fields_bar, bar.push, ahead, q, drive.push, setting, work, thread, n
-            )
-
-        yield Pass("momentum_vjp", momentum_vjp, apart)
-        if setting.chained:
-            yield Pass("momentum_move_vjp", lambda t: momentum_vjp(t, True), 1.0 - apart)
-        if len(drive.push):
-            yield Pass(
-                "push_vjp",
-                alone(lambda: push_particles_vjp(drive, bar, control, q, b.q_bar, fields, b.fields_bar)),
-            )
-        if drive.stresses:
-            stresses = tuple(zip(drive.stresses, bar.stresses, strict=True))
-            yield Pass("activate_vjp", alone(lambda: activate_vjp(drive, bar, stresses, control)), once)
+        q, q_next = self.states[0], self.states[1]
+        for each, calls in self._measurable([each for each in BACKWARD if each not in FORWARD]):
+            at = self._at(q, q_next) if each.name == "move_vjp" else self._at(q_next, q_next)
+            yield Pass(each.name, partial(self._run, each, at), calls)
+        if r.setting.chained:
+            momentum_vjp = next(each for each in BACKWARD if each.name == "momentum_vjp")
+            at = self._at(q_next, q_next, ahead=True)
+            yield Pass("momentum_move_vjp", partial(self._run, momentum_vjp, at), 1.0 - once)
+        if r.drive.stresses or r.drive.steady:
+            bars = b.drive_bar.levels, r.bundle, b.bundle
+            yield Pass("activate_vjp", alone(lambda: activate_vjp(b.stresses, r.drive, *bars, control)), once)
         if r.policy is not None:
             yield Pass("policy_vjp", alone(self._policy_vjp), once)
 

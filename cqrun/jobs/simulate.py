@@ -189,13 +189,13 @@ def make_agent(built: Built, trained: Path | None, talk: Reporter) -> Agent | No
     try:
         return Agent(built, trained)
     except SceneError as error:
-        scene, unfit = built.scene, [problem.path.partition(".") for problem in error.problems]
-        if not all(section in ("objective", "constraints") and name for section, _, name in unfit):
+        scene, unfit = built.scene, [problem.path.split(".")[:2] for problem in error.problems]
+        if not all(len(place) == 2 and place[0] in ("objective", "constraints") for place in unfit):
             raise
         for problem in error.problems:
             talk.warn(f"{problem}: this run goes without it")
         left = {
-            section: {name: term for name, term in getattr(scene, section).items() if (section, ".", name) not in unfit}
+            section: {name: term for name, term in getattr(scene, section).items() if [section, name] not in unfit}
             for section in ("objective", "constraints")
         }
         return make_agent(replace(built, scene=scene.model_copy(update=left)), trained, talk)

@@ -33,6 +33,7 @@ from cqrun.observers.rows import slices
 from cqrun.plugin.contract import Array
 from cqrun.running.side_by_side import Effort
 from cqrun.running.unknowns import make_params
+from cqrun.scene.files import unreadable_files
 from cqrun.state import State
 from cqrun.store.atomic import disk_errors
 
@@ -127,7 +128,7 @@ class Agent:
         )
         self.constraints: Objective = self._bind(
             "constraints",
-            lambda: Objective({n: c.of.value for n, c in scene.constraints.items()}, self.matter),  # type: ignore[misc]
+            lambda: Objective({n: c.of.value for n, c in scene.constraints.items()}, self.matter),
         )
         asking = (self.observation, self.objective, self.constraints)
         self.places = slices([part.rows.shape[0] for part in asking])
@@ -139,6 +140,8 @@ class Agent:
             self.acting = self._taken_up(trained, said)
 
     def _bind(self, key: str, make: Callable[[], Any]) -> Any:
+        if unreadable := unreadable_files(self.built.scene, (key,)):
+            raise SceneError(unreadable)
         try:
             return make()
         except Unfit as error:
@@ -270,9 +273,8 @@ class Agent:
     def _judged(self, rollout: Rollout, track: Track, held_track: Track) -> Attempt:
         terms, held = self.objective.values(track), self.constraints.values(held_track)
         policy: Any = rollout.policy
-        return Attempt(
-            self.objective.weighed(terms), terms, held, track.goals, rollout.activation.copy(), np.array(policy.saw)
-        )
+        loss, activation = self.objective.weighted_sum(terms), rollout.activation.copy()
+        return Attempt(loss, terms, held, track.goals, activation, np.array(policy.observations))
 
     def attempt(
         self, values: Values, goals: Goals, threads: int, observe: Callable[[int, State], None] | None = None
@@ -330,7 +332,7 @@ class Agent:
 
         None where it depends on nothing of that kind.
         """
-        full = Records(*(np.zeros_like(a) for a in (records.x, records.v, records.C, records.F)))
+        full = records.zeros_like()
         whole, moves = TrackBar(), False
         for asking, bar in (
             (OBJECTIVE, self.objective.loss_vjp(track, mix.loss) if mix.loss else TrackBar()),

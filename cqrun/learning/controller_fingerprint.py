@@ -28,7 +28,7 @@ def meaning_of(built: Built, learned: Collection[str]) -> dict[str, Any]:
         learned: names of the controller's parameters: a field of such a name is where that one starts.
     """
     chosen: Any = built.scene.controller
-    data, start = resolve(built.scene), {*chosen.value.of_the_start, *learned}
+    data, start = resolve(built.scene), {*chosen.value.initial_fields, *learned}
     controller = {chosen.name: {key: v for key, v in data["controller"][chosen.name].items() if key not in start}}
     said = dict(_leaves(("controller",), controller)) | dict(_leaves(("observers",), data.get("observers", {})))
     for part in built.assembly.actuation.parts:

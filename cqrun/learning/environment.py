@@ -126,7 +126,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
             raise UsageError(f"step: an action has shape {self.action_space.shape}, not {u.shape}")
         if not np.isfinite(u).all():
             raise UsageError(f"step: an action has finite numbers, not {u}")
-        rollout.activation[control], rollout.memory[control + 1] = self.policy.driven(
+        rollout.activation[control], rollout.memory[control + 1] = self.policy.activate(
             np.clip(u, -1.0, 1.0), self.remembered, rollout.memory[control]
         )
         rollout.decided = control + 1
@@ -149,7 +149,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
 
     def _see(self) -> Array:
         rollout, control = self.rollout, self.control
-        self.seen, self.remembered = self.policy.seen(
+        self.seen, self.remembered = self.policy.observe(
             control, rollout.records[control], rollout.memory[control], lambda: rollout.unpack(self.states[0], control)
         )
         return self.seen
@@ -161,14 +161,14 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
 
     def _empty_track(self) -> Track:
         """Return the episode as the objective sees it, to be filled step by step."""
-        rows = Records.from_rows(self.rollout.records, self.agent.model.dim)
-        kept = Records(*(np.zeros(part.shape, part.dtype) for part in (rows.x, rows.v, rows.C, rows.F)))
+        rows = Records.from_rows(self.rollout.records, self.agent.model.layout.table)
+        kept = rows.zeros_like()
         return self.agent.track(kept, self.rollout, self.goals, activation=np.zeros_like(self.rollout.activation))
 
     def _loss_if_it_ended(self) -> float:
         """Return the loss of the run so far, its last record standing for all that is to come, without effort."""
         control, at = self.control, self.agent.places[OBJECTIVE]
-        now = Records.from_rows(self.rollout.records[control : control + 1], self.agent.model.dim)
+        now = Records.from_rows(self.rollout.records[control : control + 1], self.agent.model.layout.table)
         for name in ("x", "v", "C", "F"):
             getattr(self.track, name)[control:] = getattr(now, name)[:, at]
         self.track.activation[:control] = self.rollout.activation[:control]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cqrun.controllers.policy import remembered
+from cqrun.controllers.policy import memory_size
 from cqrun.errors import Problem, SceneError
 from cqrun.learning.agent import Agent
-from cqrun.state import rows_of
 from cqrun.units import format_bytes
 
 FORWARD, BACKWARD = 3, 2
@@ -23,7 +22,7 @@ def record_bytes(agent: Agent, functions: int) -> int:
     model = agent.model
     assert model.probe is not None
     copies = FORWARD + (BACKWARD + functions if functions else 0)
-    numbers = copies * rows_of(model.dim)[-1] * model.probe.shape[0] + remembered(agent.observation, agent.limits)
+    numbers = copies * model.layout.table.n_rows * model.probe.shape[0] + memory_size(agent.observation, agent.limits)
     return int(np.dtype(np.float64).itemsize * (model.n_controls + 1) * numbers)
 
 

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin
+from cqrun.plugin.reference import BodyName
 from cqrun.state import ParticleFields
 
 
@@ -20,7 +21,7 @@ class Load(Plugin):
     """A load on the particles of a body, or of all, inside a region at rest, or everywhere."""
 
     order: ClassVar[int] = 0
-    body: str | None = Field(description="Body it acts on; all if absent", default=None)
+    body: BodyName | None = Field(description="Body it acts on; all if absent", default=None)
     region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
         description="Where, at rest; everywhere if absent", default=None
     )

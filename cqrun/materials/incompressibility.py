@@ -19,7 +19,7 @@ from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 
 
-class Kernel(NamedTuple):
+class IncompressibilityKernel(NamedTuple):
     """What kernels see: rows E [Pa], nu, shared with the elastic term; the even power."""
 
     theta: Array
@@ -43,8 +43,8 @@ class Incompressibility(MaterialTerm):
             )
         return power
 
-    def kernel_term(self, theta: Array) -> Kernel:
-        return Kernel(theta, (0, 0), self.power)
+    def kernel_term(self, theta: Array) -> IncompressibilityKernel:
+        return IncompressibilityKernel(theta, (0, 0), self.power)
 
     def wave_modulus(self, theta: Array) -> Array:  # type: ignore[override]
         """Return kappa at rest for p = 2; a higher power is flat at J = 1."""
@@ -80,4 +80,4 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
     return (E_bar, nu_bar), scale(cofactor(F), theta[0] * weight * slope * tr), zeros_like_rows(F)
 
 
-register(Kernel, stress, stress_vjp)
+register(IncompressibilityKernel, stress, stress_vjp)

@@ -16,7 +16,7 @@ from cqrun.plugin.contract import Array, quantity
 from cqrun.plugin.registry import plugin
 
 
-class Kernel(NamedTuple):
+class NeoHookeanKernel(NamedTuple):
     """What kernels see: rows E [Pa], nu."""
 
     theta: Array
@@ -34,8 +34,8 @@ class NeoHookean(MaterialTerm):
     youngs_modulus: float = quantity("Pa", "Young's modulus E", differentiable=True, gt=0)
     poissons_ratio: float = quantity("1", "Poisson's ratio nu", differentiable=True, gt=-1, lt=0.5)
 
-    def kernel_term(self, theta: Array) -> Kernel:
-        return Kernel(theta, (0, 0))
+    def kernel_term(self, theta: Array) -> NeoHookeanKernel:
+        return NeoHookeanKernel(theta, (0, 0))
 
     wave_modulus = staticmethod(p_wave_modulus)
 
@@ -57,4 +57,4 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
     return lame_vjp(theta[0], theta[1], mu_bar, lam_bar), F_bar, zeros_like_rows(F)
 
 
-register(Kernel, stress, stress_vjp)
+register(NeoHookeanKernel, stress, stress_vjp)

@@ -1,14 +1,22 @@
-"""What a kernel asks of a constitutive term: its Kirchhoff stress and the adjoint of it.
+"""What a kernel asks of a constitutive term: its Kirchhoff stress, its history if it has one, and their adjoints.
 
 The stress of a material is a sum of terms. A term reaches a kernel as a `NamedTuple` of its own class, with
-per-particle parameters `theta` (rows, n) and `rows`, a tuple whose length is the number of rows (so that it
-is known when the kernel is compiled). The class picks the functions:
+per-particle parameters `theta` (rows, n) and `rows`, a tuple whose length is the number of rows, so that it
+is known when the kernel is compiled. The class picks the functions:
 
-    kirchhoff(term, theta, F, C)               -> tau
-    kirchhoff_vjp(term, theta, F, C, tau_bar)  -> theta_bar, F_bar, C_bar
+    stress(term, theta, F, C)               -> tau
+    stress_vjp(term, theta, F, C, tau_bar)  -> theta_bar, F_bar, C_bar
 
 theta is a tuple of the rows at one lane of particles, F and C are tuples of D * D (`tensor.py`), and tau is
-the Kirchhoff stress P F^T [Pa]. The adjoint is linear in tau_bar, and returns rather than accumulates.
+the Kirchhoff stress P F^T [Pa]. An adjoint is linear in the cotangent that it is given, and returns rather than adds.
+
+A term with history declares numbers of the state in `MaterialTerm.history`. Its kernel class has one more field,
+`history`, a tuple of the rows of the state where these numbers lie, and its functions see their values h as a tuple:
+
+    stress(term, theta, F, C, h)                              -> tau
+    stress_vjp(term, theta, F, C, h, tau_bar)                 -> theta_bar, F_bar, C_bar, h_bar
+    update(term, theta, F, F_next, h, dt)                     -> h_next, after a substep from F to F_next
+    update_vjp(term, theta, F, F_next, h, dt, h_next_bar)     -> theta_bar, F_bar, F_next_bar, h_bar
 """
 
 from __future__ import annotations
@@ -18,15 +26,19 @@ from typing import Any
 
 import numpy as np
 from numba.core import types
-from numba.extending import overload, register_jitable
+from numba.extending import overload
 
-from cqrun.numerics.compile import own_symbols, written
+from cqrun.numerics.compile import written
+from cqrun.numerics.dispatch import ByClass
 from cqrun.numerics.packed import accumulate, load
-from cqrun.numerics.tensor import add
 from cqrun.plugin.contract import Array, Plugin
+from cqrun.state import StateField
 
-_STRESS: dict[type, Callable[..., Any]] = {}
-_STRESS_VJP: dict[type, Callable[..., Any]] = {}
+_STRESS = ByClass("kirchhoff", "term, theta, F, C, h")
+_STRESS_VJP = ByClass("kirchhoff_vjp", "term, theta, F, C, h, tau_bar")
+_UPDATE = ByClass("update", "term, theta, F, F_next, h, dt")
+_UPDATE_VJP = ByClass("update_vjp", "term, theta, F, F_next, h, dt, h_next_bar")
+kirchhoff, kirchhoff_vjp, update, update_vjp = (f.call for f in (_STRESS, _STRESS_VJP, _UPDATE, _UPDATE_VJP))
 
 
 class MaterialTerm(Plugin):
@@ -40,6 +52,13 @@ class MaterialTerm(Plugin):
         """Return the kernel's view of this term for parameters theta (rows, n)."""
         raise NotImplementedError
 
+    def history(self, dim: int) -> tuple[StateField, ...]:
+        """Return what of the state this term adds in a world of `dim` dimensions; nothing for most terms.
+
+        Names count within the plug-in: `H` of the term `prony` is `prony.H` in the state.
+        """
+        return ()
+
     @staticmethod
     def wave_modulus(theta: Array) -> Array:
         """Return what the term adds to rho c^2, the stiffness of a pressure wave at rest [Pa], shape (n,)."""
@@ -52,34 +71,31 @@ class MaterialTerm(Plugin):
 
 
 def register(kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any]) -> None:
-    """Make `stress` and `stress_vjp` the functions of a kernel class."""
-    own_symbols(kernel_class)
-    _STRESS[kernel_class], _STRESS_VJP[kernel_class] = stress, stress_vjp
+    """Make `stress` and `stress_vjp` the functions of a kernel class without history."""
+    _STRESS.register(kernel_class, stress, "term, theta, F, C")
+    _STRESS_VJP.register(kernel_class, stress_vjp, "term, theta, F, C, tau_bar")
 
 
-def kirchhoff(term: Any, theta: Any, F: Any, C: Any) -> Any:
-    """Return the Kirchhoff stress of one term."""
-    return _STRESS[type(term)](term, theta, F, C)
+def register_with_history(
+    kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any], update: Callable[..., Any],
+    update_vjp: Callable[..., Any],
+) -> None:  # fmt: skip
+    """Make the four functions those of a kernel class with history."""
+    for table, body in ((_STRESS, stress), (_STRESS_VJP, stress_vjp), (_UPDATE, update), (_UPDATE_VJP, update_vjp)):
+        table.register(kernel_class, body)
 
 
-def kirchhoff_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
-    """Return (theta_bar, F_bar, C_bar) of one term."""
-    return _STRESS_VJP[type(term)](term, theta, F, C, tau_bar)
+def is_stress(kernel_class: type) -> bool:
+    """Say whether a kernel class is of a term of the stress."""
+    return kernel_class in _STRESS
 
 
-@overload(kirchhoff)
-def _kirchhoff(term, theta, F, C):
-    body = register_jitable(_STRESS[term.instance_class])
-    return lambda term, theta, F, C: body(term, theta, F, C)
+def has_history(kernel_class: type) -> bool:
+    """Say whether the terms of a kernel class have a history."""
+    return kernel_class in _UPDATE
 
 
-@overload(kirchhoff_vjp)
-def _kirchhoff_vjp(term, theta, F, C, tau_bar):
-    body = register_jitable(_STRESS_VJP[term.instance_class])
-    return lambda term, theta, F, C, tau_bar: body(term, theta, F, C, tau_bar)
-
-
-# --- all terms of a material -----------------------------------------------------------------------------
+# --- lane values of parameters ----------------------------------------------------------------------------
 
 
 def load_rows(theta: Array, rows: tuple[int, ...], i: int) -> Any:
@@ -87,13 +103,14 @@ def load_rows(theta: Array, rows: tuple[int, ...], i: int) -> Any:
     return tuple(load(theta, r, i) for r in range(len(rows)))
 
 
-def _written_out(item: str, n: int) -> str:
+def written_tuple(item: str, n: int) -> str:
+    """Return the source of a tuple of n entries, `item` with r from 0 on."""
     return "(" + "".join(item.format(r=r) + ", " for r in range(n)) + ")"
 
 
 @overload(load_rows)
 def _load_rows(theta, rows, i):
-    entries = _written_out("load(theta, {r}, i)", len(rows))
+    entries = written_tuple("load(theta, {r}, i)", len(rows))
     return written(f"lambda theta, rows, i: {entries}", {"load": load})
 
 
@@ -105,54 +122,8 @@ def accumulate_rows(theta_bar: Array, rows: tuple[int, ...], i: int, values: Any
 
 @overload(accumulate_rows)
 def _accumulate_rows(theta_bar, rows, i, values):
-    entries = _written_out("accumulate(theta_bar, {r}, i, values[{r}])", len(rows))
+    entries = written_tuple("accumulate(theta_bar, {r}, i, values[{r}])", len(rows))
     return written(f"lambda theta_bar, rows, i, values: {entries}", {"accumulate": accumulate})
-
-
-def total_kirchhoff(terms: Any, i: int, F: Any, C: Any) -> Any:
-    """Return the summed Kirchhoff stress of all terms for the lane of particles at i."""
-    tau = kirchhoff(terms[0], load_rows(terms[0].theta, terms[0].rows, i), F, C)
-    return add(tau, total_kirchhoff(terms[1:], i, F, C)) if len(terms) > 1 else tau
-
-
-@overload(total_kirchhoff)
-def _total_kirchhoff(terms, i, F, C):
-    def one(terms, i, F, C):
-        return kirchhoff(terms[0], load_rows(terms[0].theta, terms[0].rows, i), F, C)
-
-    def several(terms, i, F, C):
-        return add(one_of(terms, i, F, C), total_kirchhoff(terms[1:], i, F, C))
-
-    one_of = register_jitable(one)
-    return several if len(terms) > 1 else one
-
-
-def total_kirchhoff_vjp(terms: Any, terms_bar: Any, i: int, F: Any, C: Any, tau_bar: Any) -> Any:
-    """Return (F_bar, C_bar), and add to the parameters' cotangents in terms_bar."""
-    theta = load_rows(terms[0].theta, terms[0].rows, i)
-    theta_bar, F_bar, C_bar = kirchhoff_vjp(terms[0], theta, F, C, tau_bar)
-    accumulate_rows(terms_bar[0].theta, terms[0].rows, i, theta_bar)
-    if len(terms) == 1:
-        return F_bar, C_bar
-    F_more, C_more = total_kirchhoff_vjp(terms[1:], terms_bar[1:], i, F, C, tau_bar)
-    return add(F_bar, F_more), add(C_bar, C_more)
-
-
-@overload(total_kirchhoff_vjp)
-def _total_kirchhoff_vjp(terms, terms_bar, i, F, C, tau_bar):
-    def one(terms, terms_bar, i, F, C, tau_bar):
-        theta = load_rows(terms[0].theta, terms[0].rows, i)
-        theta_bar, F_bar, C_bar = kirchhoff_vjp(terms[0], theta, F, C, tau_bar)
-        accumulate_rows(terms_bar[0].theta, terms[0].rows, i, theta_bar)
-        return F_bar, C_bar
-
-    def several(terms, terms_bar, i, F, C, tau_bar):
-        F_bar, C_bar = one_of(terms, terms_bar, i, F, C, tau_bar)
-        F_more, C_more = total_kirchhoff_vjp(terms[1:], terms_bar[1:], i, F, C, tau_bar)
-        return add(F_bar, F_more), add(C_bar, C_more)
-
-    one_of = register_jitable(one)
-    return several if len(terms) > 1 else one
 
 
 def zeros_like_rows(a: Any) -> Any:
@@ -164,4 +135,4 @@ def zeros_like_rows(a: Any) -> Any:
 def _zeros_like_rows(a):
     if not isinstance(a, types.BaseTuple):
         return None
-    return written("lambda a: " + _written_out("a[{r}] * 0.0", len(a)))
+    return written("lambda a: " + written_tuple("a[{r}] * 0.0", len(a)))

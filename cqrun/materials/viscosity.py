@@ -16,7 +16,7 @@ from cqrun.plugin.contract import Array, quantity
 from cqrun.plugin.registry import plugin
 
 
-class Kernel(NamedTuple):
+class ViscosityKernel(NamedTuple):
     """What kernels see: rows eta, zeta [Pa s]."""
 
     theta: Array
@@ -31,8 +31,8 @@ class Viscosity(MaterialTerm):
     shear: float = quantity("Pa s", "shear viscosity eta", differentiable=True, ge=0, default=0.0)
     bulk: float = quantity("Pa s", "bulk viscosity zeta", differentiable=True, ge=0, default=0.0)
 
-    def kernel_term(self, theta: Array) -> Kernel:
-        return Kernel(theta, (0, 0))
+    def kernel_term(self, theta: Array) -> ViscosityKernel:
+        return ViscosityKernel(theta, (0, 0))
 
     @staticmethod
     def wave_viscosity(theta: Array) -> Array:
@@ -56,4 +56,4 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
     return (J * shear, J * bulk), F_bar, C_bar
 
 
-register(Kernel, stress, stress_vjp)
+register(ViscosityKernel, stress, stress_vjp)

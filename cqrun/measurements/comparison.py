@@ -15,7 +15,7 @@ from cqrun.plugin.contract import Array
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["Comparison", "Misfit", "Records", "zeros_like"]
+__all__ = ["Comparison", "Misfit", "Records"]
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,3 @@ class Comparison(ABC):
     def table(self, records: Records, start: float) -> Iterator[list[object]]:
         """Yield the rows of the table of data and model; the first row names the columns."""
         yield from ()
-
-
-def zeros_like(records: Records) -> Records:
-    """Return a cotangent of records to fill."""
-    return Records(*(np.zeros(np.shape(part)) for part in records))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -26,7 +27,7 @@ from cqrun.units import METRES, Unit
 
 MILLI = 1e3
 
-Position = Annotated[list[float], Field(min_length=2, max_length=3)]
+RestPosition = Annotated[list[float], Field(min_length=2, max_length=3)]
 
 
 @plugin("measurement", "markers")
@@ -39,7 +40,7 @@ class Markers(Measurement):
     """
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Position]
+    __pydantic_extra__: dict[str, RestPosition]
 
     quantity: ClassVar[str] = "displacement"
     unit: ClassVar[str] = "m"
@@ -117,7 +118,7 @@ def in_the_scenes_frame(
         rows: the observer's, over all particles of the scene.
         window: which frames are compared.
     """
-    recorded = Recorded(recording.source, "", window, lambda: recording)
+    recorded = Recorded(Path(recording.source), "", window, lambda: recording)
     return MarkerComparison(Markers(), recorded, observer, rows, recording.names, recording.time, recording.positions)
 
 

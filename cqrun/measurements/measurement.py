@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 from cqrun.measurements.comparison import Comparison
@@ -20,7 +21,7 @@ class Recorded:
     """A recording as the scene describes it, for a measurement to read.
 
     Attributes:
-        file: as the scene names it; `Matter.resolve` says where it is.
+        file: where it is.
         body: the body that was measured.
         units: of lengths in the file, or None.
         still: first and last time of the frames at rest [s], or None.
@@ -29,7 +30,7 @@ class Recorded:
         read_markers: reads the file as tracks of markers, from any of their formats; DataError where it is none.
     """
 
-    file: str
+    file: Path
     body: str
     window: Window
     read_markers: Callable[[], Recording]

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from llvmlite import binding, ir
 from numba import config, njit
@@ -144,6 +144,25 @@ def for_each(call: Callable[..., None]) -> Callable[..., None]:
         return named(several, name)
 
     return run
+
+
+class Pass(NamedTuple):
+    """One pass of a list: its name, its function, and the arguments that this takes of those of the whole."""
+
+    name: str
+    run: Callable[..., None]
+    arguments: str
+
+
+def in_order(name: str, arguments: str, passes: Sequence[Pass]) -> Callable[..., None]:
+    """Return the function of `arguments` that runs all passes, one after the other, for kernels and for Python."""
+    scope: dict[str, Any] = {f"pass_{k}": each.run for k, each in enumerate(passes)}
+    calls = "".join(f"    pass_{k}({each.arguments})\n" for k, each in enumerate(passes))
+    exec(f"def {name}({arguments}):\n{calls}", scope)
+    exec(f"def {name}_in_kernels({arguments}):\n{calls}", scope)
+    exec(f"def choose({arguments}):\n    return {name}_in_kernels", scope)
+    overload(scope[name])(scope["choose"])
+    return scope[name]
 
 
 LOOKS = 10_000

@@ -1,1 +1,1 @@
-"""Objectives, one file each."""
+"""Objectives: the terms of a loss, one file each."""

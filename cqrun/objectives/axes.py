@@ -1,4 +1,4 @@
-"""Axes of the world by name, and the base of terms that look along one."""
+"""Axes of the world by name, and the base of terms along one axis."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Axis = Literal["x", "y", "z"]
 
 
 class AlongAxis(ObjectiveTerm):
-    """A term along an axis of the world."""
+    """Base of terms along an axis of the world."""
 
     axis: Axis = Field(description="Axis of the world", default="y")
 

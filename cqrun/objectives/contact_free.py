@@ -1,4 +1,4 @@
-"""How deep particles are where they should not be."""
+"""Depth of particles below a height that they should stay above."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
 from cqrun.observers.matter import Matter
 from cqrun.observers.rows import single
 from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin
 
 
@@ -20,23 +21,24 @@ from cqrun.plugin.registry import plugin
 class ContactFree(AlongAxis):
     """Mean over a region's particles of max(0, height + margin - y)^2 [m^2], y their coordinate along the axis.
 
-    Zero where all are clear of `height` by the margin. It records every particle of the region at every control step.
+    It is zero if all particles are above `height` by the margin. It records every particle of the region at every
+    control step.
     """
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that should touch nothing")
-    region: ChosenRegion | None = Field(description="Where, at rest; the whole body if absent", default=None)
+    body: BodyName = Field(description="Body that should touch nothing")
+    region: ChosenRegion | None = Field(description="Region, at rest; the whole body if absent", default=None)
     height: float = quantity("m", "What the particles must stay above, along the axis")
-    margin: float = quantity("m", "How far above", ge=0, default=0.0)
-    over: Over = Field(description="How the values of all control steps become one", default="mean")
+    margin: float = quantity("m", "How far above it", ge=0, default=0.0)
+    over: Over = Field(description="How the values of all control steps are combined", default="mean")
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return SquaredDepth(self, matter)
 
 
-class Bound(BoundTerm):
-    """Mean over rows, one a particle, of the squared depth."""
+class SquaredDepth(BoundTerm):
+    """Mean of the squared depth over the rows, one for each particle."""
 
     def __init__(self, spec: ContactFree, matter: Matter) -> None:
         self.rows = single(matter.within(spec.body, spec.region), matter.n_particles)
@@ -53,6 +55,6 @@ class Bound(BoundTerm):
         return TrackBar(x=x_bar)
 
     def _depth(self, track: Track) -> Array:
-        """Return how deep each particle is (T, K) [m], 0 where it is clear."""
+        """Return how deep each particle is (T, K) [m]; 0 if it is high enough."""
         depth = self.clear - track.x[1:, :, self.axis]
         return np.where(depth.real > 0, depth, 0.0)

@@ -1,4 +1,4 @@
-"""Terms of the design alone: sums over what the particles are, the same at every control step."""
+"""Terms of the design alone: sums over properties of the particles, the same at every control step."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array
 
 DESIGN = ("mass", "volume", "youngs_modulus", "poissons_ratio")
-"""Rows of `Track.design` (Q, N), of every particle: mass [kg], volume at rest [m^D], elastic parameters [Pa], [1]."""
+"""Rows of `Track.design` (Q, N) for every particle: mass [kg], volume at rest [m^D], elastic parameters [Pa], [1]."""
 
 MASS, VOLUME, STIFFNESS, RATIO = range(len(DESIGN))
 
@@ -19,9 +19,9 @@ class DesignSum(BoundTerm):
     """A weighted sum over one row of the design.
 
     Args:
-        row: of the design.
-        members: particles that count.
-        weight: of each of them.
+        row: index of a row of the design.
+        members: indices of the particles in the sum.
+        weight: weight of each of these particles.
     """
 
     def __init__(self, matter: Matter, over: Over, row: int, members: Array, weight: float = 1.0) -> None:

@@ -1,4 +1,4 @@
-"""How far a body has come."""
+"""Distance that a body has travelled."""
 
 from __future__ import annotations
 
@@ -12,28 +12,29 @@ from cqrun.objectives.term import BoundTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin
 
 
 @plugin("objective", "distance")
 class Distance(AlongAxis):
-    """Distance travelled along an axis [m]: a centroid (plain mean) less where it was at the start.
+    """Distance travelled along an axis [m]: a centroid's coordinate (plain mean) minus its value at the start.
 
     Larger is better.
     """
 
     sense: ClassVar[Literal[1, -1]] = -1
 
-    body: str = Field(description="Body that travels")
-    group: str | None = Field(description=A_GROUP, default=None)
-    axis: Axis = Field(description="Axis of the world it travels along", default="x")
+    body: BodyName = Field(description="Body that travels")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
+    axis: Axis = Field(description="Axis of the world along which it travels", default="x")
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return CentroidTravel(self, matter)
 
 
-class Bound(BoundTerm):
-    """Centroid less centroid at the start."""
+class CentroidTravel(BoundTerm):
+    """Centroid minus centroid at the start."""
 
     def __init__(self, spec: Distance, matter: Matter) -> None:
         self.rows = means([matter.members(spec.body, spec.group)], matter.n_particles)

@@ -1,4 +1,4 @@
-"""What a controller spends."""
+"""Effort of the actuators."""
 
 from __future__ import annotations
 
@@ -18,34 +18,35 @@ from cqrun.plugin.registry import plugin
 
 @plugin("objective", "effort")
 class Effort(ObjectiveTerm):
-    """Effort [s]: the integral over time of u^T u, the sum of all activations' squares.
+    """Effort [s]: the integral over time of u^T u, the sum of the squares of all activations.
 
-    A cable pulls most at an activation of 0 and does nothing at 1: with `counted_from: neutral` slack ones are free.
+    A cable pulls most at an activation of 0 and does nothing at 1. With `counted_from: neutral` a slack cable costs
+    nothing.
     """
 
     least: ClassVar[float] = 0.0
 
-    over: Over = Field(description="How the values of all control steps become one", default="sum")
+    over: Over = Field(description="How the values of all control steps are combined", default="sum")
     counted_from: Literal["zero", "neutral"] | None = Field(
-        description="Where an activation costs nothing: at zero, as in the papers, and if absent; or at neutral, each "
-        "actuator's own at which it does nothing",
+        description="Activation that costs nothing: zero, as in the papers and if absent; or neutral, the one at which "
+        "the actuator does nothing",
         default=None,
     )
 
-    def doubts(self, neutral: Mapping[str, float]) -> Iterator[tuple[str, str]]:
-        odd = [f"{name}: {at:g}" for name, at in neutral.items() if at != 0.0]
-        if self.counted_from is None and odd:
+    def likely_mistakes(self, neutral: Mapping[str, float]) -> Iterator[tuple[str, str]]:
+        others = [f"{name}: {at:g}" for name, at in neutral.items() if at != 0.0]
+        if self.counted_from is None and others:
             yield (
                 "counted_from",
-                f"counts from zero, but what does nothing is another activation ({listed(odd)}): say `counted_from: "
-                "neutral`, so that doing nothing costs nothing, or `counted_from: zero` if zero is meant",
+                f"counts from zero, but actuators do nothing at another activation ({listed(others)}): say "
+                "`counted_from: neutral`, so that doing nothing costs nothing, or `counted_from: zero` to keep it",
             )
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return SquaredActivation(self, matter)
 
 
-class Bound(BoundTerm):
+class SquaredActivation(BoundTerm):
     """u^T u of every control step."""
 
     def __init__(self, spec: Effort, matter: Matter) -> None:

@@ -1,4 +1,4 @@
-"""The length of a gap between two points, squared or not, and its adjoint."""
+"""Length of the gap between two points, squared or not, and its adjoint."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from cqrun.plugin.contract import Array
 
 
 def lengths(gap: Array, squared: bool) -> Array:
-    """Return |gap|^2 [m^2] or |gap| [m], (T,), of vectors (T, D)."""
+    """Return |gap|^2 [m^2] or |gap| [m] (T,) of vectors (T, D)."""
     square = np.sum(gap * gap, axis=1)
     return np.asarray(square if squared else np.sqrt(square))
 
 
 def lengths_vjp(gap: Array, squared: bool, h_bar: Array) -> Array:
-    """Return the cotangent of the gap (T, D); that of a length at 0, where it has a kink, is 0."""
+    """Return the cotangent of the gap (T, D). At a length of 0, which is a kink, it is taken as 0."""
     if squared:
         return np.asarray(2.0 * h_bar[:, None] * gap)
     length = lengths(gap, squared=False)

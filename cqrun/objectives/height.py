@@ -1,4 +1,4 @@
-"""How high a body is."""
+"""Height of a body."""
 
 from __future__ import annotations
 
@@ -12,24 +12,25 @@ from cqrun.objectives.term import BoundTerm, Over, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin
 
 
 @plugin("objective", "height")
 class Height(AlongAxis):
-    """Height of a centroid (plain mean), its coordinate along an axis of the world [m]. Larger is better."""
+    """Height of a centroid (plain mean): its coordinate along an axis of the world [m]. Larger is better."""
 
     sense: ClassVar[Literal[1, -1]] = -1
 
-    body: str = Field(description="Body that is measured")
-    group: str | None = Field(description=A_GROUP, default=None)
-    over: Over = Field(description="How the values of all control steps become one", default="mean")
+    body: BodyName = Field(description="Body that is measured")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
+    over: Over = Field(description="How the values of all control steps are combined", default="mean")
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return CentroidHeight(self, matter)
 
 
-class Bound(BoundTerm):
+class CentroidHeight(BoundTerm):
     """One coordinate of a centroid."""
 
     def __init__(self, spec: Height, matter: Matter) -> None:

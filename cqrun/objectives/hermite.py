@@ -1,6 +1,6 @@
-"""Values between control steps: cubic Hermite of what a rollout recorded, or straight lines; and the adjoint.
+"""Values between control steps: cubic Hermite or linear interpolation of a rollout's records, and its adjoint.
 
-The interpolant is smooth in the sample times, so a start between two frames has a derivative.
+The interpolant is continuously differentiable in the sample times, so a start time that is an unknown has a gradient.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 SLACK = 1e-3
-"""Sample times may miss the rollout's end by this part of a control step (decimal times do)."""
+"""Sample times may exceed the rollout's end by this part of a control step, as decimal times are rounded."""
 
 
 @dataclass(frozen=True)
 class Interpolant:
-    """Sparse weights of F sample times on T+1 control steps: y(tau) = values @ y + tangents @ w.
+    """Sparse weights of T+1 control steps for F sample times: y(tau) = values @ y + tangents @ w.
 
     Attributes:
         values, tangents: (F, T+1), for positions [1] and velocities [s].
@@ -38,7 +38,7 @@ class Interpolant:
         return _apply(self.values, y) + _apply(self.tangents, w)
 
     def slope(self, y: Array, w: Array) -> Array:
-        """Return the derivative of the positions by tau, (F, M, D) [m/s]; 0 before the release."""
+        """Return the derivative of the positions by tau (F, M, D) [m/s]; 0 before the release."""
         return _apply(self.value_slopes, y) + _apply(self.tangent_slopes, w)
 
     def vjp(self, out_bar: Array) -> tuple[Array, Array]:
@@ -49,10 +49,10 @@ class Interpolant:
 def interpolant(tau: Array, control_step: float, steps: int) -> Interpolant:
     """Return the cubic interpolant at times tau (F,) after the release [s], for a rollout of `steps` control steps.
 
-    Before the release (tau < 0) the model rests where it starts.
+    Before the release (tau < 0) the model rests at its initial positions.
 
     Raises:
-        ValueError: a time after the rollout's end.
+        ValueError: a time is after the rollout's end.
     """
     index, s, moving = _place(tau, control_step, steps)
     dt = control_step
@@ -67,7 +67,7 @@ def interpolant(tau: Array, control_step: float, steps: int) -> Interpolant:
 
 
 def linear(tau: Array, control_step: float, steps: int) -> Interpolant:
-    """Return the interpolant along straight lines, which takes no velocities; arguments and errors as `interpolant`."""
+    """Return the linear interpolant, which uses no velocities; arguments and errors as `interpolant`."""
     index, s, moving = _place(tau, control_step, steps)
     none, rise = _weights(index, steps, 0 * s, 0 * s), moving / control_step
     return Interpolant(_weights(index, steps, 1 - s, s), none, _weights(index, steps, -rise, rise), none)

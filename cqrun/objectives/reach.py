@@ -1,4 +1,4 @@
-"""How far a body is from where it should be."""
+"""Distance of a body from where it should be."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array, vector
+from cqrun.plugin.reference import BodyName, GoalName, GroupName, Position
 from cqrun.plugin.registry import plugin
 
 
@@ -21,25 +22,25 @@ from cqrun.plugin.registry import plugin
 class Reach(ObjectiveTerm):
     """Squared distance [m^2] of a centroid (plain mean) from a goal, a fixed position, or another body's centroid.
 
-    With `squared: false` the distance itself [m]; its slope at 0 is taken as 0.
+    With `squared: false` it is the distance itself [m]; its gradient at 0 is taken as 0.
     """
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that reaches")
-    group: str | None = Field(description=A_GROUP, default=None)
-    goal: str | None = Field(description="Name of the goal", default=None)
-    position: list[float] | None = vector("m", "Where it should be", default=None)
-    target: str | None = Field(description="Body it should be at", default=None)
+    body: BodyName = Field(description="Body that reaches")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
+    goal: GoalName | None = Field(description="Name of the goal", default=None)
+    position: Position | None = vector("m", "Position where it should be", default=None)
+    target: BodyName | None = Field(description="Body whose centroid it should reach", default=None)
     target_group: str | None = Field(description="Group of that body; the whole body if absent", default=None)
     squared: bool = Field(description="Whether the distance is squared", default=True)
 
     @model_validator(mode="after")
-    def _one_aim(self) -> Self:
-        aims = [name for name in ("goal", "position", "target") if getattr(self, name) is not None]
-        if len(aims) != 1:
-            message = f"needs exactly one of goal, position, target; has {', '.join(aims) or 'none'}"
-            raise complaint("Reach", [finding(message, involves=aims)])
+    def _one_target(self) -> Self:
+        targets = [name for name in ("goal", "position", "target") if getattr(self, name) is not None]
+        if len(targets) != 1:
+            message = f"needs exactly one of goal, position, target; has {', '.join(targets) or 'none'}"
+            raise complaint("Reach", [finding(message, involves=targets)])
         if self.target_group is not None and self.target is None:
             raise complaint("Reach", [finding("has no meaning without a target", ("target_group",))])
         return self
@@ -47,11 +48,11 @@ class Reach(ObjectiveTerm):
     def bind(self, matter: Matter) -> BoundTerm:
         if self.goal is not None and (size := matter.goal_size(self.goal)) != matter.dim:
             raise UsageError(f"the goal '{self.goal}' has {size} entries; a position here has {matter.dim}")
-        return Bound(self, matter)
+        return AimGap(self, matter)
 
 
-class Bound(BoundTerm):
-    """Gap between a centroid and its aim: a goal, a point, or the second row's centroid."""
+class AimGap(BoundTerm):
+    """Gap between a centroid and its target: a goal, a point, or the second row's centroid."""
 
     def __init__(self, spec: Reach, matter: Matter) -> None:
         sets = [matter.members(spec.body, spec.group)]
@@ -73,7 +74,7 @@ class Bound(BoundTerm):
         return TrackBar(x=x_bar)
 
     def _gap(self, track: Track) -> Array:
-        """Return the centroid less its aim (T, D) [m]."""
+        """Return the centroid minus its target (T, D) [m]."""
         if track.x.shape[1] == 2:
             return np.asarray(track.x[1:, 0] - track.x[1:, 1])
         return np.asarray(track.x[1:, 0] - (self.position if self.goal is None else track.goals[self.goal]))

@@ -1,4 +1,4 @@
-"""How fast a body still moves."""
+"""Speed of a body that should be at rest."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means, single
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin
 
 
@@ -18,21 +19,23 @@ from cqrun.plugin.registry import plugin
 class Rest(ObjectiveTerm):
     """Squared speed [m^2/s^2] of a centroid (plain mean); or, with `particles: true`, its mean over all particles.
 
-    The second is what CQ1's arm must bring to rest; it records every particle at every control step.
+    CQ1's arm is brought to rest with `particles: true`, which records every particle at every control step.
     """
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that should rest")
-    group: str | None = Field(description=A_GROUP, default=None)
-    particles: bool = Field(description="Mean of the particles' squared speeds, not the centroid's", default=False)
+    body: BodyName = Field(description="Body that should be at rest")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
+    particles: bool = Field(
+        description="Mean of the particles' squared speeds instead of the centroid's", default=False
+    )
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return MeanSquaredSpeed(self, matter)
 
 
-class Bound(BoundTerm):
-    """Mean of |v|^2 over the rows: one of a centroid, or one a particle."""
+class MeanSquaredSpeed(BoundTerm):
+    """Mean of |v|^2 over the rows: one for the centroid, or one for each particle."""
 
     def __init__(self, spec: Rest, matter: Matter) -> None:
         chosen = matter.members(spec.body, spec.group)

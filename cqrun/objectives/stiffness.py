@@ -1,4 +1,4 @@
-"""How stiff a body is."""
+"""Stiffness of a body."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pydantic import Field
 from cqrun.objectives.design import STIFFNESS, DesignSum
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm
 from cqrun.observers.matter import A_GROUP, Matter
+from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin
 
 
@@ -18,8 +19,8 @@ class Stiffness(ObjectiveTerm):
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that counts")
-    group: str | None = Field(description=A_GROUP, default=None)
+    body: BodyName = Field(description="Body whose stiffness is measured")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
 
     def bind(self, matter: Matter) -> BoundTerm:
         members = matter.members(self.body, self.group)

@@ -1,10 +1,9 @@
-"""What a term of an objective is: one number from a run's track, to be made small or large.
+"""Base of the terms of an objective: a term computes one number from a run, which should be small or large.
 
-A term gives a value h_t at the end of every control step, t = 1 .. T; the start counts for nothing, as no
-controller can change it. `over` makes one number of them: `final` h_T, `mean`, `sum` (the integral: the sum of
-h_t times the control step), `product`, and `minimum` or `maximum`, whose gradient goes to the first step that
-attains them. The loss is the sum over terms of sense * weight * value: what should become large is counted
-negative.
+A term gives a value h_t at the end of every control step, t = 1 .. T. The start has no value, as no controller can
+change it. `over` combines these values: `final` is h_T; `mean`; `sum` is the integral, the sum of h_t times the
+control step; `product`; `minimum` and `maximum`, whose gradient goes to the first step that attains them. The loss is
+the sum over terms of sense * weight * value, so a term that should be large is counted negative.
 """
 
 from __future__ import annotations
@@ -32,15 +31,15 @@ Over = Literal["final", "mean", "sum", "minimum", "maximum", "product"]
 
 @dataclass
 class Track:
-    """A run, as a term sees it.
+    """The record of a run that a term reads.
 
     Attributes:
-        x, v: (T+1, K, D) the term's rows over positions [m] and velocities [m/s] at control steps 0 .. T.
-        C, F: (T+1, K, D, D) the same over affine matrices [1/s] and deformation gradients.
-        activation: (T, A) of the actuators.
+        x, v: (T+1, K, D) the term's weighted sums of positions [m] and velocities [m/s] at control steps 0 .. T.
+        C, F: (T+1, K, D, D) the same sums of affine matrices [1/s] and deformation gradients.
+        activation: (T, A) activations of the actuators.
         goals: goal -> its entries in this episode.
-        control_step: [s].
-        design: (Q, N) of every particle what `objectives/design.py` lists.
+        control_step: length of a control step [s].
+        design: (Q, N) rows of `objectives/design.py` for every particle.
     """
 
     x: Array
@@ -66,12 +65,12 @@ class TrackBar:
 
 
 class BoundTerm(ABC):
-    """A term over one scene's particles.
+    """A term bound to one scene's particles.
 
     Attributes:
         rows: (K, N) weights of the sums over particles that it needs.
-        over: how the values of the steps become one.
-        course: (K, D) places that something should pass one after the other [m], for pictures; None without any.
+        over: how the values of the control steps are combined.
+        course: (K, D) positions that a body should pass one after the other [m], for pictures; None if it has none.
     """
 
     rows: csr_array
@@ -80,7 +79,7 @@ class BoundTerm(ABC):
 
     @abstractmethod
     def steps(self, track: Track) -> Array:
-        """Return the value at the end of every control step (T,), or at the times that count."""
+        """Return the value at the end of every control step (T,), or at the term's own times."""
 
     @abstractmethod
     def steps_vjp(self, track: Track, h_bar: Array) -> TrackBar:
@@ -96,23 +95,23 @@ class BoundTerm(ABC):
 
 
 class ObjectiveTerm(Plugin):
-    """Base of the plug-ins of kind `objective`; `sense` is -1 where larger is better, `least` no value is below."""
+    """Base of the plug-ins of kind `objective`; `sense` is -1 if larger is better, no value is below `least`."""
 
     sense: ClassVar[Literal[1, -1]] = 1
     least: ClassVar[float] = -np.inf
 
     weight: float = Field(description="Factor in the loss", default=1.0)
-    over: Over = Field(description="How the values of all control steps become one", default="final")
+    over: Over = Field(description="How the values of all control steps are combined", default="final")
 
     @abstractmethod
     def bind(self, matter: Matter) -> BoundTerm:
-        """Return this term over a scene's particles.
+        """Bind this term to a scene's particles.
 
         Raises:
-            UsageError: a name, or a number of particles, that does not fit the scene.
+            UsageError: a name or a number of particles does not fit the scene.
         """
 
-    def doubts(self, neutral: Mapping[str, float]) -> Iterator[tuple[str, str]]:
+    def likely_mistakes(self, neutral: Mapping[str, float]) -> Iterator[tuple[str, str]]:
         """Yield what is likely a slip: the field's name, and what is wrong with it.
 
         Args:
@@ -122,7 +121,7 @@ class ObjectiveTerm(Plugin):
 
 
 class Objective:
-    """A weighted sum of terms; `Unfit` where one does not fit the scene."""
+    """A weighted sum of terms; `Unfit` if a term does not fit the scene."""
 
     def __init__(self, terms: Mapping[str, ObjectiveTerm], matter: Matter) -> None:
         self.terms = bind_each(terms, matter)
@@ -132,15 +131,15 @@ class Objective:
         self._places = dict(zip(self.terms, slices([term.rows.shape[0] for term in bound]), strict=True))
 
     def values(self, track: Track) -> dict[str, float]:
-        """Return each term's value, in its own unit, without weight."""
-        return {name: term.value(self._share(track, name)) for name, term in self.terms.items()}
+        """Return each term's value by name, in its own unit, without weight."""
+        return {name: term.value(self._part(track, name)) for name, term in self.terms.items()}
 
     def loss(self, track: Track) -> float:
         """Return the sum over terms of sense * weight * value."""
-        return self.weighed(self.values(track))
+        return self.weighted_sum(self.values(track))
 
-    def weighed(self, values: Mapping[str, float]) -> float:
-        """Return the loss of terms whose values are known."""
+    def weighted_sum(self, values: Mapping[str, float]) -> float:
+        """Return the loss for given values of the terms."""
         return sum(self.factors[name] * value for name, value in values.items())
 
     def wanted(self, goals: Mapping[str, Array]) -> dict[str, Any]:
@@ -161,15 +160,15 @@ class Objective:
         """Return the cotangent of the track from those of some of the terms' values."""
         total = TrackBar()
         for name, bar in bars.items():
-            own = self.terms[name].value_vjp(self._share(track, name), bar)
+            term_bar = self.terms[name].value_vjp(self._part(track, name), bar)
             for part in ("x", "v", "C", "F"):
-                _add(total, part, getattr(own, part), getattr(track, part), (slice(None), self._places[name]))
-            _add(total, "activation", own.activation, track.activation, ())
-            _add(total, "design", own.design, track.design, ())
+                _add(total, part, getattr(term_bar, part), getattr(track, part), (slice(None), self._places[name]))
+            _add(total, "activation", term_bar.activation, track.activation, ())
+            _add(total, "design", term_bar.design, track.design, ())
         return total
 
-    def _share(self, track: Track, name: str) -> Track:
-        """Return what a term sees of the track."""
+    def _part(self, track: Track, name: str) -> Track:
+        """Return the part of the track that a term reads."""
         at = self._places[name]
         return Track(
             track.x[:, at], track.v[:, at], track.C[:, at], track.F[:, at], track.activation, track.goals,
@@ -186,7 +185,7 @@ def _add(total: TrackBar, name: str, bar: Array | None, like: Array, place: Any)
 
 
 def reduced(h: Array, over: Over, control_step: float) -> float:
-    """Return the values h (T,) of the steps made one."""
+    """Return the values h (T,) of the steps combined into one number."""
     if over == "final":
         return h[-1]
     if over == "mean":
@@ -199,12 +198,12 @@ def reduced(h: Array, over: Over, control_step: float) -> float:
 
 
 def reduced_vjp(h: Array, over: Over, control_step: float, bar: float) -> Array:
-    """Return the cotangent of h (T,) from that of the one value."""
+    """Return the cotangent of h (T,) from that of the combined value."""
     if over == "mean":
         return np.full(len(h), bar / len(h))
     if over == "sum":
         return np.full(len(h), bar * control_step)
-    if over == "product":  # of all others, so that a zero among them does no harm
+    if over == "product":  # by the product of all others, not by division: a factor may be zero
         before = np.cumprod(np.concatenate([[1.0], h[:-1]]))
         after = np.cumprod(np.concatenate([[1.0], h[:0:-1]]))[::-1]
         return np.asarray(bar * before * after)

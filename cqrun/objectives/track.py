@@ -1,4 +1,4 @@
-"""How far a body is from where it should be at each time."""
+"""Distance of a body from where it should be at each time."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Over, Track, TrackBa
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.reference import BodyName, GroupName, InWorld
 from cqrun.plugin.registry import plugin
 
-Point = Annotated[list[float], Field(min_length=3, max_length=4)]
+Point = Annotated[list[float], Field(min_length=3, max_length=4), InWorld(first=1)]
 _UNIT = "s, m"
 COURSES = ("path", "keys", "marker")
 
@@ -27,28 +28,28 @@ COURSES = ("path", "keys", "marker")
 class Tracking(ObjectiveTerm):
     """Squared distance [m^2] of a centroid (plain mean) from a path, or from key frames at their times.
 
-    A `path` runs straight from point to point, and stands still before the first and after the last; it counts at
-    every control step, and so does the path of a recorded `marker`. `keys` count at their own times alone, between
-    control steps by cubic Hermite; there `sum` is their sum times the control step. With `squared: false` the distance
-    itself [m].
+    A `path` is interpolated linearly between its points, and constant before the first and after the last. It is
+    compared at every control step, and so is the path of a recorded `marker`. `keys` are compared at their own times
+    only, with cubic Hermite interpolation between control steps; their `sum` is multiplied by the control step. With
+    `squared: false` it is the distance itself [m].
     """
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that follows")
-    group: str | None = Field(description=A_GROUP, default=None)
+    body: BodyName = Field(description="Body that follows")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
     path: list[Point] | None = quantity(_UNIT, "Points [t, x, y(, z)] of a path", min_length=1, default=None)
     keys: list[Point] | None = quantity(_UNIT, "Key frames [t, x, y(, z)]", min_length=1, default=None)
-    marker: RecordedPath | None = Field(description="A marker of a recording", default=None)
+    marker: RecordedPath | None = Field(description="Recorded marker to follow", default=None)
     squared: bool = Field(description="Whether the distance is squared", default=True)
-    over: Over = Field(description="How the values of all control steps, or keys, become one", default="mean")
+    over: Over = Field(description="How the values of all control steps, or keys, are combined", default="mean")
 
     @model_validator(mode="after")
     def _one_course(self) -> Self:
-        given = [name for name in COURSES if getattr(self, name) is not None]
-        if len(given) != 1:
-            message = f"needs exactly one of {listed(COURSES)}; has {listed(given)}"
-            raise complaint("Tracking", [finding(message, involves=tuple(given[1:]))])
+        present = [name for name in COURSES if getattr(self, name) is not None]
+        if len(present) != 1:
+            message = f"needs exactly one of {listed(COURSES)}; has {listed(present)}"
+            raise complaint("Tracking", [finding(message, involves=tuple(present[1:]))])
         for name, points in (("path", self.path), ("keys", self.keys)):
             times = np.array([point[0] for point in points or []])
             if np.any(np.diff(times) <= 0) or np.any(times < 0):
@@ -58,23 +59,23 @@ class Tracking(ObjectiveTerm):
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        found = super().dim_problems(dim)
+        problems = super().dim_problems(dim)
         for name in ("path", "keys"):
             for k, point in enumerate(getattr(self, name) or []):
                 if len(point) != dim + 1:
                     message = f"must have {dim + 1} entries in this {dim}D world, time first, has {len(point)}"
-                    found.append(((name, k), message))
-        return found
+                    problems.append(((name, k), message))
+        return problems
 
     def bind(self, matter: Matter) -> BoundTerm:
         members = matter.members(self.body, self.group)
-        wanted, keys = self._wanted(matter, members)
-        bound = Bound(wanted, keys)
+        targets, keys = self._targets(matter, members)
+        bound = TrackingGap(targets, keys)
         bound.rows, bound.over, bound.squared = means([members], matter.n_particles), self.over, self.squared
         return bound
 
-    def _wanted(self, matter: Matter, members: Array) -> tuple[Array, Interpolant | None]:
-        """Return where to be (T or number of keys, D) [m], and how the times of keys are come by."""
+    def _targets(self, matter: Matter, members: Array) -> tuple[Array, Interpolant | None]:
+        """Return the target positions (T or number of keys, D) [m], and the interpolant at the times of keys."""
         if self.marker is not None:
             return self.marker.course(matter, matter.x[members].mean(axis=0)), None
         course = np.array(self.path if self.path is not None else self.keys)
@@ -91,13 +92,13 @@ class Tracking(ObjectiveTerm):
         return points, interpolant(times, matter.control_step, matter.n_controls)
 
 
-class Bound(BoundTerm):
-    """Gap between a centroid and where it should be, at every control step or at the times of `keys`."""
+class TrackingGap(BoundTerm):
+    """Gap between a centroid and its target, at every control step or at the times of `keys`."""
 
     squared: bool
 
-    def __init__(self, wanted: Array, keys: Interpolant | None) -> None:
-        self.wanted = self.course = wanted
+    def __init__(self, targets: Array, keys: Interpolant | None) -> None:
+        self.targets = self.course = targets
         self.keys = keys
 
     def steps(self, track: Track) -> Array:
@@ -113,6 +114,6 @@ class Bound(BoundTerm):
         return TrackBar(x=x_bar)
 
     def _gap(self, track: Track) -> Array:
-        """Return the centroid less where it should be (T or number of keys, D) [m]."""
+        """Return the centroid minus its target (T or number of keys, D) [m]."""
         at = track.x[1:, 0] if self.keys is None else self.keys(track.x, track.v)[:, 0]
-        return np.asarray(at - self.wanted)
+        return np.asarray(at - self.targets)

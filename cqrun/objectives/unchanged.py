@@ -1,4 +1,4 @@
-"""How far a design is from where it started: a regulariser."""
+"""Change of a design since the start: a regulariser."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin
 
 POWERS = {
@@ -24,31 +25,29 @@ POWERS = {
 
 @plugin("objective", "unchanged")
 class Unchanged(ObjectiveTerm):
-    """Mean over a body's particles of (q / q_0 - 1)^2, q a quantity of each and q_0 what it was at the start."""
+    """Mean over a body's particles of (q / q_0 - 1)^2, with a quantity q and its value q_0 at the start."""
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that counts")
-    group: str | None = Field(description=A_GROUP, default=None)
+    body: BodyName = Field(description="Body whose change is measured")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
     of: Literal["stiffness", "poissons_ratio", "density", "mass", "volume"] = Field(
         description="Young's modulus, Poisson's ratio, density, or mass or volume at rest", default="stiffness"
     )
 
     def bind(self, matter: Matter) -> BoundTerm:
-        return Bound(self, matter)
+        return DesignChange(self, matter)
 
 
-class Bound(BoundTerm):
+class DesignChange(BoundTerm):
     """The same at every control step."""
 
     def __init__(self, spec: Unchanged, matter: Matter) -> None:
         self.rows, self.over = means([], matter.n_particles), spec.over
         self.powers, self.members = POWERS[spec.of], matter.members(spec.body, spec.group)
         self.start = self._quantity(matter.design)
-        if not np.all(np.abs(self.start) > 0):  # nan too: a law without it
-            raise UsageError(
-                f"a change of {spec.of} relative to the start has no meaning: it is 0 there, or not at all"
-            )
+        if not np.all(np.abs(self.start) > 0):  # also false for nan, where the material law has no such parameter
+            raise UsageError(f"the change of {spec.of} relative to the start is not defined: it is 0 there, or missing")
 
     def steps(self, track: Track) -> Array:
         return np.full(len(track.activation), np.mean((self._quantity(track.design) / self.start - 1.0) ** 2))
@@ -62,5 +61,5 @@ class Bound(BoundTerm):
         return TrackBar(design=design_bar)
 
     def _quantity(self, design: Array) -> Array:
-        """Return q of the particles that count (n,)."""
+        """Return q for the particles of the body or group (n,)."""
         return np.prod([design[row, self.members] ** power for row, power in self.powers.items()], axis=0)

@@ -1,4 +1,4 @@
-"""How much room a body takes at rest."""
+"""Volume of a body at rest."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from pydantic import Field
 from cqrun.objectives.design import VOLUME, DesignSum
 from cqrun.objectives.term import BoundTerm, ObjectiveTerm
 from cqrun.observers.matter import A_GROUP, Matter
+from cqrun.plugin.reference import BodyName, GroupName
 from cqrun.plugin.registry import plugin
 
 
 @plugin("objective", "volume")
 class Volume(ObjectiveTerm):
-    """Volume [m^3], in 2D area [m^2], of a body at rest."""
+    """Volume [m^3] (2D: area [m^2]) of a body at rest."""
 
     least: ClassVar[float] = 0.0
 
-    body: str = Field(description="Body that counts")
-    group: str | None = Field(description=A_GROUP, default=None)
+    body: BodyName = Field(description="Body whose volume is measured")
+    group: GroupName | None = Field(description=A_GROUP, default=None)
 
     def bind(self, matter: Matter) -> BoundTerm:
         return DesignSum(matter, self.over, VOLUME, matter.members(self.body, self.group))

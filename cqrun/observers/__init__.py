@@ -1,1 +1,1 @@
-"""What is measured on a rollout, one file each."""
+"""Observers: what a controller reads during a rollout, one file each."""

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from cqrun.observers.matter import Matter
 from cqrun.observers.motion import Motion, MotionObserver
+from cqrun.plugin.reference import GroupName
 from cqrun.plugin.registry import plugin
 
 
@@ -16,11 +17,11 @@ class Centroids(MotionObserver):
     """Position [m], velocity [m/s] and acceleration [m/s^2] of the centroids of a body's groups.
 
     A centroid is the plain mean over the group's particles, as in both papers. The acceleration is the change of
-    the velocity over the last control step; zero at the first.
+    velocity since the last control step, divided by that step. It is zero at the first control step.
     """
 
-    groups: list[str] | Literal["all"] = Field(
-        description="Names of groups or of the scene's regions, or all: every group in order, the body if it has none",
+    groups: list[GroupName] | Literal["all"] = Field(
+        description="Names of groups or of the scene's regions; all: every group in order, or the body if it has none",
         default="all",
     )
 

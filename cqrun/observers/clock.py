@@ -1,4 +1,4 @@
-"""Time, and the phase of a rhythm."""
+"""Time, or the phase of a rhythm."""
 
 from __future__ import annotations
 
@@ -18,23 +18,28 @@ from cqrun.plugin.registry import plugin
 
 @plugin("observer", "clock")
 class Clock(Observer):
-    """Phase of a rhythm: sin and cos of 2 pi k t / period for k = 1 .. harmonics; or, without a period, the time t."""
+    """Phase of a rhythm: sin and cos of 2 pi k t / period, k = 1 .. harmonics. Without a period: the time t [s]."""
 
-    period: float | None = quantity("s", "Period of the rhythm; none: time itself", gt=0, default=None)
-    harmonics: int = Field(description="How many sines and cosines", ge=1, default=1)
-    range: Range = Field(description="What becomes [-1, 1]; auto: -1 to 1, for time the run's length", default="auto")
+    period: float | None = quantity(
+        "s", "Period of the rhythm; if absent, the clock gives the time", gt=0, default=None
+    )
+    harmonics: int = Field(description="Number of harmonics, each a sine and a cosine", ge=1, default=1)
+    range: Range = Field(
+        description="Range that is scaled to [-1, 1]; auto: -1 to 1, or 0 to the run's length without a period",
+        default="auto",
+    )
 
     @model_validator(mode="after")
-    def _harmonics_of_something(self) -> Self:
+    def _harmonics_need_a_period(self) -> Self:
         if self.period is None and self.harmonics > 1:
             raise complaint("Clock", [finding("has no meaning without a period: give one", ("harmonics",))])
         return self
 
     def bind(self, matter: Matter) -> BoundObserver:
-        return Bound(self, matter)
+        return ClockReading(self, matter)
 
 
-class Bound(BoundObserver):
+class ClockReading(BoundObserver):
     """A clock needs no particles, and nothing flows back."""
 
     def __init__(self, clock: Clock, matter: Matter) -> None:

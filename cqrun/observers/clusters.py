@@ -1,4 +1,4 @@
-"""Centroids of a body's clusters: a body cut into pieces without naming them, as CQ2 does."""
+"""Centroids of clusters that k-means finds in a body, as in CQ2."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cqrun.plugin.registry import plugin
 class Clusters(MotionObserver):
     """Position [m], velocity [m/s] and acceleration [m/s^2] of the centroids of clusters of a body.
 
-    The body's particles at rest are cut into `count` clusters by k-means, once. Centroids are plain means, in the
-    order of x at rest, then y, then z. The acceleration is as for `centroids`.
+    k-means divides the body's particles at rest into `count` clusters, once. A centroid is the plain mean over its
+    cluster. Clusters are sorted by their centroid's x at rest, then y, then z. For the acceleration see `centroids`.
     """
 
-    count: int = Field(description="How many clusters", ge=1)
-    seed: int = Field(description="Seed of the clusters' first guess", ge=0, default=0)
+    count: int = Field(description="Number of clusters", ge=1)
+    seed: int = Field(description="Seed of the initial centroids", ge=0, default=0)
 
     def bind(self, matter: Matter) -> Motion:
         members = matter.members(self.body)

@@ -1,5 +1,7 @@
-"""A small convolutional encoder in NumPy, and its adjoint: layers of 3^D kernels with stride 2, ELU between, then a
-linear map to the latent numbers. It is trained elsewhere (`vae_training.py`); acting needs no other library.
+"""A small convolutional encoder in NumPy, and its adjoint.
+
+Layers of 3^D kernels with stride 2, each followed by ELU, then a linear map to the latent numbers. `vae_training.py`
+trains the encoder with torch; to run it, NumPy is enough.
 """
 
 from __future__ import annotations
@@ -20,10 +22,10 @@ class Encoder:
     """Weights of the encoder.
 
     Attributes:
-        kernels: (C_out, C_in, 3, ...) of each layer, as torch has them.
-        offsets: (C_out,) of each layer.
-        weights, shift: (k, n) and (k,) of the linear map.
-        middle: (C,) what is subtracted from each channel of an image first.
+        kernels: (C_out, C_in, 3, ...) for each layer, in torch's layout.
+        offsets: (C_out,) bias of each layer.
+        weights, shift: (k, n) and (k,) matrix and bias of the linear map.
+        middle: (C,) mean of each channel, which is subtracted from an image first.
     """
 
     kernels: tuple[Array, ...]
@@ -37,7 +39,7 @@ class Encoder:
         return self.weights @ self._layers(image)[-1].reshape(-1) + self.shift
 
     def encode_vjp(self, image: Array, z_bar: Array) -> Array:
-        """Return the cotangent of the image from that of the latent numbers."""
+        """Return the cotangent of the image (C, G, ...) from that of the latent numbers (k,)."""
         layers = self._layers(image)
         bar = (self.weights.T @ z_bar).reshape(layers[-1].shape)
         for kernel, before, after in reversed(list(zip(self.kernels, layers[:-1], layers[1:], strict=True))):
@@ -53,27 +55,27 @@ class Encoder:
 
 
 def elu(a: Array) -> Array:
-    """Return a where it is positive, else exp(a) - 1: once differentiable everywhere."""
+    """Return ELU(a): a where it is positive, exp(a) - 1 elsewhere. Its derivative is continuous."""
     return np.where(a.real > 0, a, np.expm1(np.where(a.real > 0, 0.0, a)))
 
 
 def elu_slope(out: Array) -> Array:
-    """Return the derivative of `elu` from its result."""
+    """Return the derivative of `elu`, given its result."""
     return np.where(out > 0, 1.0, out + 1.0)
 
 
 def size_after(cells: int) -> int:
-    """Return how many cells a layer leaves along an axis."""
+    """Return the number of cells along an axis that a layer gives from `cells`."""
     return (cells + 1) // STRIDE
 
 
 def convolved(kernel: Array, image: Array) -> Array:
-    """Return the cross-correlation of an image (C, G, ...), padded by one, with a kernel, every other cell."""
+    """Return the cross-correlation of an image (C, G, ...), padded by one cell, with a kernel, at stride 2."""
     return np.tensordot(kernel.reshape(len(kernel), -1), _columns(image), axes=1)
 
 
 def convolved_vjp(kernel: Array, shape: Sequence[int], out_bar: Array) -> Array:
-    """Return the cotangent of the image, of this shape, from that of `convolved`."""
+    """Return the cotangent of the image, which has shape `shape`, from that of `convolved`."""
     dim = len(shape) - 1
     bars = np.tensordot(kernel.reshape(len(kernel), -1).T, out_bar, axes=1)
     bars = bars.reshape(shape[0], *(KERNEL,) * dim, *out_bar.shape[1:])
@@ -85,14 +87,14 @@ def convolved_vjp(kernel: Array, shape: Sequence[int], out_bar: Array) -> Array:
 
 
 def _columns(image: Array) -> Array:
-    """Return what each output cell sees (C * 3^D, G', ...)."""
+    """Return the image's values under the kernel at each output cell (C * 3^D, G', ...)."""
     dim = image.ndim - 1
     padded = np.pad(image, [(0, 0), *[(1, 1)] * dim])
     out = tuple(size_after(n) for n in image.shape[1:])
-    seen = [padded[_places(offset, out)] for offset in itertools.product(range(KERNEL), repeat=dim)]
-    return np.stack(seen, axis=1).reshape(-1, *out)
+    patches = [padded[_places(offset, out)] for offset in itertools.product(range(KERNEL), repeat=dim)]
+    return np.stack(patches, axis=1).reshape(-1, *out)
 
 
 def _places(offset: Sequence[int], out: Sequence[int]) -> tuple[slice, ...]:
-    """Return which padded cells lie at an offset in the stencils of all output cells."""
+    """Return the index of the padded cells at one offset of the kernel, for all output cells."""
     return (slice(None), *(slice(o, o + STRIDE * (n - 1) + 1, STRIDE) for o, n in zip(offset, out, strict=True)))

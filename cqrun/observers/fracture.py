@@ -1,8 +1,8 @@
-"""Numerical fracture: particles that were neighbours at rest and no longer talk through the grid.
+"""Numerical fracture: particles that were neighbours at rest and no longer share a grid node.
 
-A particle reaches the 3 nodes along each axis around it. Two particles act on each other only while they share a
-node, that is while their stencils are at most 2 nodes apart along every axis. A body stretched beyond that falls
-apart whatever its material says, so the pairs that are lost are counted.
+A particle exchanges momentum with 3 nodes along each axis. Two particles act on each other only while they share a
+node, which means that their stencils are at most 2 nodes apart along every axis. A body that is stretched beyond that
+tears, whatever its material law. This module counts the pairs that are lost.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ import numpy as np
 from cqrun.plugin.contract import Array
 
 NEAR = 1.5
-"""Neighbours are closer than this many times the particles' spacing: those along the axes and, in a plane, across."""
+"""Neighbours are closer than this many particle spacings: next to each other along an axis or a face diagonal."""
 
 REACH = 2
-"""Distance of two stencils, in nodes, up to which they share one."""
+"""Largest distance of two stencils, in nodes, at which they share a node."""
 
 
 @dataclass
 class Fracture:
-    """The neighbours of each body, and the most that were lost so far.
+    """The pairs of neighbours in each body, and the largest number of pairs lost so far.
 
     Attributes:
-        pairs: by body, indices of neighbours at rest (P, 2) that share a node then.
+        pairs: body -> indices (P, 2) of neighbours at rest that share a node at rest.
         dx: edge of a cell [m].
-        most: by body, the greatest number of pairs lost at one time.
+        most: body -> the largest number of pairs lost at one time.
     """
 
     pairs: dict[str, Array]
@@ -37,7 +37,7 @@ class Fracture:
 
     @classmethod
     def of(cls, x: Array, bodies: Mapping[str, slice], spacing: Mapping[str, float], dx: float) -> Fracture:
-        """Find the neighbours.
+        """Find the pairs of neighbours at rest.
 
         Args:
             x: particles at rest (N, D) [m].
@@ -49,13 +49,13 @@ class Fracture:
 
         pairs = {}
         for name, part in bodies.items():
-            found = cKDTree(x[part]).query_pairs(NEAR * spacing[name], output_type="ndarray") + part.start
-            pairs[name] = found[~_apart(x, found, dx)]
+            near = cKDTree(x[part]).query_pairs(NEAR * spacing[name], output_type="ndarray") + part.start
+            pairs[name] = near[~_apart(x, near, dx)]
         return cls(pairs, dx, dict.fromkeys(pairs, 0))
 
     def count(self, x: Array) -> dict[str, int]:
-        """Return how many pairs of each body share no node at x (N, D), and remember the most."""
-        lost = {name: int(np.count_nonzero(_apart(x, found, self.dx))) for name, found in self.pairs.items()}
+        """Return how many pairs of each body share no node at x (N, D), and update `most`."""
+        lost = {name: int(np.count_nonzero(_apart(x, pairs, self.dx))) for name, pairs in self.pairs.items()}
         self.most = {name: max(self.most[name], number) for name, number in lost.items()}
         return lost
 
@@ -71,6 +71,6 @@ class Fracture:
 
 
 def _apart(x: Array, pairs: Array, dx: float) -> Array:
-    """Say which pairs (P, 2) share no node at x (N, D)."""
+    """Return which pairs (P, 2) share no node at x (N, D): (P,) bool."""
     base = np.floor(x / dx - 0.5)
     return np.asarray((np.abs(base[pairs[:, 0]] - base[pairs[:, 1]]) > REACH).any(axis=1))

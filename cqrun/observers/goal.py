@@ -1,4 +1,4 @@
-"""Where the goal is, seen from a body."""
+"""Position of a goal relative to a body."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, GoalName, GroupName
 from cqrun.plugin.registry import plugin
 
 
 @plugin("observer", "goal")
 class Goal(Observer):
-    """A goal's position less the centroid (plain mean) of a body or of one of its groups; or the goal itself."""
+    """A goal's position minus the centroid (plain mean) of a body or of one of its groups; or the goal itself."""
 
-    goal: str = Field(description="Name of the goal, a position")
-    body: str | None = Field(description="Body it is seen from; none: the goal's own entries", default=None)
-    group: str | None = Field(description=A_GROUP, default=None)
+    goal: GoalName = Field(description="Name of the goal, a position")
+    body: BodyName | None = Field(description="Body whose centroid is subtracted; if absent, nothing is", default=None)
+    group: GroupName | None = Field(description=A_GROUP, default=None)
     range: Range = Field(
-        description="[low, high] in m that becomes [-1, 1], one for each axis, auto: the world's size, or null",
+        description="[low, high] in m that is scaled to [-1, 1], or one pair for each axis; auto: the world's size; "
+        "null: values as they are",
         default="auto",
     )
 
@@ -32,11 +34,11 @@ class Goal(Observer):
             raise UsageError(f"the goal '{self.goal}' has {size} entries; a position here has {matter.dim}")
         if self.group is not None and self.body is None:
             raise UsageError(f"the group '{self.group}' needs its body: add `body`")
-        return Bound(self, matter)
+        return GoalOffset(self, matter)
 
 
-class Bound(BoundObserver):
-    """Goal less centroid."""
+class GoalOffset(BoundObserver):
+    """Goal minus centroid."""
 
     def __init__(self, spec: Goal, matter: Matter) -> None:
         self.goal, self.size, self.relative = spec.goal, matter.dim, spec.body is not None

@@ -1,10 +1,9 @@
-"""What observers and objectives may know of a scene: particles at rest, their names, and time."""
+"""What observers and objectives know of a scene: particles at rest, names of bodies and groups, and time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -14,11 +13,11 @@ from cqrun.explain import listed, suggest
 from cqrun.plugin.contract import Array
 
 A_GROUP = "Group of the body, or region of the scene, by name; the whole body if absent"
-"""What a field `group` of observers and objectives takes."""
+"""Description of a field `group` of observers and objectives."""
 
 
-def _none_recorded(file: str, units: str | None, marker: str) -> tuple[Array, Array]:
-    """Stand for the recordings of a scene that has none."""
+def _no_recordings(file: str, units: str | None, marker: str) -> tuple[Array, Array]:
+    """Raise UsageError: the default of `Matter.recorded`, for scenes without recordings."""
     raise UsageError(f"{file}: no recordings can be read here")
 
 
@@ -35,15 +34,14 @@ class Matter:
         bodies: each body's slice of the particles.
         spacing: distance between the particles of each body [m].
         groups: body -> group -> indices of its particles.
-        regions: names of the scene's regions, which serve as groups of every body.
+        regions: names of the scene's regions; each can be used as a group of every body.
         select: (body or None, region or None) -> indices of the particles there.
         goals: goal -> number of its entries.
-        n_actuators: A.
-        neutral: (A,) activations that do nothing, or as little as they may.
-        resolve: a file as named in the scene -> where it is.
-        recorded: (file as named in the scene, its units or None, marker) -> times (T,) at which the marker was seen
-            [s], and where (T, D) [m]; UsageError where there is no such file or marker.
-        design: (Q, N) what `objectives/design.py` lists of every particle, where the unknowns start; none if empty.
+        n_actuators: number of actuators A.
+        neutral: (A,) activation of each actuator that does nothing, or as little as its range allows.
+        recorded: (file name in the scene, its units or None, marker) -> times (T,) at which the marker was seen [s],
+            and its positions then (T, D) [m]; UsageError if there is no such file or marker.
+        design: (Q, N) rows of `objectives/design.py` at the initial values of the unknowns; (0, 0) if not known.
     """
 
     x: Array
@@ -56,8 +54,7 @@ class Matter:
     select: Callable[[str | None, Any], Array]
     goals: dict[str, int]
     n_actuators: int
-    resolve: Callable[[str], Path] = Path
-    recorded: Callable[[str, str | None, str], tuple[Array, Array]] = _none_recorded
+    recorded: Callable[[str, str | None, str], tuple[Array, Array]] = _no_recordings
     design: Array = field(default_factory=lambda: np.zeros((0, 0)))
     regions: Sequence[str] = ()
     neutral: Array = field(default_factory=lambda: np.zeros(0))
@@ -82,24 +79,24 @@ class Matter:
         """Return the indices of a body's particles, or of one of its groups.
 
         Raises:
-            UsageError: there is no such body or group, or it holds no particle.
+            UsageError: there is no such body or group, or it contains no particle.
         """
         if body not in self.bodies:
             raise UsageError(_unknown("body", body, self.bodies))
-        return _held(self.select(body, None) if group is None else self._group(body, group), body, group)
+        return _not_empty(self.select(body, None) if group is None else self._group(body, group), body, group)
 
     def within(self, body: str | None, region: Any) -> Array:
         """Return the indices of the particles of a body (or of all) in a region (or anywhere).
 
         Raises:
-            UsageError: there is no such body, or no particle there.
+            UsageError: there is no such body, or it has no particle there.
         """
         if body is not None and body not in self.bodies:
             raise UsageError(_unknown("body", body, self.bodies))
-        return _held(self.select(body, region), body, None if region is None else "this region")
+        return _not_empty(self.select(body, region), body, None if region is None else "this region")
 
     def goal_size(self, goal: str) -> int:
-        """Return how many entries a goal has; UsageError where there is none of this name."""
+        """Return how many entries a goal has; UsageError if there is no goal of this name."""
         if goal not in self.goals:
             raise UsageError(_unknown("goal", goal, self.goals))
         return self.goals[goal]
@@ -117,14 +114,14 @@ B = TypeVar("B", covariant=True)
 
 
 class Bindable(Protocol[B]):
-    """A plug-in that is bound to a scene's particles."""
+    """A plug-in that can be bound to a scene's particles."""
 
     def bind(self, matter: Matter) -> B:
-        """Return it over the particles; UsageError where it does not fit them."""
+        """Bind the plug-in to the particles; UsageError if it does not fit them."""
 
 
 class Unfit(UsageError):
-    """A plug-in that does not fit the scene; `name` is what the scene calls it."""
+    """Raised for a plug-in that does not fit the scene; `name` is its name in the scene."""
 
     def __init__(self, name: str, message: str) -> None:
         super().__init__(message)
@@ -132,10 +129,10 @@ class Unfit(UsageError):
 
 
 def bind_each(specs: Mapping[str, Bindable[B]], matter: Matter) -> dict[str, B]:
-    """Return plug-ins over a scene's particles, by name.
+    """Bind plug-ins to a scene's particles, and return them by name.
 
     Raises:
-        Unfit: one does not fit the scene.
+        Unfit: a plug-in does not fit the scene.
     """
     bound = {}
     for name, spec in specs.items():
@@ -146,7 +143,7 @@ def bind_each(specs: Mapping[str, Bindable[B]], matter: Matter) -> dict[str, B]:
     return bound
 
 
-def _held(indices: Array, body: str | None, place: str | None) -> Array:
+def _not_empty(indices: Array, body: str | None, place: str | None) -> Array:
     if len(indices) == 0:
         where = " of ".join(part for part in (place, f"the body '{body}'" if body else None) if part) or "the scene"
         raise UsageError(f"{where} holds no particle: enlarge it, or name another")

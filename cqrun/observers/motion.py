@@ -14,22 +14,24 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import RAW, Range, limits
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array, Spec
+from cqrun.plugin.reference import BodyName
 
 Quantity = Literal["position", "velocity", "acceleration"]
 
 
 class MotionRanges(Spec):
-    """What becomes [-1, 1]."""
+    """Range of each quantity that is scaled to [-1, 1]."""
 
     position: Range = Field(
-        description="[low, high] in m, one for each axis; auto: the world's size; or null: as it is", default="auto"
+        description="[low, high] in m, or one pair for each axis; auto: the world's size; null: as it is",
+        default="auto",
     )
     velocity: Range = Field(
-        description="[low, high] in m/s, one for each axis; auto: the world's size a s; or null: as it is",
+        description="[low, high] in m/s, or one pair for each axis; auto: the world's size per s; null: as it is",
         default="auto",
     )
     acceleration: Range = Field(
-        description="[low, high] in m/s^2, one for each axis; auto: the world's size a s^2; or null: as it is",
+        description="[low, high] in m/s^2, or one pair for each axis; auto: the world's size per s^2; null: as it is",
         default="auto",
     )
 
@@ -38,7 +40,7 @@ _ALL_RAW = MotionRanges(position=RAW, velocity=RAW, acceleration=RAW)
 
 
 def _by_quantity(value: Any) -> Any:
-    """Return the ranges that null and raw stand for; refuse one range for all."""
+    """Replace null and raw by the ranges they stand for; ValueError for a single range, which has no quantity."""
     if value is None or value == RAW:
         return _ALL_RAW
     if not isinstance(value, (dict, MotionRanges)):
@@ -52,13 +54,14 @@ def _by_quantity(value: Any) -> Any:
 class MotionObserver(Observer):
     """Base of observers of centroids."""
 
-    body: str = Field(description="Body that is observed")
+    body: BodyName = Field(description="Body that is observed")
     of: Annotated[list[Quantity], Field(min_length=1)] = Field(
-        description="What of each centroid, in this order", default=["position", "velocity"]
+        description="Quantities of each centroid, in this order", default=["position", "velocity"]
     )
-    # a null is kept as raw ranges: a resolved scene does not write what is null
+    # null is stored as raw ranges, because a resolved scene does not contain null values
     range: Annotated[MotionRanges | None, BeforeValidator(_by_quantity)] = Field(
-        description="What becomes [-1, 1], by quantity; null (raw): values as they are", default_factory=MotionRanges
+        description="Ranges that are scaled to [-1, 1], by quantity; null (raw): values as they are",
+        default_factory=MotionRanges,
     )
 
     def motion(self, sets: Sequence[Array], matter: Matter) -> Motion:
@@ -67,10 +70,10 @@ class MotionObserver(Observer):
 
 
 class Motion(BoundObserver):
-    """Quantities of G plain means, those of a mean together: (G, quantities, D) in a row.
+    """Quantities of the plain means of G sets of particles, flattened from (G, quantities, D).
 
-    The acceleration is the change of the velocity since the control step before, over the control step, and zero
-    at the first. That velocity is what is remembered.
+    The acceleration is the change of velocity since the previous control step, divided by the control step, and zero
+    at the first. The memory is the velocity at the previous control step.
     """
 
     def __init__(self, sets: Sequence[Array], of: Sequence[Quantity], ranges: MotionRanges, matter: Matter) -> None:
@@ -87,8 +90,8 @@ class Motion(BoundObserver):
     def observe(self, moment: Moment) -> tuple[Array, Array]:
         values: dict[str, Any] = {"position": moment.x, "velocity": moment.v}
         if self.n_memory:
-            before = moment.memory.reshape(moment.v.shape)
-            change = (moment.v - before) / self.control_step
+            previous_v = moment.memory.reshape(moment.v.shape)
+            change = (moment.v - previous_v) / self.control_step
             values["acceleration"] = change if moment.control > 0 else np.zeros_like(change)
         z = np.stack([values[quantity] for quantity in self.of], axis=1)
         return z.reshape(-1), moment.v.reshape(-1) if self.n_memory else np.zeros(0)

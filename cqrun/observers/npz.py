@@ -1,4 +1,4 @@
-"""Arrays by name in one file, which is there whole or not at all."""
+"""Named arrays in one .npz file, which is written whole or not at all."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cqrun.plugin.contract import Array
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
-    """Put arrays at `path`; a reader sees the old file or the new one. OSError where the disk refuses."""
+    """Write arrays to `path`, so that a reader sees the old file or the new one; OSError if that fails."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with temporary.open("wb") as file:
@@ -27,19 +27,22 @@ def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
 
 
 def read_arrays(path: Path, what: str) -> dict[str, Array]:
-    """Return the arrays at `path`; nothing in the file is executed.
+    """Read the arrays in the file at `path`; nothing in the file is executed.
+
+    Args:
+        what: kind of file for error messages, such as "a controller file".
 
     Raises:
-        UsageError: there is no such file, or it does not hold arrays; `what` says what it should be.
+        UsageError: there is no such file, or it does not contain arrays.
     """
     try:
         with path.open("rb") as file:
-            held = np.load(file, allow_pickle=False)
-            arrays = dict(held) if isinstance(held, np.lib.npyio.NpzFile) else {}
+            loaded = np.load(file, allow_pickle=False)
+            arrays = dict(loaded) if isinstance(loaded, np.lib.npyio.NpzFile) else {}
     except OSError as error:
         raise UsageError(f"{path}: cannot be read as {what}: {error.strerror or error}") from error
     except (ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise UsageError(f"{path}: is no {what}: not an .npz file of arrays, or a damaged one") from error
+        raise UsageError(f"{path}: is not {what}: it is not an .npz file of arrays, or it is damaged") from error
     if not arrays or not all(isinstance(array, np.ndarray) for array in arrays.values()):
-        raise UsageError(f"{path}: is no {what}: it holds no arrays by name")
+        raise UsageError(f"{path}: is not {what}: it contains no named arrays")
     return arrays

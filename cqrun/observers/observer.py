@@ -1,14 +1,16 @@
-"""What an observer is: at every control step it turns particles, time and goals into numbers for a controller.
+"""Base of observers: at every control step an observer turns particles, time and goals into numbers for a controller.
 
-A plug-in is bound to a scene's particles once. It names the weighted sums over particles that it needs, and what
-it gets of a moment are these alone; `needs_state` asks for all particles instead.
+A plug-in is bound to a scene's particles once. It names the weighted sums over particles that it needs, and at each
+control step it gets only these. With `needs_state` it can read all particles.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,13 +29,13 @@ class Moment:
     """One control step, as an observer sees it.
 
     Attributes:
-        x, v: (K, D) the observer's rows over positions [m] and velocities [m/s].
-        C, F: (K, D, D) the same over affine matrices [1/s] and deformation gradients.
+        x, v: (K, D) the observer's weighted sums of positions [m] and velocities [m/s].
+        C, F: (K, D, D) the same sums of affine matrices [1/s] and deformation gradients.
         time: since the start [s].
         control: number of the control step, from 0.
         goals: goal -> its entries in this episode.
-        memory: what the observer remembered of the step before; zero at the start.
-        state: gives all particles; unpacked when called.
+        memory: what the observer stored at the previous control step; zero at the start.
+        state: returns the state of all particles, which it unpacks when called.
     """
 
     x: Array
@@ -60,13 +62,13 @@ class MomentBar:
 
 
 class BoundObserver(ABC):
-    """An observer of one scene's particles.
+    """An observer bound to one scene's particles.
 
     Attributes:
-        size: how many numbers it gives.
+        size: number of values it gives.
         rows: (K, N) weights of the sums over particles that it needs.
-        low, high: (size,) the range that becomes [-1, 1]; -1 and 1 leave a value as it is.
-        n_memory: how many numbers it remembers; they start at zero.
+        low, high: (size,) the range that is scaled to [-1, 1]; -1 and 1 leave a value as it is.
+        n_memory: how many numbers it keeps from one control step to the next; they start at zero.
         needs_state: whether it calls `Moment.state`.
     """
 
@@ -79,7 +81,7 @@ class BoundObserver(ABC):
 
     @abstractmethod
     def observe(self, moment: Moment) -> tuple[Array, Array]:
-        """Return the values (size,) in units of their own, and the next memory (n_memory,)."""
+        """Return the values (size,) in their own units, and the next memory (n_memory,)."""
 
     @abstractmethod
     def observe_vjp(self, moment: Moment, z_bar: Array, memory_next_bar: Array) -> MomentBar:
@@ -91,17 +93,17 @@ class Observer(Plugin):
 
     @abstractmethod
     def bind(self, matter: Matter) -> BoundObserver:
-        """Return this observer of a scene's particles.
+        """Bind this observer to a scene's particles.
 
         Raises:
-            UsageError: a name, or a number of particles, that does not fit the scene.
+            UsageError: a name or a number of particles does not fit the scene.
         """
 
 
 class Observation(BoundObserver):
-    """Several observers as one: their values one after another, each brought from its range to [-1, 1].
+    """Several observers as one: their values one after another, each scaled from its range to [-1, 1].
 
-    Values beyond the range are not cut off. `parts` says where each observer's values stand.
+    Values outside the range are not clipped. `parts` maps an observer's name to the slice of its values.
     """
 
     low = high = np.zeros(0)
@@ -122,17 +124,19 @@ class Observation(BoundObserver):
 
     @classmethod
     def of(cls, observers: Mapping[str, Observer], matter: Matter) -> Observation:
-        """Bind plug-ins to a scene's particles; `Unfit` where one does not fit them."""
+        """Bind plug-ins to a scene's particles; `Unfit` if one of them does not fit."""
         return cls(bind_each(observers, matter), matter.n_particles)
 
     def observe(self, moment: Moment) -> tuple[Array, Array]:
-        seen = [o.observe(self._share(moment, k)) for k, o in enumerate(self.observers)]
-        return (_joined([z for z, _ in seen]) - self.middle) / self.half, _joined([memory for _, memory in seen])
+        observed = [o.observe(self._part(moment, k)) for k, o in enumerate(self.observers)]
+        return (_joined([z for z, _ in observed]) - self.middle) / self.half, _joined(
+            [memory for _, memory in observed]
+        )
 
     def observe_vjp(self, moment: Moment, z_bar: Array, memory_next_bar: Array) -> MomentBar:
         raw_bar = z_bar / self.half
         bars = [
-            o.observe_vjp(self._share(moment, k), raw_bar[self.values[k]], memory_next_bar[self._memory[k]])
+            o.observe_vjp(self._part(moment, k), raw_bar[self.values[k]], memory_next_bar[self._memory[k]])
             for k, o in enumerate(self.observers)
         ]
         shared = ("x", "v", "C", "F")
@@ -141,8 +145,8 @@ class Observation(BoundObserver):
         memory = joined_bar([b.memory for b in bars], self._memory, (self.n_memory,))
         return MomentBar(**joined, memory=memory, state=_total([b.state for b in bars if b.state is not None]))
 
-    def _share(self, moment: Moment, k: int) -> Moment:
-        """Return what observer k sees of the moment."""
+    def _part(self, moment: Moment, k: int) -> Moment:
+        """Return the part of the moment that observer k reads."""
         rows = self._rows[k]
         return Moment(
             moment.x[rows], moment.v[rows], moment.C[rows], moment.F[rows], moment.time, moment.control,
@@ -151,7 +155,7 @@ class Observation(BoundObserver):
 
 
 def joined_bar(bars: Sequence[Array | None], places: Sequence[slice], shape: tuple[int, ...]) -> Array | None:
-    """Return one cotangent of `shape` with each part's at its place along the first axis; None if all are."""
+    """Join cotangents into one of `shape`, each at its place along the first axis; None if all are None."""
     if all(bar is None for bar in bars):
         return None
     out = np.zeros(shape)
@@ -168,4 +172,4 @@ def _joined(parts: Sequence[Array]) -> Array:
 def _total(bars: Sequence[State]) -> State | None:
     if not bars:
         return None
-    return State(*(sum(getattr(b, f.name) for b in bars) for f in fields(State)))
+    return reduce(add, bars)

@@ -1,4 +1,4 @@
-"""Deformation in few numbers: its principal components over runs that were seen before."""
+"""A body's deformation in few numbers: coordinates along its principal components in earlier runs."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import weighted
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, FileName
 from cqrun.plugin.registry import plugin
 
 
@@ -25,9 +26,9 @@ class Components:
 
     Attributes:
         modes: (k, N, D) orthonormal; none of them moves the centroid.
-        mean: (N, D) mean displacement [m], less that of the centroid.
-        reach: (k,) the largest coordinate along each that was seen [m].
-        explained: (k,) share of the variance that each explains.
+        mean: (N, D) mean displacement [m], relative to the centroid's.
+        reach: (k,) largest absolute coordinate along each mode in the fitted trajectories [m].
+        explained: (k,) share of the variance that each mode explains.
     """
 
     modes: Array
@@ -40,18 +41,19 @@ class Components:
 class Pca(Observer):
     """Coordinates [m] of a body's displacement along its principal components.
 
-    Displacements are counted from rest and from the centroid, so that the components describe how the body is
-    bent, not where it is. They come from a file that `cqrun compress --method pca` fits to trajectories of the same
-    body.
+    A displacement is measured from the rest position, and the centroid's displacement is subtracted: the components
+    describe how the body is bent, not where it is. `cqrun compress --method pca` fits them to trajectories of the same
+    body and writes them to a file.
     """
 
-    body: str = Field(description="Body that is observed")
-    components: int = Field(description="How many components", ge=1)
-    file: str | None = Field(
+    body: BodyName = Field(description="Body that is observed")
+    components: int = Field(description="Number of components", ge=1)
+    file: FileName | None = Field(
         description="File (.npz) of the components, made by `cqrun compress`; a run needs it", default=None
     )
     range: Range = Field(
-        description="[low, high] in m that becomes [-1, 1]; auto: what was reached in the fit, or null", default="auto"
+        description="[low, high] in m that is scaled to [-1, 1]; auto: as far as the fitted trajectories went; or null",
+        default="auto",
     )
 
     def bind(self, matter: Matter) -> BoundObserver:
@@ -59,36 +61,36 @@ class Pca(Observer):
             raise UsageError(
                 "the pca has no components: give a `file` of them, which `cqrun compress RUN... --method pca` makes"
             )
-        return self.bind_to(matter, load_components(matter.resolve(self.file)))
+        return self.bind_to(matter, load_components(self.path_of(self.file)))
 
-    def bind_to(self, matter: Matter, found: Components) -> BoundObserver:
-        """Return this observer along the first of the components that were found.
+    def bind_to(self, matter: Matter, fitted: Components) -> BoundObserver:
+        """Bind this observer to a scene's particles, with the first of these components.
 
         Raises:
             UsageError: there are too few, or they belong to another body.
         """
         members = matter.members(self.body)
-        k, n, dim = found.modes.shape
+        k, n, dim = fitted.modes.shape
         if (n, dim) != (len(members), matter.dim):
             raise UsageError(
                 f"the components are of a {dim}D body of {n} particles; '{self.body}' has {len(members)} in "
                 f"{matter.dim}D: fit them to this body"
             )
         if k < self.components:
-            raise UsageError(f"{self.components} components are wanted, {k} were fitted: ask for fewer")
-        return Bound(self, matter, members, found)
+            raise UsageError(f"`components` is {self.components}, but only {k} were fitted: give at most {k}")
+        return PrincipalCoordinates(self, matter, members, fitted)
 
 
-class Bound(BoundObserver):
+class PrincipalCoordinates(BoundObserver):
     """z_k = sum over particles and axes of mode_k (x - rest - mean): one row a component and axis."""
 
-    def __init__(self, spec: Pca, matter: Matter, members: Array, found: Components) -> None:
+    def __init__(self, spec: Pca, matter: Matter, members: Array, fitted: Components) -> None:
         self.size = spec.components
-        modes = found.modes[: self.size]
+        modes = fitted.modes[: self.size]
         weights = modes.transpose(0, 2, 1).reshape(-1, len(members))
         self.rows = weighted([members] * len(weights), list(weights), matter.n_particles)
-        self.offset = np.einsum("knd,nd->k", modes, matter.x[members] + found.mean)
-        reach = found.reach[: self.size]
+        self.offset = np.einsum("knd,nd->k", modes, matter.x[members] + fitted.mean)
+        reach = fitted.reach[: self.size]
         self.low, self.high = limits(spec.range, -reach, reach)
 
     def observe(self, moment: Moment) -> tuple[Array, Array]:
@@ -105,14 +107,15 @@ def fit_components(x: Array, k: int, starts: Sequence[int] = (0,)) -> Components
 
     Args:
         x: (T, N, D) positions of the body's particles [m].
-        k: how many.
-        starts: frames at which a motion begins; each counts from its own rest there, as bodies may differ in shape.
+        k: number of components.
+        starts: frames at which a motion begins. Each motion is measured from its own first frame, as bodies of several
+            runs may differ in shape.
 
     Raises:
-        UsageError: the trajectory deforms in fewer than k ways.
+        UsageError: the trajectory has fewer than k components.
     """
-    begun = np.searchsorted(starts, np.arange(len(x)), side="right") - 1
-    displacement = x - x[np.asarray(starts)[begun]]
+    start_of = np.searchsorted(starts, np.arange(len(x)), side="right") - 1
+    displacement = x - x[np.asarray(starts)[start_of]]
     displacement = displacement - displacement.mean(axis=1, keepdims=True)
     mean = displacement.mean(axis=0)
     centred = (displacement - mean).reshape(len(x), -1)
@@ -122,20 +125,22 @@ def fit_components(x: Array, k: int, starts: Sequence[int] = (0,)) -> Components
         raise UsageError(f"the trajectory deforms the body in {rank} ways; {k} components cannot be fitted to it")
     modes = Vt[:k]
     largest = np.abs(modes).argmax(axis=1)
-    modes = modes * np.sign(modes[np.arange(k), largest])[:, None]  # of the two signs, always the same one
+    modes = modes * np.sign(modes[np.arange(k), largest])[:, None]  # each mode's largest entry is positive
     reach = np.abs(centred @ modes.T).max(axis=0)
     return Components(modes.reshape(k, *x.shape[1:]), mean, reach, s[:k] ** 2 / np.sum(s**2))
 
 
 def save_components(path: Path, components: Components) -> None:
-    """Write components for `pca: {file: ...}`; OSError where the disk refuses."""
+    """Write components for `pca: {file: ...}`; OSError if that fails."""
     write_arrays(path, asdict(components))
 
 
 def load_components(path: Path) -> Components:
-    """Read components; UsageError where the file is none of theirs."""
-    arrays = read_arrays(path, "file of principal components")
-    wanted = {"modes": 3, "mean": 2, "reach": 1, "explained": 1}
-    if {name: array.ndim for name, array in arrays.items()} != wanted:
-        raise UsageError(f"{path}: is no file of principal components: it must hold the arrays {', '.join(wanted)}")
+    """Read components; UsageError if the file contains none."""
+    arrays = read_arrays(path, "a file of principal components")
+    dimensions = {"modes": 3, "mean": 2, "reach": 1, "explained": 1}
+    if {name: array.ndim for name, array in arrays.items()} != dimensions:
+        raise UsageError(
+            f"{path}: is not a file of principal components: it must contain the arrays {', '.join(dimensions)}"
+        )
     return Components(**arrays)

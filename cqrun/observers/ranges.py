@@ -1,8 +1,8 @@
-"""The range of an observed quantity, as a scene gives it: what becomes [-1, 1] for the controller.
+"""The range of an observed quantity in a scene: it is scaled to [-1, 1] for the controller.
 
-`auto` is the plug-in's own choice; null, or `raw`, leaves values as they are, as CQ1 does; `[low, high]` serves
-every entry, and a list of such pairs each entry of a vector. A null is kept as `raw`, because a resolved scene
-does not write what is null.
+`auto` is the observer's default; null, or `raw`, leaves values as they are, as CQ1 does. `[low, high]` applies to
+every entry; a list of such pairs gives one to each entry of a vector. Null is stored as `raw`, because a resolved
+scene does not contain null values.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ def _is_pair(value: Any) -> bool:
 
 
 Range = Annotated[Any, PlainValidator(_validated), WithJsonSchema(_SCHEMA)]
-"""Type of a field that holds a range."""
+"""Type of a field for a range."""
 
 
-def limits(given: Any, low: Array, high: Array) -> tuple[Array, Array]:
+def limits(chosen: Any, low: Array, high: Array) -> tuple[Array, Array]:
     """Return the lower and upper ends (size,) of a range; `low` and `high` (size,) are what `auto` means.
 
     Raises:
-        UsageError: as many pairs as there are entries are wanted, and there are others.
+        UsageError: the number of pairs is not that of the entries.
     """
-    if isinstance(given, str):
-        return (low, high) if given == AUTO else (np.full(low.shape, -1.0), np.full(high.shape, 1.0))
-    pairs = np.array(given)
+    if isinstance(chosen, str):
+        return (low, high) if chosen == AUTO else (np.full(low.shape, -1.0), np.full(high.shape, 1.0))
+    pairs = np.array(chosen)
     if pairs.ndim == 2 and len(pairs) != len(low):
         raise UsageError(f"a range has {len(pairs)} pairs [low, high] for {len(low)} entries; give {len(low)} or one")
     return tuple(np.broadcast_to(side, low.shape).copy() for side in np.moveaxis(pairs, -1, 0))  # type: ignore[return-value]

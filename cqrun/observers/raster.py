@@ -1,8 +1,9 @@
-"""A body on a grid of cells that travels with it: what a convolution can look at, and the adjoint.
+"""A body on a grid of cells that moves with it: an image for a convolutional network, and the adjoint.
 
-Cell c has channels: the share of particles there, times the number of cells, and their summed velocity over the same.
-Particles are spread by quadratic B-splines, which are smooth in their positions; what lies beyond the grid's edge
-counts to the edge. The grid is centred on the particles' plain mean.
+The channels of a cell are the share of the particles in it times the number of cells, and the sum of their velocities
+with the same factor. Quadratic B-splines spread a particle over the cells near it, so the image is smooth in the
+positions. Particles outside the grid are counted in its outermost cells. The grid is centred on the particles' plain
+mean.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from cqrun.plugin.contract import Array
 
 @dataclass(frozen=True)
 class Raster:
-    """A grid of `cells` along each axis, of edge `cell` [m]; velocities are told in `speed` [m/s]."""
+    """A grid of `cells` along each axis, of edge `cell` [m]; velocities are divided by `speed` [m/s]."""
 
     cells: int
     cell: float
@@ -43,9 +44,9 @@ class Raster:
         carried, bar = self._carried(v), image_bar.reshape(1 + self.dim, -1)
         carried_bar, y_bar = np.zeros_like(carried), np.zeros_like(x)
         for cell, weight, slopes in self._stencil(x):
-            held = bar[:, cell]
-            carried_bar += weight * held
-            y_bar += slopes * (held * carried).sum(axis=0)[:, None]
+            at_cell = bar[:, cell]
+            carried_bar += weight * at_cell
+            y_bar += slopes * (at_cell * carried).sum(axis=0)[:, None]
         # the grid moves with the mean of x
         x_bar = (y_bar - y_bar.mean(axis=0)) / self.cell
         return x_bar, carried_bar[1:].T * self._share(len(x)) / self.speed
@@ -54,7 +55,7 @@ class Raster:
         return self.cells**self.dim / n
 
     def _carried(self, v: Array) -> Array:
-        """Return what each particle brings to its cells (1 + D, n)."""
+        """Return what each particle adds to its cells (1 + D, n)."""
         return np.concatenate([np.ones((1, len(v))), v.T / self.speed]) * self._share(len(v))
 
     def _stencil(self, x: Array) -> list[tuple[Array, Array, Array]]:

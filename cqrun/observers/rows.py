@@ -1,6 +1,7 @@
-"""Rows of weights over particles: what a plug-in asks the engine to record of them, as sums.
+"""Rows of weights over particles: the weighted sums that a plug-in asks the engine to record.
 
-A row w (N,) gives sum_p w_p (x, v, C, F)_p at every control step, and takes its cotangent back to the particles.
+A row w (N,) gives sum_p w_p (x, v, C, F)_p at every control step. The adjoint takes the sum's cotangent back to the
+particles.
 """
 
 from __future__ import annotations
@@ -33,18 +34,18 @@ def means(sets: Sequence[Array], n: int) -> csr_array:
 
 
 def single(indices: Array, n: int) -> csr_array:
-    """Return one row for each of these particles: itself."""
+    """Return one row for each of these particles, with weight 1 for it alone."""
     return weighted(list(indices[:, None]), [np.ones(1)] * len(indices), n)
 
 
 def stacked(parts: Sequence[csr_array], n: int) -> csr_array:
-    """Return the rows of all parts, one below the other."""
+    """Stack the rows of all parts, one below the other."""
     from scipy.sparse import csr_array, vstack
 
     return csr_array(vstack(parts)) if parts else weighted([], [], n)
 
 
 def slices(sizes: Sequence[int]) -> list[slice]:
-    """Return where parts of these sizes lie, one after another."""
+    """Return the slices of parts of these sizes, one after another."""
     ends = np.cumsum([0, *sizes])
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]

@@ -1,4 +1,4 @@
-"""How much a region is deformed."""
+"""Strain of a region."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array, vector
+from cqrun.plugin.reference import BodyName
 from cqrun.plugin.registry import plugin
 
 
@@ -19,24 +20,26 @@ from cqrun.plugin.registry import plugin
 class Strain(Observer):
     """Strain of a region, from the plain mean F of its particles' deformation gradients.
 
-    Without `axis` the components of the Green strain E = (F^T F - I) / 2: the diagonal, then 01 (3D: 02, 12).
-    With an axis n, at rest, the stretch |F n| - 1 along it. Both are zero for a region that only turns, and need
-    neither a place nor a direction in the world: what a sensor glued into the body would feel.
+    Without `axis`: the components of the Green strain E = (F^T F - I) / 2, the diagonal first, then 01 (3D: 02, 12).
+    With an axis n, at rest: the stretch |F n| - 1 along it. Both depend on the deformation alone, not on position or
+    rotation, like a strain sensor glued into the body.
     """
 
-    body: str = Field(description="Body that is observed")
-    region: ChosenRegion | None = Field(description="Where, at rest; the whole body if absent", default=None)
+    body: BodyName = Field(description="Body that is observed")
+    region: ChosenRegion | None = Field(description="Region, at rest; the whole body if absent", default=None)
     axis: list[float] | None = vector(
-        "1", "Direction at rest, made unit, whose stretch is observed; all components if absent", default=None
+        "1",
+        "Direction at rest, scaled to length 1, of the observed stretch; if absent, all strain components",
+        default=None,
     )
-    range: Range = Field(description="What becomes [-1, 1]; auto: -1 to 1", default="auto")
+    range: Range = Field(description="Range that is scaled to [-1, 1]; auto: -1 to 1", default="auto")
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        found = super().dim_problems(dim)
+        problems = super().dim_problems(dim)
         if self.axis is not None and not np.any(self.axis):
-            found.append((("axis",), "must not be zero; give a direction, or none for all components"))
-        return found
+            problems.append((("axis",), "must not be zero; give a direction, or leave it out for all components"))
+        return problems
 
     def bind(self, matter: Matter) -> BoundObserver:
         chosen = matter.within(self.body, self.region)
@@ -67,7 +70,7 @@ class GreenStrain(BoundObserver):
 
 
 class Stretch(BoundObserver):
-    """|F n| - 1 of a unit direction n; its slope is 0 where F n vanishes."""
+    """|F n| - 1 for a unit direction n; its gradient is taken as 0 where F n vanishes."""
 
     size = 1
 

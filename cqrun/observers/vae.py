@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +17,17 @@ from cqrun.observers.ranges import Range, limits
 from cqrun.observers.raster import Raster
 from cqrun.observers.rows import weighted
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BodyName, FileName
 from cqrun.plugin.registry import plugin
-from cqrun.state import State
 
-WHAT = "file of a trained encoder"
-USUAL = 3.0
-"""Codes are trained towards a normal distribution of standard deviation 1: few lie beyond this."""
+FILE_KIND = "an encoder file"
+TYPICAL_CODE = 3.0
+"""Training draws codes towards a normal distribution with standard deviation 1, so few are larger than this."""
 
 
 @dataclass(frozen=True)
 class Trained:
-    """An encoder with the grid of cells that it looks at."""
+    """An encoder with the grid of cells whose image it encodes."""
 
     raster: Raster
     encoder: Encoder
@@ -35,27 +35,29 @@ class Trained:
 
 @plugin("observer", "vae")
 class Vae(Observer):
-    """The code [1] that a convolutional variational autoencoder has for a body on a grid that travels with it.
+    """The code [1] that a convolutional variational autoencoder gives for a body on a grid that moves with it.
 
-    The encoder is trained on trajectories (`cqrun compress`) and comes from a file; the gradient goes through it.
+    `cqrun compress` trains the encoder on trajectories and writes it to a file. Gradients go through the encoder.
     A. Spielberg, A. Zhao, T. Du, Y. Hu, D. Rus, W. Matusik: Learning-in-the-loop optimization, NeurIPS 2019.
     """
 
-    body: str = Field(description="Body that is observed")
-    file: str = Field(description="File (.npz) of the encoder, from `cqrun compress`")
-    range: Range = Field(description="[low, high] that becomes [-1, 1]; auto: -3 to 3, or null", default="auto")
+    body: BodyName = Field(description="Body that is observed")
+    file: FileName = Field(description="File (.npz) of the encoder, from `cqrun compress`")
+    range: Range = Field(description="[low, high] that is scaled to [-1, 1]; auto: -3 to 3; or null", default="auto")
 
     def bind(self, matter: Matter) -> BoundObserver:
-        return self.bind_to(matter, load_encoder(matter.resolve(self.file)))
+        return self.bind_to(matter, load_encoder(self.path_of(self.file)))
 
     def bind_to(self, matter: Matter, trained: Trained) -> BoundObserver:
-        """Return this observer with a trained encoder; UsageError where it is of another dimension."""
+        """Bind this observer with a trained encoder; UsageError if that has another dimension than the scene."""
         if trained.raster.dim != matter.dim:
-            raise UsageError(f"the encoder is of a {trained.raster.dim}D body; '{self.body}' is in {matter.dim}D")
-        return Bound(self, matter, trained)
+            raise UsageError(
+                f"the encoder was trained on a {trained.raster.dim}D body; '{self.body}' is in {matter.dim}D"
+            )
+        return LatentCode(self, matter, trained)
 
 
-class Bound(BoundObserver):
+class LatentCode(BoundObserver):
     """z = encode(image(x, v))."""
 
     needs_state = True
@@ -64,7 +66,7 @@ class Bound(BoundObserver):
         self.members, self.trained = matter.members(spec.body), trained
         self.size = len(trained.encoder.shift)
         self.rows = weighted([], [], matter.n_particles)
-        self.low, self.high = limits(spec.range, np.full(self.size, -USUAL), np.full(self.size, USUAL))
+        self.low, self.high = limits(spec.range, np.full(self.size, -TYPICAL_CODE), np.full(self.size, TYPICAL_CODE))
 
     def observe(self, moment: Moment) -> tuple[Array, Array]:
         state = moment.state()
@@ -75,29 +77,29 @@ class Bound(BoundObserver):
         state = moment.state()
         x, v = state.x[self.members], state.v[self.members]
         image_bar = self.trained.encoder.encode_vjp(self.trained.raster.image(x, v), z_bar)
-        bar = State(*(np.zeros_like(a) for a in (state.x, state.v, state.C, state.F)))
+        bar = replace(state.zeros_like(), memory=np.zeros(0))
         bar.x[self.members], bar.v[self.members] = self.trained.raster.image_vjp(x, v, image_bar)
         return MomentBar(state=bar)
 
 
 def save_encoder(path: Path, trained: Trained) -> None:
-    """Write an encoder for `vae: {file: ...}`; OSError where the disk refuses."""
+    """Write an encoder for `vae: {file: ...}`; OSError if that fails."""
     raster, encoder = trained.raster, trained.encoder
     layers = {f"kernel{k}": a for k, a in enumerate(encoder.kernels)}
     layers |= {f"offset{k}": a for k, a in enumerate(encoder.offsets)}
     grid = np.array([raster.cells, raster.cell, raster.speed, raster.dim], float)
-    own = {"weights": encoder.weights, "shift": encoder.shift, "middle": encoder.middle}
-    write_arrays(path, {"grid": grid, **own, **layers})
+    linear = {"weights": encoder.weights, "shift": encoder.shift, "middle": encoder.middle}
+    write_arrays(path, {"grid": grid, **linear, **layers})
 
 
 def load_encoder(path: Path) -> Trained:
-    """Read an encoder; UsageError where the file is none."""
-    arrays = read_arrays(path, WHAT)
+    """Read an encoder; UsageError if the file contains none."""
+    arrays = read_arrays(path, FILE_KIND)
     depth = sum(name.startswith("kernel") for name in arrays)
     layers = [f"{part}{k}" for part in ("kernel", "offset") for k in range(depth)]
     names = ["grid", "weights", "shift", "middle", *layers]
     if sorted(names) != sorted(arrays) or arrays["grid"].shape != (4,):
-        raise UsageError(f"{path}: is no {WHAT}: it must hold the arrays {', '.join(names)}")
+        raise UsageError(f"{path}: is not {FILE_KIND}: it must contain the arrays {', '.join(names)}")
     cells, cell, speed, dim = (float(a) for a in arrays["grid"])
     kernels, offsets = (tuple(arrays[f"{part}{k}"] for k in range(depth)) for part in ("kernel", "offset"))
     encoder = Encoder(kernels, offsets, *(arrays[name] for name in ("weights", "shift", "middle")))

@@ -1,9 +1,9 @@
-"""Training the autoencoder whose code the observer `vae` gives (extra `torch`; the CPU is enough).
+"""Training of the autoencoder whose code the observer `vae` gives (extra `torch`; a CPU is enough).
 
     z = mu + sigma noise,   loss = mean |decode(z) - image|^2 + beta KL(N(mu, sigma) | N(0, 1)),
 
-images in units of each channel's spread (D. P. Kingma, M. Welling: Auto-encoding variational Bayes, ICLR 2014). Only
-the mean's encoder is kept, as arrays: `encoder.py` runs it without torch.
+with images scaled by each channel's standard deviation (D. P. Kingma, M. Welling: Auto-encoding variational Bayes, ICLR
+2014). Only the encoder of the mean mu is saved, as arrays; `encoder.py` runs it without torch.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CHANNELS = (16, 32)
 """Channels of the layers."""
 
 SAME = 1e-12
-"""A channel that varies by less of the largest number in the images is the same everywhere, and has no spread."""
+"""A channel whose spread is less than this part of the images' largest number is constant, and is not scaled."""
 
 
 def library() -> Any:
@@ -45,17 +45,17 @@ def library() -> Any:
 
 
 class Training:
-    """A training on images (T, C, G, ...) for codes of `size` numbers, an epoch at a time.
+    """Training on images (T, C, G, ...) for codes of `size` numbers, one epoch at a time.
 
-    The same seed gives the same bits on one machine, also where `state` and `restore` come between two epochs.
+    On one machine the same seed gives bit-for-bit identical results, also with `state` and `restore` between epochs.
 
     Args:
-        batch, learning_rate: of Adam.
-        beta: weight of the divergence.
+        batch, learning_rate: batch size and learning rate of Adam.
+        beta: weight of the KL divergence.
 
     Attributes:
-        epochs: how many there were.
-        error: the share of the images' variance that the code did not explain in the last one.
+        epochs: number of epochs so far.
+        error: share of the images' variance that the code did not explain in the last epoch.
 
     Raises:
         MissingExtra: torch is not installed.
@@ -74,53 +74,53 @@ class Training:
         self.data = torch.tensor((images - self.middle) / self.spread, dtype=torch.float32)
         self.net = _network(torch, self.data.shape[1:], size)
         self.optimizer = torch.optim.Adam(self.net.parameters(), lr=learning_rate)
-        self.chance = torch.Generator().manual_seed(seed)
+        self.generator = torch.Generator().manual_seed(seed)
         self.batch, self.beta, self.epochs, self.error = batch, beta, 0, np.inf
         shape = f"{self.data.shape} {size} {batch} {learning_rate} {beta} {seed} {torch.__version__}"
         self.key = hashlib.sha256(shape.encode() + self.data.numpy().tobytes()).hexdigest()
 
     def epoch(self) -> None:
-        """Go once through the images."""
+        """Train on every image once."""
         torch, total = self.torch, 0.0
         with _one_thread(torch):
-            for chosen in torch.randperm(len(self.data), generator=self.chance).split(self.batch):
+            for chosen in torch.randperm(len(self.data), generator=self.generator).split(self.batch):
                 self.optimizer.zero_grad()
-                wrong, divergence = self.net.terms(self.data[chosen], self.chance)
+                wrong, divergence = self.net.terms(self.data[chosen], self.generator)
                 (wrong + self.beta * divergence).backward()
                 self.optimizer.step()
                 total += wrong.item() * len(chosen)
         self.epochs, self.error = self.epochs + 1, total / len(self.data)
 
     def state(self) -> bytes:
-        """Return all that the next epoch depends on besides what this was made of."""
+        """Return everything on which the next epoch depends, except the arguments of the constructor."""
         file = io.BytesIO()
         parts = {"net": self.net.state_dict(), "optimizer": self.optimizer.state_dict()}
-        told = {"key": self.key, "epochs": self.epochs, "error": self.error, "chance": self.chance.get_state()}
-        self.torch.save(parts | told, file)
+        progress = {"key": self.key, "epochs": self.epochs, "error": self.error, "chance": self.generator.get_state()}
+        self.torch.save(parts | progress, file)
         return file.getvalue()
 
     def restore(self, state: bytes, most: int) -> bool:
-        """Go on from a state; say whether it was one of this training, of so many epochs at most."""
+        """Continue from a state; return False if it is of another training, or of more than `most` epochs."""
         try:
-            told = self.torch.load(io.BytesIO(state), weights_only=True)
-        except Exception:  # torch has many ways to say that a file is not its own
+            saved = self.torch.load(io.BytesIO(state), weights_only=True)
+        except Exception:  # torch raises many kinds of errors for a file that it did not write
             return False
-        if not isinstance(told, dict) or told.get("key") != self.key or told["epochs"] > most:
+        if not isinstance(saved, dict) or saved.get("key") != self.key or saved["epochs"] > most:
             return False
-        self.net.load_state_dict(told["net"])
-        self.optimizer.load_state_dict(told["optimizer"])
-        self.chance.set_state(told["chance"])
-        self.epochs, self.error = told["epochs"], told["error"]
+        self.net.load_state_dict(saved["net"])
+        self.optimizer.load_state_dict(saved["optimizer"])
+        self.generator.set_state(saved["chance"])
+        self.epochs, self.error = saved["epochs"], saved["error"]
         return True
 
     def encoder(self) -> Encoder:
-        """Return the encoder of images as they are."""
+        """Return the encoder for unscaled images."""
         return _as_arrays(self.net, self.middle, self.spread)
 
 
 @contextlib.contextmanager
 def _one_thread(torch: Any) -> Iterator[None]:
-    """Have torch use one thread: layers this small gain nothing from more, and lose much where a core is busy."""
+    """Limit torch to one thread: layers this small gain nothing from more, and are slow where a core is busy."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -152,12 +152,12 @@ def _network(torch: Any, shape: Sequence[int], size: int) -> Any:
                 h = layer(nn.functional.interpolate(nn.functional.elu(h), size=sizes[-2 - k]))
             return h
 
-        def terms(self, images: Any, chance: Any) -> tuple[Any, Any]:
+        def terms(self, images: Any, generator: Any) -> tuple[Any, Any]:
             h = images
             for layer in self.down:
                 h = nn.functional.elu(layer(h))
             mu, log_var = self.mean(h.flatten(1)), self.log_variance(h.flatten(1))
-            z = mu + torch.exp(0.5 * log_var) * torch.randn(mu.shape, generator=chance)
+            z = mu + torch.exp(0.5 * log_var) * torch.randn(mu.shape, generator=generator)
             divergence = -0.5 * (1 + log_var - mu**2 - log_var.exp()).sum(1).mean()
             return ((self.decode(z) - images) ** 2).mean(), divergence
 
@@ -165,7 +165,7 @@ def _network(torch: Any, shape: Sequence[int], size: int) -> Any:
 
 
 def _as_arrays(net: Any, middle: Array, spread: Array) -> Encoder:
-    """Return the mean's encoder in float64, for images as they are: the first layer brings them to one size."""
+    """Return the encoder of the mean in float64, for unscaled images: its first layer contains the scaling."""
     kernels = [layer.weight.detach().double().numpy() for layer in net.down]
     kernels[0] = kernels[0] / spread.reshape(1, -1, *(1,) * (kernels[0].ndim - 2))
     offsets = [layer.bias.detach().double().numpy() for layer in net.down]

@@ -1,4 +1,4 @@
-"""Adam: steps of even length, whatever the scale of the gradient."""
+"""Adam: steps whose length does not depend on the scale of the gradient."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Adam(Descent):
     epsilon: float = Field(1e-8, gt=0, description="keeps the division finite")
 
     def memory_names(self) -> tuple[str, ...]:
-        """Return the two moments."""
+        """Return the names of the two moments."""
         return ("m", "v")
 
     def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:

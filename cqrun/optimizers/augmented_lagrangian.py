@@ -1,4 +1,4 @@
-"""Augmented Lagrangian over Adam: constraints with any number of unknowns, one gradient an iteration."""
+"""Augmented Lagrangian with Adam: constraints with any number of unknowns, one gradient per iteration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cqrun.optimizers.constrained import (
     columns_of,
     infeasible,
     most_violated,
-    projected,
+    projected_norm,
     ranked,
     require_constraints,
     violation,
@@ -27,37 +27,39 @@ from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 
-LONGEST = 0.1
-"""Of a step to the constraints, in an unknown's scaled range."""
+LONGEST_STEP = 0.1
+"""Longest step towards the constraints, in the scaled range of an unknown."""
 
-HELPS = 0.75
-"""Part to which such a step must bring the violation, or it counts as one that does not help."""
+HELPFUL = 0.75
+"""Part to which such a step must reduce the violation to count as one that helps."""
 
-HEAVY = 1e6
-"""Weight of what such a step leaves of the violations, beside its length."""
+VIOLATION_WEIGHT = 1e6
+"""Weight of the remaining violations in such a step, compared with its length."""
 
 
 @plugin("optimizer", "augmented_lagrangian")
 class AugmentedLagrangian(ConstrainedOptimizer, Adam):
     """Adam on f + sum |c - p + y / rho|^2 rho / 2, where p is the allowed value nearest to c + y / rho.
 
-    Its gradient is that of f + w.c with w = y + rho (c - p), which one backward run gives for all constraints. Every
-    `inner` iterations the multipliers y become w, and the penalty rho grows where the violation has not fallen enough.
-    Then come steps of another kind: the shortest ones that meet the constraints linearised at x (Gauss and Newton's),
-    until `restoring` of them have hardly lowered the violation: a penalty is slow to give its last digits.
+    Its gradient is that of f + w.c with w = y + rho (c - p); a single backward run gives it for all constraints. Every
+    `inner` iterations the multipliers y are set to w, and the penalty rho grows if the violation has not fallen enough.
+    Then come restoration steps: the shortest ones that meet the constraints linearised at x (Gauss-Newton), until
+    `restoring` of them have hardly reduced the violation. They give the last digits, where a penalty converges slowly.
     J. Nocedal, S. Wright: Numerical optimization (2006), sections 15.4 (normal steps), 17.3 and 17.4.
     """
 
-    max_iterations: int = Field(500, ge=1, description="iterations at most")
-    beta2: float = Field(0.99, ge=0, lt=1, description="memory of the mean square: short, as the penalty changes it")
+    max_iterations: int = Field(500, ge=1, description="maximum number of iterations")
+    beta2: float = Field(0.99, ge=0, lt=1, description="memory of the mean square; short, because the penalty changes")
     decay: float = Field(0.01, ge=0, description="the learning rate of iteration k is divided by 1 + decay k")
     inner: int = Field(50, ge=1, description="iterations between two updates of the multipliers")
     penalty: float = Field(3.0, gt=0, description="rho at the start")
-    growth: float = Field(2.0, gt=1, description="by which rho grows")
-    enough: float = Field(0.5, gt=0, lt=1, description="part to which the violation must fall, or rho grows")
-    penalty_limit: float = Field(100.0, gt=0, description="rho grows no further")
+    growth: float = Field(2.0, gt=1, description="factor by which rho grows")
+    enough: float = Field(
+        0.5, gt=0, lt=1, description="part to which the violation must fall; if it does not, rho grows"
+    )
+    penalty_limit: float = Field(100.0, gt=0, description="largest rho")
     restoring: int = Field(
-        2, ge=0, description="steps straight to the constraints, after each update, that may hardly help; 0: none"
+        2, ge=0, description="number of restoration steps after each update that may fail to help; 0: none"
     )
 
     @model_validator(mode="after")
@@ -67,27 +69,27 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         return self
 
     def require(self, problem: Problem) -> None:
-        """Refuse what has no constraints to ask for, and what changes from iteration to iteration."""
+        """Raise UsageError for a fit to data, an objective that changes between iterations, or mini-batches."""
         require_constraints(problem, self.name)
         refuse_stochastic(problem, self)
         if self.batch_size is not None:
-            raise UsageError("constraints are of the whole set: remove `batch_size`")
+            raise UsageError("constraints apply to the whole set: remove `batch_size`")
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:
         """Minimise with exact resume through the session's state file; UsageError as `require`."""
         outcome = super().minimise(problem, session)
         if outcome.status in ("failed", "stopped"):
             return outcome
-        held = _with_constraints(problem)
-        _, c = held.values_and_constraints(outcome.x)
-        if most_violated(c, held.c_low, held.c_high) <= self.constraint_tolerance:
+        constrained = _with_constraints(problem)
+        _, c = constrained.values_and_constraints(outcome.x)
+        if most_violated(c, constrained.c_low, constrained.c_high) <= self.constraint_tolerance:
             return outcome
-        return infeasible(held, outcome, c, self.constraint_tolerance)
+        return infeasible(constrained, outcome, c, self.constraint_tolerance)
 
-    def begin_memory(self, problem: Problem, x: Array) -> dict[str, Array]:
-        """Return Adam's moments, the multipliers, the penalty, and what they were last judged by."""
+    def initial_memory(self, problem: Problem, x: Array) -> dict[str, Array]:
+        """Return Adam's moments, the multipliers, the penalty, and the values that decide on their next update."""
         m = len(_with_constraints(problem).constraint_names)
-        return super().begin_memory(problem, x) | {
+        return super().initial_memory(problem, x) | {
             "multipliers": np.zeros(m),
             "penalty": np.array(self.penalty),
             "restoring": np.array(0),
@@ -101,52 +103,52 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
     ) -> dict[str, Array]:
         """Return f, the gradient of the augmented Lagrangian, constraints c and weights w (m,), and the terms."""
         y, rho = memory["multipliers"], memory["penalty"]
-        held = _with_constraints(problem)
-        low, high = held.c_low, held.c_high
+        constrained = _with_constraints(problem)
+        low, high = constrained.c_low, constrained.c_high
 
         def weigh(c: Array) -> Array:
-            aim = c + y / rho
-            return np.asarray(rho * (aim - np.clip(aim, low, high)))
+            shifted = c + y / rho
+            return np.asarray(rho * (shifted - np.clip(shifted, low, high)))
 
         normal = {}
         if memory["restoring"] > 0:
-            f, g, c, J = held.gradients_and_constraints(x)
+            f, g, c, J = constrained.gradients_and_constraints(x)
             require_finite(x, constraints=c, jacobian=J)
             g = g + weigh(c) @ J
-            normal = {"normal": self._normal_step(held, x, c, J)}
+            normal = {"normal": self._normal_step(constrained, x, c, J)}
         else:
-            f, c, g = held.lagrangian(x, weigh)
+            f, c, g = constrained.lagrangian(x, weigh)
         require_finite(x, loss=np.asarray(f), constraints=c, gradient=g)
         terms = np.array(problem.term_values(), float)
-        judged = {
+        progress = {
             "violation": np.array(most_violated(c, low, high)),
             "rank": np.array(ranked(violation(c, low, high), float(f), self.constraint_tolerance)),
         }
-        return {"f": np.array(f, float), "g": g, "c": c, "w": weigh(c), "terms": terms} | judged | normal
+        return {"f": np.array(f, float), "g": g, "c": c, "w": weigh(c), "terms": terms} | progress | normal
 
     def _normal_step(self, problem: ConstrainedProblem, x: Array, c: Array, J: Array) -> Array:
-        """Return the shortest step (n,) in the box that meets the linearised constraints, cut to `LONGEST`."""
-        # a little inside, so that it does not end on the edge; an equality stays one
+        """Return the shortest step (n,) in the box that meets the linearised constraints, cut to `LONGEST_STEP`."""
+        # slightly inside the limits, not on them; an equality stays one
         inside = np.minimum(0.5 * self.constraint_tolerance, 0.5 * (problem.c_high - problem.c_low))
         ends = problem.c_low + inside - c, problem.c_high - inside - c
         box = np.maximum(problem.lower - x, -1.0), np.minimum(problem.upper - x, 1.0)
-        d, _ = quadratic_program(LowRank(1.0), np.zeros(len(x)), J, ends, box, HEAVY)
-        return np.asarray(d * min(1.0, LONGEST / max(float(np.max(np.abs(d), initial=0.0)), LONGEST)))
+        d, _ = quadratic_program(LowRank(1.0), np.zeros(len(x)), J, ends, box, VIOLATION_WEIGHT)
+        return np.asarray(d * min(1.0, LONGEST_STEP / max(float(np.max(np.abs(d), initial=0.0)), LONGEST_STEP)))
 
     def stride(self, iteration: int, direction: Array, answer: dict[str, Array], scale: float) -> Array:
-        """Return the step of Adam, or minus the one straight to the constraints: whole, or it would never help."""
+        """Return Adam's step, or minus the restoration step, which is not scaled: a part of it would never help."""
         return -answer["normal"] if "normal" in answer else super().stride(iteration, direction, answer, scale)
 
     def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
-        """Return Adam's direction, and all that is remembered."""
+        """Return Adam's direction, and the whole memory."""
         step, moments = super().direction(iteration, grad, memory)
         return step, memory | moments
 
-    def learn(self, iteration: int, answer: dict[str, Array], memory: dict[str, Array]) -> dict[str, Array]:
-        """Return the memory with the multipliers and the penalty moved on where they are due."""
+    def update_memory(self, iteration: int, answer: dict[str, Array], memory: dict[str, Array]) -> dict[str, Array]:
+        """Return the memory after an evaluation; every `inner` iterations with new multipliers and penalty."""
         memory = memory | {
             "best": np.array(min(tuple(memory["best"]), tuple(answer["rank"]))),
-            "restoring": np.array(self._left(memory, float(answer["violation"]))),
+            "restoring": np.array(self._remaining_steps(memory, float(answer["violation"]))),
             "last": answer["violation"],
         }
         if iteration == 0 or iteration % self.inner:
@@ -156,30 +158,30 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
             rho = np.minimum(self.growth * rho, self.penalty_limit)
         return memory | {
             "multipliers": answer["w"], "penalty": rho, "violation": answer["violation"],
-            # the step to the next point is still Adam's, and hardly helps
+            # one more, because the step to the next point is still Adam's and counts as one that does not help
             "restoring": np.array(self.restoring + (self.restoring > 0)),
         }  # fmt: skip
 
-    def _left(self, memory: dict[str, Array], excess: float) -> int:
-        """Return how many steps to the constraints are to follow: one that helps does not count."""
+    def _remaining_steps(self, memory: dict[str, Array], excess: float) -> int:
+        """Return how many restoration steps that do not help may still follow."""
         if excess <= self.constraint_tolerance:
             return 0
-        return max(0, int(memory["restoring"]) - (excess > HELPS * float(memory["last"])))
+        return max(0, int(memory["restoring"]) - (excess > HELPFUL * float(memory["last"])))
 
     def better(self, state: DescentState, answer: dict[str, Array]) -> bool:
-        """Say whether an evaluation violates less than all before, or nothing and is lower."""
+        """Return whether an evaluation is the best so far: least violation first, then lowest loss."""
         return tuple(answer["rank"]) < tuple(state.memory["best"])
 
-    def told(self, problem: Problem, x: Array, answer: dict[str, Array]) -> dict[str, float]:
-        """Return the terms and what is known of the constraints; the weights are the multipliers."""
-        found = Kkt(answer["w"], projected(problem, x, answer["g"]))
-        return terms_of(problem, answer["terms"]) | columns_of(_with_constraints(problem), answer["c"], found)
+    def history_columns(self, problem: Problem, x: Array, answer: dict[str, Array]) -> dict[str, float]:
+        """Return the terms and the columns of the constraints, with the weights as multipliers."""
+        optimality = Kkt(answer["w"], projected_norm(problem, x, answer["g"]))
+        return terms_of(problem, answer["terms"]) | columns_of(_with_constraints(problem), answer["c"], optimality)
 
     def _converged(self, state: DescentState, problem: Problem) -> bool:
-        """Say whether the last point, not only the best so far, meets the constraints, and the gradient vanishes."""
+        """Return whether the last point, not only the best one, meets the constraints, and the gradient vanishes."""
         return float(state.memory["last"]) <= self.constraint_tolerance and super()._converged(state, problem)
 
 
 def _with_constraints(problem: Problem) -> ConstrainedProblem:
-    """Return a problem, which `require` has seen to have constraints, as one that has."""
+    """Return a problem that `require` has checked as one with constraints."""
     return cast(ConstrainedProblem, problem)

@@ -1,7 +1,7 @@
-"""What an optimizer is given and what it gives back.
+"""Interfaces of an optimizer: the problem, the session and the outcome.
 
-Optimizers see scaled coordinates: one flat vector x (n,) of order one, between bounds. The problem knows
-what x means; the session keeps what a later `cqrun resume` needs. Neither knows the optimizer.
+Optimizers see scaled coordinates: one flat vector x (n,) of order 1, between bounds. The problem knows what x means;
+the session stores what a later `cqrun resume` needs. Neither of them knows the optimizer.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ Status = Literal["converged", "iteration_limit", "stalled", "infeasible", "faile
 
 
 class TrialFailed(Exception):
-    """A trial whose rollout blew up: not an error of the run, but a point to stay away from.
+    """A trial whose rollout blew up. This is not an error of the run, but a point to avoid.
 
     Args:
         reason: what happened, in words.
-        body: name of the body, "" where none is to blame.
-        particle: its particle, or -1.
-        time: when [s].
+        body: name of the body where it happened, or "".
+        particle: number of the particle, or -1.
+        time: simulated time [s].
         values: the trial values as text, such as `youngs_modulus = 2.1e5 Pa`.
     """
 
@@ -42,18 +42,18 @@ class TrialFailed(Exception):
 class Problem(Protocol):
     """A function to minimise over a box.
 
-    The loss f is a float; where there are residuals r (m,), f = r.r / 2 over all parts.
-    Every evaluation gives the same bits for the same x and batch, and raises TrialFailed where the rollout blows up.
-    One with many rollouts to give may also have `values_at`; see `values_at` below.
+    The loss f is a float. If there are residuals r (m,), f = r.r / 2 over all parts. Every evaluation is bit-for-bit
+    reproducible for the same x and batch, and raises TrialFailed if the rollout blows up. A problem that can run
+    several rollouts side by side also has a method `values_at`; see the function `values_at` below.
 
     Attributes:
         start: initial x (n,).
-        lower: least x (n,), may be -inf.
-        upper: greatest x (n,), may be inf; above `lower` everywhere.
-        n_batches: parts the data falls into (recordings, sequences); a mini-batch names some of them.
-        term_names: names of the terms of the loss, () where it has but one.
-        stochastic: whether every iteration draws its data anew (fresh goals). Then `batch` is (k,) in iteration k, and
-            f of another batch is another function.
+        lower: lower bounds of x (n,), may be -inf.
+        upper: upper bounds of x (n,), may be inf; above `lower` everywhere.
+        n_batches: number of parts of the data (recordings, sequences); a mini-batch consists of some of them.
+        term_names: names of the terms of the loss; () if there is only one.
+        stochastic: whether every iteration draws new data (fresh goals). Then `batch` is (k,) in iteration k, and f is
+            a different function for each batch.
     """
 
     start: Array
@@ -64,10 +64,10 @@ class Problem(Protocol):
     stochastic: bool
 
     def value(self, x: Array, batch: tuple[int, ...] | None = None) -> float:
-        """Return f, as `value_and_grad` does; nothing is prepared for a gradient."""
+        """Return f, as `value_and_grad` does, without computing a gradient."""
 
     def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
-        """Return f and its gradient (n,), over all parts or scaled up from those in `batch`."""
+        """Return f and its gradient (n,), over all parts, or scaled up from those in `batch`."""
 
     def residuals(self, x: Array) -> Array:
         """Return r (m,)."""
@@ -80,47 +80,47 @@ class Problem(Protocol):
 
 
 class Session(Protocol):
-    """What outlives the process: a replay log for scipy's optimizers, a state file for cqrun's own.
+    """Storage that outlives the process: a replay log for scipy's optimizers, a state file for those of cqrun.
 
     Attributes:
-        seed: of the run; an optimizer draws from nothing else.
+        seed: seed of the run, the only source of an optimizer's random numbers.
     """
 
     seed: int
 
     def evaluate(self, kind: str, x: Array, compute: Callable[[], dict[str, Array]]) -> dict[str, Array]:
-        """Return `compute()`, or what it returned (or how it failed) when this run was here before.
+        """Return `compute()`, or its logged result if this run has evaluated it before.
 
         Raises:
-            TrialFailed: the trial blows up, now or then.
+            TrialFailed: the trial blows up, or did so when it was logged.
         """
 
     def restore(self) -> dict[str, Array] | None:
         """Return the last saved state, or None in a new run."""
 
     def save(self, state: dict[str, Array]) -> None:
-        """Keep `state`, which holds at least `iteration` ()."""
+        """Store `state`, which contains at least `iteration` ()."""
 
     def report(self, iteration: int, x: Array, loss: float, grad: Array, terms: Mapping[str, float]) -> None:
-        """Record the accepted point of an iteration; 0 is the start. Repeating a row changes nothing."""
+        """Record the accepted point of an iteration, 0 for the start. Recording a row again changes nothing."""
 
     def note(self, text: str) -> None:
         """Write a line into the run's log."""
 
     def should_stop(self) -> bool:
-        """Say whether the run was asked to stop."""
+        """Return whether the run was asked to stop."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Where an optimizer ended.
+    """The result of an optimizer.
 
     Args:
-        x: the best point (n,); with mini-batches the last one.
-        loss: f there (of the last mini-batch).
+        x: the best point (n,); with mini-batches, the last one.
+        loss: f there (with mini-batches, of the last one).
         status: why it ended.
         message: the same in words.
-        iterations: how many it took.
+        iterations: number of iterations.
     """
 
     x: Array
@@ -133,8 +133,8 @@ class Outcome:
 class Optimizer(Plugin):
     """Base of the plug-ins of kind `optimizer`.
 
-    `gradients` says whether the method asks for `value_and_grad`: without, no adjoint need be compiled or planned.
-    `squares` says that it asks for residuals, which only a fit to data has.
+    `gradients`: the method needs `value_and_grad`; if not, no adjoint is compiled or planned. `squares`: it needs
+    residuals, which only a fit to data has.
     """
 
     gradients: ClassVar[bool] = True
@@ -143,26 +143,26 @@ class Optimizer(Plugin):
 
     @property
     def draws(self) -> bool:
-        """Whether it draws anything from the run's seed."""
+        """Whether it uses random numbers from the run's seed."""
         return False
 
     def require(self, problem: Problem) -> None:
-        """Refuse, with a UsageError, a problem that the method cannot minimise; `minimise` begins with it."""
+        """Raise UsageError for a problem that the method cannot minimise; `minimise` calls this first."""
 
     @abstractmethod
     def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise; what can go wrong with a trial ends in the outcome's status."""
+        """Minimise; failed trials end in the outcome's status."""
 
 
 class _OneBlasThread:
-    """One context for all who want it: limits are the process's, and the last one to leave takes them off."""
+    """One shared context, because the limit applies to the process: the last user to leave removes it."""
 
     def __init__(self) -> None:
         self._lock, self._users = Lock(), 0
         self._limits: Any = None
 
     def __enter__(self) -> None:
-        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are pinned
+        import scipy.optimize  # noqa: F401  its BLAS must be loaded before its threads are limited
         from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
         with self._lock:
@@ -177,16 +177,16 @@ class _OneBlasThread:
                 self._limits.restore_original_limits()
 
 
-_ONE = _OneBlasThread()
+_SHARED = _OneBlasThread()
 
 
 def one_blas_thread() -> AbstractContextManager[Any]:
     """Return a context in which BLAS runs on one thread.
 
-    Its sums then have one order, so that a replay meets the same bits; and its threads do not spin on cores that
-    rollouts need: two runs side by side took 3.3 times as long.
+    The order of its sums is then fixed, so a replay is bit-for-bit identical. And its threads do not spin on cores that
+    rollouts need: without this, two runs side by side took 3.3 times as long.
     """
-    return _ONE
+    return _SHARED
 
 
 def terms_of(problem: Problem, values: Array) -> dict[str, float]:
@@ -208,9 +208,10 @@ def checked_value_and_grad(problem: Problem, x: Array, batch: tuple[int, ...] | 
 def values_at(
     problem: Problem, points: Sequence[Array], batch: tuple[int, ...] | None = None
 ) -> list[float | TrialFailed]:
-    """Return f at every point, or how the trial failed.
+    """Return f at every point, or the failure of the trial.
 
-    In one call where the problem has `values_at(points, batch)`, which returns the same: it may run them side by side.
+    If the problem has a method `values_at(points, batch)`, which returns the same, it is called once for all points,
+    and may run them side by side.
     """
     together = getattr(problem, "values_at", None)
     if together is not None:
@@ -226,10 +227,10 @@ def values_at(
 
 
 def refuse_stochastic(problem: Problem, optimizer: Optimizer) -> None:
-    """Raise UsageError where an objective changes from iteration to iteration and the method cannot have that."""
+    """Raise UsageError if the objective changes from iteration to iteration; for methods that cannot minimise that."""
     if problem.stochastic:
         constrained = len(getattr(problem, "constraint_names", ())) > 0
-        others = "" if constrained else "use adam or sgd, or "  # these honour no constraints
+        others = "" if constrained else "use adam or sgd, or "  # these do not support constraints
         raise UsageError(
             f"the objective draws fresh goals at every iteration, and optimizer {optimizer.name} needs the same loss "
             f"twice at the same point: {others}fix the set of goals (`episodes.fresh: false`)"

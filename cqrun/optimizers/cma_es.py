@@ -1,4 +1,4 @@
-"""CMA-ES: values only, the gradient-free baseline."""
+"""CMA-ES: a gradient-free baseline, which uses values only."""
 
 from __future__ import annotations
 
@@ -25,26 +25,25 @@ from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 
 HALVINGS = 5
-"""How often in a row a generation that fails as a whole halves sigma before the run fails."""
+"""How many times in a row a generation without a good trial halves sigma before the run fails."""
 
 CONVERGED = {"tolx", "tolfun", "tolfunhist"}
-"""The library's reasons to end that mean a minimum; others mean that it cannot go on."""
+"""Termination reasons of the library that mean a minimum; others mean that it cannot continue."""
 
 
 @plugin("optimizer", "cma_es")
 class CmaEs(Optimizer):
     """CMA-ES: draw x ~ m + sigma N(0, C), rank by f, move m, sigma and C towards the better half.
 
-    Values only: the baseline that gradients are measured against, and for losses that have none. An iteration is a
-    generation; its row in the history is its best trial, without a gradient (nan) and terms (nan). A failed trial
-    ranks last.
+    It uses values only: as a baseline for methods with gradients, and for losses without a gradient. An iteration is a
+    generation. Its row in the history is its best trial, with nan for gradient and terms. Failed trials rank last.
     N. Hansen: The CMA evolution strategy: a tutorial, arXiv 1604.00772 (2016); the library `cma` (extra `evo`).
     """
 
     gradients: ClassVar[bool] = False
-    max_iterations: int = Field(100, ge=1, description="generations at most")
-    population: int | None = Field(None, ge=4, description="trials in a generation; 4 + 3 ln n if absent")
-    sigma: float = Field(0.3, gt=0, description="standard deviation of the first generation, scaled coordinates")
+    max_iterations: int = Field(100, ge=1, description="maximum number of generations")
+    population: int | None = Field(None, ge=4, description="number of trials in a generation; 4 + 3 ln n if absent")
+    sigma: float = Field(0.3, gt=0, description="standard deviation of the first generation, in scaled coordinates")
     function_tolerance: float = Field(
         1e-11, ge=0, description="converged when the losses of recent generations differ by less"
     )
@@ -54,14 +53,14 @@ class CmaEs(Optimizer):
 
     @property
     def draws(self) -> bool:
-        """Its trials."""
+        """Always: its trials are random."""
         return True
 
     def require(self, problem: Problem) -> None:
-        """Refuse, beside what the base refuses, to do without its library.
+        """Check that the library is installed, then as in the base class.
 
         Raises:
-            MissingExtra: `cma` is not installed. UsageError: as the base says.
+            MissingExtra: `cma` is not installed. UsageError: as in the base class.
         """
         library()
         super().require(problem)
@@ -69,7 +68,7 @@ class CmaEs(Optimizer):
     def minimise(self, problem: Problem, session: Session) -> Outcome:
         """Minimise with exact resume through the session's log.
 
-        BLAS runs on one thread meanwhile: sums in another order would make the replay diverge.
+        Meanwhile BLAS runs on one thread: sums in another order would make a replay diverge.
 
         Raises:
             MissingExtra: the library `cma` is not installed.
@@ -85,7 +84,7 @@ class CmaEs(Optimizer):
         population = {} if self.population is None else {"popsize": self.population}
         return population | {
             "bounds": [list(problem.lower), list(problem.upper)],
-            "randn": lambda *shape: rng.standard_normal(shape),  # its own would seed all of NumPy
+            "randn": lambda *shape: rng.standard_normal(shape),  # its default would seed NumPy's global generator
             "seed": np.nan,
             "tolfun": self.function_tolerance,
             "tolfunhist": 0.1 * self.function_tolerance,
@@ -99,7 +98,7 @@ class CmaEs(Optimizer):
 
 
 class _Search:
-    """One run of CMA-ES: its generations, its best point, its failures."""
+    """One run of CMA-ES: its generations, best point and failures."""
 
     def __init__(self, method: CmaEs, problem: Problem, session: Session, strategy: Any, start: Array) -> None:
         self.method, self.problem, self.session, self.strategy = method, problem, session, strategy
@@ -114,11 +113,11 @@ class _Search:
             answer = self.session.evaluate("value", self.best_x, self._at_start)
         except TrialFailed as failure:
             return self._outcome("failed", f"the start itself fails: {failure}")
-        self._take(self.best_x, float(answer["f"]))
+        self._record(self.best_x, float(answer["f"]))
         while True:
             if reasons := self.strategy.stop():
                 status: Status = "converged" if set(reasons) <= CONVERGED else "stalled"
-                return self._outcome(status, f"CMA-ES: {_words(reasons.items())}")
+                return self._outcome(status, f"CMA-ES: {_listed(reasons.items())}")
             if self.generation >= self.method.max_iterations:
                 return self._outcome("iteration_limit", f"{self.generation} generations, the limit")
             if self.session.should_stop():
@@ -136,13 +135,13 @@ class _Search:
                 self.session.note(f"every trial of generation {self.generation + 1} failed: sigma halved")
 
     def _advance(self, points: Array, losses: Array) -> None:
-        """Take a generation (population, n) with its losses (population,), inf where a trial failed."""
+        """Give a generation (population, n) and its losses (population,), inf for failed trials, to the strategy."""
         worst = float(np.max(losses[np.isfinite(losses)]))
-        ranked = np.where(np.isfinite(losses), losses, worst + abs(worst) + 1.0)  # infinities have no differences
+        ranked = np.where(np.isfinite(losses), losses, worst + abs(worst) + 1.0)  # inf - inf is nan
         self.strategy.tell(list(points), list(ranked))
         self.generation, self.failures = self.generation + 1, 0
         best = int(np.argmin(losses))
-        self._take(points[best], float(losses[best]))
+        self._record(points[best], float(losses[best]))
 
     def _at_start(self) -> dict[str, Array]:
         f = self.problem.value(self.best_x, self._batch(0))
@@ -162,9 +161,9 @@ class _Search:
     def _batch(self, generation: int) -> tuple[int, ...] | None:
         return (generation,) if self.problem.stochastic else None
 
-    def _take(self, x: Array, loss: float) -> None:
-        """Record the best trial of a generation."""
-        if self.problem.stochastic or loss < self.best_loss:  # losses of other goals do not compare
+    def _record(self, x: Array, loss: float) -> None:
+        """Record the best trial of a generation, and keep it if it is the best so far."""
+        if self.problem.stochastic or loss < self.best_loss:  # losses with other goals cannot be compared
             self.best_x, self.best_loss = x.copy(), loss
         unknown = dict.fromkeys(self.problem.term_names, np.nan)
         self.session.report(self.generation, x.copy(), loss, np.full(x.shape, np.nan), unknown)
@@ -188,5 +187,5 @@ def library() -> Any:
     return cma
 
 
-def _words(reasons: Iterable[tuple[str, Any]]) -> str:
+def _listed(reasons: Iterable[tuple[str, Any]]) -> str:
     return ", ".join(f"{name} = {value}" for name, value in reasons)

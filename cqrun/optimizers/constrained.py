@@ -1,14 +1,14 @@
-"""Minimising under constraints: what such a problem gives, how far they are violated, and how far x is from a minimum.
+"""Minimisation under constraints: the interface of such problems, violations, and the distance from a minimum.
 
     minimise f(x)   over   lower <= x <= upper   where   c_low <= c(x) <= c_high
 
-A constraint with equal ends is an equality. Its multiplier y is positive where c_high holds c back, negative where
-c_low does, and nought where neither does. At a minimum the gradient of f + y.c vanishes but for what the box holds
-(Karush, Kuhn and Tucker; J. Nocedal, S. Wright: Numerical optimization, 2006, section 12.3), and each y times the
-distance s of its constraint from its end. The KKT residual is the largest component of both, with the multipliers that
-make their Euclidean norm least, or with a solver's own. Only a constraint near an end has one: closer than the root of
-the tolerance, which tells those that hold from others well before the end is reached (F. Facchinei, A. Fischer,
-C. Kanzow: On the accurate identification of active constraints, SIAM J. Optim. 9, 1998).
+A constraint with equal ends is an equality. Its multiplier y is positive if c_high is active, negative if c_low is, and
+zero if neither is. At a minimum two things vanish (Karush, Kuhn and Tucker; J. Nocedal, S. Wright: Numerical
+optimization, 2006, section 12.3): the gradient of f + y.c, except where a bound of the box is active; and the product
+of each y with the distance s of its constraint from the active end. The KKT residual is the largest component of both.
+Its multipliers minimise the Euclidean norm of both, or come from the solver. Only a constraint that is closer to an end
+than the square root of the tolerance has a multiplier. This identifies active constraints well before x is at the end
+(F. Facchinei, A. Fischer, C. Kanzow: On the accurate identification of active constraints, SIAM J. Optim. 9, 1998).
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from cqrun.plugin.contract import Array
 
 VIOLATION, KKT = "violation", "kkt"
 AT_BOUND = 1e-6
-"""Distance from an end of the box, in scaled coordinates, at which it holds x."""
+"""Distance from a bound of the box, in scaled coordinates, at which the bound is active."""
 
 CONSTRAINT, MULTIPLIER = "constraint:", "multiplier:"
-"""Columns of the history, the last two with a constraint's name behind them."""
+"""Prefixes of columns in the history, followed by the name of a constraint."""
 
 
 class ConstrainedProblem(Problem, Protocol):
-    """A `Problem` with m constraints, each in the unit in which its violation is judged.
+    """A `Problem` with m constraints, each in units of its scale.
 
     Attributes:
         constraint_names: m names.
-        c_low, c_high: (m,), may be infinite; equal for an equality.
-        scales: (m,), what 1 of each is in its own unit.
+        c_low, c_high: (m,) limits, may be infinite; equal for an equality.
+        scales: (m,) scale of each constraint in its own unit.
     """
 
     constraint_names: Sequence[str]
@@ -55,30 +55,30 @@ class ConstrainedProblem(Problem, Protocol):
         """Return f, its gradient (n,), c (m,) and its Jacobian (m, n)."""
 
     def lagrangian(self, x: Array, weigh: Callable[[Array], Array]) -> tuple[float, Array, Array]:
-        """Return f, c (m,) and the gradient (n,) of f + w.c, where w = weigh(c) counts as constant."""
+        """Return f, c (m,) and the gradient (n,) of f + w.c, where w = weigh(c) is treated as constant."""
 
     def bounds_in_words(self, below: Array, above: Array) -> str:
-        """Return which unknowns are at a bound, given those at their lower and at their upper (n,), in words."""
+        """Describe which unknowns are at a bound, given those at their lower and at their upper one (n,)."""
 
 
 class ConstrainedOptimizer(Optimizer):
-    """Base of the optimizers that honour constraints; without any they minimise f."""
+    """Base of the optimizers that support constraints; without constraints they minimise f."""
 
     constrained: ClassVar[bool] = True
     constraint_tolerance: float = Field(
-        1e-6, gt=0, description="a constraint is met when it is violated by no more than this, in its scale"
+        1e-6, gt=0, description="a constraint is met when its violation is at most this, in units of its scale"
     )
 
 
 def report_names(problem: Any) -> list[str]:
-    """Return the columns of the history that tell of constraints, none where there are none."""
+    """Return the names of the history's columns for constraints; none if there are no constraints."""
     names = list(getattr(problem, "constraint_names", ()))
-    own = [CONSTRAINT + name for name in names] + [MULTIPLIER + name for name in names]
-    return [VIOLATION, KKT, *own] if names else []
+    columns = [CONSTRAINT + name for name in names] + [MULTIPLIER + name for name in names]
+    return [VIOLATION, KKT, *columns] if names else []
 
 
 def violation(c: Array, low: Array, high: Array) -> Array:
-    """Return by how much each constraint is violated (m,)."""
+    """Return the violation of each constraint (m,), 0 if it is met."""
     return np.maximum(0.0, np.maximum(low - c, c - high))
 
 
@@ -88,9 +88,10 @@ def most_violated(c: Array, low: Array, high: Array) -> float:
 
 
 def ranked(excess: Array, loss: float, tolerance: float) -> tuple[float, float, float]:
-    """Return what orders points: the largest violation, then the sum of those above the tolerance, then the loss.
+    """Return the key that orders points: largest violation, then the sum of violations above the tolerance, then loss.
 
-    Violations (m,) count in whole tolerances, so that one that nothing moves does not hide what becomes of the others.
+    Violations (m,) are rounded up to multiples of the tolerance, so that a constant largest one does not hide the
+    others.
     """
     over = excess[excess > tolerance]
     if not len(over):
@@ -107,28 +108,28 @@ class Kkt:
 
 
 def kkt(problem: ConstrainedProblem, x: Array, g: Array, c: Array, J: Array, tolerance: float) -> Kkt:
-    """Return the multipliers at x and how far it is from a minimum.
+    """Return the multipliers at x and the KKT residual.
 
     Args:
         g, c, J: gradient (n,), constraints (m,) and their Jacobian (m, n) at x.
-        tolerance: a constraint that is violated by no more is met.
+        tolerance: largest violation of a constraint that is met.
     """
-    inside = np.maximum(0.0, np.stack([c - problem.c_low, problem.c_high - c]))  # (2, m), from either end
-    near = inside <= np.sqrt(tolerance)
-    held = np.flatnonzero(near.any(axis=0))
-    below, above = held_by_box(problem, x)
+    distance = np.maximum(0.0, np.stack([c - problem.c_low, problem.c_high - c]))  # (2, m), distances from both ends
+    near = distance <= np.sqrt(tolerance)
+    active = np.flatnonzero(near.any(axis=0))
+    below, above = at_bounds(problem, x)
     free = ~below & ~above
-    y, s = np.zeros(len(c)), inside.min(axis=0)
-    if len(held) and free.any():
-        ends = np.where(near[0, held], -np.inf, 0.0), np.where(near[1, held], np.inf, 0.0)
-        A = np.concatenate([J[held][:, free].T, np.diag(s[held])])
-        y[held] = _of_one_sign(A, np.concatenate([-g[free], np.zeros(len(held))]), ends)
-    loose = np.max(np.abs(y[held] * s[held]), initial=0.0)
-    return Kkt(y, max(float(loose), projected(problem, x, g + y @ J)))
+    y, s = np.zeros(len(c)), distance.min(axis=0)
+    if len(active) and free.any():
+        ends = np.where(near[0, active], -np.inf, 0.0), np.where(near[1, active], np.inf, 0.0)
+        A = np.concatenate([J[active][:, free].T, np.diag(s[active])])
+        y[active] = _signed_least_squares(A, np.concatenate([-g[free], np.zeros(len(active))]), ends)
+    slackness = np.max(np.abs(y[active] * s[active]), initial=0.0)
+    return Kkt(y, max(float(slackness), projected_norm(problem, x, g + y @ J)))
 
 
-def _of_one_sign(A: Array, b: Array, ends: tuple[Array, Array]) -> Array:
-    """Return the y (k,) nearest to A y = b, each entry between ends that are 0 or infinite, whatever its unit."""
+def _signed_least_squares(A: Array, b: Array, ends: tuple[Array, Array]) -> Array:
+    """Return y (k,) that minimises |A y - b|, each entry between ends that are 0 or infinite."""
     from scipy.optimize import lsq_linear
 
     size = np.linalg.norm(A, axis=0)
@@ -137,38 +138,38 @@ def _of_one_sign(A: Array, b: Array, ends: tuple[Array, Array]) -> Array:
         return np.asarray(lsq_linear(A / size, b, bounds=ends).x) / size
 
 
-def projected(problem: Problem, x: Array, slope: Array) -> float:
-    """Return the largest component of a gradient (n,), without what leads out of a box that holds x."""
-    below, above = held_by_box(problem, x)
+def projected_norm(problem: Problem, x: Array, slope: Array) -> float:
+    """Return the largest component of a gradient (n,), without those that an active bound cancels."""
+    below, above = at_bounds(problem, x)
     slope = np.where(below, np.minimum(slope, 0.0), slope)
     slope = np.where(above, np.maximum(slope, 0.0), slope)
     return float(np.max(np.abs(slope), initial=0.0))
 
 
-def held_by_box(problem: Problem, x: Array) -> tuple[Array, Array]:
+def at_bounds(problem: Problem, x: Array) -> tuple[Array, Array]:
     """Return which unknowns are at their lower bound and which at their upper (n,)."""
     return x <= problem.lower + AT_BOUND, x >= problem.upper - AT_BOUND
 
 
-def columns_of(problem: ConstrainedProblem, c: Array, found: Kkt) -> dict[str, float]:
-    """Return the columns of `report_names`; constraints and multipliers are for constraints in their own units."""
+def columns_of(problem: ConstrainedProblem, c: Array, optimality: Kkt) -> dict[str, float]:
+    """Return the values of the columns `report_names`, constraints and multipliers in their own units."""
     if not len(c):
         return {}
-    values = {VIOLATION: most_violated(c, problem.c_low, problem.c_high), KKT: found.residual}
-    each = zip(problem.constraint_names, problem.scales, c, found.multipliers, strict=True)
+    values = {VIOLATION: most_violated(c, problem.c_low, problem.c_high), KKT: optimality.residual}
+    each = zip(problem.constraint_names, problem.scales, c, optimality.multipliers, strict=True)
     for name, scale, value, y in each:
         values |= {CONSTRAINT + name: float(value * scale), MULTIPLIER + name: float(y / scale)}
     return values
 
 
-def excess_told(problem: ConstrainedProblem, row: Mapping[str, float]) -> Array:
-    """Return the violations (m,) from the columns of `told`."""
+def violations_in_row(problem: ConstrainedProblem, row: Mapping[str, float]) -> Array:
+    """Return the violations (m,) from a row of the history."""
     c = np.array([row[CONSTRAINT + name] for name in problem.constraint_names]) / problem.scales
     return violation(c, problem.c_low, problem.c_high)
 
 
 def verdict(problem: ConstrainedProblem, x: Array, c: Array, tolerance: float) -> str:
-    """Return in words which constraint is violated most, in its own unit, which others are, and what bounds hold x."""
+    """Describe the constraint with the largest violation, the other violated ones, and the active bounds."""
     excess = violation(c, problem.c_low, problem.c_high)
     k = int(np.argmax(excess))
     unit = float(problem.scales[k])
@@ -176,27 +177,27 @@ def verdict(problem: ConstrainedProblem, x: Array, c: Array, tolerance: float) -
     wanted = f"{low:g}" if low == high else f"at most {high:g}" if value > high else f"at least {low:g}"
     scaled = "" if unit == 1.0 else f" ({excess[k]:.3g} of its scale)"
     others = [name for i, name in enumerate(problem.constraint_names) if i != k and excess[i] > tolerance]
-    too = f"; {listed(others)} {'is' if len(others) == 1 else 'are'} violated less" if others else ""
+    less = f"; {listed(others)} {'is' if len(others) == 1 else 'are'} violated less" if others else ""
     J = problem.gradients_and_constraints(x)[3]
-    still = [name for i, name in enumerate(problem.constraint_names) if excess[i] > tolerance and not np.any(J[i])]
-    stuck = f"; no unknown has a bearing on {listed(still)}" if still else ""
+    constant = [name for i, name in enumerate(problem.constraint_names) if excess[i] > tolerance and not np.any(J[i])]
+    stuck = f"; no unknown has an effect on {listed(constant)}" if constant else ""
     return (
         f"constraint '{problem.constraint_names[k]}' is {value:.6g}, wanted {wanted}: violated by "
-        f"{unit * excess[k]:.3g}{scaled}, the least that was found{too}{stuck}; "
-        f"{problem.bounds_in_words(*held_by_box(problem, x))}"
+        f"{unit * excess[k]:.3g}{scaled}, the least that was found{less}{stuck}; "
+        f"{problem.bounds_in_words(*at_bounds(problem, x))}"
     )
 
 
 def require_constraints(problem: Any, name: str) -> None:
-    """Refuse, with a UsageError, a problem that cannot say what its constraints are."""
+    """Raise UsageError for a problem that cannot have constraints."""
     if not hasattr(problem, "gradients_and_constraints"):
         raise UsageError(f"{name} minimises an objective under constraints; to fit data take least_squares")
 
 
 class ConstrainedTrials(Trials):
-    """The functions that a solver calls, logged and counted; the best point is the one that violates least.
+    """The functions that a solver calls, logged and counted; the best point is the one with the smallest violation.
 
-    Of points that violate nothing, the one of least f is best.
+    Among points that meet all constraints, the one with the smallest f is the best.
     """
 
     problem: ConstrainedProblem
@@ -210,7 +211,7 @@ class ConstrainedTrials(Trials):
         self._gradients: dict[bytes, dict[str, Array]] = {}
 
     def values(self, x: Array) -> tuple[float, Array]:
-        """Return f and c (m,), by rollouts forward where the gradients are not known."""
+        """Return f and c (m,) at x; forward rollouts give them if the gradients are not known."""
         key = x.tobytes()
         if key not in self._values:
 
@@ -219,7 +220,7 @@ class ConstrainedTrials(Trials):
                 require_finite(x, loss=np.asarray(f), constraints=c)
                 return {"f": np.array(f), "c": c}
 
-            self._keep(x, self._ask("values", x, compute))
+            self._keep(x, self._request("values", x, compute))
         return self._values[key]
 
     def gradients(self, x: Array) -> dict[str, Array]:
@@ -232,25 +233,25 @@ class ConstrainedTrials(Trials):
                 require_finite(x, loss=np.asarray(f), gradient=g, constraints=c, Jacobian=J)
                 return {"f": np.array(f), "g": g, "c": c, "J": J, "terms": np.array(self.problem.term_values(), float)}
 
-            answer = self._ask("gradients", x, compute)
-            # with the last one: NLopt's SLSQP comes back to the point before
+            answer = self._request("gradients", x, compute)
+            # the previous one is kept too: NLopt's SLSQP goes back to the previous point
             self._gradients = dict([*self._gradients.items()][-1:]) | {key: answer}
             self._keep(x, answer)
             if not self._started:
                 self._started = True
-                self._tell(x, answer)
+                self._record(x, answer)
         return self._gradients[key]
 
     def violated(self, x: Array) -> float:
         """Return the largest violation at x."""
         return most_violated(self.values(x)[1], self.problem.c_low, self.problem.c_high)
 
-    def accept(self, x: Array, found: Kkt | None = None) -> None:
-        """Count an iteration that ended at x, with the solver's own multipliers and residual if it has any."""
+    def accept(self, x: Array, optimality: Kkt | None = None) -> None:
+        """Count an iteration that ended at x, with multipliers and residual of the solver if it has them."""
         answer = self.gradients(x.copy())
         self.iteration += 1
-        self._tell(x, answer, found)
-        # of the answer: gradients are kept longer than values, and a solver may come back to the point before last
+        self._record(x, answer, optimality)
+        # from the answer: gradients are kept longer than values, and a solver may go back to an earlier point
         self._values = {x.tobytes(): (float(answer["f"]), answer["c"])}
         self._at_limit()
 
@@ -261,28 +262,30 @@ class ConstrainedTrials(Trials):
         if rank < self._best_rank:
             self._best_rank, self.best_x, self.best_loss, self.best_c = rank, x.copy(), loss, c
 
-    def _tell(self, x: Array, answer: dict[str, Array], found: Kkt | None = None) -> None:
-        found = found or kkt(self.problem, x, answer["g"], answer["c"], answer["J"], self.tolerance)
-        terms = terms_of(self.problem, answer["terms"]) | columns_of(self.problem, answer["c"], found)
-        slope = answer["g"] + found.multipliers @ answer["J"]  # the Lagrangian's gradient: what has yet to vanish
+    def _record(self, x: Array, answer: dict[str, Array], optimality: Kkt | None = None) -> None:
+        optimality = optimality or kkt(self.problem, x, answer["g"], answer["c"], answer["J"], self.tolerance)
+        terms = terms_of(self.problem, answer["terms"]) | columns_of(self.problem, answer["c"], optimality)
+        slope = (
+            answer["g"] + optimality.multipliers @ answer["J"]
+        )  # the gradient of the Lagrangian, which vanishes at a minimum
         self.session.report(self.iteration, x.copy(), float(answer["f"]), slope, terms)
 
     @property
     def feasible(self) -> bool:
-        """Whether the best point violates nothing."""
+        """Whether the best point meets all constraints."""
         return self._best_rank[0] == 0.0
 
 
 class ReplayedConstrained(ConstrainedOptimizer, Replayed):
-    """Base of solvers that honour constraints, and whose evaluations are replayed."""
+    """Base of solvers that support constraints and whose evaluations are replayed."""
 
     def require(self, problem: Problem) -> None:
-        """Refuse what has no constraints to ask for, and what changes from iteration to iteration."""
+        """Raise UsageError for a fit to data, and for an objective that changes from iteration to iteration."""
         require_constraints(problem, self.name)
         super().require(problem)
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise; status `infeasible` with a verdict where it ends before the constraints are met."""
+        """Minimise; the status is `infeasible`, with a verdict, if it ends before the constraints are met."""
         self.require(problem)
         trials = ConstrainedTrials(problem, session, self.max_iterations, self.constraint_tolerance)
         outcome = minimise_with_restarts(self.attempt, trials)
@@ -292,13 +295,13 @@ class ReplayedConstrained(ConstrainedOptimizer, Replayed):
 
 
 def infeasible(problem: ConstrainedProblem, outcome: Outcome, c: Array, tolerance: float) -> Outcome:
-    """Return an outcome whose c (m,) violate constraints, with the verdict.
+    """Return the outcome with status `infeasible` and the verdict, for c (m,) at its point.
 
-    None is a last word: where constraints are curved, a point that violates them less may be beyond a ridge.
+    This does not prove that no feasible point exists: nonlinear constraints may have local minima of the violation.
     """
     hint = {
-        "iteration_limit": "not met yet, more iterations may do: ",
-        "stalled": "not met, and the search got stuck; another start or solver may do: ",
-    }.get(outcome.status, "not met where the search converged; another start or solver may do: ")
+        "iteration_limit": "not met yet, more iterations may help: ",
+        "stalled": "not met, and the search got stuck; another start or solver may help: ",
+    }.get(outcome.status, "not met where the search converged; another start or solver may help: ")
     message = f"{hint}{verdict(problem, outcome.x, c, tolerance)} ({outcome.message})"
     return replace(outcome, status="infeasible", message=message)

@@ -1,4 +1,4 @@
-"""What Adam and SGD share: clipping, masks, mini-batches, bounds, half steps after failed trials, exact resume."""
+"""Base of Adam and SGD: clipping, masks, mini-batches, bounds, half steps after failed trials, exact resume."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cqrun.optimizers.base import (
 from cqrun.plugin.contract import Array
 
 HALVINGS = 5
-"""How often in a row a failed trial halves the step before the run fails."""
+"""How many times in a row a failed trial halves the step before the run fails."""
 
 MEMORY = "memory."
 NOT_STARTED = -1
@@ -32,18 +32,18 @@ NOT_STARTED = -1
 
 @dataclass(frozen=True)
 class DescentState:
-    """Everything the next iteration depends on.
+    """Everything on which the next iteration depends.
 
     Args:
         iteration: number of the last good point; -1 before the first.
-        x, loss, grad: that point (n,), f and gradient (n,) there.
-        step: what to subtract from x (n,), before `scale`.
-        scale: 1, halved by each failed trial.
-        failures: how many there were since that point.
+        x, loss, grad: that point (n,), and f and its gradient (n,) there.
+        step: next step, which is subtracted from x (n,).
+        scale: factor of the step: 1, halved by each failed trial.
+        failures: number of failed trials since that point.
         best_x, best_loss: the best point so far.
         queue: parts of the data not yet drawn in this epoch.
         rng: state of the bit generator as JSON.
-        memory: the optimizer's own (n,) vectors by name.
+        memory: arrays that the method remembers, by name.
     """
 
     iteration: int
@@ -84,73 +84,77 @@ class DescentState:
 
 
 class Descent(Optimizer):
-    """First-order descent: x <- clip(x - step, lower, upper), one gradient an iteration."""
+    """First-order descent: x <- clip(x - step, lower, upper), with one gradient per iteration."""
 
-    max_iterations: int = Field(100, ge=1, description="iterations at most")
+    max_iterations: int = Field(100, ge=1, description="maximum number of iterations")
     learning_rate: float = Field(gt=0, description="step length in scaled coordinates")
     decay: float = Field(0.0, ge=0, description="the learning rate of iteration k is divided by 1 + decay k")
     batch_size: int | None = Field(
-        None, ge=1, description="parts of the data (recordings) in a mini-batch; default all of them"
+        None, ge=1, description="number of parts of the data (recordings) in a mini-batch; all of them if absent"
     )
     clip: float | None = Field(
-        None, gt=0, description="a longer gradient is shortened to this Euclidean norm, scaled coordinates"
+        None,
+        gt=0,
+        description="a longer gradient is shortened to this Euclidean norm, in scaled coordinates",
     )
     clip_entries: float | None = Field(
-        None, gt=0, description="every entry of the gradient is cut to this size, before `clip` (ChainQueen: 1)"
+        None,
+        gt=0,
+        description="every entry of the gradient is clipped to this size, before `clip` (ChainQueen: 1)",
     )
     mask: float = Field(
         0.0,
         ge=0,
         lt=1,
-        description="chance of an entry of the gradient to count as zero, drawn anew each iteration (ChainQueen: 0.2)",
+        description="probability that an entry of the gradient is set to zero in an iteration (ChainQueen: 0.2)",
     )
     gradient_tolerance: float = Field(
         0.0,
         ge=0,
-        description="converged when no component of the projected full gradient is larger; 0: never",
+        description="converged when no component of the projected gradient is larger; 0: never",
     )
 
     @property
     def draws(self) -> bool:
-        """Whether gradients are masked, or mini-batches drawn."""
+        """Whether gradients are masked or mini-batches drawn."""
         return self.mask > 0 or self.batch_size is not None
 
     @abstractmethod
     def memory_names(self) -> tuple[str, ...]:
-        """Return the names of the (n,) vectors the method remembers; they start at zero."""
+        """Return the names of the (n,) vectors that the method remembers; they start at zero."""
 
     @abstractmethod
     def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
-        """Return what to subtract from x at learning rate 1 (n,), and the new memory."""
+        """Return the step to subtract from x at learning rate 1 (n,), and the new memory."""
 
-    def begin_memory(self, problem: Problem, x: Array) -> dict[str, Array]:
-        """Return what is remembered at the start x (n,)."""
+    def initial_memory(self, problem: Problem, x: Array) -> dict[str, Array]:
+        """Return the memory at the start x (n,)."""
         return {name: np.zeros_like(x) for name in self.memory_names()}
 
     def evaluate(
         self, problem: Problem, x: Array, batch: tuple[int, ...] | None, memory: dict[str, Array]
     ) -> dict[str, Array]:
-        """Return f (), the gradient g (n,) that steps follow, and the terms at x; TrialFailed where it blows up."""
+        """Return f (), the gradient g (n,) for the steps, and the terms at x; TrialFailed if the rollout blows up."""
         return checked_value_and_grad(problem, x, batch)
 
     def stride(self, iteration: int, direction: Array, answer: dict[str, Array], scale: float) -> Array:
-        """Return what to subtract from x (n,) after an iteration's evaluation; failed trials lower `scale` from 1."""
+        """Return the step to subtract from x (n,) after an evaluation; failed trials reduce `scale` from 1."""
         return scale * (self.learning_rate / (1.0 + self.decay * iteration) * direction)
 
-    def learn(self, iteration: int, answer: dict[str, Array], memory: dict[str, Array]) -> dict[str, Array]:
-        """Return the memory after an iteration's evaluation."""
+    def update_memory(self, iteration: int, answer: dict[str, Array], memory: dict[str, Array]) -> dict[str, Array]:
+        """Return the memory after an evaluation."""
         return memory
 
     def better(self, state: DescentState, answer: dict[str, Array]) -> bool:
-        """Say whether an evaluation is the best so far."""
+        """Return whether an evaluation is the best so far."""
         return float(answer["f"]) < state.best_loss
 
-    def told(self, problem: Problem, x: Array, answer: dict[str, Array]) -> dict[str, float]:
-        """Return the history's columns beside the loss."""
+    def history_columns(self, problem: Problem, x: Array, answer: dict[str, Array]) -> dict[str, float]:
+        """Return the columns of the history besides the loss."""
         return terms_of(problem, answer["terms"])
 
     def require(self, problem: Problem) -> None:
-        """Refuse mini-batches with more parts than there are, or of data that is drawn anew anyway."""
+        """Raise UsageError for mini-batches that are too large, or that are combined with fresh goals."""
         if self.batch_size is not None and problem.stochastic:
             raise UsageError(
                 "batch_size takes parts of a fixed set, but the objective draws fresh goals at "
@@ -207,7 +211,7 @@ class Descent(Optimizer):
             best_loss=np.inf,
             queue=np.zeros(0, np.int64),
             rng=_rng_text(np.random.default_rng(seed)),
-            memory=self.begin_memory(problem, x),
+            memory=self.initial_memory(problem, x),
         )
 
     def _advance(self, state: DescentState, problem: Problem) -> tuple[DescentState, dict[str, float]]:
@@ -217,17 +221,22 @@ class Descent(Optimizer):
         batch, queue = self._draw(state, rng, problem)
         answer = self.evaluate(problem, x, batch, state.memory)
         loss, grad, iteration = float(answer["f"]), answer["g"], state.iteration + 1
-        direction, memory = self.direction(iteration, self._tamed(grad, rng), state.memory)
-        memory = self.learn(iteration, answer, memory)
-        wanted = self.stride(iteration, direction, answer, state.scale)
-        better = self._changes(problem) or self.better(state, answer)  # losses of other data do not compare
+        direction, memory = self.direction(iteration, self._clipped_and_masked(grad, rng), state.memory)
+        memory = self.update_memory(iteration, answer, memory)
+        step = self.stride(iteration, direction, answer, state.scale)
+        better = self._loss_changes(problem) or self.better(
+            state, answer
+        )  # losses of different data cannot be compared
         advanced = replace(
             state,
             iteration=iteration,
             x=x,
             loss=loss,
             grad=grad,
-            step=x - np.clip(x - wanted, problem.lower, problem.upper),  # a halved step is half of what was made
+            step=x
+            - np.clip(
+                x - step, problem.lower, problem.upper
+            ),  # within the bounds, so that a half step is half of the actual one
             failures=0,
             best_x=x if better else state.best_x,
             best_loss=loss if better else state.best_loss,
@@ -235,22 +244,22 @@ class Descent(Optimizer):
             rng=_rng_text(rng),
             memory=memory,
         )
-        return advanced, self.told(problem, x, answer)
+        return advanced, self.history_columns(problem, x, answer)
 
     def _draw(
         self, state: DescentState, rng: np.random.Generator, problem: Problem
     ) -> tuple[tuple[int, ...] | None, Array]:
-        """Return the next mini-batch (None: all) and what is left of the epoch."""
+        """Return the next mini-batch (None: all) and the rest of the epoch."""
         if problem.stochastic:
             return (state.iteration + 1,), state.queue
         if self.batch_size is None:
             return None, state.queue
         queue = state.queue if state.queue.size else rng.permutation(problem.n_batches)
-        drawn, left = queue[: self.batch_size], queue[self.batch_size :]
-        return tuple(int(i) for i in np.sort(drawn)), left
+        drawn, rest = queue[: self.batch_size], queue[self.batch_size :]
+        return tuple(int(i) for i in np.sort(drawn)), rest
 
-    def _tamed(self, grad: Array, rng: np.random.Generator) -> Array:
-        """Return the gradient (n,) that steps are made of: clipped, then masked."""
+    def _clipped_and_masked(self, grad: Array, rng: np.random.Generator) -> Array:
+        """Return the gradient (n,) for steps: clipped, then masked."""
         if self.clip_entries is not None:
             grad = np.clip(grad, -self.clip_entries, self.clip_entries)
         if self.clip is not None and (norm := float(np.sqrt(np.sum(grad**2)))) > self.clip:
@@ -259,12 +268,12 @@ class Descent(Optimizer):
             grad = np.where(rng.random(grad.shape) < self.mask, 0.0, grad)
         return grad
 
-    def _changes(self, problem: Problem) -> bool:
-        """Say whether an iteration has another loss than the one before it."""
+    def _loss_changes(self, problem: Problem) -> bool:
+        """Return whether the loss function differs from iteration to iteration."""
         return self.batch_size is not None or problem.stochastic
 
     def _converged(self, state: DescentState, problem: Problem) -> bool:
-        if state.iteration == NOT_STARTED or self._changes(problem) or self.gradient_tolerance == 0:
+        if state.iteration == NOT_STARTED or self._loss_changes(problem) or self.gradient_tolerance == 0:
             return False
         projected = state.x - np.clip(state.x - state.grad, problem.lower, problem.upper)
         return bool(np.max(np.abs(projected)) <= self.gradient_tolerance)

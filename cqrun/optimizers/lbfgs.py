@@ -1,4 +1,4 @@
-"""L-BFGS-B: quasi-Newton with bounds, for many unknowns and exact gradients."""
+"""L-BFGS-B: a quasi-Newton method with bounds, for many unknowns and exact gradients."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 
 STOPPED_BY_CALLBACK = 99
-"""scipy's status where the callback raised StopIteration."""
+"""scipy's status if the callback raises StopIteration."""
 
 
 @plugin("optimizer", "lbfgs")
@@ -23,21 +23,21 @@ class Lbfgs(Replayed):
     optimization, SIAM J. Sci. Comput. 16 (1995); scipy's implementation.
     """
 
-    max_iterations: int = Field(100, ge=1, description="iterations at most")
-    memory: int = Field(10, ge=1, description="pairs (s, y) kept for the inverse Hessian")
+    max_iterations: int = Field(100, ge=1, description="maximum number of iterations")
+    memory: int = Field(10, ge=1, description="number of pairs (s, y) for the inverse Hessian")
     function_tolerance: float = Field(
-        1e-10, ge=0, description="converged when an iteration lowers the loss by less than this part of it"
+        1e-10, ge=0, description="converged when an iteration reduces the loss by less than this part of it"
     )
     gradient_tolerance: float = Field(
         1e-8, ge=0, description="converged when no component of the projected gradient is larger"
     )
-    line_search_steps: int = Field(20, ge=1, description="trials of one line search at most")
+    line_search_steps: int = Field(20, ge=1, description="maximum number of trials in a line search")
 
     def attempt(self, trials: Trials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
         """Run scipy's method once."""
         from scipy.optimize import Bounds, minimize
 
-        unlimited = 2**31 - 1  # the callback counts, over restarts too
+        unlimited = 2**31 - 1  # the callback counts iterations, over all restarts
         last = np.inf
 
         def accept(x: Array) -> None:
@@ -65,5 +65,5 @@ class Lbfgs(Replayed):
             },
         )
         if result.status == STOPPED_BY_CALLBACK:
-            return "converged", "an iteration lowered the loss by less than its function tolerance"
+            return "converged", "an iteration reduced the loss by less than the function tolerance"
         return ("converged" if result.status == 0 else "stalled"), str(result.message)

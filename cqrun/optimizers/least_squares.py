@@ -1,4 +1,4 @@
-"""Trust-region least squares: few unknowns, many residuals."""
+"""Trust-region least squares, for few unknowns and many residuals."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from cqrun.plugin.registry import plugin
 class LeastSquares(Replayed):
     """Trust-region reflective least squares: min |r(x)|^2 / 2, steps from (J^T J + D) p = -J^T r.
 
-    The default up to 10 unknowns with marker data: it uses the residuals one by one, so it converges
-    in few iterations, each with one Jacobian.
+    The default for up to 10 unknowns with marker data. It uses all residuals, not only their sum of squares, so it
+    converges in few iterations, each with one Jacobian.
     M. A. Branch, T. F. Coleman, Y. Li: A subspace, interior, and conjugate gradient method for
     large-scale bound-constrained minimization problems, SIAM J. Sci. Comput. 21 (1999); scipy's TRF.
     """
 
     gradients: ClassVar[bool] = False
     squares: ClassVar[bool] = True
-    max_iterations: int = Field(30, ge=1, description="iterations at most")
+    max_iterations: int = Field(30, ge=1, description="maximum number of iterations")
     function_tolerance: float = Field(
         1e-8,
         ge=2.3e-16,
-        description="converged when an iteration lowers the loss by less than this part of it",
+        description="converged when an iteration reduces the loss by less than this part of it",
     )
     step_tolerance: float = Field(
         1e-8, ge=2.3e-16, description="converged when a step is shorter than this part of |x|"
@@ -52,7 +52,7 @@ class LeastSquares(Replayed):
             ftol=self.function_tolerance,
             xtol=self.step_tolerance,
             gtol=self.gradient_tolerance,
-            max_nfev=2**31 - 1,  # the callback counts iterations, over restarts too
+            max_nfev=2**31 - 1,  # the callback counts iterations, over all restarts
             callback=trials.accept,
         )
         return ("converged" if result.status > 0 else "stalled"), str(result.message)

@@ -1,4 +1,4 @@
-"""NLopt's methods for constraints: SLSQP, as ChainQueen used it, MMA and an augmented Lagrangian (extra `nlopt`)."""
+"""NLopt's methods for constraints: SLSQP, which ChainQueen used, MMA and an augmented Lagrangian (extra `nlopt`)."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 
 CONVERGED = (1, 2, 3, 4)
-"""NLopt's results that mean a minimum: success, and its three tolerances."""
+"""Result codes of NLopt that mean a minimum: success, and its three tolerances."""
 
 PATIENCE = 500
-"""Calls in a row that ask for nothing but what is known, after which a search only goes round in circles."""
+"""Number of successive calls without a new evaluation after which a search is ended: it repeats itself."""
 
 
-class Circling(Exception):
-    """Leaves a search that goes round in circles, where no limit on iterations and no wish to stop would reach it."""
+class Repeating(Exception):
+    """Ends a search that repeats itself, where neither the iteration limit nor a request to stop is checked."""
 
 
 @plugin("optimizer", "nlopt")
 class Nlopt(TwoSearches):
-    """NLopt's SLSQP, MMA, or augmented Lagrangian over L-BFGS; an iteration is an evaluation with gradients.
+    """NLopt's SLSQP, MMA, or augmented Lagrangian with L-BFGS; an iteration is an evaluation with gradients.
 
-    MMA takes inequalities only, and any number of unknowns (K. Svanberg: A class of globally convergent optimization
+    MMA allows inequalities only, and any number of unknowns (K. Svanberg: A class of globally convergent optimization
     methods based on conservative convex separable approximations, SIAM J. Optim. 12 (2002)).
     S. G. Johnson: The NLopt nonlinear-optimization package, github.com/stevengj/nlopt.
     """
 
-    algorithm: Literal["slsqp", "mma", "auglag"] = Field("slsqp", description="which of its methods")
+    algorithm: Literal["slsqp", "mma", "auglag"] = Field("slsqp", description="method of NLopt")
 
     def require(self, problem: Problem) -> None:
-        """Refuse, beside what the base refuses, what is too large, or has equalities that a method cannot have.
+        """Check the problem also for its size, and for equalities that the method does not support.
 
         Raises:
-            MissingExtra: the library `nlopt` is not installed. UsageError: as said.
+            MissingExtra: the library `nlopt` is not installed. UsageError: the method cannot solve the problem.
         """
         library()
         super().require(problem)
@@ -56,42 +56,44 @@ class Nlopt(TwoSearches):
     def search(
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
     ) -> tuple[Status, str]:
-        """Run NLopt once; in search of feasibility f counts as 0, and `Feasible` is raised on success."""
-        nlopt, begun, calls = library(), list[bool](), Calls(trials)
+        """Run NLopt once; in the search for feasibility f is 0, and `Feasible` is raised on success."""
+        nlopt, n_gradients, calls = library(), 0, Calls(trials)
 
         def objective(x: Array, grad: Array) -> float:
-            here = x.copy()  # NLopt's own memory, which changes
+            nonlocal n_gradients
+            here = x.copy()  # x is NLopt's memory, which changes
             if grad.size:
                 grad[:] = 0.0 if feasibility else trials.gradients(here)["g"]
-                if begun:  # the first is where the search begins; that it stays there counts, or no limit would end it
+                # the first is the start; staying there counts as an iteration, or no limit would end the search
+                if n_gradients:
                     trials.accept(here)
-                begun.append(True)
+                n_gradients += 1
                 if feasibility and trials.violated(here) <= self.constraint_tolerance:
                     raise Feasible
             return 0.0 if feasibility else trials.values(here)[0]
 
-        method = self._made(nlopt, len(x))
-        if not feasibility:  # a constant would be converged at once
+        method = self._method(nlopt, len(x))
+        if not feasibility:  # a constant objective would converge at once
             method.set_ftol_abs(self.function_tolerance)
         method.set_lower_bounds(lower)
         method.set_upper_bounds(upper)
-        method.set_min_objective(calls.kept(objective))
-        _constrain(method, trials, 0.1 * self.constraint_tolerance, calls.kept)
+        method.set_min_objective(calls.watch(objective))
+        _constrain(method, trials, 0.1 * self.constraint_tolerance, calls.watch)
         try:
             method.optimize(np.clip(x, lower, upper))
-        except Exception as error:  # its own classes differ from version to version
+        except Exception as error:  # its exception classes differ between versions
             if calls.raised is None and isinstance(error, nlopt.RoundoffLimited):
-                return "converged", "NLopt: as far as rounding lets it come"
+                return "converged", "NLopt: no further progress because of rounding errors"
             if calls.raised is None:
                 return "stalled", f"NLopt: {str(error) or 'failure'}"
-        if isinstance(calls.raised, Circling):
-            return "stalled", "NLopt: asks again and again for what it has been told"
+        if isinstance(calls.raised, Repeating):
+            return "stalled", "NLopt: repeats evaluations without end"
         if calls.raised is not None:
             raise calls.raised
         code = int(method.last_optimize_result())
         return ("converged" if code in CONVERGED else "stalled"), f"NLopt: {nlopt_result(nlopt, code)}"
 
-    def _made(self, nlopt: Any, n: int) -> Any:
+    def _method(self, nlopt: Any, n: int) -> Any:
         if self.algorithm == "auglag":
             inner = nlopt.opt(nlopt.LD_LBFGS, n)
             inner.set_ftol_abs(self.function_tolerance)
@@ -104,22 +106,22 @@ class Nlopt(TwoSearches):
 
 
 class Calls:
-    """NLopt's calls: the first error is kept, as a method inside a method loses it, and circles are left."""
+    """Watches NLopt's calls: stores the first error, which nested methods lose, and ends endless repetition."""
 
     def __init__(self, trials: ConstrainedTrials) -> None:
         self.trials = trials
         self.raised: BaseException | None = None
-        self._asked, self._idle = trials.asked, 0
+        self._requests, self._idle = trials.requests, 0
 
-    def kept(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function that does the same, and is watched."""
+    def watch(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Wrap a function to watch its calls."""
 
         def call(*args: Any) -> Any:
-            self._idle = self._idle + 1 if self.trials.asked == self._asked else 0
-            self._asked = self.trials.asked
+            self._idle = self._idle + 1 if self.trials.requests == self._requests else 0
+            self._requests = self.trials.requests
             try:
                 if self._idle > PATIENCE:
-                    raise Circling
+                    raise Repeating
                 return function(*args)
             except BaseException as error:
                 self.raised = self.raised or error
@@ -129,7 +131,7 @@ class Calls:
 
 
 def _constrain(
-    method: Any, trials: ConstrainedTrials, tolerance: float, keeping: Callable[[Callable[..., Any]], Any]
+    method: Any, trials: ConstrainedTrials, tolerance: float, watch: Callable[[Callable[..., Any]], Any]
 ) -> None:
     """Give NLopt the constraints: c_low - c <= 0, c - c_high <= 0, and c - c_low = 0."""
     low, high = trials.problem.c_low, trials.problem.c_high
@@ -147,17 +149,17 @@ def _constrain(
                 grad[:] = sign * trials.gradients(here)["J"][rows]
             result[:] = sign * (trials.values(here)[1] - end)[rows]
 
-        add(keeping(constraint), np.full(int(rows.sum()), tolerance))
+        add(watch(constraint), np.full(int(rows.sum()), tolerance))
 
 
 def nlopt_result(nlopt: Any, code: int) -> str:
-    """Return what a result is called."""
+    """Return the name of a result code."""
     names = ("SUCCESS", "STOPVAL_REACHED", "FTOL_REACHED", "XTOL_REACHED", "MAXEVAL_REACHED", "MAXTIME_REACHED")
     return {getattr(nlopt, name): name.replace("_", " ").lower() for name in names}.get(code, f"result {code}")
 
 
 def library() -> Any:
-    """Return the module `nlopt`; MissingExtra where it is not installed."""
+    """Return the module `nlopt`; MissingExtra if it is not installed."""
     try:
         import nlopt  # type: ignore[import-untyped]
     except ImportError:

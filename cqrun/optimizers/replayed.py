@@ -1,8 +1,8 @@
-"""What scipy's optimizers share: evaluations pass through the run's log, failed trials shrink the box.
+"""Base of scipy's optimizers: evaluations pass through the run's log, and failed trials shrink the box.
 
-scipy cannot save its state. So a resumed run starts it again from the beginning and answers its
-evaluations from the log; as the optimizer is deterministic it comes to where it was, bit for bit; on
-a machine that adds up in another order, but for round-off.
+scipy cannot save its state. So a resumed run starts the optimizer again from the beginning and answers its evaluations
+from the log. The optimizer is deterministic, so it reaches the same point bit-for-bit; on a machine that adds in
+another order, up to rounding errors.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from cqrun.optimizers.base import (
 from cqrun.plugin.contract import Array
 
 RESTARTS = 3
-"""How often a failed trial halves the box before the run fails."""
+"""How many times a failed trial halves the box before the run fails."""
 
 AT_BOUND = 1e-3
-"""Distance from a bound, in widths of the box, at which a point counts as held by it."""
+"""Distance from a bound, in widths of the box, at which a point counts as at the bound."""
 
 
-class Seen(NamedTuple):
-    """A point whose loss and gradient are known."""
+class Evaluation(NamedTuple):
+    """Loss, gradient and terms at a point."""
 
     loss: float
     grad: Array
@@ -44,7 +44,7 @@ class Seen(NamedTuple):
 
 
 class Halt(Exception):
-    """Leaves scipy from inside a callback or an evaluation."""
+    """Ends scipy's method from inside a callback or an evaluation."""
 
     def __init__(self, status: Status, message: str) -> None:
         self.status, self.message = status, message
@@ -52,32 +52,32 @@ class Halt(Exception):
 
 
 class Trials:
-    """The functions that scipy calls: logged, counted, and watched for the best point.
+    """The functions that scipy calls: they log and count evaluations, and keep the best point.
 
     Args:
-        problem: what is minimised.
-        session: the log, the history and the wish to stop.
-        max_iterations: accepted steps over all restarts.
+        problem: problem to minimise.
+        session: log, history and requests to stop.
+        max_iterations: maximum number of accepted steps over all restarts.
 
     Attributes:
-        asked: evaluations that were asked for, computed or replayed.
+        requests: number of requested evaluations, computed or replayed.
     """
 
     def __init__(self, problem: Problem, session: Session, max_iterations: int) -> None:
         self.problem, self.session, self.max_iterations = problem, session, max_iterations
-        self.iteration = self.asked = 0
+        self.iteration = self.requests = 0
         self.best_x: Array | None = None
         self.best_loss = np.inf
-        self._seen: dict[bytes, Seen] = {}
+        self._evaluations: dict[bytes, Evaluation] = {}
         self._started = False
         self._last_x = problem.start
 
     def value_and_grad(self, x: Array) -> tuple[float, Array]:
         """Return f and its gradient (n,)."""
-        answer = self._ask("value_and_grad", x, lambda: checked_value_and_grad(self.problem, x))
+        answer = self._request("value_and_grad", x, lambda: checked_value_and_grad(self.problem, x))
         loss = float(answer["f"])
         self._note_best(x, loss)
-        self._note_seen(x, Seen(loss, answer["g"], answer["terms"]))
+        self._store(x, Evaluation(loss, answer["g"], answer["terms"]))
         return loss, answer["g"].copy()
 
     def residuals(self, x: Array) -> Array:
@@ -88,7 +88,7 @@ class Trials:
             require_finite(x, residuals=r)
             return {"r": r}
 
-        r = self._ask("residuals", x, compute)["r"]
+        r = self._request("residuals", x, compute)["r"]
         self._note_best(x, 0.5 * float(r @ r))
         return r
 
@@ -100,17 +100,17 @@ class Trials:
             require_finite(x, residuals=r, Jacobian=jacobian)
             return {"r": r, "J": jacobian, "terms": np.array(self.problem.term_values(), float)}
 
-        answer = self._ask("jacobian", x, compute)
+        answer = self._request("jacobian", x, compute)
         r, jacobian = answer["r"], answer["J"]
-        self._note_seen(x, Seen(0.5 * float(r @ r), jacobian.T @ r, answer["terms"]))
+        self._store(x, Evaluation(0.5 * float(r @ r), jacobian.T @ r, answer["terms"]))
         return jacobian
 
     def accept(self, x: Array) -> None:
-        """Count an iteration that ended at x; scipy's callback."""
+        """Count an iteration that ended at x (scipy's callback)."""
         self.iteration += 1
-        seen = self._seen[x.tobytes()]
-        self._seen = {x.tobytes(): seen}
-        self._report(x, seen)
+        evaluation = self._evaluations[x.tobytes()]
+        self._evaluations = {x.tobytes(): evaluation}
+        self._report(x, evaluation)
         self._at_limit()
 
     def _at_limit(self) -> None:
@@ -119,7 +119,7 @@ class Trials:
 
     def loss_at(self, x: Array) -> float:
         """Return f at an accepted point."""
-        return self._seen[x.tobytes()].loss
+        return self._evaluations[x.tobytes()].loss
 
     def outcome(self, status: Status, message: str) -> Outcome:
         """Return an outcome at the best point so far."""
@@ -127,32 +127,32 @@ class Trials:
         return Outcome(x.copy(), self.best_loss, status, message, self.iteration)
 
     def distance_to_last(self) -> float:
-        """Return how far the last trial was from the best point, in the largest coordinate.
+        """Return the largest coordinate of the difference between the last trial and the best point.
 
-        Where it was that very point (a Jacobian that failed), 1: scaled coordinates are of order one.
+        If both are the same point (a Jacobian failed), it is 1, because scaled coordinates are of order 1.
         """
         return 1.0 if self.best_x is None else float(np.max(np.abs(self._last_x - self.best_x))) or 1.0
 
-    def _ask(self, kind: str, x: Array, compute: Callable[[], dict[str, Array]]) -> dict[str, Array]:
+    def _request(self, kind: str, x: Array, compute: Callable[[], dict[str, Array]]) -> dict[str, Array]:
         if self.session.should_stop():
             raise Halt("stopped", f"asked to stop in iteration {self.iteration + 1}")
         self._last_x = x.copy()
-        self.asked += 1
+        self.requests += 1
         return self.session.evaluate(kind, x, compute)
 
     def _note_best(self, x: Array, loss: float) -> None:
         if loss < self.best_loss:
             self.best_x, self.best_loss = x.copy(), loss
 
-    def _note_seen(self, x: Array, seen: Seen) -> None:
-        self._seen[x.tobytes()] = seen
+    def _store(self, x: Array, evaluation: Evaluation) -> None:
+        self._evaluations[x.tobytes()] = evaluation
         if not self._started:
             self._started = True
-            self._report(x, seen)
+            self._report(x, evaluation)
 
-    def _report(self, x: Array, seen: Seen) -> None:
-        terms = terms_of(self.problem, seen.terms)
-        self.session.report(self.iteration, x.copy(), seen.loss, seen.grad, terms)
+    def _report(self, x: Array, evaluation: Evaluation) -> None:
+        terms = terms_of(self.problem, evaluation.terms)
+        self.session.report(self.iteration, x.copy(), evaluation.loss, evaluation.grad, terms)
 
 
 Attempt = Callable[[Any, Array, Array, Array], tuple[Status, str]]
@@ -160,12 +160,12 @@ Attempt = Callable[[Any, Array, Array, Array], tuple[Status, str]]
 
 
 class Replayed(Optimizer):
-    """Base of optimizers that cannot save their state, and whose evaluations are replayed instead."""
+    """Base of optimizers that cannot save their state; their evaluations are replayed instead."""
 
     max_iterations: int
 
     def require(self, problem: Problem) -> None:
-        """Refuse an objective that is another one at every iteration."""
+        """Raise UsageError for an objective that changes from iteration to iteration."""
         refuse_stochastic(problem, self)
 
     def minimise(self, problem: Problem, session: Session) -> Outcome:
@@ -175,13 +175,13 @@ class Replayed(Optimizer):
 
     @abstractmethod
     def attempt(self, trials: Any, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
-        """Minimise once from x in a box (n,), by the functions of `trials`; return how it ended."""
+        """Minimise once from x (n,) in a box with the functions of `trials`; return status and message."""
 
 
 def minimise_with_restarts(attempt: Attempt, trials: Trials) -> Outcome:
-    """Run `attempt`; after a failed trial, again from the best point in a box of half the size.
+    """Run `attempt`; after a failed trial, run it again from the best point in a box of half the size.
 
-    BLAS runs on one thread meanwhile: sums in another order would make the replay diverge.
+    Meanwhile BLAS runs on one thread: sums in another order would make a replay diverge.
     """
     problem, session = trials.problem, trials.session
     lower, upper = problem.lower, problem.upper
@@ -203,19 +203,19 @@ def minimise_with_restarts(attempt: Attempt, trials: Trials) -> Outcome:
                 lower, upper = half_box(x, lower, upper, trials.distance_to_last())
                 session.note(f"restart {restarts} of {RESTARTS} from the best point, in half the box")
                 continue
-            if restarts and _held_by_box(trials.best_x, lower, upper, problem):
-                status, message = "stalled", f"{message}; held by the box that failed trials had shrunk"
+            if restarts and _at_shrunken_box(trials.best_x, lower, upper, problem):
+                status, message = "stalled", f"{message}; at a bound of the box that failed trials have shrunk"
             return trials.outcome(status, message)
 
 
 def half_box(x: Array, lower: Array, upper: Array, reach: float) -> tuple[Array, Array]:
-    """Return the box shrunk by half towards x; where it has no end, one half of `reach` away."""
+    """Return the box, shrunk by half towards x; infinite bounds become half of `reach` away from x."""
     down = np.where(np.isfinite(lower), x - lower, reach)
     up = np.where(np.isfinite(upper), upper - x, reach)
     return x - 0.5 * down, x + 0.5 * up
 
 
-def _held_by_box(x: Array | None, lower: Array, upper: Array, problem: Problem) -> bool:
+def _at_shrunken_box(x: Array | None, lower: Array, upper: Array, problem: Problem) -> bool:
     margin = AT_BOUND * (upper - lower)
     below = (x - lower <= margin) & (lower > problem.lower)
     above = (upper - x <= margin) & (upper < problem.upper)

@@ -13,19 +13,19 @@ from cqrun.plugin.registry import plugin
 class Sgd(Descent):
     """Gradient descent with momentum: u <- momentum u + g, x <- x - alpha u, projected onto the bounds.
 
-    The plainest method, often on mini-batches of recordings (`batch_size: 1`).
+    The simplest method, often with mini-batches of recordings (`batch_size: 1`).
     B. T. Polyak: Some methods of speeding up the convergence of iteration methods,
     USSR Comput. Math. Math. Phys. 4 (1964).
     """
 
-    learning_rate: float = Field(0.01, gt=0, description="step alpha per unit of gradient, scaled coordinates")
-    momentum: float = Field(0.0, ge=0, lt=1, description="part of the last step that is kept")
+    learning_rate: float = Field(0.01, gt=0, description="step alpha per unit of gradient, in scaled coordinates")
+    momentum: float = Field(0.0, ge=0, lt=1, description="part of the last step that is added to the next one")
 
     def memory_names(self) -> tuple[str, ...]:
-        """Return the velocity."""
+        """Return the name of the velocity."""
         return ("u",)
 
     def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
-        """Return u (n,), which is the new memory too."""
+        """Return u (n,), which is also the new memory."""
         u = self.momentum * memory["u"] + grad
         return u, {"u": u}

@@ -1,4 +1,4 @@
-"""SLSQP: sequential quadratic programming, for objectives under constraints with up to some thousand unknowns."""
+"""SLSQP: sequential quadratic programming, for objectives under constraints with up to 5,000 unknowns."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from cqrun.plugin.registry import plugin
 from cqrun.units import format_bytes
 
 MOST_UNKNOWNS = 5000
-"""More need n x n matrices and n^3 operations a step that are out of proportion."""
+"""With more unknowns, n x n matrices and n^3 operations per step are too expensive."""
 
 WORKSPACE = 8.5
-"""Matrices that Kraft's quadratic program works in: n (n + 1) / 2 + 8 n^2 numbers and terms in n (scipy, NLopt)."""
+"""Workspace of Kraft's quadratic program in n x n matrices: n (n + 1) / 2 + 8 n^2 + O(n) numbers (scipy, NLopt)."""
 
 
 @plugin("optimizer", "slsqp")
 class Slsqp(TwoSearches):
-    """SLSQP: step d of least g.d + d.B d / 2 under the linearised constraints, then a line search; B by BFGS.
+    """SLSQP: the step d minimises g.d + d.B d / 2 under linearised constraints, then a line search; B by BFGS.
 
-    It first looks for a point that meets the constraints, without the objective, and then lowers that, as ChainQueen
-    did. Memory grows with the square of the unknowns.
+    It first searches for a point that meets the constraints, without the objective, and then minimises the objective,
+    as in ChainQueen. Memory grows with the square of the number of unknowns.
     D. Kraft: A software package for sequential quadratic programming, DFVLR-FB 88-28 (1988); scipy's implementation.
     """
 
     def require(self, problem: Problem) -> None:
-        """Refuse, beside what the base refuses, what is too large, and more equalities than unknowns."""
+        """Raise UsageError also for a problem that is too large or has more equalities than unknowns."""
         super().require(problem)
         require_size(problem, self.name)
         require_room(problem, self.name)
@@ -39,7 +39,7 @@ class Slsqp(TwoSearches):
     def search(
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
     ) -> tuple[Status, str]:
-        """Run scipy's SLSQP once; in search of feasibility f counts as 0, and `Feasible` is raised on success."""
+        """Run scipy's SLSQP once; in the search for feasibility f is 0, and `Feasible` is raised on success."""
         from scipy.optimize import Bounds, minimize
 
         def accept(x: Array) -> None:
@@ -55,13 +55,13 @@ class Slsqp(TwoSearches):
             bounds=Bounds(lower, upper),
             constraints=halves(trials),
             callback=accept,
-            options={"maxiter": 2**31 - 1, "ftol": self.function_tolerance},  # the callback counts, over restarts too
+            options={"maxiter": 2**31 - 1, "ftol": self.function_tolerance},  # the callback counts, over all restarts
         )
         return ("converged" if result.status == 0 else "stalled"), f"SLSQP: {result.message}"
 
 
 def halves(trials: ConstrainedTrials) -> list[dict[str, Any]]:
-    """Return the constraints as scipy's SLSQP wants them: c - c_low >= 0, c_high - c >= 0, and c - c_low = 0."""
+    """Return the constraints for scipy's SLSQP: c - c_low >= 0, c_high - c >= 0, and c - c_low = 0."""
     low, high = trials.problem.c_low, trials.problem.c_high
     equal = low == high
     sides = [("eq", equal, 1.0, low), ("ineq", ~equal & np.isfinite(low), 1.0, low)]
@@ -78,7 +78,7 @@ def halves(trials: ConstrainedTrials) -> list[dict[str, Any]]:
 
 
 def require_size(problem: Problem, name: str, matrices: float = WORKSPACE) -> None:
-    """Refuse, with a UsageError, a problem that is too large for a dense quadratic program."""
+    """Raise UsageError for a problem that is too large for a dense quadratic program."""
     n = len(problem.start)
     if n > MOST_UNKNOWNS:
         needed = format_bytes(8 * int(matrices * n * n))
@@ -89,7 +89,7 @@ def require_size(problem: Problem, name: str, matrices: float = WORKSPACE) -> No
 
 
 def require_room(problem: Any, name: str) -> None:
-    """Refuse, with a UsageError, more equalities than unknowns: these methods end before they begin."""
+    """Raise UsageError for more equalities than unknowns, with which these methods end at once."""
     equalities, n = int(np.sum(problem.c_low == problem.c_high)), len(problem.start)
     if equalities > n:
         unknowns = "unknown" if n == 1 else "unknowns"

@@ -1,4 +1,4 @@
-"""trust-constr: an interior point method in a trust region, for smooth constraints and some hundred unknowns."""
+"""trust-constr: a trust-region interior point method, for smooth constraints and some hundred unknowns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 
 INSIDE = 1e-6
-"""Least distance of the start from the bounds, in scaled coordinates."""
+"""Smallest distance of the start from the bounds, in scaled coordinates."""
 
 
 @plugin("optimizer", "trust_constr")
@@ -26,14 +26,14 @@ class TrustConstr(ReplayedConstrained):
     Optim. 9 (1999); scipy's implementation, the Hessian by BFGS.
     """
 
-    max_iterations: int = Field(200, ge=1, description="iterations at most")
+    max_iterations: int = Field(200, ge=1, description="maximum number of iterations")
     gradient_tolerance: float = Field(1e-6, gt=0, description="converged when the Lagrangian's gradient is smaller")
     step_tolerance: float = Field(1e-8, gt=0, description="converged when the trust region is smaller")
 
     def require(self, problem: Problem) -> None:
-        """Refuse, beside what the base refuses, what is too large, and more equalities than unknowns."""
+        """Raise UsageError also for a problem that is too large or has more equalities than unknowns."""
         super().require(problem)
-        require_size(problem, self.name, matrices=1.0)  # of its curvature; factors come on top
+        require_size(problem, self.name, matrices=1.0)  # its Hessian; factorisations need more
         require_room(problem, self.name)
 
     def attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
@@ -42,7 +42,7 @@ class TrustConstr(ReplayedConstrained):
 
         low, high = trials.problem.c_low, trials.problem.c_high
         edge = np.minimum(INSIDE, 0.25 * (upper - lower))
-        x = np.clip(x, lower + edge, upper - edge)  # its barrier has no value on the bounds
+        x = np.clip(x, lower + edge, upper - edge)  # its barrier is infinite on the bounds
         constraints = [
             NonlinearConstraint(
                 lambda x: trials.values(x)[1], low, high, jac=lambda x: trials.gradients(x)["J"], hess=BFGS()
@@ -50,11 +50,11 @@ class TrustConstr(ReplayedConstrained):
         ] * bool(len(low))
 
         def accept(x: Array, state: Any) -> None:
-            # a barrier keeps x off all ends, so which constraints hold is known from its multipliers alone
+            # the barrier keeps x inside all limits, so only its multipliers show which constraints are active
             y = np.asarray(state.v[0]) if len(low) else np.zeros(0)
             trials.accept(np.asarray(x), Kkt(y, max(state.optimality, getattr(state, "barrier_parameter", 0.0))))
 
-        with warnings.catch_warnings():  # of a linear constraint, and of one that the box holds already
+        with warnings.catch_warnings():  # about linear constraints, and about one that the box implies
             warnings.filterwarnings("ignore", message="delta_grad == 0.0|Singular Jacobian matrix")
             result = minimize(
                 lambda x: trials.values(x)[0],

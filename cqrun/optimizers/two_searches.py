@@ -1,4 +1,4 @@
-"""Feasibility first, then the objective, as ChainQueen did: what its solvers by quadratic programs share."""
+"""Feasibility first, then the objective, as in ChainQueen: base of the solvers by quadratic programs."""
 
 from __future__ import annotations
 
@@ -13,29 +13,30 @@ from cqrun.plugin.contract import Array
 
 
 class Feasible(Exception):
-    """Leaves the search for a point that violates nothing."""
+    """Ends the search for a feasible point."""
 
 
 class TwoSearches(ReplayedConstrained):
-    """Base of solvers that first look for a point that meets the constraints, and then lower the objective."""
+    """Base of solvers that first search for a feasible point, and then minimise the objective."""
 
-    max_iterations: int = Field(100, ge=1, description="iterations at most, both searches together")
+    max_iterations: int = Field(100, ge=1, description="maximum number of iterations, both searches together")
     function_tolerance: float = Field(
         1e-8, gt=0, description="converged when an iteration changes the loss by less and the constraints are met"
     )
-    feasibility_first: bool = Field(True, description="whether the constraints are met before the objective counts")
+    feasibility_first: bool = Field(True, description="whether to meet the constraints first, without the objective")
 
     @abstractmethod
     def search(
         self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array, *, feasibility: bool
     ) -> tuple[Status, str]:
-        """Minimise once from x in a box; where only feasibility is sought f counts as 0, and success is `Feasible`.
+        """Minimise once from x in a box; in the search for feasibility f is 0, and `Feasible` is raised on success.
 
-        Returned, `converged` then means that no small step lowers the violation: of curved constraints a local minimum.
+        If that search returns `converged`, no small step reduces the violation. For nonlinear constraints this may be
+        only a local minimum of the violation.
         """
 
     def attempt(self, trials: ConstrainedTrials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
-        """Search for a point that meets the constraints, then for a lower objective."""
+        """Search for a feasible point, then minimise the objective."""
         if self.feasibility_first and trials.violated(x) > self.constraint_tolerance:
             ended: tuple[Status, str] = "converged", ""
             with contextlib.suppress(Feasible):

@@ -6,11 +6,20 @@ A plug-in is a pydantic model. Its fields are its YAML keys, its docstring is it
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from annotated_types import MaxLen, MinLen
-from pydantic import BaseModel, ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    PrivateAttr,
+    ValidationError,
+    model_validator,
+)
 from pydantic.config import JsonDict
 from pydantic_core import ErrorDetails, InitErrorDetails
 
@@ -21,6 +30,16 @@ class Spec(BaseModel):
     """A frozen part of a scene; unknown keys and text in place of numbers are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+    _folder: Path = PrivateAttr(default=Path())
+
+    def set_folder(self, folder: Path) -> None:
+        """Take the names of its files (`reference.FileName`) from this folder on."""
+        self._folder = folder
+
+    def path_of(self, file: str) -> Path:
+        """Return where a file is that a field of it names."""
+        return self._folder / file
 
     @model_validator(mode="wrap")
     @classmethod

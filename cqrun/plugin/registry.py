@@ -11,6 +11,7 @@ import pkgutil
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, TypeVar
 
 FOLDERS = {
@@ -22,6 +23,7 @@ FOLDERS = {
     "actuator": "cqrun.actuators",
     "boundary": "cqrun.boundaries",
     "load": "cqrun.loads",
+    "force": "cqrun.forces",
     "controller": "cqrun.controllers",
     "observer": "cqrun.observers",
     "objective": "cqrun.objectives",
@@ -91,8 +93,14 @@ def of_module(module: str) -> list[type[Any]]:
 
 def plugins(kind: str) -> dict[str, type[Any]]:
     """Return every plug-in of `kind` by name, those it includes too, importing its folder first."""
-    package = importlib.import_module(FOLDERS[kind])
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"{package.__name__}.{module.name}")
+    _import_all(FOLDERS[kind])
     included = _PLUGINS.get(INCLUDED.get(kind, ""), {})
     return dict(sorted({**included, **_PLUGINS.get(kind, {})}.items()))
+
+
+@cache
+def _import_all(folder: str) -> None:
+    """Import every module of a package; once, because a scene asks for its plug-ins at every choice."""
+    package = importlib.import_module(folder)
+    for module in pkgutil.iter_modules(package.__path__):
+        importlib.import_module(f"{package.__name__}.{module.name}")

@@ -12,7 +12,6 @@ from cqrun.engine.checkpoint import Plan, make_plan
 from cqrun.engine.forward_run import useful_threads
 from cqrun.engine.model import Model
 from cqrun.errors import Problem, RunError, SceneError
-from cqrun.state import rows_of
 
 GRADIENT = 5.0
 """What a gradient takes, in forward runs, where all states fit."""
@@ -23,7 +22,7 @@ THREAD_GAIN = 0.5
 
 def state_bytes(model: Model) -> int:
     """Return the bytes of one kept state."""
-    return int(rows_of(model.dim)[-1] * model.layout.n * np.dtype(model.real).itemsize)
+    return int(model.layout.table.n_rows * model.layout.n * np.dtype(model.real).itemsize)
 
 
 def gradient_plan(built: Built) -> Plan:

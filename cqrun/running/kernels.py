@@ -26,12 +26,12 @@ def composition(built: Built, *, adjoint: bool) -> str:
     """Return in words which kernels a scene needs: scenes with the same words share them."""
     scene, model = built.scene, built.model
     groups = []
-    _, forces = model.kinds()
+    _, steady, forces = model.kinds()
     for group in model.groups:
         material = scene.bodies[model.body_names[group.bodies[0]]].material
         active = [_kind(kind) for kind in group.active]
         groups.append(" + ".join([material.elastic.name, *material.terms, *active]))
-    groups += [_kind(kind) for kind in forces]
+    groups += [_kind(kind) for kind in (*steady, *forces)]
     planes = [condition.spec.name for condition in model.conditions]
     kind = "forward and backward" if adjoint else "forward"
     return f"{model.dim}D {scene.precision}, {'; '.join(groups)}, {', '.join(planes) or 'no boundaries'}, {kind}"

@@ -16,9 +16,10 @@ from cqrun.errors import InfeasibleError, Problem, RunError, SceneError, UsageEr
 from cqrun.optimizers.constrained import VIOLATION
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter
+from cqrun.scene.files import DATA, READ_BY_EVERY_JOB, files_by_name, named_files, unreadable_files
+from cqrun.scene.keypath import joined
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
-from cqrun.scene.walk import parts
 from cqrun.store.history import read_history
 from cqrun.store.run import RunDirectory, RunScene, read_record
 
@@ -46,8 +47,10 @@ def open_run(
         files: what else the run depends on, by name.
 
     Raises:
-        SceneError: a recording is missing. UsageError, RunError: as `RunDirectory.open`.
+        SceneError: a file that the scene names is missing. UsageError, RunError: as `RunDirectory.open`.
     """
+    if unreadable := unreadable_files(scene, READ_BY_EVERY_JOB):
+        raise SceneError(unreadable)
     inputs = run_scene(stem, scene, job=job, with_data=with_data, files=files)
     return RunDirectory.open(inputs, out, argv=sys.argv, seed=scene.seed, threads=threads, fresh=fresh)
 
@@ -55,30 +58,31 @@ def open_run(
 def run_scene(
     stem: str, scene: Scene, *, job: str, with_data: bool, files: Mapping[str, Path] | None = None
 ) -> RunScene:
-    """Return what names the run of a resolved scene; arguments and errors as `open_run`."""
+    """Return what names the run of a resolved scene; arguments as `open_run`.
+
+    Raises:
+        SceneError: a recording is missing.
+    """
     read = {**part_files(scene), **(data_files(scene) if with_data else {}), **(files or {})}
     base = str(scene.resolve_path("").resolve())
     return RunScene(stem, dump(resolve(scene)), scene.text, read, base, job, scene.plugin_paths())
 
 
 def part_files(scene: Scene) -> dict[str, Path]:
-    """Return the files that parts of a scene are read from, by the names it uses: all it names but `data`."""
-    found = [getattr(part, "file", None) for loc, part in parts(scene) if loc[:1] != ("data",)]
-    return {name: scene.resolve_path(name) for name in found if isinstance(name, str)}
+    """Return the files that parts of a scene are read from, by the names it uses: all it names but in `data`."""
+    return files_by_name(scene, of_data=False)
 
 
 def data_files(scene: Scene) -> dict[str, Path]:
-    """Return the recordings of a scene, by the names it uses.
+    """Return the files of a scene's `data`, by the names it uses.
 
     Raises:
         SceneError: all those that are missing.
     """
-    recordings = scene.recordings
     problems = []
-    for name, recording in recordings.items():
-        path = scene.resolve_path(recording.file)
-        if not path.is_file():
-            key = f"data.recordings.{name}.file"
+    for loc, name in named_files(scene):
+        path, key = scene.resolve_path(name), joined(loc)
+        if loc[0] == DATA and not path.is_file():
             message = (
                 f"there is no file '{path}'; the head of the scene says where recordings are to be had; "
                 f"-o {key}=FILE names it where it is (from the scene's folder, or the whole path)"
@@ -86,7 +90,7 @@ def data_files(scene: Scene) -> dict[str, Path]:
             problems.append(Problem(scene.where(key), key, message))
     if problems:
         raise SceneError(problems)
-    return {recording.file: scene.resolve_path(recording.file) for recording in recordings.values()}
+    return files_by_name(scene, of_data=True)
 
 
 def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
@@ -118,8 +122,8 @@ def scene_in(folder: Path, overrides: Sequence[str] = (), *, with_data: bool = F
     """
     record = read_record(folder)
     scene = load_scene(folder / "scene.yaml", overrides, Path(str(record.get("base", ""))))
-    data = [recording.file for recording in scene.recordings.values()] if with_data else []
-    _require_as_begun(folder, record, part_files(scene) | {name: scene.resolve_path(name) for name in data})
+    data = files_by_name(scene, of_data=True) if with_data else {}
+    _require_as_begun(folder, record, part_files(scene) | data)
     return scene
 
 

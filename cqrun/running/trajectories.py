@@ -34,7 +34,7 @@ def write_trajectory(
     progress: Callable[[int, State], None] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> tuple[Records, bool]:
-    """Run a scene and write x, v, J = det F and the activation of its particles.
+    """Run a scene and write x, v, J = det F, the activation and the histories of its particles.
 
     Args:
         rollout: of the scene, or of one with another probe; not yet run.
@@ -52,6 +52,7 @@ def write_trajectory(
     fields: dict[str, tuple[int, ...]] = {"v": (model.dim,), "J": ()}
     if model.actuators:
         fields["activation"] = ()
+    fields |= {field.name: field.shape for field in model.layout.history}
     said = {"scene": dump(resolve(built.scene)), "engine": engine_hash(), "seed": built.scene.seed}
     said |= provenance or {}
     step = built.scene.time.control_step
@@ -64,6 +65,7 @@ def write_trajectory(
                 values = {"x": state.x, "v": state.v, "J": np.linalg.det(state.F), "step": np.asarray(control)}
                 if model.actuators:
                     values["activation"] = on_particles(rollout, max(control - 1, 0))
+                values |= state.history
                 writer.write(writer.written, control * step, **values)
 
         records = rollout.run(observe, should_stop)

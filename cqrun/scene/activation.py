@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from cqrun.explain import complaint, finding
 from cqrun.plugin.contract import Spec, quantity
+from cqrun.plugin.reference import NamesActuator
 from cqrun.scene.data import exactly_one
 from cqrun.scene.fields import Name, Seed
 
@@ -35,7 +36,7 @@ Knots = Annotated[list[float], Field(min_length=1)]
 class Activation(Spec):
     """Open-loop signals of the actuators: given knots, or random ones."""
 
-    signals: dict[Name, Knots] | None = quantity(
+    signals: dict[Annotated[Name, NamesActuator()], Knots] | None = quantity(
         "1", "Actuator -> knots, spread evenly over time", differentiable=True, default=None
     )
     random: RandomActivation | None = Field(description="Random sequences", default=None)

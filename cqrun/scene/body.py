@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -16,6 +16,7 @@ from cqrun.geometry.transformed import Transformed
 from cqrun.geometry.union import Union
 from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Spec, quantity, vector
+from cqrun.plugin.reference import FilledIn, NamesRegion
 from cqrun.scene.data import exactly_one
 from cqrun.scene.fields import Name
 from cqrun.scene.material import Material, OtherMaterial
@@ -37,8 +38,10 @@ class Body(Spec):
     sampling: ChosenSampling = Field(
         description="How particles are placed", default_factory=lambda: Chosen("lattice", Lattice())
     )
-    velocity: list[float] = vector("m/s", "Velocity at the start; zero if absent", differentiable=True)
-    spin: list[float] = quantity(
+    velocity: Annotated[list[float], FilledIn("zero vector")] = vector(
+        "m/s", "Velocity at the start; zero if absent", differentiable=True
+    )
+    spin: Annotated[list[float], FilledIn("zero spin")] = quantity(
         "rad/s",
         "Rate of rotation about the centroid at the start (2D: one entry); zero if absent",
         differentiable=True, min_length=1, max_length=3,
@@ -46,7 +49,7 @@ class Body(Spec):
     unit_mass: bool = Field(description="Every particle has mass = density and volume 1", default=False)
     groups: dict[Name, ChosenRegion] = Field(description="Named regions of the body", default_factory=dict)
     material: Material = Field(description="What it is made of")
-    material_of: dict[Name, OtherMaterial] = Field(
+    material_of: dict[Annotated[Name, NamesRegion()], OtherMaterial] = Field(
         description="Name of a group or region -> what is different there; a later one wins", default_factory=dict
     )
 

@@ -8,8 +8,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from cqrun.explain import complaint, finding
+from cqrun.objectives.term import ObjectiveTerm
 from cqrun.plugin.choice import Choice, Chosen
-from cqrun.plugin.contract import Plugin, Spec
+from cqrun.plugin.contract import Spec
 
 ENDS = ("at_least", "at_most", "equals")
 
@@ -20,7 +21,9 @@ LOOSE = 0.5
 class Constraint(Spec):
     """A quantity of a motion or of a design, and the ends between which it must be."""
 
-    of: Annotated[Chosen[Plugin], Choice("objective")] = Field(description="What is held: any term of an objective")
+    of: Annotated[Chosen[ObjectiveTerm], Choice("objective")] = Field(
+        description="What is held: any term of an objective"
+    )
     at_least: float | None = Field(description="Least value, in the term's unit", default=None)
     at_most: float | None = Field(description="Greatest value, in the term's unit", default=None)
     equals: float | None = Field(description="The value itself, in the term's unit", default=None)
@@ -32,16 +35,15 @@ class Constraint(Spec):
         if not given or ("equals" in given and len(given) > 1):
             told = "needs `at_least`, `at_most` or both, or else `equals`"
             raise complaint("Constraint", [finding(told, involves=given)])
-        if getattr(self.of.value, "weight", 1.0) != 1.0:
+        if self.of.value.weight != 1.0:
             told = "a constraint has no weight: its violation is judged in units of its `scale`"
             raise complaint("Constraint", [finding(told, ("of", self.of.name, "weight"))])
         if len(given) == 2 and not self.low < self.high:
             message = f"leaves nothing: at_least {self.low:g} is not below at_most {self.high:g}"
             raise complaint("Constraint", [finding(message, ("at_most",), involves=("at_least",))])
-        least = getattr(self.of.value, "least", -np.inf)
-        if self.high < least:
+        if self.high < self.of.value.least:
             end = "at_most" if self.at_most is not None else "equals"
-            told = f"{self.high:g} can never be met: no {self.of.name} is below {least:g}"
+            told = f"{self.high:g} can never be met: no {self.of.name} is below {self.of.value.least:g}"
             raise complaint("Constraint", [finding(told, (end,))])
         return self
 

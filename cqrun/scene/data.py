@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from cqrun.explain import KEY, Loc, complaint, finding, listed
 from cqrun.plugin.contract import Spec, quantity
+from cqrun.plugin.reference import FileName, FilledIn, NamesBody
 from cqrun.plugin.registry import plugins
 from cqrun.scene.fields import Interval, Name, Seed, Vector
 from cqrun.scene.plugin_keys import PluginKeys
@@ -15,6 +16,9 @@ from cqrun.units import LengthUnit
 
 if TYPE_CHECKING:
     from cqrun.measurements.measurement import Measurement
+
+CarrierName = Annotated[Name, NamesBody(), FilledIn("only body")]
+"""Name of the body that data belong to; in a scene with a single body it may be left out."""
 
 
 def exactly_one(part: Spec, names: tuple[str, ...]) -> None:
@@ -34,12 +38,12 @@ class Recording(PluginKeys):
 
     keys_of: ClassVar[str] = "measurement"
 
-    file: str = Field(min_length=1, description="File with what was measured, relative to the scene")
+    file: FileName = Field(min_length=1, description="File with what was measured, relative to the scene")
     start: float = quantity("s", "Time in the file when the run begins", differentiable=True, default=0.0)
     length: float | None = quantity("s", "How long to compare; the scene's duration if absent", gt=0, default=None)
     skip: float = quantity("s", "Time after the start (the latest that is allowed) not compared", ge=0, default=0.0)
     holdout: bool = Field(description="Predict it, but do not fit it", default=False)
-    body: Name = Field(description="Body that was measured; the only one if absent")
+    body: CarrierName = Field(description="Body that was measured; the only one if absent")
     units: LengthUnit | None = Field(description="Of lengths in the file, if it does not say", default=None)
     still: Interval | None = quantity("s", "Time in the file at rest, before the run or after it", default=None)
     overrides: dict[str, Any] = Field(description="Key path -> value for this recording", default_factory=dict)
@@ -88,7 +92,7 @@ class Synthetic(Spec):
     noise: float = quantity("m", "Standard deviation of each coordinate", ge=0, default=0.0)
     copies: int = Field(description="Noisy copies of each sequence", ge=1, default=1)
     seed: Seed = Field(description="Seed of the noise and of tracked particles", default=0)
-    body: Name = Field(description="Body that carries the markers; the only one if absent")
+    body: CarrierName = Field(description="Body that carries the markers; the only one if absent")
     markers: dict[str, Vector] | None = quantity("m", "Rest position of each marker", min_length=1, default=None)
     tracked: int | None = Field(description="How many random particles to track", ge=1, default=None)
     every: int | None = Field(description="Control steps between two frames", ge=1, default=None)

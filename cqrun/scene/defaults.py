@@ -2,50 +2,82 @@
 
 from __future__ import annotations
 
-from typing import Any
+import inspect
+import typing
+from collections.abc import Mapping
+from typing import Annotated, Any
 
-FILLED = {
-    "World": {"gravity"},
-    "Body": {"velocity", "spin"},
-    "Recording": {"body"},
-    "Synthetic": {"body"},
-}
-"""Fields, by model, that a user may leave out although the model has no default of its own."""
+from cqrun.plugin.choice import Choice
+from cqrun.plugin.contract import Spec
+from cqrun.plugin.reference import FilledIn, field_types, is_union, marked_fields, marks
+from cqrun.plugin.registry import plugins
+from cqrun.scene.plugin_keys import PluginKeys
+from cqrun.scene.sections import Sections
 
 
 def with_defaults(scene: Any) -> Any:
-    """Return plain scene data with these defaults filled in; anything unexpected is left to the schema."""
-    if not isinstance(scene, dict):
-        return scene
-    world, bodies = _mapping(scene.get("world")), _mapping(scene.get("bodies"))
-    size = world.get("size")
+    """Return plain scene data with its `FilledIn` fields given; anything unexpected is left to the schema."""
+    return _filled(Sections, scene, _defaults(scene)) if isinstance(scene, dict) else scene
+
+
+def _defaults(scene: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what fields are filled with, as far as the scene has it."""
+    size, bodies = _mapping(scene.get("world")).get("size"), _mapping(scene.get("bodies"))
     dim = len(size) if isinstance(size, list) and len(size) in (2, 3) else 3
-    zero = {"velocity": [0.0] * dim, "spin": [0.0] * (1 if dim == 2 else 3)}
-    changes: dict[str, Any] = {}
-    if world:
-        changes["world"] = _filled(world, {"gravity": [0.0] * dim})
-    if bodies:
-        changes["bodies"] = {name: _filled(body, zero) for name, body in bodies.items()}
-    if _mapping(scene.get("data")):
-        changes["data"] = _data(scene["data"], bodies)
-    return {**scene, **changes}
+    found: dict[str, Any] = {"zero vector": [0.0] * dim, "zero spin": [0.0] * (1 if dim == 2 else 3)}
+    if len(bodies) == 1:
+        found["only body"] = next(iter(bodies))
+    return found
 
 
-def _data(data: dict[str, Any], bodies: dict[str, Any]) -> dict[str, Any]:
-    body = {"body": next(iter(bodies))} if len(bodies) == 1 else {}
-    changes: dict[str, Any] = {}
-    if _mapping(data.get("recordings")):
-        changes["recordings"] = {name: _filled(rec, body) for name, rec in data["recordings"].items()}
-    if "target" in data:  # is refused: for what is to be written in its place
-        changes["target"] = _filled(data["target"], body)
-    if "synthetic" in data:
-        changes["synthetic"] = _filled(data["synthetic"], body)
-    return {**data, **changes}
+def _filled(cls: type[Spec], part: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the plain data of a part of the scene, with what its fields, and those of its parts, are filled with."""
+    filled = dict(part)
+    for name, annotation in field_types(cls).items():
+        if name in part:
+            filled[name] = _inside(annotation, part[name], defaults)
+    if issubclass(cls, PluginKeys):
+        for name in part.keys() & plugins(cls.keys_of).keys():
+            if isinstance(part[name], dict):
+                filled[name] = _filled(plugins(cls.keys_of)[name], part[name], defaults)
+    for name in marked_fields(cls, FilledIn):
+        by = marks(cls.model_fields[name], FilledIn)[0].by
+        if name not in part and by in defaults:
+            filled[name] = defaults[by]
+    return filled
+
+
+def _inside(annotation: Any, value: Any, defaults: Mapping[str, Any]) -> Any:
+    """Return a value of a type, with its parts filled."""
+    origin, args = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is Annotated:
+        choices = [mark for mark in args[1:] if isinstance(mark, Choice)]
+        return _chosen(choices[0].kind, value, defaults) if choices else _inside(args[0], value, defaults)
+    if is_union(annotation):
+        for arg in args:
+            value = _inside(arg, value, defaults)
+    elif origin is list and isinstance(value, list):
+        return [_inside(args[0], item, defaults) for item in value]
+    elif origin is dict and isinstance(value, dict):
+        return {key: _inside(args[1], item, defaults) for key, item in value.items()}
+    elif inspect.isclass(annotation) and issubclass(annotation, Spec) and isinstance(value, dict):
+        return _filled(annotation, value, defaults)
+    return value
+
+
+def _chosen(kind: str, value: Any, defaults: Mapping[str, Any]) -> Any:
+    """Return a choice `name: {...}` of a plug-in, with what it holds filled."""
+    if not (isinstance(value, dict) and len(value) == 1):
+        return value
+    ((name, inside),) = value.items()
+    cls = plugins(kind).get(name)
+    if cls is None:
+        return value
+    if isinstance(inside, dict):
+        return {name: _filled(cls, inside, defaults)}
+    filled = _filled(cls, {cls.shorthand: inside}, defaults) if cls.shorthand else {}
+    return {name: filled} if len(filled) > 1 else value
 
 
 def _mapping(value: Any) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
-
-
-def _filled(part: Any, defaults: dict[str, Any]) -> Any:
-    return {**part, **{k: v for k, v in defaults.items() if k not in part}} if isinstance(part, dict) else part

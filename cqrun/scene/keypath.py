@@ -15,7 +15,7 @@ KEYED_BY_PATHS = {"unknowns", "truth", "overrides"}
 
 
 NAMED = {
-    "bodies", "regions", "boundaries", "loads", "actuators", "observers", "goals", "objective", "unknowns",
+    "bodies", "regions", "boundaries", "loads", "forces", "actuators", "observers", "goals", "objective", "unknowns",
     "constraints", "data.recordings", "activation.signals",
 }  # fmt: skip
 """Mappings from names that a user gives: an entry that is overridden by null is gone."""

@@ -28,6 +28,7 @@ from cqrun.explain import KEY, finding, listed
 from cqrun.fingerprint import add_kernels, has_kernels
 from cqrun.plugin import registry
 from cqrun.plugin.contract import Plugin, is_differentiable
+from cqrun.plugin.reference import NamesBody, NamesGroup, marked_fields, marks
 from cqrun.scene.origin import Origin
 
 REACHED: dict[str, Callable[[type[Any]], Sequence[str]]] = {
@@ -157,6 +158,13 @@ def _require_usable(path: Path, classes: Sequence[type[Any]]) -> None:
         if inspect.isabstract(cls):
             missing = listed(sorted(cls.__abstractmethods__))
             raise UsageError(f"{path}: class {cls.__name__}, {cls.kind} '{cls.name}', lacks methods: {missing}")
+        bodies = marked_fields(cls, NamesBody)
+        for mark in (mark for info in cls.model_fields.values() for mark in marks(info, NamesGroup)):
+            if mark.of not in (None, *bodies):
+                raise UsageError(
+                    f"{path}: class {cls.__name__}, {cls.kind} '{cls.name}', has a group of the body that '{mark.of}' "
+                    f"names, and no such field of the type BodyName; fields of it: {listed(bodies)}"
+                )
         reached = REACHED[cls.kind](cls) if cls.kind in REACHED else cls.model_fields
         if lost := [name for name in cls.model_fields if is_differentiable(cls, name) and name not in reached]:
             raise UsageError(

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic_core import InitErrorDetails
 
-from cqrun.explain import KEY, Loc, finding, listed
+from cqrun.explain import KEY, VALUE, Loc, finding, listed
+from cqrun.plugin.reference import InWorld, NamesActuator, NamesBody, NamesFace, NamesGoal
 from cqrun.scene.activation import Activation
 from cqrun.scene.region_names import findings_of_regions, unknown
 from cqrun.scene.sections import Sections
-from cqrun.scene.walk import parts
-
-PICKING = ("observers", "objective", "constraints")
-"""Parts whose groups are particles that are picked once, so that a region of the scene does as well."""
+from cqrun.scene.walk import marked, parts
 
 TAKEN = ("iteration", "loss", "growth_at", "regulariser", "violation", "kkt", "seconds")
 """Columns of history.csv beside those of the objective's terms."""
@@ -27,50 +25,30 @@ def findings_between(scene: Sections) -> list[InitErrorDetails]:
         for loc, part in parts(scene)
         for place, message in part.dim_problems(scene.dim)
     ]
-    named = [*_faces(scene), *_bodies(scene), *_groups(scene), *findings_of_regions(scene), *_goals_named(scene)]
-    named += _columns(scene)
+    named = [*_faces(scene), *_names(scene), *findings_of_regions(scene), *_columns(scene)]
     placed = [*_goals_unused(scene), *_goals_outside(scene), *_positions_outside(scene)]
     return [*found, *named, *_signals(scene), *_controller(scene), *placed, *_skipped(scene)]
 
 
 def _faces(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield every `face` that a 2D world has not."""
-    for loc, part in parts(scene):
-        face = getattr(part, "face", None)
-        if scene.dim == 2 and isinstance(face, str) and face.startswith("z_"):
-            yield finding(f"a 2D world has no face {face}", (*loc, "face"))
+    """Yield every face that a 2D world does not have."""
+    for found in marked(scene, NamesFace):
+        if scene.dim == 2 and found.value.startswith("z_"):
+            yield finding(f"a 2D world has no face {found.value}", found.loc)
 
 
-def _bodies(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield every `body` that names none of the scene's."""
-    for loc, part in parts(scene):
-        name = getattr(part, "body", None)
-        if isinstance(name, str) and name not in scene.bodies:
-            yield finding(unknown("body", name, list(scene.bodies)), (*loc, "body"))
-
-
-def _groups(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield every group that the body beside it has not; where particles are picked regions may be named as well."""
-    for loc, part in parts(scene):
-        for owner, key in (("body", "group"), ("body", "groups"), ("body", "each"), ("target", "target_group")):
-            body, names = getattr(part, owner, None), getattr(part, key, None)
-            if not isinstance(body, str) or body not in scene.bodies or names in (None, "all"):
-                continue
-            regions = scene.regions if key == "each" or {*loc[:1]} & {*PICKING} else ()
-            legal = [*scene.bodies[body].group_names, *regions]
-            listed = isinstance(names, list)
-            for k, name in enumerate(names if listed else [names]):
-                if name not in legal:
-                    message = unknown(f"group of the body '{body}'", name, legal)
-                    yield finding(message, (*loc, key, k) if listed else (*loc, key))
-
-
-def _goals_named(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield every `goal` that names none of the scene's."""
-    for loc, part in parts(scene):
-        name = getattr(part, "goal", None)
-        if isinstance(name, str) and name not in scene.goals:
-            yield finding(unknown("goal", name, list(scene.goals)), (*loc, "goal"))
+def _names(scene: Sections) -> Iterator[InitErrorDetails]:
+    """Yield every name of a body, a goal or an actuator that the scene does not have."""
+    kinds: dict[str, tuple[type[Any], Mapping[str, Any]]] = {
+        "body": (NamesBody, scene.bodies),
+        "goal": (NamesGoal, scene.goals),
+        "actuator": (NamesActuator, scene.actuators),
+    }
+    for kind, (mark, legal) in kinds.items():
+        for found in marked(scene, mark):
+            if found.value not in legal:
+                message = unknown(kind, found.value, list(legal))
+                yield finding(message, found.loc, kind=KEY if found.at_key else VALUE)
 
 
 def _columns(scene: Sections) -> Iterator[InitErrorDetails]:
@@ -83,7 +61,7 @@ def _columns(scene: Sections) -> Iterator[InitErrorDetails]:
 
 def _goals_unused(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield goals that nothing asks for, as a misspelt one is."""
-    named = {name for _, part in parts(scene) if isinstance(name := getattr(part, "goal", None), str)}
+    named = {found.value for found in marked(scene, NamesGoal)}
     if named:  # else there is nothing that could ask: a scene that is not finished, or a plug-in's own way
         for name in scene.goals:
             if name not in named:
@@ -94,18 +72,12 @@ def _goals_unused(scene: Sections) -> Iterator[InitErrorDetails]:
 
 
 def _positions_outside(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield places outside the world that an objective or a constraint wants a body to come to."""
-    for loc, part in parts(scene):
-        if not {*loc[:1]} & {"objective", "constraints"}:
-            continue
-        wanted: list[tuple[Loc, Any]] = [(("position",), getattr(part, "position", None))]
-        for name in ("path", "keys"):
-            wanted += [((name, k), point[1:]) for k, point in enumerate(getattr(part, name, None) or [])]
-        for place, at in wanted:
-            if isinstance(at, list) and len(at) == scene.dim:
-                for k, size in enumerate(scene.world.size):
-                    if not 0 <= at[k] <= size:
-                        yield finding(_outside(k, f"{at[k]:g}", size), (*loc, *place))
+    """Yield positions outside the world where something should come to."""
+    for found in marked(scene, InWorld):
+        at = found.value[found.mark.first :]
+        for k, (place, size) in enumerate(zip(at, scene.world.size, strict=False)):
+            if len(at) == scene.dim and not 0 <= place <= size:
+                yield finding(_outside(k, f"{place:g}", size), found.loc)
 
 
 def _outside(axis: int, reach: str, size: float) -> str:
@@ -140,10 +112,6 @@ def _controller(scene: Sections) -> Iterator[InitErrorDetails]:
 def _signals(scene: Sections) -> Iterator[InitErrorDetails]:
     if scene.activation is None:
         return
-    for name in scene.activation.signals or {}:
-        if name not in scene.actuators:
-            place: Loc = ("activation", "signals", name)
-            yield finding(unknown("actuator", name, list(scene.actuators)), place, kind=KEY)
     yield from _limits(scene, scene.activation)
     if scene.activation.random is not None and not scene.actuators:
         yield finding("has no actuator to drive", ("activation", "random"))

@@ -7,12 +7,13 @@ from typing import Any
 
 from pydantic_core import InitErrorDetails
 
-from cqrun.explain import KEY, Loc, finding, listed, suggest
-from cqrun.geometry.named import Named
+from cqrun.explain import KEY, VALUE, Loc, finding, listed, suggest
 from cqrun.geometry.region import Region
-from cqrun.plugin.choice import Chosen
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.contract import Plugin, Spec
+from cqrun.plugin.reference import Marked, NamesGroup, NamesRegion, body_of, marked_in
 from cqrun.scene.sections import Sections
-from cqrun.scene.walk import children, parts
+from cqrun.scene.walk import children, marked, parts
 
 
 def unknown(kind: str, name: str, legal: list[str]) -> str:
@@ -39,25 +40,36 @@ def _taken(scene: Sections) -> Iterator[InitErrorDetails]:
 
 def _unknown(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield names that nothing has where they are used."""
-    for loc, part in parts(scene):
-        if isinstance(part, Named):
-            legal = _known_at(scene, loc)
-            if part.region not in legal:
-                yield finding(unknown("region", part.region, legal), loc[:-1])
-    for body, spec in scene.bodies.items():
-        legal = _known_at(scene, ("bodies", body))
-        for name in spec.material_of:
-            if name not in legal:
-                yield finding(unknown("region", name, legal), ("bodies", body, "material_of", name), kind=KEY)
+    for region in marked(scene, NamesRegion):
+        legal = _known_at(scene, region.loc)
+        if region.value not in legal:
+            yield _refusal(region, unknown("region", region.value, legal))
+    for group in marked(scene, NamesGroup):
+        of = group.mark.of
+        body = _body_at(scene, group.loc) if of is None else getattr(group.part, of)
+        legal = [*_groups_of(scene, body), *scene.regions]
+        if group.value not in legal and (not body or body in scene.bodies):  # else the body's name is told
+            kind = f"group of the body '{body}'" if body else "group"
+            yield _refusal(group, unknown(kind, group.value, legal))
+
+
+def _refusal(found: Marked[Any], message: str) -> InitErrorDetails:
+    """Return what is told of a name; where it stands alone for a plug-in, at the choice of that."""
+    part = found.part
+    alone = isinstance(part, Plugin) and part.stands_alone and found.loc[-1] == part.shorthand
+    return finding(message, found.loc[:-2] if alone else found.loc, kind=KEY if found.at_key else VALUE)
 
 
 def _known_at(scene: Sections, loc: Loc) -> list[str]:
     """Return the names that a region may use at a place: of the regions, and of its body's groups."""
-    if loc[0] == "boundaries":
-        return list(scene.regions)
-    body = _body_at(scene, loc)
-    bodies = scene.bodies.values() if body not in scene.bodies else [scene.bodies[body]]
-    return list(dict.fromkeys([*scene.regions, *(name for spec in bodies for name in spec.group_names)]))
+    groups = () if loc[0] == "boundaries" else _groups_of(scene, _body_at(scene, loc))
+    return list(dict.fromkeys([*scene.regions, *groups]))
+
+
+def _groups_of(scene: Sections, body: str | None) -> list[str]:
+    """Return the names of the groups of a body; of all where it may be any."""
+    bodies = [scene.bodies[body]] if body in scene.bodies else scene.bodies.values()
+    return [name for spec in bodies for name in spec.group_names]
 
 
 def _body_at(scene: Sections, loc: Loc) -> str:
@@ -68,12 +80,12 @@ def _body_at(scene: Sections, loc: Loc) -> str:
     body = ""
     for key in loc:
         node = children(node)[key]
-        body = getattr(node, "body", None) or body
+        body = (body_of(node) if isinstance(node, Spec) else None) or body
     return body
 
 
-def _names_in(region: Chosen[Region]) -> list[str]:
-    return [part.region for _, part in parts(region) if isinstance(part, Named)]
+def _names_in(region: Chosen[Any]) -> list[str]:
+    return [found.value for found in marked(region, NamesRegion)]
 
 
 def _circles(scene: Sections) -> Iterator[InitErrorDetails]:
@@ -103,19 +115,24 @@ def _circles_among(
 def _of_boundaries(scene: Sections) -> Iterator[InitErrorDetails]:
     """Yield boundaries whose region, or one that it names, is of particles: they hold nodes of the grid."""
     for name, chosen in scene.boundaries.items():
-        region = getattr(chosen.value, "region", None)
-        loc: Loc = ("boundaries", name, chosen.name, "region")
-        seen: set[str] = set()
-        waiting = [region] if region is not None else []
-        while waiting:
-            current = waiting.pop()
-            for _, part in parts(current):
-                if isinstance(part, Region) and part.of_particles:
-                    message = f"is of nodes of the grid, and '{part.name}' picks particles: give a shape"
-                    yield finding(message, loc)
-            for inner in set(_names_in(current)) - seen:
-                seen.add(inner)
-                if inner in scene.regions:
-                    waiting.append(scene.regions[inner])
-                elif current is not region:  # told already where the boundary itself names it
-                    yield finding(f"is of nodes of the grid, and '{inner}' is a group of particles", loc)
+        for found in marked_in(chosen.value, Choice):
+            if isinstance(found.value.value, Region):
+                yield from _of_particles(scene, found.value, ("boundaries", name, chosen.name, *found.loc))
+
+
+def _of_particles(scene: Sections, region: Chosen[Region], loc: Loc) -> Iterator[InitErrorDetails]:
+    """Yield what a region of nodes at a place, or one that it is made of, picks particles by."""
+    seen: set[str] = set()
+    waiting = [region]
+    while waiting:
+        current = waiting.pop()
+        for _, part in parts(current):
+            if isinstance(part, Region) and part.of_particles:
+                message = f"is of nodes of the grid, and '{part.name}' picks particles: give a shape"
+                yield finding(message, loc)
+        for inner in set(_names_in(current)) - seen:
+            seen.add(inner)
+            if inner in scene.regions:
+                waiting.append(scene.regions[inner])
+            elif current is not region:  # told already where the boundary itself names it
+                yield finding(f"is of nodes of the grid, and '{inner}' is a group of particles", loc)

@@ -8,14 +8,14 @@ from typing import Any, Self
 from pydantic import PrivateAttr, model_validator
 
 from cqrun.explain import complaint
-from cqrun.geometry.file_shape import FileShape
 from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Plugin
+from cqrun.plugin.reference import NamesFile
 from cqrun.scene.defaults import with_defaults
 from cqrun.scene.origin import Origin
 from cqrun.scene.references import findings_between
 from cqrun.scene.sections import Sections
-from cqrun.scene.walk import parts
+from cqrun.scene.walk import marked
 
 
 class Scene(Sections):
@@ -24,11 +24,10 @@ class Scene(Sections):
     _origin: Origin = PrivateAttr(default_factory=Origin)
 
     def came_from(self, origin: Origin) -> None:
-        """Take up where the scene came from; files that its shapes name start from there."""
+        """Take up where the scene came from; files that its parts name start from there."""
         self._origin = origin
-        for _, part in parts(self):
-            if isinstance(part, FileShape):
-                part.found_in(self.resolve_path(""))
+        for found in marked(self, NamesFile):
+            found.part.set_folder(self.resolve_path(""))
 
     @property
     def source(self) -> Path | None:
@@ -55,7 +54,7 @@ class Scene(Sections):
     def with_plugin(self, key: str, plugin: Plugin) -> Scene:
         """Return this scene with another optimizer or controller."""
         changed = self.model_copy(update={key: Chosen(plugin.name, plugin)})
-        changed._origin = self._origin
+        changed.came_from(self._origin)
         return changed
 
     @model_validator(mode="before")

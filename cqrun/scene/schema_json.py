@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from cqrun.plugin.choice import CHOICE_MARK
+from cqrun.plugin.reference import FILLED_MARK
 from cqrun.plugin.registry import plugins
-from cqrun.scene.defaults import FILLED
 from cqrun.scene.plugin_keys import KEYS_MARK
 from cqrun.scene.schema import Scene
 
+MARKS = (CHOICE_MARK, KEYS_MARK, FILLED_MARK)
 _REF = "#/$defs/{model}"
 
 
@@ -64,16 +65,15 @@ def _spelt_out(node: Any, waiting: set[str]) -> Any:
         return [_spelt_out(item, waiting) for item in node]
     if not isinstance(node, dict):
         return node
-    result = {k: _spelt_out(v, waiting) for k, v in node.items() if k not in (CHOICE_MARK, KEYS_MARK)}
+    result = {k: _spelt_out(v, waiting) for k, v in node.items() if k not in MARKS}
     if CHOICE_MARK in node:
         result["allOf"] = [_reference(node[CHOICE_MARK], waiting)]  # draft-07 ignores what stands beside $ref
     if KEYS_MARK in node:
         kind = node[KEYS_MARK]
         named = {name: _reference(f"{kind}.{name}", waiting) for name in plugins(kind)}
         result |= {"properties": {**result["properties"], **named}, "additionalProperties": False}
-    filled = FILLED.get(str(node.get("title")), set())
-    if filled and isinstance(node.get("required"), list):
-        result["required"] = [name for name in node["required"] if name not in filled]
+    if isinstance(node.get("required"), list):
+        result["required"] = [name for name in node["required"] if FILLED_MARK not in node["properties"][name]]
     if "patternProperties" in result:
         result["additionalProperties"] = False  # pydantic says which names are legal, not that others are not
     return result

@@ -50,6 +50,10 @@ class Sections(Spec):
     loads: dict[Name, Annotated[Chosen[Plugin], Choice("load")]] = Field(
         description="Name -> load", default_factory=dict
     )
+    forces: dict[Name, Annotated[Chosen[Plugin], Choice("force")]] = Field(
+        description="Name -> force that depends on the motion", default_factory=dict,
+        exclude_if=lambda forces: not forces,  # so that scenes without any keep the names of their runs
+    )  # fmt: skip
     actuators: dict[Name, Annotated[Chosen[Plugin], Choice("actuator")]] = Field(
         description="Name -> actuator", default_factory=dict
     )

@@ -9,6 +9,7 @@ from pydantic_core import InitErrorDetails
 
 from cqrun.errors import SceneError
 from cqrun.explain import KEY, Loc, finding, listed, suggest
+from cqrun.plugin.reference import body_of as named_body
 from cqrun.scene.data import Unknown
 from cqrun.scene.paths import LeafInfo, canonical, leaf, leaves, with_values
 from cqrun.scene.schema import Scene
@@ -57,7 +58,7 @@ def body_of(scene: Scene, name: str) -> str:
     """Return the body whose particles a value at a path, in its long spelling, belongs to; empty if there is none."""
     keys = name.split(".")
     if keys[0] == "actuators":
-        return str(scene.actuators[keys[1]].value.body)  # type: ignore[attr-defined]
+        return named_body(scene.actuators[keys[1]].value) or ""
     return keys[1] if keys[0] == "bodies" else ""
 
 

@@ -1,13 +1,16 @@
-"""Walk through a scene: every part with its place."""
+"""Walk through a scene: every part with its place, and every value that its type says the meaning of."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 from cqrun.explain import Loc
 from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Spec
+from cqrun.plugin.reference import Marked, marked_in
+
+M = TypeVar("M")
 
 
 def children(node: Any) -> dict[int | str, Any]:
@@ -29,4 +32,12 @@ def parts(node: Any, loc: Loc = ()) -> Iterator[tuple[Loc, Spec]]:
     if isinstance(node, Spec):
         yield loc, node
     for key, child in children(node).items():
-        yield from parts(child, (*loc, key))
+        if isinstance(child, (Spec, Chosen, dict, list)):
+            yield from parts(child, (*loc, key))
+
+
+def marked(node: Any, kind: type[M]) -> Iterator[Marked[M]]:
+    """Yield every value at and below a node that its type marks with a `kind`, with its place."""
+    for loc, part in parts(node):
+        for found in marked_in(part, kind):
+            yield found.below(loc)

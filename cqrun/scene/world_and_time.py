@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from cqrun.explain import complaint, finding
 from cqrun.plugin.contract import Spec, quantity, vector
+from cqrun.plugin.reference import FilledIn
 from cqrun.scene.fields import Substeps
 
 ON_CONTROL_STEP = 1e-9
@@ -19,7 +20,9 @@ class World(Spec):
 
     size: list[Annotated[float, Field(gt=0)]] = vector("m", "Edge lengths; their number is the dimension")
     dx: float = quantity("m", "Edge of a grid cell", gt=0)
-    gravity: list[float] = vector("m/s^2", "Gravity; zero if absent", differentiable=True)
+    gravity: Annotated[list[float], FilledIn("zero vector")] = vector(
+        "m/s^2", "Gravity; zero if absent", differentiable=True
+    )
 
 
 class Time(Spec):

@@ -10,6 +10,7 @@ import pytest
 
 from cqrun.plugin import registry
 from cqrun.plugin.contract import Plugin
+from cqrun.plugin.reference import BodyName
 from cqrun.errors import SceneError
 from cqrun.geometry.shape import ChosenShape
 from cqrun.build import check_particles as check
@@ -191,7 +192,7 @@ class Pull(Plugin):
 
     kind: ClassVar[str] = "load"
     name: ClassVar[str] = "pull"
-    body: str | None = None
+    body: BodyName | None = None
     region: ChosenShape
 
 

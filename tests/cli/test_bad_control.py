@@ -139,12 +139,12 @@ CASES = {
     "more clusters than particles": (
         PARTS,
         "parts: {clusters: {body: finger, count: 49}}",
-        ["finger.yaml:21:3: observers.parts: 49 clusters of 48 particles: there can be at most one a particle"],
+        ["finger.yaml:21:3: observers.parts: 49 clusters of 48 particles: there can be at most one per particle"],
     ),
     "a cluster's region of more than there are": (
         "each: [left, right]",
         "region: {cluster: {count: 49, index: 0}}",
-        ["actuators.muscle.muscle.region: 49 clusters of 48 particles: there can be at most one a particle"],
+        ["actuators.muscle.muscle.region: 49 clusters of 48 particles: there can be at most one per particle"],
     ),
     "a range for other entries": (
         "{goal: {goal: target}}",
@@ -193,7 +193,7 @@ CASES = {
     "an objective at no body": (
         TIP,
         TIP.replace("goal: target", "target: ball"),
-        ["objective.tip: there is no body called 'ball'; there are: finger"],
+        ["objective.tip.reach.target: there is no body 'ball'; there are: finger"],
     ),
     "an objective of a goal that is no position": (
         TARGET,
@@ -310,7 +310,7 @@ def test_a_controller_file_of_another_shape(cqrun, tmp_path):
     code, _, err = cqrun("simulate", scene, "--controller", file, "--out", tmp_path / "out")
     assert code == 2
     assert err.startswith(f"error: {file}: holds a controller of another shape: weights 2 x 9, biases 2; this scene's ")
-    for content, words in ((None, "cannot be read as file of a controller"), (b"else", "is no file of a controller")):
+    for content, words in ((None, "cannot be read as a controller file"), (b"else", "is not a controller file")):
         other = tmp_path / "other.npz"
         if content is not None:
             other.write_bytes(content)

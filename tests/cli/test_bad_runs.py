@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from small_beam import BEAM, FIT, assert_same, result_of
 
+from cqrun import __version__
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.sysid import run_sysid
 from cqrun.store.run import RunDirectory, read_record
@@ -90,7 +91,7 @@ def test_another_engines_run(cqrun, run_of, finished, tmp_path):
     for words in (("resume", run), ("sysid", scene, "-o", ADAM, "--out", tmp_path)):
         code, _, err = cqrun(*words)
         assert code == 2
-        assert f"made by another engine (cqrun 0.1.0, engine 0123456789ab; this is {engine_hash()})" in err
+        assert f"made by another engine (cqrun {__version__}, engine 0123456789ab; this is {engine_hash()})" in err
         assert "--fresh" in err
         assert "--out DIR" in err
     assert cqrun("sysid", scene, "-o", ADAM, "--out", tmp_path, "--fresh", "--quiet", "--threads", 1)[0] == 0

@@ -10,7 +10,6 @@ import pytest
 from cqrun.cli.describe import _lines
 from cqrun.errors import UsageError
 from cqrun.plugin.registry import FOLDERS, plugins
-from cqrun.scene.defaults import FILLED
 
 KINDS = [kind for kind, folder in FOLDERS.items() if find_spec(folder)]
 PAGES = [(kind, name) for kind in KINDS for name in plugins(kind)]
@@ -44,15 +43,15 @@ def test_a_page_shows_units_ranges_and_defaults():
 
 
 def test_what_may_be_left_out_is_optional():
-    pages = {
-        "World": "world",
-        "Body": "bodies",
-        "Recording": "recordings",
-        "Synthetic": "synthetic",
+    filled = {
+        "world": ("gravity",),
+        "bodies": ("velocity", "spin"),
+        "recordings": ("body",),
+        "synthetic": ("body",),
     }
-    for part, fields in FILLED.items():
+    for part, fields in filled.items():
         for name in fields:
-            assert re.search(rf"^  {name}: .*, optional", page(pages[part]), re.M), (part, name)
+            assert re.search(rf"^  {name}: .*, optional", page(part), re.M), (part, name)
     assert re.search(r"^  size: .*, required", page("world"), re.M)
 
 

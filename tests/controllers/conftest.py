@@ -1,4 +1,4 @@
-"""The engine's tests lend their reference to these."""
+"""Put the reference implementation of the engine's tests on the path."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rich scene as a robot: every kind of observer sees it, and a controller drives all of its actuators."""
+"""The rich scene as a robot, with every kind of observer and a controller that drives all actuators."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ GOALS = {"target": np.array([0.5, 0.6, 0.4])}
 
 
 class Everything(BoundObserver):
-    """Two numbers from the whole state, as an observer that looks at all particles would make them."""
+    """Two numbers from the whole state: an observer that reads all particles."""
 
     size, n_memory, needs_state = 2, 0, True
 
@@ -56,7 +56,7 @@ class Everything(BoundObserver):
 
 
 def matter_of(model: Model, inputs: Inputs) -> Matter:
-    """Return the two bodies of a rich scene, the second one with groups."""
+    """Return the matter of a rich scene: two bodies, the second one with groups."""
     x, dim = inputs.state.x, model.dim
     bodies = {"first": slice(0, COUNTS[0]), "second": slice(COUNTS[0], len(x))}
     groups = {"low": np.arange(17, 30), "high": np.arange(30, 47)}
@@ -71,7 +71,7 @@ def matter_of(model: Model, inputs: Inputs) -> Matter:
 
 
 def observation_of(matter: Matter, rng: np.random.Generator) -> Observation:
-    """Return every kind of observer side by side, some that remember among them."""
+    """Return an observation with every kind of observer, with and without memory."""
     dim, second = matter.dim, matter.members("second")
     axis, motion = [1.0, 2.0, -1.0][:dim], ["position", "velocity", "acceleration"]
     shapes = matter.x[second] + 0.1 * rng.normal(size=(5, len(second), dim))
@@ -103,7 +103,7 @@ def limits_of(*, slow: bool) -> Limits:
 
 @dataclass
 class Robot:
-    """A rollout's model and inputs, what decides its activations, and cotangents of what it gives."""
+    """A rollout's model and inputs, its policy's parts, and cotangents of its results."""
 
     model: Model
     inputs: Inputs
@@ -114,20 +114,20 @@ class Robot:
     bars: dict[str, Any] = field(default_factory=dict)
 
     def policy(self, parameters: Mapping[str, np.ndarray] | None = None) -> ControlPolicy:
-        """Return the policy of one rollout, with these parameters or its own."""
+        """Return the policy of one rollout, with these parameters or the robot's."""
         goals = {name: value[: self.model.dim] for name, value in GOALS.items()}
         step = self.model.substeps * self.model.dt
-        given = self.parameters if parameters is None else parameters
-        return ControlPolicy(self.observation, self.controller, given, self.limits, goals, step, self.model.dim)
+        chosen = self.parameters if parameters is None else parameters
+        return ControlPolicy(self.observation, self.controller, chosen, self.limits, goals, step, self.model.dim)
 
     def gradient(self, *, threads: int = 1, states: int | None = None) -> tuple[Rollout, Records, Inputs]:
-        """Return the rollout, its records and the gradient; `states` is the budget of kept states."""
+        """Return the rollout, its records and the gradient; `states` is the memory budget in states."""
         rollout = self.rollout(threads=threads, states=states)
         return (rollout, *rollout.gradient(lambda records, state: self.loss_bar))
 
     @property
     def loss_bar(self) -> LossBar:
-        """The cotangents of what the rollout gives."""
+        """The cotangents of the rollout's results."""
         return LossBar(self.bars["records"], self.bars["state"], self.bars["activation"])
 
     def rollout(self, *, threads: int = 1, states: int | None = None) -> Rollout:
@@ -148,19 +148,21 @@ class Robot:
         return float(total.imag / TINY)
 
 
-def robot(controller: Controller, dim: int = 2, *, slow: bool = True, controls: int = 6, substeps: int = 3) -> Robot:
-    """Return a robot with random cotangents of everything that its rollout gives."""
+def make_robot(
+    controller: Controller, dim: int = 2, *, slow: bool = True, controls: int = 6, substeps: int = 3
+) -> Robot:
+    """Return a robot with random cotangents of all results of its rollout."""
     rng = np.random.default_rng(11)
     model, inputs = rich(dim, controls=controls, substeps=substeps)
     observation = observation_of(matter_of(model, inputs), rng)
     rows = sparse.vstack([observation.rows, model.probe]).tocsr()
     model, limits = replace(model, probe=sparse.csr_array(rows)), limits_of(slow=slow)
     blocks = controller.blocks(observation.size, 9, controls, limits.low, limits.high, limits.neutral, rng)
-    found = Robot(model, inputs, observation, controller, {b.name: b.initial.copy() for b in blocks}, limits)
-    inputs.state.memory = found.policy().memory
-    found.bars = {
+    made = Robot(model, inputs, observation, controller, {b.name: b.initial.copy() for b in blocks}, limits)
+    inputs.state.memory = made.policy().memory
+    made.bars = {
         "records": random_records(Records.zeros(controls, rows.shape[0], dim), rng),
         "state": random_state(inputs.state, rng),
         "activation": rng.normal(size=(controls, 9)),
     }
-    return found
+    return made

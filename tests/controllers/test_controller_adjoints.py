@@ -1,4 +1,4 @@
-"""Every controller the registry knows: its adjoint by complex step, on each side of every kink."""
+"""Every registered controller: its adjoint checked by complex step, on each side of every kink."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ def make(name: str, k: int) -> Controller:
     return spec
 
 
-def started(controller: Controller, rng: np.random.Generator) -> dict[str, np.ndarray]:
+def initial_parameters(controller: Controller, rng: np.random.Generator) -> dict[str, np.ndarray]:
     blocks = controller.blocks(N_IN, N_OUT, N_CONTROLS, LOW, HIGH, np.zeros(N_OUT), rng)
     return {block.name: block.initial for block in blocks}
 
 
 def adjoint_errors(controller: Controller, control: int, rng: np.random.Generator) -> dict[str, float]:
     """Return the relative error of the dot product for each block, and for the observations."""
-    parameters, z = started(controller, rng), rng.normal(size=N_IN)
+    parameters, z = initial_parameters(controller, rng), rng.normal(size=N_IN)
     parameters = {name: a + 0.1 * rng.normal(size=a.shape) for name, a in parameters.items()}
     time, u_bar = control * CONTROL_STEP, rng.normal(size=N_OUT)
     before = {name: rng.normal(size=a.shape) for name, a in parameters.items()}
     out = {name: a.copy() for name, a in before.items()}
     bars = {"z": controller.act_vjp(parameters, z, control, time, u_bar, out)}
-    bars |= {name: out[name] - before[name] for name in out}  # added to what was there
+    bars |= {name: out[name] - before[name] for name in out}  # they were added to `before`
     errors = {}
     for name, bar in bars.items():
         direction = rng.normal(size=bar.shape)
@@ -70,7 +70,7 @@ def test_dot_product(name, k, control, rng):
 
 
 @EVERY
-def test_what_it_says_of_itself_is_so(name, k, rng):
+def test_blocks_bounds_and_class_attributes_are_right(name, k, rng):
     controller = make(name, k)
     blocks = controller.blocks(N_IN, N_OUT, N_CONTROLS, LOW, HIGH, np.zeros(N_OUT), rng)
     parameters = {block.name: block.initial for block in blocks}
@@ -89,12 +89,12 @@ def test_what_it_says_of_itself_is_so(name, k, rng):
 
 
 @EVERY
-def test_the_same_seed_starts_the_same(name, k):
-    first, second = (started(make(name, k), np.random.default_rng(7)) for _ in range(2))
+def test_same_seed_gives_the_same_initial_parameters(name, k):
+    first, second = (initial_parameters(make(name, k), np.random.default_rng(7)) for _ in range(2))
     assert all(np.array_equal(first[block], second[block]) for block in first)
 
 
-def test_a_wrong_adjoint_is_found(rng):
+def test_a_wrong_adjoint_fails(rng):
     class Wrong(Mlp):
         def act_vjp(self, parameters, z, control, time, u_bar, out):
             return 1.001 * super().act_vjp(parameters, z, control, time, u_bar, out)
@@ -105,9 +105,9 @@ def test_a_wrong_adjoint_is_found(rng):
 
 
 def test_relu_on_both_sides_and_at_its_kink(rng):
-    """The hidden unit 0 is off, 1 on, 2 at the kink, whose slope is taken as 0."""
+    """Hidden unit 0 is off, 1 is on, 2 is at the kink, where the derivative is taken as 0."""
     controller = Mlp(hidden=[3])
-    parameters = started(controller, rng) | {"biases0": np.array([-20.0, 20.0, 0.0])}
+    parameters = initial_parameters(controller, rng) | {"biases0": np.array([-20.0, 20.0, 0.0])}
     parameters["weights0"][2] = 0.0
     z, u_bar = rng.normal(size=N_IN), rng.normal(size=N_OUT)
     out = {name: np.zeros(a.shape) for name, a in parameters.items()}

@@ -1,4 +1,4 @@
-"""What each controller does: known values, how it starts, and what it refuses."""
+"""Values of each controller in known cases, its initial parameters, and errors."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from cqrun.controllers.sinusoid import Sinusoid
 from cqrun.errors import UsageError
 
 LOW, HIGH = np.array([0.0, -1.0]), np.array([1.0, 1.0])
-NOTHING = np.zeros(0)
+NO_INPUT = np.zeros(0)
 
 
 def blocks_of(controller, rng, *, n_in=4, n_controls=7, low=LOW, high=HIGH, neutral=0.0):
-    does_nothing = np.clip(neutral, low, high)
-    return {b.name: b for b in controller.blocks(n_in, len(low), n_controls, low, high, does_nothing, rng)}
+    within = np.clip(neutral, low, high)
+    return {b.name: b for b in controller.blocks(n_in, len(low), n_controls, low, high, within, rng)}
 
 
 def acts(controller, knots, controls):
-    return [controller.act({"knots": np.array(knots)[:, None]}, NOTHING, c, 0.0)[0] for c in controls]
+    return [controller.act({"knots": np.array(knots)[:, None]}, NO_INPUT, c, 0.0)[0] for c in controls]
 
 
-def test_open_loop_has_a_knot_a_control_step_within_the_actuators_ranges(rng):
+def test_open_loop_has_a_knot_for_each_control_step_within_the_ranges(rng):
     knots = blocks_of(OpenLoop(), rng)["knots"]
     assert knots.initial.shape == (7, 2)
     np.testing.assert_array_equal(knots.lower, np.tile(LOW, (7, 1)))
@@ -34,12 +34,12 @@ def test_open_loop_has_a_knot_a_control_step_within_the_actuators_ranges(rng):
     np.testing.assert_array_equal(knots.initial, 0.0)
 
 
-def test_open_loop_holds():
+def test_open_loop_holds_knots():
     assert acts(OpenLoop(every=3), [1.0, 2.0, 4.0], range(9)) == [1, 1, 1, 2, 2, 2, 4, 4, 4]
     assert acts(OpenLoop(every=3), [1.0, 2.0], [6, 100]) == [2, 2], "a longer replay holds the last knot"
 
 
-def test_open_loop_interpolates():
+def test_open_loop_interpolates_knots():
     controller = OpenLoop(every=4, interpolate="linear")
     assert acts(controller, [1.0, 2.0, 4.0], [0, 1, 4, 6, 8, 9, 100]) == [1, 1.25, 2, 3, 4, 4, 4]
 
@@ -47,14 +47,14 @@ def test_open_loop_interpolates():
 @pytest.mark.parametrize(
     ("n_controls", "every", "hold", "linear"), [(9, 3, 3, 4), (10, 3, 4, 4), (7, 1, 7, 7), (1, 5, 1, 1)]
 )
-def test_open_loop_has_the_knots_that_act_and_no_more(rng, n_controls, every, hold, linear):
+def test_open_loop_has_no_knot_without_effect(rng, n_controls, every, hold, linear):
     for kind, count in (("hold", hold), ("linear", linear)):
         controller = OpenLoop(every=every, interpolate=kind)
         knots = blocks_of(controller, rng, n_controls=n_controls)["knots"].initial
         assert len(knots) == count, kind
         out = {"knots": np.zeros(knots.shape)}
         for control in range(n_controls):
-            controller.act_vjp({"knots": knots}, NOTHING, control, 0.0, np.ones(2), out)
+            controller.act_vjp({"knots": knots}, NO_INPUT, control, 0.0, np.ones(2), out)
         assert (out["knots"] > 0).all(), kind
 
 
@@ -71,7 +71,7 @@ def test_open_loop_starts_in_range(rng):
         blocks_of(OpenLoop(initial=1.5), rng)
 
 
-def test_linear_tanh_is_cq1s(rng):
+def test_linear_tanh_is_the_controller_of_cq1(rng):
     blocks = blocks_of(LinearTanh(), rng, n_in=400, low=np.zeros(50), high=np.ones(50))
     assert blocks["weights"].initial.std() == pytest.approx(0.02, rel=0.02)
     assert not blocks["biases"].initial.any()
@@ -80,19 +80,19 @@ def test_linear_tanh_is_cq1s(rng):
     np.testing.assert_allclose(u, 0.5 * np.tanh(W @ z + b))
 
 
-def test_sinusoid_is_cq1s_crawler(rng):
+def test_sinusoid_is_the_controller_of_cq1s_crawler(rng):
     """a_j = 4 tanh(sum_k W_jk sin(0.06 step + 2 pi k / 8) + b_j), the 4 being the actuators' strength."""
     step, frequency = 5e-3, 0.06 / 5e-3 / (2 * math.pi)
     controller = Sinusoid(frequency=frequency)
     W, b = rng.normal(size=(2, 8)), rng.normal(size=2)
     for control in (0, 1, 57):
         waves = np.sin(0.06 * control + 2 * np.pi * np.arange(8) / 8)
-        u = controller.act({"weights": W, "biases": b}, NOTHING, control, control * step)
+        u = controller.act({"weights": W, "biases": b}, NO_INPUT, control, control * step)
         np.testing.assert_allclose(u, np.tanh(W @ waves + b), rtol=1e-12)
-    assert frequency == pytest.approx(1.91, abs=0.005), "as its docstring says"
+    assert frequency == pytest.approx(1.91, abs=0.005), "the docstring states it"
 
 
-def test_sinusoid_learns_what_it_is_told(rng):
+def test_sinusoid_learns_the_parameters_that_learn_names(rng):
     assert set(blocks_of(Sinusoid(frequency=2.0), rng)) == {"weights", "biases"}
     blocks = blocks_of(Sinusoid(frequency=2.0, learn=["phase", "frequency"]), rng)
     np.testing.assert_allclose(blocks["phase"].initial, 2 * np.pi * np.arange(8) / 8)
@@ -100,10 +100,10 @@ def test_sinusoid_learns_what_it_is_told(rng):
     assert blocks["frequency"].lower == 0.0
     fixed, learned = Sinusoid(frequency=2.0), Sinusoid(frequency=2.0, learn=["phase", "frequency"])
     parameters = {name: block.initial for name, block in blocks.items()}
-    np.testing.assert_array_equal(fixed.act(parameters, NOTHING, 0, 0.3), learned.act(parameters, NOTHING, 0, 0.3))
+    np.testing.assert_array_equal(fixed.act(parameters, NO_INPUT, 0, 0.3), learned.act(parameters, NO_INPUT, 0, 0.3))
 
 
-def test_mlp_is_cq2s(rng):
+def test_mlp_is_the_controller_of_cq2(rng):
     blocks = blocks_of(Mlp(), rng)
     shapes = {name: block.initial.shape for name, block in blocks.items()}
     assert shapes == {"weights0": (64, 4), "biases0": (64,), "weights1": (64, 64), "biases1": (64,),
@@ -115,7 +115,7 @@ def test_mlp_is_cq2s(rng):
 
 
 @pytest.mark.parametrize(("activation", "variance"), [("relu", 2 / 300), ("tanh", 2 / 500)])
-def test_mlp_starts_as_he_and_glorot_say(rng, activation, variance):
+def test_initial_weights_of_the_mlp_have_the_variances_of_he_and_glorot(rng, activation, variance):
     controller = Mlp(hidden=[200], activation=activation, output_spread=0.1)
     blocks = blocks_of(controller, rng, n_in=300, low=np.zeros(100), high=np.ones(100))
     assert blocks["weights0"].initial.var() == pytest.approx(variance, rel=0.05)
@@ -123,6 +123,6 @@ def test_mlp_starts_as_he_and_glorot_say(rng, activation, variance):
 
 
 @pytest.mark.parametrize("controller", [LinearTanh(), Mlp()], ids=["linear_tanh", "mlp"])
-def test_nothing_to_act_on_is_refused(controller, rng):
+def test_closed_loop_without_observations_is_an_error(controller, rng):
     with pytest.raises(UsageError, match=f"controller {controller.name} acts on observations and there are none"):
         blocks_of(controller, rng, n_in=0)

@@ -1,4 +1,4 @@
-"""Observers, controller and actuators in the loop: gradients through whole rollouts, and what must not change them."""
+"""Policies in the loop: gradients through whole rollouts, which must not depend on memory, threads or replays."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 import reference
 from little_worlds import needs_jit
 from rich_scene import KINDS, arrays, direction, moved, parts
-from robots import TINY, Robot, robot
+from robots import TINY, Robot, make_robot
 
 from cqrun.controllers.controller import Controller
 from cqrun.controllers.linear_tanh import LinearTanh
@@ -39,37 +39,37 @@ CLOSED_LOOP = {name: controller for name, controller in EXAMPLES.items() if cont
 def learner(request) -> tuple[Robot, Rollout, object]:
     """Return a robot with slow actuators, its rollout after the backward run, and the gradient by its inputs."""
     name, dim = request.param
-    found = robot(EXAMPLES[name], dim)
-    rollout, _, bar = found.gradient()
-    return found, rollout, bar
+    robot = make_robot(EXAMPLES[name], dim)
+    rollout, _, bar = robot.gradient()
+    return robot, rollout, bar
 
 
 def test_every_controller_has_an_example():
     assert {controller.name for controller in EXAMPLES.values()} == set(plugins("controller"))
 
 
-def test_the_rollout_is_that_of_the_equations(learner):
-    found, rollout, _ = learner
-    inputs = moved(found.inputs, "x", np.zeros(found.inputs.state.x.shape))
-    records, _, _ = reference.rollout(found.model, inputs, found.policy())
+def test_rollout_agrees_with_the_reference(learner):
+    robot, rollout, _ = learner
+    inputs = moved(robot.inputs, "x", np.zeros(robot.inputs.state.x.shape))
+    records, _, _ = reference.rollout(robot.model, inputs, robot.policy())
     np.testing.assert_allclose(rollout.activation, inputs.activation, rtol=0, atol=1e-12)
     np.testing.assert_allclose(rollout.memory[-1], inputs.state.memory, rtol=0, atol=1e-12)
-    for got, want in zip(parts(Rollout(found.model, found.inputs, policy=found.policy()).run()), parts(records),
+    for got, want in zip(parts(Rollout(robot.model, robot.inputs, policy=robot.policy()).run()), parts(records),
                          strict=True):  # fmt: skip
         np.testing.assert_allclose(got, want, rtol=0, atol=1e-12 * np.abs(want).max())
-    # the limits are of each kind, and some steps are as fast as an actuator can, others slower
-    slow = np.isfinite(found.limits.change)
-    share = np.abs(np.diff(rollout.activation[:, slow], axis=0)) / found.limits.change[slow]
+    # some steps are as fast as the rate allows, others are slower
+    slow = np.isfinite(robot.limits.change)
+    share = np.abs(np.diff(rollout.activation[:, slow], axis=0)) / robot.limits.change[slow]
     assert share.max() == pytest.approx(1.0, abs=1e-12)
     assert (share < 0.999).any()
 
 
 def test_dot_product_by_parameters(learner, rng):
     """Each block of the controller's parameters, against a complex step through the whole rollout."""
-    found, rollout, _ = learner
-    for name, value in found.parameters.items():
+    robot, rollout, _ = learner
+    for name, value in robot.parameters.items():
         change = rng.normal(size=value.shape)
-        forward = found.derivative(found.inputs, found.parameters | {name: value + 1j * TINY * change})
+        forward = robot.derivative(robot.inputs, robot.parameters | {name: value + 1j * TINY * change})
         backward = (rollout.parameters_bar[name] * change).sum()
         assert abs(forward) > 0, name
         assert backward == pytest.approx(forward, rel=DOT_PRODUCT), name
@@ -77,28 +77,28 @@ def test_dot_product_by_parameters(learner, rng):
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if not kind.endswith(".activation")])
 def test_dot_product_by_inputs(learner, kind, rng):
-    """What moves the particles moves what is observed of them, and so the activations."""
-    found, _, bar = learner
-    change = direction(found.inputs, kind, rng)
-    forward = found.derivative(moved(found.inputs, kind, 1j * TINY * change), found.parameters)
+    """Inputs that move the particles change the observations, and so the activations."""
+    robot, _, bar = learner
+    change = direction(robot.inputs, kind, rng)
+    forward = robot.derivative(moved(robot.inputs, kind, 1j * TINY * change), robot.parameters)
     assert (arrays(bar)[KINDS.index(kind)] * change).sum() == pytest.approx(forward, rel=DOT_PRODUCT)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_dot_product_where_nothing_is_slow(name, rng):
-    """Without rates the memory is that of the observers alone."""
-    found = robot(EXAMPLES[name], slow=False)
-    assert len(found.policy().memory) == found.observation.n_memory > 0
-    rollout, _, _ = found.gradient()
-    changes = {n: rng.normal(size=a.shape) for n, a in found.parameters.items()}
-    turned = {n: a + 1j * TINY * changes[n] for n, a in found.parameters.items()}
+def test_dot_product_without_rates(name, rng):
+    """Without rates the memory is that of the observers only."""
+    robot = make_robot(EXAMPLES[name], slow=False)
+    assert len(robot.policy().memory) == robot.observation.n_memory > 0
+    rollout, _, _ = robot.gradient()
+    changes = {n: rng.normal(size=a.shape) for n, a in robot.parameters.items()}
+    turned = {n: a + 1j * TINY * changes[n] for n, a in robot.parameters.items()}
     backward = sum((rollout.parameters_bar[n] * changes[n]).sum() for n in changes)
-    assert backward == pytest.approx(found.derivative(found.inputs, turned), rel=DOT_PRODUCT)
+    assert backward == pytest.approx(robot.derivative(robot.inputs, turned), rel=DOT_PRODUCT)
 
 
-def same_bits(one: tuple, other: tuple) -> None:
-    """Compare activations, memory, records, and all gradients of two rollouts, to the bit."""
-    (a, records_a, bar_a), (b, records_b, bar_b) = one, other
+def assert_identical(first: tuple, second: tuple) -> None:
+    """Check that activations, memory, records and all gradients of two rollouts are bit-for-bit identical."""
+    (a, records_a, bar_a), (b, records_b, bar_b) = first, second
     np.testing.assert_array_equal(a.activation, b.activation)
     np.testing.assert_array_equal(a.memory, b.memory)
     for p, q in zip(parts(records_a), parts(records_b), strict=True):
@@ -112,27 +112,27 @@ def same_bits(one: tuple, other: tuple) -> None:
 
 @pytest.mark.parametrize(("substeps", "controls"), [(3, 20), (11, 6), (8, 8)])
 @pytest.mark.parametrize("states", [10, 13, 26])
-def test_in_little_memory_control_steps_are_cut_and_replayed_to_the_bit(substeps, controls, states):
-    """Chunks of 8 substeps or a multiple of it begin inside control steps, decided ones and others."""
-    found = robot(EXAMPLES["mlp"], substeps=substeps, controls=controls)
-    everything, little = found.gradient(), found.gradient(states=states)
+def test_replay_in_little_memory_gives_identical_results(substeps, controls, states):
+    """Chunks of 8 substeps, or a multiple, begin inside control steps, before and after the policy has acted."""
+    robot = make_robot(EXAMPLES["mlp"], substeps=substeps, controls=controls)
+    everything, little = robot.gradient(), robot.gradient(states=states)
     assert everything[0].plan.n_chunks == 1
     assert little[0].plan.n_chunks > 1
     assert little[0].plan.recompute > 1.0
-    same_bits(little, everything)
+    assert_identical(little, everything)
 
 
-def test_a_policy_is_asked_once_a_control_step_however_often_it_is_replayed():
-    found = robot(EXAMPLES["mlp"], substeps=3, controls=20)
-    asked: list[tuple[str, int]] = []
-    policy = found.policy()
+def test_policy_is_called_once_per_control_step_in_spite_of_replays():
+    robot = make_robot(EXAMPLES["mlp"], substeps=3, controls=20)
+    calls: list[tuple[str, int]] = []
+    policy = robot.policy()
     act, act_vjp = policy.act, policy.act_vjp
-    policy.act = lambda control, *a: (asked.append(("act", control)), act(control, *a))[1]
-    policy.act_vjp = lambda control, *a: (asked.append(("vjp", control)), act_vjp(control, *a))[1]
-    found.policy = lambda: policy
-    rollout, _, _ = found.gradient(states=10)
+    policy.act = lambda control, *a: (calls.append(("act", control)), act(control, *a))[1]
+    policy.act_vjp = lambda control, *a: (calls.append(("vjp", control)), act_vjp(control, *a))[1]
+    robot.policy = lambda: policy
+    rollout, _, _ = robot.gradient(states=10)
     assert rollout.plan.recompute > 1.5
-    assert asked == [("act", k) for k in range(20)] + [("vjp", k) for k in reversed(range(20))]
+    assert calls == [("act", k) for k in range(20)] + [("vjp", k) for k in reversed(range(20))]
 
 
 def count_substeps(rollout: Rollout) -> list[int]:
@@ -144,39 +144,41 @@ def count_substeps(rollout: Rollout) -> list[int]:
 
 @pytest.mark.parametrize("states", [None, 13])
 def test_several_functions_share_one_forward_run(states):
-    """Each sweep has the bits of a gradient of its own, and no substep is computed once more for it."""
-    one = robot(EXAMPLES["mlp"], substeps=3, controls=20)
-    other = replace(one, bars={**copy.deepcopy(one.bars), "activation": 2.0 * one.bars["activation"][::-1].copy()})
-    both = one.rollout(states=states)
+    """Each backward sweep is bit-for-bit that of a separate gradient, and costs no additional forward substeps."""
+    first = make_robot(EXAMPLES["mlp"], substeps=3, controls=20)
+    second = replace(
+        first, bars={**copy.deepcopy(first.bars), "activation": 2.0 * first.bars["activation"][::-1].copy()}
+    )
+    both = first.rollout(states=states)
     work = count_substeps(both)
-    records, sweeps = both.gradients(lambda records, state: [one.loss_bar, other.loss_bar])
-    for robot_alone, sweep in zip((one, other), sweeps, strict=True):
+    records, sweeps = both.gradients(lambda records, state: [first.loss_bar, second.loss_bar])
+    for robot_alone, sweep in zip((first, second), sweeps, strict=True):
         alone = robot_alone.rollout(states=states)
-        own_work = count_substeps(alone)
-        own_records, own_bar = alone.gradient(lambda records, state: robot_alone.loss_bar)  # noqa: B023
-        assert sum(work) == sum(own_work) >= 60
+        work_alone = count_substeps(alone)
+        records_alone, bar_alone = alone.gradient(lambda records, state: robot_alone.loss_bar)  # noqa: B023
+        assert sum(work) == sum(work_alone) >= 60
         both.parameters_bar, both.growth_at = sweep.parameters_bar, sweep.growth[1]
-        same_bits((both, records, sweep.inputs_bar()), (alone, own_records, own_bar))
+        assert_identical((both, records, sweep.inputs_bar()), (alone, records_alone, bar_alone))
 
 
 @pytest.mark.parametrize("name", CLOSED_LOOP)
-def test_one_thread_and_two_and_three_give_the_same_bits(name):
-    found = robot(CLOSED_LOOP[name])
-    one = found.gradient()
+def test_results_do_not_depend_on_the_number_of_threads(name):
+    robot = make_robot(CLOSED_LOOP[name])
+    expected = robot.gradient()
     for threads in (2, 3):
-        same_bits(found.gradient(threads=threads), one)
+        assert_identical(robot.gradient(threads=threads), expected)
 
 
-def test_the_forward_run_decides_as_the_gradients_does():
-    found = robot(EXAMPLES["mlp"])
-    forward = Rollout(found.model, found.inputs, policy=found.policy())
+def test_forward_run_without_a_gradient_is_identical():
+    robot = make_robot(EXAMPLES["mlp"])
+    forward = Rollout(robot.model, robot.inputs, policy=robot.policy())
     records = forward.run()
-    rollout, again, _ = found.gradient()
+    rollout, again, _ = robot.gradient()
     np.testing.assert_array_equal(forward.activation, rollout.activation)
     for a, b in zip(parts(records), parts(again), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
-def test_growth_is_blamed_on_a_control_step():
-    rollout, _, _ = robot(EXAMPLES["mlp"]).gradient()
+def test_growth_of_the_gradient_is_located_at_a_control_step():
+    rollout, _, _ = make_robot(EXAMPLES["mlp"]).gradient()
     assert 0 <= rollout.growth_at < 6

@@ -1,4 +1,4 @@
-"""A controller's file: the same bits back, and a plain word about any other file."""
+"""Controller files: loaded bit-for-bit as saved, and clear errors for any other file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def path(tmp_path, rng):
     return path
 
 
-def test_comes_back_to_the_bit(path, rng):
+def test_saved_controller_is_loaded_bit_for_bit(path, rng):
     before = {b.name: b.initial for b in blocks(rng)}
     parameters, meta = load_controller(path, blocks(np.random.default_rng(1)))
     assert parameters.keys() == before.keys()
@@ -35,7 +35,7 @@ def test_comes_back_to_the_bit(path, rng):
     assert list(path.parent.iterdir()) == [path], "no temporary file is left"
 
 
-def test_another_shape_is_named(path, rng):
+def test_error_for_another_shape_names_both(path, rng):
     words = r"controller of another shape: .*weights0 5 x 4.*this scene's has .*weights0 6 x 4"
     with pytest.raises(UsageError, match=words):
         load_controller(path, blocks(rng, hidden=6))
@@ -43,12 +43,12 @@ def test_another_shape_is_named(path, rng):
         load_controller(path, [ParameterBlock("knots", np.zeros((3, 2)))])
 
 
-def test_what_is_no_controller(tmp_path, rng):
+def test_file_of_another_kind_is_an_error(tmp_path, rng):
     path = tmp_path / "other.npz"
-    with pytest.raises(UsageError, match="cannot be read as file of a controller: No such file"):
+    with pytest.raises(UsageError, match="cannot be read as a controller file: No such file"):
         load_controller(path, blocks(rng))
-    for content, words in [(b"", "is no file of a controller"), (b"weights: 1\n", "is no file of a controller"),
-                           (b"PK\x03\x04 cut short", "is no file of a controller")]:  # fmt: skip
+    for content, words in [(b"", "is not a controller file"), (b"weights: 1\n", "is not a controller file"),
+                           (b"PK\x03\x04 cut short", "is not a controller file")]:  # fmt: skip
         path.write_bytes(content)
         with pytest.raises(UsageError, match=words):
             load_controller(path, blocks(rng))
@@ -56,25 +56,25 @@ def test_what_is_no_controller(tmp_path, rng):
     with pytest.raises(UsageError, match="lacks the entry 'meta'"):
         load_controller(path, blocks(rng))
     np.savez(path, meta=np.array("{"), weights0=np.zeros(3))
-    with pytest.raises(UsageError, match="is no JSON"):
+    with pytest.raises(UsageError, match="is not JSON"):
         load_controller(path, blocks(rng))
     np.save(tmp_path / "one.npy", np.zeros(3))
-    with pytest.raises(UsageError, match="holds no arrays by name"):
+    with pytest.raises(UsageError, match="contains no named arrays"):
         load_controller(tmp_path / "one.npy", blocks(rng))
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("notes.txt", "weights")
-    with pytest.raises(UsageError, match="holds no arrays by name"):
+    with pytest.raises(UsageError, match="contains no named arrays"):
         load_controller(path, blocks(rng))
 
 
 def test_nothing_in_the_file_is_executed(tmp_path, rng):
     path = tmp_path / "pickled.npz"
     np.savez(path, meta=np.array("{}"), weights0=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(UsageError, match="is no file of a controller"):
+    with pytest.raises(UsageError, match="is not a controller file"):
         load_controller(path, blocks(rng))
 
 
-def test_what_is_not_finite_is_refused(path, rng):
+def test_parameters_that_are_not_finite_are_an_error(path, rng):
     parameters, meta = load_controller(path, blocks(rng))
     parameters["biases1"][0] = np.nan
     save_controller(path, parameters, meta)

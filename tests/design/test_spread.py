@@ -1,4 +1,4 @@
-"""Smooth fields and mirrored bodies: maps whose rows sum to 1, and their symmetry."""
+"""Smooth fields and mirrored bodies: rows of their maps sum to 1, and their symmetry."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from cqrun.errors import UsageError
 
 @pytest.fixture(params=[2, 3], ids=["2D", "3D"])
 def points(request, rng):
-    """Return points in a box that is twice as long as high."""
+    """Return random points in a box that is twice as long as high."""
     return rng.random((200, request.param)) * [2.0, 1.0, 0.5][: request.param] + 3.0
 
 
-def test_rows_sum_to_one_and_nothing_is_negative(points):
+def test_rows_sum_to_one_without_negative_entries(points):
     S = field(points, 6)
     np.testing.assert_allclose(S.sum(axis=1), 1.0, rtol=1e-14)
     assert S.min() >= 0.0
     assert S.shape == (200, 8 * 5 * (4 if points.shape[1] == 3 else 1))
 
 
-def test_bounds_on_the_numbers_hold_for_the_values(points, rng):
+def test_values_keep_the_bounds_of_the_numbers(points, rng):
     S = field(points, 4)
     values = S @ rng.uniform(2.0, 5.0, S.shape[1])
     assert 2.0 <= values.min() < values.max() <= 5.0
 
 
-def test_a_field_can_be_any_linear_function(points):
+def test_field_can_be_any_linear_function(points):
     S = field(points, 5).toarray()
-    wanted = points @ np.arange(1.0, points.shape[1] + 1)
-    found, *_ = np.linalg.lstsq(S, wanted, rcond=None)
-    np.testing.assert_allclose(S @ found, wanted, rtol=1e-10)
+    linear = points @ np.arange(1.0, points.shape[1] + 1)
+    numbers, *_ = np.linalg.lstsq(S, linear, rcond=None)
+    np.testing.assert_allclose(S @ numbers, linear, rtol=1e-10)
 
 
-def test_a_field_is_smooth():
-    """Its slope has no step: second differences are of the order of the step's square."""
+def test_field_is_continuously_differentiable():
+    """Its slope does not jump: second differences are of the order of the square of the point distance."""
     rng = np.random.default_rng(3)
     line = np.stack([np.linspace(0.0, 1.0, 4001), np.zeros(4001)], axis=1)
     values = field(line, 5) @ rng.normal(size=field(line, 5).shape[1])
@@ -45,11 +45,11 @@ def test_a_field_is_smooth():
     assert np.ptp(slopes) > 1.0
 
 
-def test_a_field_over_one_point_is_one_value():
+def test_field_over_a_single_point():
     np.testing.assert_allclose(field(np.array([[0.3, 0.4]]), 4).sum(axis=1), 1.0)
 
 
-def test_a_mirrored_field_has_the_same_value_on_either_side(points, rng):
+def test_mirrored_field_is_symmetric(points, rng):
     whole = np.concatenate([points, mirrored(points, 0)])
     S = mirrored_field(whole, 5, 0)
     values = S @ rng.normal(size=S.shape[1])
@@ -67,10 +67,10 @@ def test_pairs_of_a_lattice():
         np.testing.assert_array_equal(P[k], P[twin])
 
 
-def test_a_body_that_is_not_its_own_image_is_told():
+def test_body_without_symmetry_is_an_error():
     x = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0]])
-    told = r"1 of 4 particles of 'arm' have no mirror image across x, the first at \(2, 1\) m: symmetry needs"
-    with pytest.raises(UsageError, match=told):
+    words = r"1 of 4 particles of 'arm' have no mirror image across x, the first at \(2, 1\) m: symmetry needs"
+    with pytest.raises(UsageError, match=words):
         partners(x, 0, "particles of 'arm'")
 
 

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from little_worlds import STRAIN
 
 from cqrun.actuators import body_force, cable, muscle, pressure
 from cqrun.engine.model import ActuatorModel, Inputs, Model, Records
@@ -34,6 +35,7 @@ class Moving:
     v: Array
     C: Array
     F: Array
+    history: dict[str, Array] = field(default_factory=dict)
 
 
 def t(A: Array) -> Array:
@@ -104,22 +106,22 @@ def active_stress(model: Model, inputs: Inputs, step: int) -> tuple[Array, Array
     n, dim = inputs.state.x.shape
     kind = np.result_type(inputs.activation, inputs.strength, inputs.weights)
     S, p = np.zeros((n, dim, dim), kind), np.zeros((n, 1, 1), kind)
-    for actuator, u, strength in driven(model, inputs, muscle.Kernel, step):
+    for actuator, u, strength in driven(model, inputs, muscle.MuscleKernel, step):
         share = weights(model, inputs, actuator)[:, None, None]
         S[actuator.particles] += u * strength * share * matrix(actuator.constants)
-    for actuator, u, strength in driven(model, inputs, pressure.Kernel, step):
+    for actuator, u, strength in driven(model, inputs, pressure.PressureKernel, step):
         p[actuator.particles] += u * strength * weights(model, inputs, actuator)[:, None, None] * actuator.constants
     return S, p
 
 
 def active_force(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Array, list[tuple[Any, ...]]]:
-    """Return the forces of cables and of body forces (N, D), and which cables pull.
+    """Return the forces of cables, springs and body forces (N, D), and which cables pull.
 
     The energy of a cable is E = k/2 max(0, L - max(0, u) R)^2, and f = -dE/dx.
     """
     f = np.zeros(s.x.shape, np.result_type(s.x, inputs.activation, inputs.strength, inputs.rest, inputs.fields.mass))
     taut = []
-    for actuator, u, k in driven(model, inputs, cable.Kernel, step):
+    for actuator, u, k in driven(model, inputs, cable.CableKernel, step):
         route = s.x[actuator.particles]
         gaps = route[1:] - route[:-1]
         lengths = np.sqrt((gaps * gaps).sum(axis=1))
@@ -130,7 +132,14 @@ def active_force(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Ar
             pull = k * stretch * gaps / lengths[:, None]
             np.add.at(f, actuator.particles[:-1], pull)
             np.add.at(f, actuator.particles[1:], -pull)
-    for actuator, u, acceleration in driven(model, inputs, body_force.Kernel, step):
+    for k, part in enumerate(model.forces, start=len(model.actuators)):
+        if len(part.particles):
+            gaps = np.diff(s.x[part.particles], axis=0)
+            lengths = np.sqrt((gaps * gaps).sum(axis=1))
+            pull = inputs.strength[k] * (lengths.sum() - inputs.rest[k]) * gaps / lengths[:, None]
+            np.add.at(f, part.particles[:-1], pull)
+            np.add.at(f, part.particles[1:], -pull)
+    for actuator, u, acceleration in driven(model, inputs, body_force.BodyForceKernel, step):
         own = actuator.particles
         f[own] += u * acceleration * inputs.fields.mass[own, None] * actuator.constants
     return f, taut
@@ -138,7 +147,7 @@ def active_force(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Ar
 
 def kirchhoff(model: Model, inputs: Inputs, s: Moving, step: int) -> Array:
     """Return tau of every particle, (N, D, D) [Pa]."""
-    (fixed, neo, viscous, penalty), F, eye = inputs.terms[0], s.F, np.eye(model.dim)
+    (fixed, neo, viscous, penalty, relaxing), F, eye = inputs.terms[0], s.F, np.eye(model.dim)
     J, F_inv_t = determinant(F)[:, None, None], t(np.linalg.inv(F))
     P = first_piola(*fixed, F, "fixed_corotated") + first_piola(*neo, F, "neo_hookean")
     E, nu = (a[:, None, None] for a in penalty)
@@ -148,7 +157,14 @@ def kirchhoff(model: Model, inputs: Inputs, s: Moving, step: int) -> Array:
     eta, zeta = (a[:, None, None] for a in viscous)
     d = (s.C + t(s.C)) / 2
     tr = np.trace(d, axis1=1, axis2=2)[:, None, None]
-    return P @ t(F) - p * J * eye + J * (2 * eta * (d - tr / 3 * eye) + zeta * tr * eye)
+    behind = relaxing[0] * (strain(F) - s.history[STRAIN])
+    relaxed = behind[:, None, None] * F @ t(F)
+    return P @ t(F) + relaxed - p * J * eye + J * (2 * eta * (d - tr / 3 * eye) + zeta * tr * eye)
+
+
+def strain(F: Array) -> Array:
+    """Return what the relaxing stress follows, |F|^2 / 2 (N,)."""
+    return 0.5 * (F * F).sum(axis=(1, 2))
 
 
 def spline(r: Array) -> Array:
@@ -228,7 +244,10 @@ def substep(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Moving,
         v += share
         B += share[:, :, None] * arm[:, None, :]
     C = 4 / model.dx**2 * B
-    return Moving(s.x + dt * v, v, C, s.F + dt * C @ s.F), taut + branches
+    F = s.F + dt * C @ s.F
+    time = inputs.terms[0][4][1]
+    relaxed = (time * s.history[STRAIN] + dt * strain(F)) / (time + dt)
+    return Moving(s.x + dt * v, v, C, F, {STRAIN: relaxed}), taut + branches
 
 
 def rollout(
@@ -239,27 +258,29 @@ def rollout(
     A policy, if there is one, writes the activations of the inputs as it decides them, and what it last remembers.
     """
     state, memory = inputs.state, inputs.state.memory
-    s = Moving(state.x, state.v, state.C, state.F)
+    s = Moving(state.x, state.v, state.C, state.F, state.history)
     W = np.zeros((0, len(state.x))) if model.probe is None else model.probe.toarray()
     rows, branches = [], []
     for step in range(model.n_steps):
         if step % model.substeps == 0:
             rows.append(seen(W, s))
             if policy is not None:
-                k, here = step // model.substeps, State(s.x, s.v, s.C, s.F)
+                k, here = step // model.substeps, State(s.x, s.v, s.C, s.F, history=s.history)
                 inputs.activation[k], memory = policy.act(k, flat(rows[-1]), memory, lambda now=here: now)
         s, taken = substep(model, inputs, s, step)
         branches.append(taken)
     rows.append(seen(W, s))
     inputs.state.memory = memory
-    return Records(*(np.array([r[name] for r in rows]) for name in "xvCF")), s, branches
+    x, v, C, F, relaxed = (np.array([r[name] for r in rows]) for name in (*"xvCF", STRAIN))
+    return Records(x, v, C, F, {STRAIN: relaxed}), s, branches
 
 
 def seen(W: Array, s: Moving) -> dict[str, Array]:
     """Return the probe's weighted sums over particles."""
-    return {name: np.einsum("kp,p...->k...", W, getattr(s, name)) for name in "xvCF"}
+    arrays = {name: getattr(s, name) for name in "xvCF"} | s.history
+    return {name: np.einsum("kp,p...->k...", W, a) for name, a in arrays.items()}
 
 
 def flat(record: dict[str, Array]) -> Array:
-    """Return the sums as the engine's rows (rows, K): x, v, C, F, row-major."""
-    return np.concatenate([record[name].reshape(len(record["x"]), -1) for name in "xvCF"], axis=1).T
+    """Return the sums as the engine's rows (rows, K): x, v, C, F, row-major, and the history."""
+    return np.concatenate([record[name].reshape(len(record["x"]), -1) for name in (*"xvCF", STRAIN)], axis=1).T

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from little_worlds import Acting, Wall, above, below, world
+from little_worlds import STRAIN, Acting, Wall, above, below, world
 
 from cqrun.actuators import body_force, cable, pressure
 from cqrun.boundaries.friction import Friction
@@ -15,6 +16,7 @@ from cqrun.boundaries.separate import Separate
 from cqrun.boundaries.slip import Slip
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.model import Inputs, Model, Records
+from cqrun.forces import spring
 from cqrun.state import State
 
 DX = 0.1
@@ -46,12 +48,19 @@ def tendons(x: np.ndarray) -> tuple[Acting, ...]:
     routes = ([0, 5, 9, 12], [20, 31, 40], [3, 44])
     ways = np.eye(x.shape[1])[0], np.ones(x.shape[1])
     return (
-        Acting(pressure.Kernel, both[COUNTS[0] :: 2], np.ones(1)),
-        Acting(pressure.Kernel, both[::4], np.ones(1)),
-        *(Acting(cable.Kernel, np.array(r), np.zeros(0), length(x[r])) for r in routes),
-        Acting(body_force.Kernel, first, ways[0]),
-        Acting(body_force.Kernel, both[5::3], ways[1]),
+        Acting(pressure.PressureKernel, both[COUNTS[0] :: 2], np.ones(1)),
+        Acting(pressure.PressureKernel, both[::4], np.ones(1)),
+        *(Acting(cable.CableKernel, np.array(r), np.zeros(0), length(x[r])) for r in routes),
+        Acting(body_force.BodyForceKernel, first, ways[0]),
+        Acting(body_force.BodyForceKernel, both[5::3], ways[1]),
     )
+
+
+def springs(x: np.ndarray) -> tuple[Acting, ...]:
+    """Return a stretched spring and a compressed one, which ties the bodies."""
+    routes = ([2, 7, 9], [6, 33])
+    kernel, none = spring.SpringKernel, np.zeros(0)
+    return tuple(Acting(kernel, np.array(r), none, f * length(x[r])) for r, f in zip(routes, (0.9, 1.1), strict=True))
 
 
 def length(route: np.ndarray) -> float:
@@ -64,6 +73,9 @@ STIFFNESS = {2: 0.2, 3: 0.01}
 
 ACTUATORS = {"muscle": slice(0, 2), "pressure": slice(2, 4), "cable": slice(4, 7), "body_force": slice(7, 9)}
 """Where the actuators of each kind stand."""
+
+SPRINGS = slice(9, 11)
+"""Where the springs stand among all parts."""
 
 
 def signals(controls: int, rng: np.random.Generator) -> np.ndarray:
@@ -90,6 +102,7 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
         bodies, size=[0.9] * dim, dx=DX, dt=4e-3, substeps=substeps, controls=controls, mass=mass, volume=volume,
         E=rng.uniform(8, 12, n), nu=rng.uniform(0.2, 0.4, n), neo_hookean=rng.uniform(2, 3, n),
         eta=rng.uniform(0.01, 0.02, n), zeta=rng.uniform(0.01, 0.02, n), incompressible=rng.uniform(1, 2, n),
+        springs=springs(x),
         damping=rng.random(n), muscles=((np.arange(0, n, 3), axis), (np.arange(0, n, 2), oblique)),
         actuators=tendons(x), activation=signals(controls, rng), walls=walls(dim), probe=rng.random((3, n)) / n,
         **options,
@@ -100,19 +113,22 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
     s.v[:, 0] += np.where(np.arange(n) < COUNTS[0], -0.5, 0.5)
     s.C, s.F = rng.normal(size=s.C.shape) * 0.2, s.F + rng.normal(size=s.F.shape) * 0.05
     s.memory = rng.normal(size=4)
-    inputs.strength[:] = rng.uniform(0.8, 1.2, 9)
+    inputs.strength[:9] = rng.uniform(0.8, 1.2, 9)
+    inputs.strength[SPRINGS] = STIFFNESS[dim]
     inputs.strength[ACTUATORS["cable"]] *= STIFFNESS[dim]
     inputs.fields.force[:] = mass[:, None] * rng.normal(size=s.x.shape)
     inputs.weights = rng.uniform(0.5, 1.5, model.weight_slices[-1].stop)
+    inputs.terms[0][4][:] = rng.uniform(2, 3, n), rng.uniform(0.01, 0.03, n)
+    s.history[STRAIN] += 0.05 * rng.normal(size=n)
     return model, inputs
 
 
 KINDS = (
     "x", "v", "C", "F", "mass", "volume", "damping", "force", "fixed_corotated.E", "fixed_corotated.nu",
     "neo_hookean.E", "neo_hookean.nu", "viscosity.shear", "viscosity.bulk", "incompressibility.E",
-    "incompressibility.nu", "friction",
+    "incompressibility.nu", "relaxation.modulus", "relaxation.time", "friction",
     *(f"{kind}.{what}" for kind in ACTUATORS for what in ("activation", "strength")),
-    "weights", "cable.rest",
+    "weights", "cable.rest", "spring.strength", "spring.rest", "relaxation.strain",
 )  # fmt: skip
 """What a rollout depends on, in the order of `arrays`."""
 
@@ -123,6 +139,7 @@ def arrays(inputs: Inputs) -> list[np.ndarray]:
     terms = [row for theta in inputs.terms[0] for row in theta]
     drive = [a for at in ACTUATORS.values() for a in (inputs.activation[:, at], inputs.strength[at])]
     fields, last = [f.mass, f.volume, f.damping, f.force], [inputs.weights, inputs.rest[ACTUATORS["cable"]]]
+    last += [inputs.strength[SPRINGS], inputs.rest[SPRINGS], s.history[STRAIN]]
     return [s.x, s.v, s.C, s.F, *fields, *terms, inputs.coefficients, *drive, *last]
 
 
@@ -146,7 +163,10 @@ def make_complex(inputs: Inputs) -> None:
     """Turn every array of the inputs complex."""
     for part in (inputs.state, inputs.fields):
         for name, value in vars(part).items():
-            setattr(part, name, value.astype(complex))
+            if name == "history":
+                value.update({field: a.astype(complex) for field, a in value.items()})
+            else:
+                setattr(part, name, value.astype(complex))
     inputs.terms = [[theta.astype(complex) for theta in group] for group in inputs.terms]
     for name in ("activation", "strength", "coefficients", "weights", "rest"):
         setattr(inputs, name, getattr(inputs, name).astype(complex))
@@ -154,17 +174,31 @@ def make_complex(inputs: Inputs) -> None:
 
 def random_records(records: Records, rng: np.random.Generator) -> Records:
     """Return random cotangents of records."""
-    return Records(*(rng.normal(size=a.shape) for a in parts(records)))
+    return rebuilt(records, [rng.normal(size=a.shape) for a in parts(records)])
 
 
 def random_state(state: State, rng: np.random.Generator) -> State:
     """Return random cotangents of a state."""
-    return State(*(rng.normal(size=a.shape) for a in (*parts(state), state.memory)))
+    return replace(
+        rebuilt(state, [rng.normal(size=a.shape) for a in parts(state)]), memory=rng.normal(size=state.memory.shape)
+    )
+
+
+def rebuilt(like: Any, arrays: list[np.ndarray]) -> Any:
+    """Return a state or records with other arrays, in the order of `parts`."""
+    return replace(
+        like,
+        x=arrays[0],
+        v=arrays[1],
+        C=arrays[2],
+        F=arrays[3],
+        history=dict(zip(like.history, arrays[4:], strict=True)),
+    )
 
 
 def parts(a: Any) -> Iterator[np.ndarray]:
-    """Return x, v, C, F of a state, of records, or of the reference's state."""
-    return iter((a.x, a.v, a.C, a.F))
+    """Return x, v, C, F and the histories of a state, of records, or of the reference's state."""
+    return iter((a.x, a.v, a.C, a.F, *a.history.values()))
 
 
 def product(a: Any, b: Any) -> Any:

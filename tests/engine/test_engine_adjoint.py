@@ -17,6 +17,7 @@ from rich_scene import (
     product,
     random_records,
     random_state,
+    rebuilt,
     rich,
 )
 
@@ -34,7 +35,7 @@ def adjoint(request):
     """Return a rich model, its inputs, cotangents of records and last state, and the gradient."""
     rng = np.random.default_rng(7)
     model, inputs = rich(request.param)
-    records_bar = random_records(Records.zeros(model.n_controls, 3, model.dim), rng)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, model.dim, model.layout.history), rng)
     state_bar = random_state(inputs.state, rng)
     _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar, state_bar))
     return model, inputs, records_bar, state_bar, bar
@@ -112,17 +113,17 @@ def test_dot_product_where_bodies_have_other_terms(rng):
     """A body of one material beside a body of another, the second one alone with muscles."""
     model, inputs = rich(2)
     first, second = model.layout.slices()
-    fixed, neo, viscous, _ = inputs.terms[0]
+    fixed, neo, viscous, _, _ = inputs.terms[0]
     keep = [a for a in model.actuators if a.name == "actuator 0"]
     keep = [replace(a, particles=a.particles[a.particles >= second.start]) for a in keep]
-    groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1],), (muscle.Kernel,)))
-    apart = replace(model, groups=groups, actuators=tuple(keep))
+    groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1],), (muscle.MuscleKernel,)))
+    apart = replace(model, groups=groups, actuators=tuple(keep), forces=())
     inputs.activation, inputs.strength, inputs.weights = inputs.activation[:, :1], inputs.strength[:1], np.zeros(0)
     inputs.rest = inputs.rest[:1]
     one = [a.copy() for a in inputs.terms[0]]
-    one[0][0, second], one[1][0, first], one[2][:, second], one[3][0] = 0.0, 0.0, 0.0, 0.0
+    one[0][0, second], one[1][0, first], one[2][:, second], one[3][0], one[4][0] = 0.0, 0.0, 0.0, 0.0, 0.0
     inputs.terms = [[fixed[:, first], viscous[:, first]], [neo[:, second]]]
-    records_bar = random_records(Records.zeros(model.n_controls, 3, 2), rng)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, 2, model.layout.history), rng)
     _, bar = Rollout(apart, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar))
     got = {
         "x": bar.state.x, "F": bar.state.F, "muscle.activation": bar.activation,
@@ -152,7 +153,7 @@ def loss(records: Records) -> float:
 
 def loss_bar(records: Records, state: object) -> LossBar:
     """Return the cotangent of the loss."""
-    return LossBar(Records(*(np.cos(a) + a for a in parts(records))))
+    return LossBar(rebuilt(records, [np.cos(a) + a for a in parts(records)]))
 
 
 def branches(model, inputs) -> int:

@@ -25,7 +25,7 @@ MODEL = {"substeps": 11, "controls": 9}
 def everything_kept():
     """Return a model, its inputs, cotangents of records, and records and gradient with every state kept."""
     model, inputs = rich(2, **MODEL)
-    records_bar = random_records(Records.zeros(model.n_controls, 3, 2), np.random.default_rng(5))
+    records_bar = random_records(Records.zeros(model.n_controls, 3, 2, model.layout.history), np.random.default_rng(5))
     rollout = Rollout(model, inputs, adjoint=True)
     records, bar = rollout.gradient(lambda records, state: LossBar(records_bar, state))
     assert rollout.plan.n_chunks == 1

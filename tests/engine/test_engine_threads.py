@@ -7,14 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from little_worlds import Wall, below, needs_jit, world
-from rich_scene import KINDS, arrays, parts, product, random_records, rich
+from little_worlds import Acting, Wall, below, needs_jit, world
+from rich_scene import KINDS, arrays, parts, product, random_records, rebuilt, rich
 
+from cqrun.actuators import body_force, cable
 from cqrun.boundaries.friction import Friction
 from cqrun.build.model import build
 from cqrun.engine import forward_run
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
+from cqrun.forces import spring
 from cqrun.scene.load import load_scene
 from cqrun.state import Layout, State
 
@@ -36,13 +38,17 @@ def gradient(model, inputs, threads, records_bar):
 def crowd(dim: int, rng: np.random.Generator):
     """Return 600 particles of two bodies that fly apart over many blocks, onto walls with friction."""
     x = 0.35 + 0.7 * rng.random((600, dim))
-    up = tuple(np.eye(dim)[-1])
+    up, routes = tuple(np.eye(dim)[-1]), [np.arange(7, 600, 97), np.array([3, 260, 400]), np.array([8, 104, 300])]
     model, inputs = world(
         [x[:250], x[250:]], size=[1.4] * dim, dx=0.05, dt=4e-3, substeps=10, controls=4, mass=rng.uniform(1, 2, 600),
         volume=1.0, E=2.0, neo_hookean=0.5, eta=0.01, damping=0.1, gravity=[0.0] * (dim - 1) + [-1.0],
         walls=[Wall(Friction, up, below(dim - 1, 0.3), 0.3)], probe=rng.random((2, 600)),
-        muscles=((np.arange(0, 600, 3), np.eye(dim)),), activation=0.1 * rng.random((4, 1)),
+        muscles=((np.arange(0, 600, 3), np.eye(dim)),), activation=0.1 * rng.random((4, 4)),
+        actuators=(*(Acting(cable.CableKernel, r, np.zeros(0), 0.1) for r in routes[:2]),
+                   Acting(body_force.BodyForceKernel, np.arange(0, 600, 5), np.eye(dim)[0])),
+        springs=(Acting(spring.SpringKernel, routes[2], np.zeros(0), 0.1),), relaxing=0.5, relaxation_time=0.02,
     )  # fmt: skip
+    inputs.strength[2:] = 0.02
     # faces of blocks lie every .2 m: particles cross some, and are sorted before their turn
     inputs.state.v[:] = 2.0 * (x - 0.7) + 0.3 * rng.normal(size=x.shape)
     return model, inputs
@@ -52,7 +58,7 @@ def crowd(dim: int, rng: np.random.Generator):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_one_thread_and_two_and_three_give_the_same_bits(dim, rng):
     model, inputs = crowd(dim, rng)
-    records_bar = random_records(Records.zeros(model.n_controls, 2, dim), rng)
+    records_bar = random_records(Records.zeros(model.n_controls, 2, dim, model.layout.history), rng)
     state, records, bar = gradient(model, inputs, 1, records_bar)
     moved = np.floor(state.x / 0.2) != np.floor(inputs.state.x / 0.2)
     assert moved.any(axis=1).mean() > 0.2
@@ -73,10 +79,10 @@ def test_substeps_one_by_one_and_tile_by_tile_give_the_same_bits(dim, real, rng,
     """With all states kept, on two threads, and in little memory."""
     model, inputs = crowd(dim, rng)
     model = replace(model, real=real)
-    records_bar = random_records(Records.zeros(model.n_controls, 2, dim), rng)
+    records_bar = random_records(Records.zeros(model.n_controls, 2, dim, model.layout.history), rng)
     short = replace(model, memory_budget=20 * 2 * dim * (1 + dim) * model.layout.n * np.dtype(real).itemsize)
     state, records, bar = gradient(model, inputs, 1, records_bar)
-    monkeypatch.setattr(Rollout, "_chained", lambda rollout: True)  # all kinds of actuators are here, none that pushes
+    monkeypatch.setattr(Rollout, "_chained", lambda rollout: True)
     for other, threads in ((model, 1), (model, 2), (short, 1)):
         again, records_again, bar_again = gradient(other, inputs, threads, records_bar)
         for a, b in zip((*parts(again), *parts(records_again)), (*parts(state), *parts(records)), strict=True):
@@ -86,7 +92,7 @@ def test_substeps_one_by_one_and_tile_by_tile_give_the_same_bits(dim, real, rng,
 
 
 @needs_jit
-def test_large_bodies_are_chained_unless_something_pushes(monkeypatch):
+def test_large_bodies_are_chained_whether_or_not_forces_pull_them(monkeypatch):
     found = {}
     for name in ("simulate/oscillator", "control/biped_cable"):
         built = build(load_scene(SCENES / f"{name}.yaml", []))
@@ -95,14 +101,14 @@ def test_large_bodies_are_chained_unless_something_pushes(monkeypatch):
         for least in (size, size + 1):
             monkeypatch.setattr(forward_run, "CHAINED_FROM", least)
             found[name, least - size] = Rollout(built.model, inputs).setting.chained
-    assert list(found.values()) == [True, False, False, False]
+    assert list(found.values()) == [True, False, True, False]
 
 
 @needs_jit
 def test_more_threads_than_work(rng):
     """One lane of particles, four threads: three of them wait."""
     model, inputs = rich(2)
-    records_bar = random_records(Records.zeros(model.n_controls, 3, 2), rng)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, 2, model.layout.history), rng)
     bars = [gradient(model, inputs, threads, records_bar)[2] for threads in (1, 4)]
     for kind, a, b in zip(KINDS, *map(arrays, bars), strict=True):
         np.testing.assert_array_equal(a, b, err_msg=kind)
@@ -146,7 +152,7 @@ def test_padding_copies_the_last_particle_and_has_no_mass():
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_float32_is_close_to_float64(dim, rng):
     model, inputs = rich(dim)
-    records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, dim, model.layout.history), rng)
     _, records, bar = gradient(model, inputs, 1, records_bar)
     _, records_32, bar_32 = gradient(replace(model, real=np.float32), inputs, 1, records_bar)
     assert 0 < product(_difference(records_32, records), _difference(records_32, records)) < 1e-11
@@ -155,7 +161,7 @@ def test_float32_is_close_to_float64(dim, rng):
 
 
 def _difference(a: Records, b: Records) -> Records:
-    return Records(*(p - q for p, q in zip(parts(a), parts(b), strict=True)))
+    return rebuilt(a, [p - q for p, q in zip(parts(a), parts(b), strict=True)])
 
 
 @needs_jit

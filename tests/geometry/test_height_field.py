@@ -1,4 +1,4 @@
-"""Terrain: its heights and normals, what it holds, and where it ends."""
+"""Terrain: heights, normals, points inside, and bounds."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ def field(**fields: Any) -> HeightField:
     return HeightField.model_validate(fields)
 
 
-def test_heights_go_from_point_to_point_and_level_beyond() -> None:
+def test_heights_are_linear_between_points_and_constant_beyond() -> None:
     terrain = field(points=POINTS)
     assert terrain.height(np.array([-5.0, 0.5, 1.0, 2.0, 9.0])) == pytest.approx([1.0, 1.5, 2.0, 1.25, 0.5])
     assert terrain.inside(np.array([[0.5, 1.5], [0.5, 1.51], [9.0, -100.0]])).tolist() == [True, False, True]
 
 
-def test_hills_have_their_crests_where_the_phase_says() -> None:
+def test_phase_sets_the_crests_of_hills() -> None:
     terrain = field(sinusoid=HILLS)
     assert terrain.height(np.array([0.0, 1.0, 2.0, 0.5])) == pytest.approx([0.75, 0.25, 0.75, 0.5])
 
 
 @pytest.mark.parametrize("terrain", [field(points=POINTS), field(sinusoid=HILLS)])
-def test_normals_are_those_of_the_heights(terrain: HeightField, rng: np.random.Generator) -> None:
+def test_normals_agree_with_finite_differences(terrain: HeightField, rng: np.random.Generator) -> None:
     x = rng.uniform(-1.0, 4.0, (100, 2))
     normal = terrain.normals(x)
     assert np.linalg.norm(normal, axis=1) == pytest.approx(np.ones(100))
@@ -42,7 +42,7 @@ def test_normals_are_those_of_the_heights(terrain: HeightField, rng: np.random.G
     assert -normal[:, 0] / normal[:, 1] == pytest.approx(slope, abs=1e-6)
 
 
-def test_in_space_heights_go_along_the_axis_that_is_up(rng: np.random.Generator) -> None:
+def test_in_3d_heights_are_along_the_axis_up(rng: np.random.Generator) -> None:
     flat, y, z = field(points=POINTS), field(points=POINTS, up="y"), field(points=POINTS, up="z")
     x = rng.uniform(0.0, 3.0, (200, 3))
     assert (y.inside(x) == flat.inside(x[:, :2])).all()
@@ -51,11 +51,11 @@ def test_in_space_heights_go_along_the_axis_that_is_up(rng: np.random.Generator)
     assert y.normals(x)[:, :2] == pytest.approx(flat.normals(x[:, :2]))
 
 
-def test_bounds_end_where_the_terrain_does() -> None:
+def test_bounds_of_terrain() -> None:
     endless = field(points=POINTS).bounds()
     assert endless[0].tolist() == [-np.inf, -np.inf]
     assert endless[1].tolist() == [np.inf, 2.0]
-    with pytest.raises(UsageError, match="height_field has no end"):
+    with pytest.raises(UsageError, match="height_field is infinite"):
         Lattice().sample(field(points=POINTS, bottom=0.0), 0.1)
     assert field(points=POINTS, span=[1.5, 2.0]).bounds()[1].tolist() == [2.0, 1.625]
     assert field(sinusoid=HILLS, up="z").bounds()[1].tolist() == [np.inf, np.inf, 0.75]
@@ -70,12 +70,12 @@ def test_terrain_is_filled_up_to_its_height() -> None:
     assert volume.sum() == pytest.approx(2.0, rel=0.01)
 
 
-def test_terrain_holds_the_nodes_below_it() -> None:
+def test_nodes_below_the_height_are_inside() -> None:
     nodes = node_positions(grid_shape(np.array([4.0, 1.0]), 0.1), 0.1)
-    held = nodes[field(sinusoid=HILLS).inside(nodes)]
-    assert len(held)
-    assert (held[:, 1] <= 0.5 + 0.25 * np.cos(np.pi * held[:, 0]) + 1e-12).all()
-    assert held[:, 1].min() == nodes[:, 1].min()  # below the world as well
+    below = nodes[field(sinusoid=HILLS).inside(nodes)]
+    assert len(below)
+    assert (below[:, 1] <= 0.5 + 0.25 * np.cos(np.pi * below[:, 0]) + 1e-12).all()
+    assert below[:, 1].min() == nodes[:, 1].min()  # below the world as well
 
 
 @pytest.mark.parametrize(
@@ -83,20 +83,20 @@ def test_terrain_holds_the_nodes_below_it() -> None:
     [
         ({}, "exactly one of points, sinusoid"),
         ({"points": POINTS, "sinusoid": HILLS}, "exactly one of points, sinusoid"),
-        ({"points": [[0, 1], [0, 2]]}, "every x greater than the one before"),
+        ({"points": [[0, 1], [0, 2]]}, "every x greater than the previous one"),
         ({"points": [[0, 1]]}, "at least 2 entries, has 1"),
         ({"points": POINTS, "span": [2, 1]}, "must begin before it ends"),
         ({"points": POINTS, "bottom": 2}, "must be below the highest point, 2 m, is 2"),
         ({"sinusoid": {**HILLS, "wavelength": 0}}, "must be greater than 0"),
     ],
 )
-def test_what_is_no_terrain_is_refused(fields: dict[str, Any], message: str) -> None:
+def test_invalid_terrain_is_an_error(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError) as info:
         field(**fields)
     assert message in str(info.value)
 
 
-def test_up_is_said_in_space_alone() -> None:
+def test_up_is_given_in_3d_only() -> None:
     assert "say whether heights are along y or z" in field(points=POINTS).dim_problems(3)[0][1]
     assert "in 2D heights are along y" in field(points=POINTS, up="y").dim_problems(2)[0][1]
     assert field(points=POINTS).dim_problems(2) == field(points=POINTS, up="y").dim_problems(3) == []

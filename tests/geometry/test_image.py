@@ -1,4 +1,4 @@
-"""Images: which pixels are a body, what their colours name, and what nothing can be cut out of."""
+"""Images: pixels that form a body, groups named by colour, and images without a body."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def save(path: Path, pixels: Any) -> str:
 
 @pytest.fixture
 def flag(tmp_path: Path) -> str:
-    """Return a picture of 4 x 6 pixels: a red block above a blue one, white around, a pink pixel of neither."""
+    """Return an image of 4 x 6 pixels: red above blue, white around, and a pink pixel that belongs to neither."""
     pixels = np.full((4, 6, 3), WHITE)
     pixels[1, 1:4], pixels[2, 1:4], pixels[1, 4] = RED, BLUE, PINK
     return save(tmp_path / "flag.png", pixels)
@@ -73,14 +73,16 @@ def test_colours_pick_the_nearest_within_the_tolerance(flag: str) -> None:
     assert body.coloured(x, "top").tolist() == [True, False, False, False]
     assert body.coloured(x, "low").tolist() == [False, True, False, False]
     assert body.coloured(x, "#ffd2d2").tolist() == [False, False, True, False]
-    with pytest.raises(UsageError, match=r"'white' is no colour of .*: named here are top, low; or give #rrggbb"):
+    with pytest.raises(
+        UsageError, match=r"'white' is not a colour of .*: its named colours are top, low; or give #rrggbb"
+    ):
         body.coloured(x, "white")
     # colours that are near to each other share no pixel
     reds = image(flag, corner=[1.0, 2.0], colours={"a": "#dc1414", "b": "#e61e1e"}, tolerance=40)
     assert not (reds.coloured(x, "a") & reds.coloured(x, "b")).any()
 
 
-def test_transparency_decides_where_there_is_any(tmp_path: Path) -> None:
+def test_transparent_pixels_are_not_part_of_the_body(tmp_path: Path) -> None:
     pixels = np.zeros((2, 2, 4))
     pixels[0] = [*WHITE, 255]
     pixels[1] = [*RED, 100]
@@ -91,12 +93,12 @@ def test_transparency_decides_where_there_is_any(tmp_path: Path) -> None:
         cut.examine()
 
 
-def test_a_background_of_another_colour(flag: str) -> None:
+def test_background_of_another_colour(flag: str) -> None:
     body = image(flag, corner=[1.0, 2.0], background="#0000ff")
     assert body.inside(middles(body, [0, 1, 1], [0, 1, 2])).tolist() == [True, False, True]
 
 
-def test_colours_go_through_what_is_made_of_the_image(flag: str) -> None:
+def test_combined_shapes_keep_the_colours_of_their_image(flag: str) -> None:
     data = {"image": {"file": flag, "height": 0.4, "colours": {"top": "#dc1414"}}}
     hole = {"ball": {"center": [0, 0], "radius": 0.01}}
     turned = Transformed.model_validate(
@@ -110,13 +112,13 @@ def test_colours_go_through_what_is_made_of_the_image(flag: str) -> None:
     assert both.coloured(np.array([[0.3, 0.5]]), "top").tolist() == [True]
 
 
-def test_an_image_is_filled(flag: str) -> None:
+def test_image_can_be_filled_with_particles(flag: str) -> None:
     points, volume = Random(count=500).sample(image(flag), None)
     assert image(flag).inside(points).all()
     assert volume.sum() == pytest.approx(0.07)
 
 
-def test_a_changed_file_is_read_anew(flag: str) -> None:
+def test_changed_file_is_read_again(flag: str) -> None:
     assert image(flag).volume() == pytest.approx(0.07)
     pixels = np.full((4, 6, 3), WHITE)
     pixels[0, :2], pixels[1, 1] = RED, BLUE
@@ -125,29 +127,29 @@ def test_a_changed_file_is_read_anew(flag: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pixels", "found"),
+    ("pixels", "words"),
     [
         (np.full((3, 5, 3), WHITE), "all of its 5 x 3 pixels have the colour #ffffff"),
         (np.full((3, 5, 3), RED), "all of its 5 x 3 pixels have the colour #dc1414"),
         (np.zeros((3, 5, 4)), "all of its 5 x 3 pixels are transparent"),
     ],
 )
-def test_nothing_can_be_cut_out_of_one_colour(pixels: np.ndarray, found: str, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=f"plain.png: an image of one colour, nothing can be cut out: {found}"):
+def test_image_of_one_colour_is_an_error(pixels: np.ndarray, words: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=f"plain.png: an image of one colour, nothing can be cut out: {words}"):
         image(save(tmp_path / "plain.png", pixels)).examine()
 
 
-def test_a_colour_that_no_pixel_has_is_told_with_those_there_are(flag: str) -> None:
-    told = "no pixel has the colour 'leg' (#00ff00); the commonest are #0000ff (42.9%), #dc1414 (42.9%), #ffd2d2"
-    with pytest.raises(UsageError, match=re.escape(told)):
+def test_error_for_a_missing_colour_lists_the_most_common_ones(flag: str) -> None:
+    words = "no pixel has the colour 'leg' (#00ff00); the most common are #0000ff (42.9%), #dc1414 (42.9%), #ffd2d2"
+    with pytest.raises(UsageError, match=re.escape(words)):
         image(flag, colours={"leg": "#00ff00", "low": "#0000ff"}).examine()
 
 
-def test_files_that_are_no_images_are_refused(tmp_path: Path, flag: str) -> None:
+def test_files_without_a_readable_image_are_errors(tmp_path: Path, flag: str) -> None:
     with pytest.raises(UsageError, match=r"none.png: cannot be read \(No such file or directory\)"):
         image(str(tmp_path / "none.png")).examine()
     (tmp_path / "text.png").write_text("no picture")
-    with pytest.raises(UsageError, match=r"text\.png: is no image that can be read; save it as PNG"):
+    with pytest.raises(UsageError, match=r"text\.png: is not an image that can be read; save it as PNG"):
         image(str(tmp_path / "text.png")).examine()
     big = save(tmp_path / "big.png", np.random.default_rng(0).integers(0, 255, (60, 60, 3)))
     cut = tmp_path / "cut.png"
@@ -156,7 +158,7 @@ def test_files_that_are_no_images_are_refused(tmp_path: Path, flag: str) -> None
         image(str(cut)).examine()
 
 
-def test_an_image_too_large_is_refused(flag: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_image_that_is_too_large_is_an_error(flag: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cqrun.geometry.image.MAX_PIXELS", 20)
     Path(flag).touch()
     with pytest.raises(UsageError, match="6 x 4 pixels; at most 2e"):
@@ -174,18 +176,18 @@ def test_an_image_too_large_is_refused(flag: str, monkeypatch: pytest.MonkeyPatc
         ({"file": ""}, "at least 1 char"),
     ],
 )
-def test_what_is_no_image_is_refused(fields: dict[str, Any], message: str) -> None:
+def test_invalid_fields_are_errors(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError) as info:
         image(fields.pop("file", "a.png"), **fields)
     assert message in str(info.value)
 
 
-def test_an_image_is_flat() -> None:
+def test_image_needs_a_2d_world() -> None:
     assert "an image needs a 2D world" in image("a.png").dim_problems(3)[0][1]
     assert image("a.png", corner=[0.0, 0.0]).dim_problems(2) == []
 
 
-def test_grey_of_sixteen_bits_is_scaled(tmp_path: Path) -> None:
+def test_16_bit_grey_is_scaled(tmp_path: Path) -> None:
     grey = np.full((2, 3), 65535, np.uint16)
     grey[:, 0], grey[:, 1] = 0x4040, 0x8080
     Pillow.fromarray(grey).save(tmp_path / "grey.png")
@@ -196,10 +198,12 @@ def test_grey_of_sixteen_bits_is_scaled(tmp_path: Path) -> None:
     np.testing.assert_array_equal(body.coloured(x, "pale"), [False, True, False])
 
 
-def test_colours_that_are_not_there_or_have_two_names(flag: str) -> None:
-    with pytest.raises(UsageError, match=r"'rod' is no colour of .*: named here are red \(did you mean 'red'\?\)"):
+def test_missing_or_duplicate_colours_are_errors(flag: str) -> None:
+    with pytest.raises(
+        UsageError, match=r"'rod' is not a colour of .*: its named colours are red \(did you mean 'red'\?\)"
+    ):
         image(flag, colours={"red": "#dc1414"}).coloured(np.zeros((1, 2)), "rod")
-    with pytest.raises(UsageError, match=r"no pixel of .* has the colour #00ff00; the commonest are #0000ff"):
+    with pytest.raises(UsageError, match=r"no pixel of .* has the colour #00ff00; the most common are #0000ff"):
         image(flag).coloured(np.zeros((1, 2)), "#00ff00")
     with pytest.raises(UsageError, match="b: its colour has another name too"):
         image(flag, colours={"a": "#dc1414", "b": "#dc1414"}).examine()
@@ -207,15 +211,15 @@ def test_colours_that_are_not_there_or_have_two_names(flag: str) -> None:
 
 @pytest.fixture
 def leaf(tmp_path: Path) -> str:
-    """Return a picture of 1 x 2 pixels, green beside blue."""
+    """Return an image of 1 x 2 pixels, green beside blue."""
     return save(tmp_path / "leaf.png", [[(0, 160, 0), BLUE]])
 
 
 @pytest.mark.parametrize("kind", [Union, Intersection])
-def test_several_images_are_asked_for_their_own_colours_alone(kind: Any, flag: str, leaf: str) -> None:
-    one = {"image": {"file": flag, "height": 0.4, "colours": {"top": "#dc1414"}}}
-    other = {"image": {"file": leaf, "height": 0.1, "corner": [0.1, 0.2], "colours": {"green": "#00a000"}}}
-    both = kind.model_validate({"shapes": [one, other, {"box": {"corner": [0, 0], "size": [1, 1]}}]})
+def test_each_image_gives_its_own_colours(kind: Any, flag: str, leaf: str) -> None:
+    first = {"image": {"file": flag, "height": 0.4, "colours": {"top": "#dc1414"}}}
+    second = {"image": {"file": leaf, "height": 0.1, "corner": [0.1, 0.2], "colours": {"green": "#00a000"}}}
+    both = kind.model_validate({"shapes": [first, second, {"box": {"corner": [0, 0], "size": [1, 1]}}]})
     assert both.colour_names == ("top", "green")
     x = np.array([[0.15, 0.25], [0.25, 0.25], [0.35, 0.25], [0.15, 0.15]])
     assert both.coloured(x, "top").tolist() == [True, True, True, False]
@@ -224,7 +228,7 @@ def test_several_images_are_asked_for_their_own_colours_alone(kind: Any, flag: s
     assert both.coloured(x, "#0000ff").tolist() == [False, True, False, True]
     with pytest.raises(UsageError, match=r"no pixel of .*flag\.png has the colour #123456"):
         both.coloured(x, "#123456")
-    with pytest.raises(UsageError, match=r"'rod' is no colour of .*flag\.png: named here are top"):
+    with pytest.raises(UsageError, match=r"'rod' is not a colour of .*flag\.png: its named colours are top"):
         both.coloured(x, "rod")
 
 
@@ -237,17 +241,17 @@ def sampled(body: dict[str, Any]) -> Particles:
     return sample(load_scene({"cqrun": 1, "world": {"size": [1, 1], "dx": 0.05}, "bodies": {"a": body}, "time": time}))
 
 
-def test_parts_may_be_images_with_colours_of_their_own(flag: str, leaf: str) -> None:
-    one = {"image": {"file": flag, "height": 0.4, "colours": {"top": "#dc1414"}}}
-    other = {"image": {"file": leaf, "height": 0.1, "corner": [0.6, 0.6], "colours": {"green": "#00a000"}}}
+def test_parts_may_be_images_with_different_colours(flag: str, leaf: str) -> None:
+    first = {"image": {"file": flag, "height": 0.4, "colours": {"top": "#dc1414"}}}
+    second = {"image": {"file": leaf, "height": 0.1, "corner": [0.6, 0.6], "colours": {"green": "#00a000"}}}
     blue = {"blue": {"colour": "#0000ff"}}
-    groups = sampled({"parts": {"one": one, "other": other}, "groups": blue}).groups("a")
-    assert {name: len(held) for name, held in groups.items() if name not in ("one", "other")} == {
+    groups = sampled({"parts": {"first": first, "second": second}, "groups": blue}).groups("a")
+    assert {name: len(members) for name, members in groups.items() if name not in ("first", "second")} == {
         "top": 75, "green": 25, "blue": 100
     }  # fmt: skip
 
 
-def test_a_colour_that_is_cut_away_is_told_by_its_name(flag: str) -> None:
+def test_error_names_the_colour_that_is_cut_away(flag: str) -> None:
     whole = {"image": {"file": flag, "height": 0.4, "colours": {"top": "#dc1414", "low": "#0000ff"}}}
     with pytest.raises(SceneError, match=r"bodies.a.shape: the colour 'top' holds no particle"):
         sampled({"shape": {"intersection": [whole, {"box": {"corner": [0, 0], "size": [1, 0.2]}}]}})

@@ -1,4 +1,4 @@
-"""Meshes: what a surface encloses, through holes and overlaps, and what encloses nothing that could be told."""
+"""Meshes: points that a surface encloses, also with holes and overlaps, and surfaces that are refused."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cqrun.geometry.mesh import Mesh
 
 @pytest.fixture
 def sphere() -> Any:
-    """Return a unit sphere of 1280 faces."""
+    """Return a unit sphere with 1280 faces."""
     return trimesh.creation.icosphere(subdivisions=3)
 
 
@@ -36,7 +36,7 @@ def as_given(vertices: np.ndarray, faces: np.ndarray) -> Any:
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".STL"])
-def test_a_sphere_is_a_ball(suffix: str, sphere: Any, tmp_path: Path, rng: np.random.Generator) -> None:
+def test_sphere_is_a_ball(suffix: str, sphere: Any, tmp_path: Path, rng: np.random.Generator) -> None:
     body = saved(sphere, tmp_path / "ball.stl", scale=0.5, offset=[1.0, 2.0, 3.0])
     if suffix != ".stl":
         sphere.export(tmp_path / f"ball{suffix.lower()}")
@@ -53,7 +53,7 @@ def test_a_sphere_is_a_ball(suffix: str, sphere: Any, tmp_path: Path, rng: np.ra
     assert body.bounds()[1] == pytest.approx([1.5, 2.5, 3.5], abs=1e-6)
 
 
-def test_a_turned_box_is_filled_like_a_box(tmp_path: Path) -> None:
+def test_rotated_box_is_filled_like_a_box(tmp_path: Path) -> None:
     box = saved(trimesh.creation.box((0.4, 0.2, 0.1)), tmp_path / "box.ply", rotation=[0.0, 0.0, 90.0])
     points, volume = Lattice().sample(box, 0.05)
     assert len(points) == 8 * 4 * 2
@@ -61,7 +61,7 @@ def test_a_turned_box_is_filled_like_a_box(tmp_path: Path) -> None:
     assert volume.sum() == pytest.approx(box.volume()) == pytest.approx(0.008)
 
 
-def test_holes_do_no_harm(sphere: Any, tmp_path: Path, rng: np.random.Generator) -> None:
+def test_small_holes_are_closed(sphere: Any, tmp_path: Path, rng: np.random.Generator) -> None:
     body = saved(without(sphere, rng.random(1280) < 0.1), tmp_path / "holes.stl")
     assert body.examine() == [f"{tmp_path / 'holes.stl'}: has holes; they are closed by the winding number"]
     x = rng.uniform(-1.2, 1.2, (5000, 3))
@@ -72,7 +72,7 @@ def test_holes_do_no_harm(sphere: Any, tmp_path: Path, rng: np.random.Generator)
     assert body.volume() == pytest.approx(4 / 3 * np.pi, rel=0.03)
 
 
-def test_a_mesh_that_is_inside_out_is_turned(sphere: Any, tmp_path: Path) -> None:
+def test_mesh_that_is_inside_out_is_turned(sphere: Any, tmp_path: Path) -> None:
     sphere.invert()
     body = saved(sphere, tmp_path / "out.ply")
     assert body.examine() == []
@@ -90,7 +90,7 @@ def test_surfaces_that_overlap_are_joined(sphere: Any, tmp_path: Path) -> None:
     assert body.volume() == pytest.approx(8 / 3 * np.pi - lens, rel=0.02)
 
 
-def test_a_component_that_is_inside_out_adds_nothing_and_takes_nothing_off(tmp_path: Path) -> None:
+def test_component_that_is_inside_out_does_not_change_the_volume(tmp_path: Path) -> None:
     whole, inverted = trimesh.creation.box((1, 1, 1)), trimesh.creation.box((0.33, 0.33, 0.33))
     inverted.apply_translation([1.5, 0.0, 0.0])
     inverted.invert()
@@ -99,7 +99,7 @@ def test_a_component_that_is_inside_out_adds_nothing_and_takes_nothing_off(tmp_p
     assert body.volume() == pytest.approx(1.0, abs=0.01)
 
 
-def test_an_open_surface_is_refused(sphere: Any, tmp_path: Path) -> None:
+def test_open_surface_is_an_error(sphere: Any, tmp_path: Path) -> None:
     bowl = saved(without(sphere.copy(), sphere.triangles_center[:, 2] > 0), tmp_path / "bowl.stl")
     with pytest.raises(UsageError, match=r"bowl\.stl: is open: for \d\d% of what it encloses, inside and"):
         bowl.examine()
@@ -109,7 +109,7 @@ def test_an_open_surface_is_refused(sphere: Any, tmp_path: Path) -> None:
         saved(as_given(sphere.vertices, flipped), tmp_path / "mixed.ply").examine()
 
 
-def test_a_sheet_encloses_nothing(tmp_path: Path) -> None:
+def test_sheet_is_an_error(tmp_path: Path) -> None:
     x, y = np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1, 5))
     vertices = np.stack([x, y, 0.2 * x * y], axis=-1).reshape(-1, 3)
     corner = np.array([5 * j + i for j in range(4) for i in range(4)])
@@ -120,23 +120,23 @@ def test_a_sheet_encloses_nothing(tmp_path: Path) -> None:
         saved(as_given(vertices * [1, 1, 0], faces), tmp_path / "flat.obj").examine()
 
 
-def test_a_surface_that_crosses_itself_is_refused(sphere: Any, tmp_path: Path) -> None:
+def test_surface_that_crosses_itself_is_an_error(sphere: Any, tmp_path: Path) -> None:
     # an hourglass drawn as a figure of eight: its lower half is turned inside out
     eight = sphere.vertices * np.stack([sphere.vertices[:, 2], np.ones(642), np.ones(642)], axis=1)
     with pytest.raises(UsageError, match=r"eight\.ply: crosses itself, or is inside out in parts: \d+% as much"):
         saved(as_given(eight, sphere.faces), tmp_path / "eight.ply").examine()
 
 
-def test_a_surface_that_hardly_crosses_itself_is_told_of(sphere: Any, tmp_path: Path) -> None:
+def test_surface_that_crosses_itself_a_little_gives_a_warning(sphere: Any, tmp_path: Path) -> None:
     pulled = sphere.vertices.copy()
     pulled[np.linalg.norm(pulled - [0.0, 0.0, 1.0], axis=1) < 0.25] *= [1.0, 1.0, -1.5]  # through the far side
-    (told,) = saved(as_given(pulled, sphere.faces), tmp_path / "pulled.ply").examine()
-    assert "pulled.ply: crosses itself, or is inside out in parts: " in told
-    assert told.endswith(" is enclosed the wrong way round, and is left out")
+    (warning,) = saved(as_given(pulled, sphere.faces), tmp_path / "pulled.ply").examine()
+    assert "pulled.ply: crosses itself, or is inside out in parts: " in warning
+    assert warning.endswith(" is enclosed the wrong way round, and is left out")
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj"])
-def test_a_name_in_latin_letters_does_no_harm(suffix: str, sphere: Any, tmp_path: Path) -> None:
+def test_name_in_latin_1_is_read(suffix: str, sphere: Any, tmp_path: Path) -> None:
     if suffix == ".stl":
         text = sphere.export(file_type="stl_ascii").replace("solid", "solid Körper", 1)
     else:
@@ -155,18 +155,22 @@ def test_a_name_in_latin_letters_does_no_harm(suffix: str, sphere: Any, tmp_path
         ("points.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 1\n", "points.obj: holds no triangle"),
         ("text.ply", b"no mesh at all", "text.ply: cannot be read as PLY ("),
         ("beyond.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 9\n", "beyond.obj: cannot be read as OBJ ("),
-        ("nan.obj", b"v 0 0 0\nv nan 0 0\nv 0 1 1\nf 1 2 3\n", "nan.obj: 1 of its points are no finite numbers"),
+        (
+            "nan.obj",
+            b"v 0 0 0\nv nan 0 0\nv 0 1 1\nf 1 2 3\n",
+            "nan.obj: 1 of its points are not finite",
+        ),
         ("body.step", b"ISO-10303-21;", "body.step: a mesh is read from .stl, .obj, .ply"),
     ],
 )
-def test_files_that_hold_no_mesh_are_refused(name: str, content: bytes, message: str, tmp_path: Path) -> None:
+def test_files_without_a_mesh_are_errors(name: str, content: bytes, message: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(UsageError) as info:
         Mesh(file=str(tmp_path / name)).examine()
     assert message in str(info.value)
 
 
-def test_a_file_that_ends_early_is_refused(sphere: Any, tmp_path: Path) -> None:
+def test_truncated_file_is_an_error(sphere: Any, tmp_path: Path) -> None:
     for suffix in (".stl", ".ply"):
         sphere.export(tmp_path / f"whole{suffix}")
         cut = tmp_path / f"cut{suffix}"
@@ -177,14 +181,14 @@ def test_a_file_that_ends_early_is_refused(sphere: Any, tmp_path: Path) -> None:
         Mesh(file=str(tmp_path / "absent.stl")).examine()
 
 
-def test_a_missing_extra_is_named(sphere: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_names_the_missing_extra(sphere: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sphere.export(tmp_path / "ball.stl")
     monkeypatch.setitem(sys.modules, "igl", None)
     with pytest.raises(MissingExtra, match=r"a mesh needs igl, which is not installed: pip install 'cqrun\[mesh\]'"):
         Mesh(file=str(tmp_path / "ball.stl")).examine()
 
 
-def test_a_mesh_is_of_three_dimensions() -> None:
+def test_mesh_needs_a_3d_world() -> None:
     assert "a mesh needs a 3D world" in Mesh(file="a.stl").dim_problems(2)[0][1]
     assert Mesh(file="a.stl", rotation=[0.0, 0.0, 9.0]).dim_problems(3) == []
     assert Mesh(file="a.stl", angle=9.0).dim_problems(3)[0][0] == ("angle",)

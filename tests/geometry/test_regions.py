@@ -1,4 +1,4 @@
-"""Regions: what each picks, that an index means the same cluster whatever the seed, what is refused."""
+"""Regions: selected points, cluster indices that do not depend on the seed, and errors."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ LOW = {"half_space": {"point": [0, 0], "normal": [0, 1]}}
 
 @dataclass
 class Points:
-    """Points with names and colours of their own."""
+    """Points with names and colours."""
 
     x: np.ndarray
     body: str | None = "b"
-    held: dict[str, np.ndarray] = field(default_factory=dict)
+    masks: dict[str, np.ndarray] = field(default_factory=dict)
 
     def named(self, name: str) -> np.ndarray:
-        return self.held[name]
+        return self.masks[name]
 
     def coloured(self, colour: str) -> np.ndarray:
-        return self.held[colour]
+        return self.masks[colour]
 
 
-CORNERS = Points(np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]), held={"first": np.arange(4) == 0})
+CORNERS = Points(np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]), masks={"first": np.arange(4) == 0})
 
 
 def region(data: Any) -> Region:
@@ -60,13 +60,13 @@ def region(data: Any) -> Region:
         ({"nearest_marker": {"markers": {"a": [0, 2], "b": [0, -2], "c": [0, 2]}, "marker": "a"}}, [2, 3]),
     ],
 )
-def test_what_a_region_picks(data: Any, picked: list[int]) -> None:
-    held = region(data).pick(CORNERS)
-    assert held.dtype == bool
-    assert np.flatnonzero(held).tolist() == picked
+def test_region_selects_points(data: Any, picked: list[int]) -> None:
+    mask = region(data).pick(CORNERS)
+    assert mask.dtype == bool
+    assert np.flatnonzero(mask).tolist() == picked
 
 
-def test_every_shape_is_a_region_and_a_name_survives_its_dump() -> None:
+def test_every_shape_is_a_region_and_names_survive_a_dump() -> None:
     assert plugins("region").keys() >= plugins("shape").keys()
     assert plugins("region")["union"] is not plugins("shape")["union"]
     chosen = ADAPTER.validate_python({"union": ["first", LEFT]})
@@ -79,7 +79,7 @@ def clouds(rng: np.random.Generator) -> np.ndarray:
     return rng.permutation(np.concatenate([centre + 0.1 * rng.normal(size=(40, 2)) for centre in centres]))
 
 
-def test_clusters_are_counted_along_x_then_y(rng: np.random.Generator) -> None:
+def test_clusters_are_sorted_by_x_then_y(rng: np.random.Generator) -> None:
     x = clouds(rng)
     x[:, 0] = np.round(x[:, 0])  # two centroids with the very same x
     x[np.abs(x[:, 0]) < 1, 0] = 0.0
@@ -90,7 +90,7 @@ def test_clusters_are_counted_along_x_then_y(rng: np.random.Generator) -> None:
     assert all((k_means(x, 3, seed) == labels).all() for seed in range(1, 6))
 
 
-def test_a_cluster_repeats_to_the_bit_and_is_its_own_bodys(rng: np.random.Generator) -> None:
+def test_cluster_is_deterministic_and_belongs_to_its_body(rng: np.random.Generator) -> None:
     x = rng.uniform(size=(500, 3))
     assert (k_means(x, 7, 3) == k_means(x, 7, 3)).all()
     assert sorted(set(k_means(x, 7, 3))) == list(range(7))
@@ -101,8 +101,8 @@ def test_a_cluster_repeats_to_the_bit_and_is_its_own_bodys(rng: np.random.Genera
     assert (other.pick(Points(x, body="c")) == parts[0]).all()
 
 
-def test_more_clusters_than_particles_are_refused() -> None:
-    with pytest.raises(UsageError, match="5 clusters of 4 particles: there can be at most one a particle"):
+def test_more_clusters_than_particles_are_an_error() -> None:
+    with pytest.raises(UsageError, match="5 clusters of 4 particles: there can be at most one per particle"):
         region({"cluster": {"count": 5, "index": 0}}).pick(CORNERS)
     with pytest.raises(UsageError, match="2 clusters of 1 particles"):
         region({"cluster": {"count": 2, "index": 0}}).pick(Points(np.zeros((9, 2))))
@@ -123,12 +123,12 @@ def test_more_clusters_than_particles_are_refused() -> None:
         (3, "must be a mapping `name: {...}` with one of ball, box"),
     ],
 )
-def test_what_is_no_region_is_refused(data: Any, message: str) -> None:
+def test_invalid_region_is_an_error(data: Any, message: str) -> None:
     with pytest.raises(ValidationError) as info:
         region(data)
     assert message in str(info.value)
 
 
-def test_markers_have_the_worlds_dimension() -> None:
+def test_markers_must_have_the_dimension_of_the_world() -> None:
     nearest = region({"nearest_marker": {"markers": {"a": [0, 0], "b": [1, 0, 0]}, "marker": "a"}})
     assert nearest.dim_problems(2) == [(("markers", "b"), "must have 2 entries in this 2D world, has 3")]

@@ -1,4 +1,4 @@
-"""Samplings: where particles lie, what they weigh, and that they repeat to the bit."""
+"""Samplings: positions and volumes of particles, which are deterministic."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def chain() -> Shape:
     return make("shape", "union", shapes=boxes)
 
 
-def test_lattice_points_stand_at_half_spacings_from_the_corner(box: Box) -> None:
+def test_lattice_points_are_at_half_spacings_from_the_corner(box: Box) -> None:
     points, volume = make("sampling", "lattice").sample(box, 0.1)
     assert points == pytest.approx(np.array([[x, y] for x in (0.15, 0.25, 0.35, 0.45) for y in (0.25, 0.35)]))
     assert volume == pytest.approx(np.full(8, 0.01))
@@ -41,7 +41,7 @@ def test_union_on_one_lattice_samples_overlaps_once() -> None:
     assert volume.sum() == pytest.approx(2.5)
 
 
-def test_scaled_union_is_the_local_one_scaled() -> None:
+def test_lattice_in_a_scaled_union_is_scaled() -> None:
     local = chain()
     parts = local.model_dump()["shapes"]
     world = make("shape", "union", shapes=[{"union": parts}], scale=0.2, offset=[3, 4])
@@ -51,7 +51,7 @@ def test_scaled_union_is_the_local_one_scaled() -> None:
     assert vb == pytest.approx(0.04 * va)
 
 
-def test_jitter_stays_in_its_cell_and_repeats(box: Box) -> None:
+def test_jitter_stays_in_its_cell_and_is_deterministic(box: Box) -> None:
     regular, _ = make("sampling", "lattice").sample(box, 0.05)
     moved, volume = make("sampling", "jittered", amount=0.5, seed=3).sample(box, 0.05)
     assert 0.01 < np.abs(moved - regular).max() <= 0.25 * 0.05
@@ -77,27 +77,27 @@ def test_random_is_uniform_in_the_shape_and_shares_its_volume() -> None:
 
 
 @pytest.mark.parametrize("sampling", [make("sampling", "lattice"), make("sampling", "random", count=9)])
-def test_what_cannot_be_filled_is_refused(sampling: Any) -> None:
-    with pytest.raises(UsageError, match="half_space has no end"):
+def test_infinite_and_empty_shapes_are_errors(sampling: Any) -> None:
+    with pytest.raises(UsageError, match="half_space is infinite"):
         sampling.sample(make("shape", "half_space", point=[0, 0], normal=[0, 1]), 0.1)
     apart = [{"ball": {"center": [x, 0], "radius": 0.4}} for x in (0, 1)]
     with pytest.raises(UsageError, match="intersection is empty"):
         sampling.sample(make("shape", "intersection", shapes=apart), 0.1)
 
 
-def test_a_mistyped_spacing_is_refused_before_memory_runs_out(box: Box) -> None:
+def test_far_too_small_spacing_is_an_error(box: Box) -> None:
     with pytest.raises(UsageError, match="check the units"):
         make("sampling", "lattice").sample(box, 1e-6)
 
 
-def test_a_shape_without_content_inside_its_bounds_is_refused() -> None:
+def test_empty_difference_is_an_error() -> None:
     hollow = make("shape", "difference", shapes=[{"ball": {"center": [0, 0], "radius": r}} for r in (1, 2)])
     with pytest.raises(UsageError, match="is it empty"):
         make("sampling", "random", count=9).sample(hollow, None)
 
 
 @pytest.mark.parametrize(("dim", "spacing", "nearest"), [(2, 0.03, 0.78), (3, 0.15, 0.84)])
-def test_poisson_disks_keep_their_distance_and_are_as_many_as_a_lattice(
+def test_poisson_disks_keep_their_distance_and_are_about_as_many_as_on_a_lattice(
     dim: int, spacing: float, nearest: float
 ) -> None:
     ball = make("shape", "ball", center=[1.0] * dim, radius=0.5)
@@ -113,7 +113,7 @@ def test_poisson_disks_keep_their_distance_and_are_as_many_as_a_lattice(
     assert len(other) != len(points) or (other != points).any()
 
 
-def test_poisson_disks_of_a_long_box_keep_to_it(box: Box) -> None:
+def test_poisson_disks_fill_a_long_box(box: Box) -> None:
     points, _ = make("sampling", "poisson_disk").sample(box, 0.02)
     assert box.inside(points).all()
     assert np.ptp(points, axis=0) == pytest.approx([0.4, 0.2], abs=0.02)

@@ -1,4 +1,4 @@
-"""Shapes: what they hold, their bounds, their volumes against a count of random points."""
+"""Shapes: points inside, bounds, and volumes compared with a count of random points."""
 
 from __future__ import annotations
 
@@ -63,12 +63,12 @@ def shape(data: dict[str, Any]) -> Shape:
 
 
 def test_every_shape_has_a_case() -> None:
-    elsewhere = {"half_space", "image", "mesh"}  # those of files have tests of their own
+    elsewhere = {"half_space", "image", "mesh"}  # tested in other files
     assert set(plugins("shape")) == {next(iter(data)) for _, data in CASES.values()} | elsewhere
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_bounds_hold_the_shape_tightly_and_volume_is_its_measure(name: str, rng: np.random.Generator) -> None:
+def test_bounds_are_tight_and_volume_agrees_with_a_count(name: str, rng: np.random.Generator) -> None:
     dim, data = CASES[name]
     body = shape(data)
     lower, upper = body.bounds()
@@ -78,12 +78,12 @@ def test_bounds_hold_the_shape_tightly_and_volume_is_its_measure(name: str, rng:
     inside = body.inside(points)
     assert inside.shape == (200_000,)
     assert inside.dtype == bool
-    held = points[inside]
-    assert (held >= lower).all()
-    assert (held <= upper).all()
+    contained = points[inside]
+    assert (contained >= lower).all()
+    assert (contained <= upper).all()
     # 2D shapes reach their bounds closely; in 3D few points fall near a pole
-    assert np.allclose(held.min(axis=0), lower, atol=0.06 * np.max(upper - lower))
-    assert np.allclose(held.max(axis=0), upper, atol=0.06 * np.max(upper - lower))
+    assert np.allclose(contained.min(axis=0), lower, atol=0.06 * np.max(upper - lower))
+    assert np.allclose(contained.max(axis=0), upper, atol=0.06 * np.max(upper - lower))
     fraction = inside.mean()
     error = np.prod(upper - lower + 2 * margin) * np.sqrt(fraction * (1 - fraction) / len(points))
     measured = fraction * np.prod(upper - lower + 2 * margin)
@@ -92,7 +92,7 @@ def test_bounds_hold_the_shape_tightly_and_volume_is_its_measure(name: str, rng:
         assert body.volume() == pytest.approx(EXACT[name], rel=2e-4)
 
 
-def test_a_box_holds_nodes_on_its_faces_however_they_are_rounded() -> None:
+def test_nodes_on_faces_of_a_box_are_inside_in_spite_of_rounding() -> None:
     box = shape({"box": {"corner": [0.0, 0.0], "size": [0.3, 1.0]}})
     assert box.inside(np.array([[0.1 + 0.2, 0.5]])).all()
     assert not box.inside(np.array([[0.3 + 1e-8, 0.5]])).any()
@@ -113,8 +113,8 @@ LEVEL: dict[str, tuple[int, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("name", LEVEL)
-def test_nodes_on_a_face_are_held_however_they_are_rounded(name: str) -> None:
-    """Those of a floor at 0.3 m lie up to some bits above it, and would drop it by a cell."""
+def test_nodes_on_a_face_are_inside_in_spite_of_rounding(name: str) -> None:
+    """Nodes on a floor at 0.3 m may be some bits above it; if they were outside, the floor would be a cell too low."""
     dim, data = LEVEL[name]
     ulps = np.arange(-3, 4) * np.spacing(0.3)
     on_it = np.zeros((7, dim))
@@ -126,13 +126,13 @@ def test_nodes_on_a_face_are_held_however_they_are_rounded(name: str) -> None:
 
 
 @pytest.mark.parametrize("size", [1e-4, 1.0, 1e4])
-def test_what_lies_on_a_face_is_told_in_every_unit_of_length(size: float) -> None:
+def test_tolerance_of_a_face_scales_with_the_unit_of_length(size: float) -> None:
     ground = shape({"half_space": {"point": [0, 0.15 * size], "normal": [0, 1]}})
     heights = np.array([6 * (0.025 * size), 0.15 * size * (1 + 1e-8)])
     assert ground.inside(np.stack([[0.0, 0.0], heights], axis=1)).tolist() == [True, False]
 
 
-def test_a_half_space_lies_behind_its_normal() -> None:
+def test_half_space_lies_behind_its_plane() -> None:
     ground = shape({"half_space": {"point": [0, 1], "normal": [0, 3]}})
     assert ground.inside(np.array([[9, 0.5], [9, 1.5]])).tolist() == [True, False]
     assert [side.tolist() for side in ground.bounds()] == [[-np.inf, -np.inf], [np.inf, 1.0]]
@@ -140,7 +140,7 @@ def test_a_half_space_lies_behind_its_normal() -> None:
     assert np.isinf(slope.bounds()).all()
 
 
-def test_a_polygon_holds_its_edges_and_corners_on_every_side() -> None:
+def test_edges_and_corners_of_a_polygon_are_inside() -> None:
     corners = np.array([[0.1, 0.1], [0.4, 0.1], [0.4, 0.1], [0.6, 0.3], [0.3, 0.7]])  # one of them given twice
     body = shape({"polygon": {"points": corners.tolist()}})
     middles = (corners + np.roll(corners, -1, axis=0)) / 2
@@ -171,13 +171,13 @@ def test_polygon_crossing_itself_follows_the_even_odd_rule() -> None:
         ("bal", "is 'bal' (did you mean 'ball'?)"),
     ],
 )
-def test_what_is_no_shape_is_refused(data: Any, message: str) -> None:
+def test_invalid_shape_is_an_error(data: Any, message: str) -> None:
     with pytest.raises(ValidationError) as info:
         shape(data)
     assert message in info.value.errors()[0]["msg"]
 
 
-def test_dimensions_are_reported_with_their_place() -> None:
+def test_dimension_errors_name_the_field() -> None:
     box = shape({"box": {"corner": [0, 0], "size": [1, 1, 1]}})
     assert box.dim_problems(3) == [(("corner",), "must have 3 entries in this 3D world, has 2")]
     assert box.dim_problems(2)[0][0] == ("size",)

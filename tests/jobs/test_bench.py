@@ -23,14 +23,18 @@ from cqrun.scene.load import load_scene
 
 PASSES = {
     "momentum", "sort", "clear", "scatter", "update_grid", "move", "move_vjp", "clear_both", "scatter_both",
-    "update_grid_vjp", "momentum_vjp",
+    "update_grid_vjp", "friction_vjp", "momentum_vjp",
 }  # fmt: skip
 ACTING = PASSES | {"policy", "policy_vjp", "activate", "activate_vjp", "record", "record_vjp"}
-PUSHING = ACTING - {"activate", "activate_vjp"} | {"push", "push_vjp"}
+PULLING = ACTING - {"activate", "activate_vjp"} | {"forces", "forces_vjp"}
 CHAINED = PASSES | {"move_momentum", "momentum_move_vjp"}
 PUSHED = FINGER.replace(
     "muscle: {muscle: {body: finger, each: [left, right], axis: [0, 1], strength: 4}}",
     "push: {body_force: {body: finger, direction: [1, 0], acceleration: 0.1}}",
+)
+PULLED = PUSHED.replace(
+    "push: {body_force: {body: finger, direction: [1, 0], acceleration: 0.1}}",
+    "pull: {cable: {body: finger, route: [[0.41, 0.25], [0.41, 0.55]], stiffness: 1}}",
 )
 
 
@@ -42,7 +46,9 @@ def few(monkeypatch):
     monkeypatch.setattr(blocks, "COPIED", 1 << 20)
 
 
-@pytest.mark.parametrize(("text", "passes"), [(BEAM, PASSES), (BEAM, CHAINED), (FINGER, ACTING), (PUSHED, PUSHING)])
+@pytest.mark.parametrize(
+    ("text", "passes"), [(BEAM, PASSES), (BEAM, CHAINED), (FINGER, ACTING), (PUSHED, ACTING), (PULLED, PULLING)]
+)
 def test_every_pass_has_a_line_and_a_share(tmp_path, text, passes, monkeypatch):
     if passes is CHAINED:
         monkeypatch.setattr(forward_run, "CHAINED_FROM", 0)
@@ -60,7 +66,7 @@ def test_every_pass_has_a_line_and_a_share(tmp_path, text, passes, monkeypatch):
     forward, backward = ({s.name for s in shares(told, whole)} for whole in ("forward", "backward"))
     assert forward | backward == passes | {"the rest"}
     # what a substep's adjoint does again of the substep
-    assert forward & backward - {"the rest"} == {"momentum", "sort", "push"} & passes
+    assert forward & backward - {"the rest"} == {"momentum", "sort", "forces"} & passes
     for name in passes:
         assert any(line.startswith(f"  {name} ") for line in lines)
     particle_steps = 1e-9 * told["particles"] * told["substeps"]

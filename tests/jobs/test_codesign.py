@@ -159,7 +159,7 @@ def test_a_design_that_cannot_be_had_ends_infeasible_and_is_kept(finger, tmp_pat
     assert (folder / "controller.npz").is_file()
     with pytest.raises(InfeasibleError), infeasible_shown():  # as the command line runs it
         learn(finger, tmp_path, "constraints.tip.at_most=0.001", "optimizer.slsqp.max_iterations=15")
-    told = r"infeasible after \d+ iterations: not met[^:]* may do: constraint 'tip'"
+    told = r"infeasible after \d+ iterations: not met[^:]* may help: constraint 'tip'"
     assert re.search(told, capsys.readouterr().out)
     assert (folder / "figures" / "convergence.png").is_file()
 

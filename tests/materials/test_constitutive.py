@@ -26,7 +26,8 @@ from cqrun.actuators.muscle import from_rows, symmetric_rows
 from cqrun.materials import term
 from cqrun.materials.incompressibility import Incompressibility, bulk_modulus
 from cqrun.materials.lame import lame, lame_vjp
-from cqrun.materials.term import MaterialTerm, kirchhoff, kirchhoff_vjp, total_kirchhoff, total_kirchhoff_vjp
+from cqrun.materials.stress import total_kirchhoff, total_kirchhoff_vjp
+from cqrun.materials.term import MaterialTerm, kirchhoff, kirchhoff_vjp
 from cqrun.numerics.compile import kernel
 from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import load, pack, store, unpack
@@ -79,7 +80,7 @@ def test_a_law_without_an_adjoint_fails_the_generated_test(rng, monkeypatch):
     term = of_class("forgetful", _Forgetful, rng)
     with pytest.raises(KeyError):
         list(adjoint_errors(term, 2, rng))
-    monkeypatch.setitem(_registered(0), _Strange, _stress)
+    monkeypatch.setitem(*_registered(0, _stress))
     with pytest.raises(KeyError):
         list(adjoint_errors(term, 2, rng))
 
@@ -89,14 +90,16 @@ def test_a_law_with_a_wrong_adjoint_fails_the_generated_test(rng, monkeypatch):
         return (0.0,), tuple(theta[0] * b for b in tau_bar), tuple(0.0 * c for c in C)
 
     for k, function in enumerate((_stress, wrong)):
-        monkeypatch.setitem(_registered(k), _Strange, function)
+        monkeypatch.setitem(*_registered(k, function))
     errors = dict(adjoint_errors(of_class("forgetful", _Forgetful, rng), 2, rng))
     assert errors["theta"] > 0.1
     assert errors["F"] <= DOT_PRODUCT
 
 
-def _registered(which: int) -> dict[type, Any]:
-    return (term._STRESS, term._STRESS_VJP)[which]
+def _registered(which: int, function: Any) -> tuple[dict[type, Any], type, Any]:
+    """Return what registers a function as the stress, or as its adjoint, of the strange law."""
+    table, arguments = ((term._STRESS, "term, theta, F, C"), (term._STRESS_VJP, "term, theta, F, C, tau_bar"))[which]
+    return table.bodies, _Strange, (function, arguments)
 
 
 # --- physics of every term -------------------------------------------------------------------------------
@@ -333,8 +336,8 @@ def on_lanes(terms, terms_bar, table, out, width, dims):
                 load(table, 18, i), load(table, 19, i), load(table, 20, i), load(table, 21, i), load(table, 22, i),
                 load(table, 23, i), load(table, 24, i), load(table, 25, i), load(table, 26, i),
             )  # fmt: skip
-        tau = total_kirchhoff(terms, i, F, C)
-        F_bar, C_bar = total_kirchhoff_vjp(terms, terms_bar, i, F, C, b)
+        tau = total_kirchhoff(terms, table, i, F, C)
+        F_bar, C_bar = total_kirchhoff_vjp(terms, terms_bar, table, out, i, F, C, b)
         row = 0
         for a in (tau, F_bar, C_bar):
             for entry in a:
@@ -371,8 +374,8 @@ def test_compiled_terms_are_their_plain_twins(dim, real, tolerance, rng):
         out = np.zeros((table.shape[0], 3 * dim * dim, width), real)
         on_lanes(terms, bars, table, out, width, (0,) * dim)
         theta = tuple(thetas[on])
-        tau = kirchhoff(part.kernel, theta, entries(F), entries(C))
-        theta_bar, F_bar, C_bar = kirchhoff_vjp(part.kernel, theta, entries(F), entries(C), entries(tau_bar))
+        tau = kirchhoff(part.kernel, theta, entries(F), entries(C), ())
+        theta_bar, F_bar, C_bar = kirchhoff_vjp(part.kernel, theta, entries(F), entries(C), (), entries(tau_bar))
         want = np.array([*tau, *F_bar, *C_bar])
         np.testing.assert_allclose(unpack(out), want, rtol=0, atol=tolerance * np.abs(want).max(), err_msg=part.name)
         want = np.array([b + np.zeros(n) for b in theta_bar])

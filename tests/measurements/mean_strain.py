@@ -8,12 +8,13 @@ import numpy as np
 from pydantic import Field
 
 from cqrun.errors import DataError
-from cqrun.measurements.comparison import Records, zeros_like
+from cqrun.measurements.comparison import Records
 from cqrun.measurements.measurement import Measurement, Recorded
 from cqrun.measurements.series import SeriesComparison
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import GroupName
 from cqrun.plugin.registry import plugin
 
 
@@ -24,11 +25,11 @@ class MeanStrain(Measurement):
     quantity: ClassVar[str] = "strain"
     channel: ClassVar[str] = "gauge"
 
-    group: str | None = Field(description=A_GROUP, default=None)
+    group: GroupName | None = Field(description=A_GROUP, default=None)
 
     def bind(self, recorded: Recorded, matter: Matter) -> SeriesComparison:
         try:
-            time, strain = np.loadtxt(matter.resolve(recorded.file), delimiter=",", skiprows=1, unpack=True)
+            time, strain = np.loadtxt(recorded.file, delimiter=",", skiprows=1, unpack=True)
         except ValueError as error:
             raise DataError(f"{recorded.file}: no table of times and strains ({error})") from error
         rows = means([matter.members(recorded.body, self.group)], matter.n_particles)
@@ -42,6 +43,6 @@ class Gauge(SeriesComparison):
         return records.F[:, :, 0, :1] - 1.0, None
 
     def observe_vjp(self, records: Records, y_bar: Array, w_bar: Array) -> Records:
-        bar = zeros_like(records)
+        bar = records.zeros_like()
         bar.F[:, :, 0, :1] = y_bar
         return bar

@@ -1,4 +1,4 @@
-"""Interpolation between control steps: order, ends, rest before the release, adjoint."""
+"""Interpolation between control steps: order, ends, rest before the release, and adjoint."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def cubic(rng, tau):
     return (powers @ c)[..., None], (slopes @ c)[..., None]
 
 
-def test_cubics_are_exact_and_so_are_their_slopes(rng):
+def test_cubics_and_their_derivatives_are_exact(rng):
     knots, tau = 0.1 * np.arange(11), rng.uniform(0, 1, 40)
     values, slopes = cubic(rng, np.r_[knots, tau])
     at = interpolant(tau, 0.1, 10)
@@ -24,7 +24,7 @@ def test_cubics_are_exact_and_so_are_their_slopes(rng):
     np.testing.assert_allclose(at.slope(values[:11], slopes[:11]), slopes[11:], atol=1e-12)
 
 
-def test_fourth_order():
+def test_error_is_of_fourth_order():
     tau = np.linspace(0, 1, 173)
     errors = []
     for steps in (10, 20):

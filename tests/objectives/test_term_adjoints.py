@@ -1,4 +1,4 @@
-"""Every objective the registry knows: its adjoint by complex step, over every reduction and side of a kink."""
+"""Every registered objective: its adjoint checked by complex step, for every reduction and side of a kink."""
 
 from __future__ import annotations
 
@@ -8,28 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_matter import (
-    CONTROL_STEP,
-    N_ACTUATORS,
-    N_CONTROLS,
-    STEP,
-    box_around_left,
-    made_matter,
-    mismatch,
-    moved,
-    slope,
-)
+from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, STEP, box_around_left, made_matter, moved, slope
+from made_tracks import a_track, adjoint_error
 
 from cqrun.objectives.gaps import lengths, lengths_vjp
 from cqrun.objectives.term import BoundTerm, Objective, Over, Track, TrackBar, reduced, reduced_vjp
 from cqrun.plugin.registry import plugins
 
-FIELDS = ("x", "v", "C", "F", "activation", "design")
 OVER = typing.get_args(Over)
 
 
 def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
-    """Return fields to try each plug-in with; tracks have centroids within 1 m or so of the origin."""
+    """Return fields for each plug-in to test; tracks have centroids within about 1 m of the origin."""
     path = [[0.02, 0.1, 0.2, 0.3][: dim + 1], [0.11, 0.4, -0.2, 0.1][: dim + 1], [0.2, 0.5, 0.5, 0.5][: dim + 1]]
     return {
         "distance": [{"body": "arm"}, {"body": "arm", "group": "tip", "axis": "y"}],
@@ -72,31 +62,6 @@ def make(name: str, k: int, dim: int, **fields: Any) -> BoundTerm:
     return bound
 
 
-def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
-    draw = lambda *shape: rng.normal(size=(N_CONTROLS + 1, n_rows, *shape))  # noqa: E731
-    goals = {"target": rng.normal(size=dim)}
-    return Track(0.3 * draw(dim), draw(dim), draw(dim, dim), draw(dim, dim), rng.normal(size=(N_CONTROLS, N_ACTUATORS)),
-                 goals, CONTROL_STEP, 2.0 + 0.1 * rng.normal(size=(4, made_matter(dim).n_particles)))  # fmt: skip
-
-
-def adjoint_error(value: Any, value_vjp: Any, track: Track, rng: np.random.Generator) -> float:
-    """Return the relative error of bar (J d) = (J^T bar) . d."""
-    directions = {name: rng.normal(size=getattr(track, name).shape) for name in FIELDS}
-    tilted = replace(track, **{name: moved(getattr(track, name), directions[name]) for name in FIELDS})
-    bar = rng.normal()
-    found = value_vjp(track, bar)
-    parts = [bar_of(found, name, directions[name].shape) * directions[name] for name in FIELDS]
-    expected = slope(lambda: value(tilted), bar)
-    return mismatch(sum(float(p.sum()) for p in parts), expected, sum(float(np.abs(p).sum()) for p in parts))
-
-
-def bar_of(bar: TrackBar, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a cotangent, None as zeros; one of another shape than its value's is an error."""
-    own = getattr(bar, name)
-    assert own is None or own.shape == shape, name
-    return np.zeros(shape) if own is None else own
-
-
 def test_every_objective_has_an_example():
     assert set(examples(2)) == set(plugins("objective"))
 
@@ -121,14 +86,14 @@ def test_dot_product_of_the_smooth_maximum_over_time(k, dim, rng):
 
 @EVERY
 @DIM
-def test_all_terms_are_real_numbers_of_all_particles(name, k, dim, rng):
+def test_value_is_a_float_and_rows_cover_all_particles(name, k, dim, rng):
     bound = make(name, k, dim)
     assert bound.rows.shape[1] == made_matter(dim).n_particles
     value = bound.value(a_track(bound.rows.shape[0], dim, rng))
     assert isinstance(value, float)
 
 
-def test_a_wrong_adjoint_is_found(rng):
+def test_a_wrong_adjoint_fails(rng):
     bound = make("reach", 0, 2)
     track = a_track(1, 2, rng)
     right = bound.value_vjp
@@ -136,7 +101,7 @@ def test_a_wrong_adjoint_is_found(rng):
     assert adjoint_error(bound.value, wrong, track, rng) > 1e-4
 
 
-def test_contact_examples_are_on_each_side(rng):
+def test_contact_examples_cover_both_sides_of_the_kink(rng):
     """The three examples of contact_free: some particles too deep, all, none."""
     for k, sides in enumerate([{True, False}, {True}, {False}]):
         bound = make("contact_free", k, 2)
@@ -145,7 +110,7 @@ def test_contact_examples_are_on_each_side(rng):
 
 
 @DIM
-def test_the_weighted_sum(dim, rng):
+def test_loss_is_the_weighted_sum(dim, rng):
     matter = made_matter(dim)
     specs = {
         f"{name}{k}": plugins("objective")[name].model_validate(examples(dim)[name][k] | {"weight": 0.5 + k})
@@ -171,7 +136,7 @@ def test_the_weighted_sum(dim, rng):
 
 
 @pytest.mark.parametrize(("over", "which"), [("minimum", 1), ("maximum", 0)])
-def test_of_equal_extremes_the_first_has_the_slope(over, which):
+def test_gradient_goes_to_the_first_of_equal_extremes(over, which):
     h = np.array([5.0, 2.0, 3.0, 2.0, 5.0])
     expected = np.zeros(5)
     expected[which] = 3.0
@@ -179,21 +144,21 @@ def test_of_equal_extremes_the_first_has_the_slope(over, which):
 
 
 @pytest.mark.parametrize("zeros", [[], [2], [0, 4], [1, 2, 3]])
-def test_the_product_stands_zeros(zeros, rng):
+def test_gradient_of_a_product_with_zeros(zeros, rng):
     h, d = rng.normal(size=(2, 5))
     h[zeros] = 0.0
     expected = slope(lambda: reduced(moved(h, d), "product", 0.1), 1.0)
-    # where two factors vanish the step's square is left of the exact zero
+    # where two factors vanish, the complex step leaves its square instead of exactly zero
     assert np.dot(reduced_vjp(h, "product", 0.1, 1.0), d) == pytest.approx(expected, rel=1e-12, abs=STEP)
 
 
-def test_a_distance_of_zero_has_no_slope():
+def test_gradient_of_a_distance_of_zero_is_zero():
     gap = np.array([[0.0, 0.0], [3.0, -4.0]])
     np.testing.assert_array_equal(lengths(gap, squared=False), [0.0, 5.0])
     np.testing.assert_allclose(lengths_vjp(gap, squared=False, h_bar=np.ones(2)), [[0.0, 0.0], [0.6, -0.8]])
 
 
-def test_a_particle_at_the_edge_of_contact_has_no_slope():
+def test_gradient_at_the_edge_of_contact_is_zero():
     bound = make("contact_free", 0, 2)
     k = bound.rows.shape[0]
     edge = np.full((N_CONTROLS + 1, k, 2), bound.clear)

@@ -1,4 +1,4 @@
-"""What each term of an objective measures: known values, signs, and what it refuses."""
+"""Values of each objective term in known cases, signs, and errors."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def motion(rows: Any, *, x: Any = 0.0, v: Any = 0.0, activation: Any = 0.0, goal
     """Return a track of all particles, moved by x(t, p) from rest, with velocities v(t, p)."""
     shape = (*STEPS, 2)
     places, speeds = np.broadcast_to(MATTER.x + x, shape), np.broadcast_to(v, shape).astype(float)
-    seen = [np.stack([rows @ frame for frame in field]) for field in (places, speeds)]
+    sums = [np.stack([rows @ frame for frame in field]) for field in (places, speeds)]
     none = np.zeros((N_CONTROLS + 1, rows.shape[0], 2, 2))
-    return Track(*seen, none, none, np.broadcast_to(activation, (N_CONTROLS, N_ACTUATORS)).astype(float), goals or {},
+    return Track(*sums, none, none, np.broadcast_to(activation, (N_CONTROLS, N_ACTUATORS)).astype(float), goals or {},
                  CONTROL_STEP)  # fmt: skip
 
 
@@ -45,7 +45,7 @@ def walk(speed: float) -> np.ndarray:
     return speed * TIMES[:, None, None] * np.array([1.0, 0.0])
 
 
-def test_distance_is_how_far_the_centroid_came():
+def test_distance_is_that_of_the_centroid():
     spec = term("distance", body="arm")
     assert value(spec, x=walk(0.4)) == pytest.approx(0.4 * TIMES[-1])
     assert value(term("distance", body="arm", over="mean"), x=walk(0.4)) == pytest.approx(0.4 * TIMES[1:].mean())
@@ -53,19 +53,19 @@ def test_distance_is_how_far_the_centroid_came():
 
 
 @pytest.mark.parametrize(("name", "fields"), [("distance", {"body": "arm"}), ("height", {"body": "arm"})])
-def test_what_should_be_large_is_counted_negative(name, fields):
+def test_terms_that_should_be_large_are_counted_negative(name, fields):
     objective = Objective({"far": term(name, **fields, axis="x", over="final", weight=3.0)}, MATTER)
     near, far = (motion(objective.rows, x=walk(speed)) for speed in (0.1, 0.2))
     assert objective.loss(far) == pytest.approx(-3.0 * objective.values(far)["far"])
     assert objective.loss(far) < objective.loss(near)
 
 
-def test_height_is_a_coordinate():
+def test_height_is_a_coordinate_of_the_centroid():
     tip = MATTER.x[MATTER.groups["arm"]["tip"]].mean(axis=0)
     assert value(term("height", body="arm", group="tip"), x=[0.0, 0.25]) == pytest.approx(tip[1] + 0.25)
 
 
-def test_reach_of_a_goal_a_place_and_a_body():
+def test_reach_of_a_goal_a_position_and_a_body():
     goals = {"target": np.array([0.6, 0.7])}
     arm, ball, tip = (MATTER.x[i].mean(axis=0) for i in (MATTER.members("arm"), MATTER.members("ball"),
                                                         MATTER.members("arm", "tip")))  # fmt: skip
@@ -90,15 +90,15 @@ def test_rest_of_the_centroid_and_of_all_particles():
     assert value(term("rest", body="arm"), v=[3.0, 4.0]) == pytest.approx(25.0)
 
 
-def test_effort_is_the_integral_of_the_squares():
+def test_effort_is_the_integral_of_squared_activations():
     u = np.zeros((N_CONTROLS, N_ACTUATORS))
     u[1], u[2] = [1.0, -2.0, 0.0], [0.0, 0.0, 3.0]
     assert value(term("effort"), activation=u) == pytest.approx(CONTROL_STEP * (5 + 9))
     assert value(term("effort", over="maximum"), activation=u) == 9.0
 
 
-def test_effort_counts_from_zero_or_from_where_actuators_do_nothing():
-    """The last two actuators do nothing at 1 and at .5."""
+def test_effort_counts_from_zero_or_from_neutral():
+    """The last two actuators do nothing at 1 and at 0.5."""
     idle = np.tile([0.0, 1.0, 0.5], (N_CONTROLS, 1))
     for fields in ({}, {"counted_from": "zero"}):
         assert value(term("effort", **fields), activation=idle) == pytest.approx(CONTROL_STEP * N_CONTROLS * 1.25)
@@ -107,17 +107,17 @@ def test_effort_counts_from_zero_or_from_where_actuators_do_nothing():
     assert value(term("effort", counted_from="neutral"), activation=pulled) == pytest.approx(CONTROL_STEP * N_CONTROLS)
 
 
-def test_track_of_a_path_that_is_followed():
+def test_track_of_a_path():
     start = MATTER.x[MATTER.members("arm")].mean(axis=0)
     path = [[0.0, *start], [1.0, start[0] + 0.4, start[1]]]
     assert value(term("track", body="arm", path=path), x=walk(0.4)) == pytest.approx(0.0, abs=1e-30)
-    late = value(term("track", body="arm", path=path), x=walk(0.3))
-    assert late == pytest.approx(np.mean((0.1 * TIMES[1:]) ** 2))
+    slower = value(term("track", body="arm", path=path), x=walk(0.3))
+    assert slower == pytest.approx(np.mean((0.1 * TIMES[1:]) ** 2))
     beyond = term("track", body="arm", path=[[0.0, *start]], over="final")
-    assert value(beyond, x=walk(0.3)) == pytest.approx((0.3 * TIMES[-1]) ** 2), "it stands still after its end"
+    assert value(beyond, x=walk(0.3)) == pytest.approx((0.3 * TIMES[-1]) ** 2), "the path is constant after its end"
 
 
-def test_track_of_key_frames_counts_at_their_times_alone():
+def test_key_frames_are_compared_at_their_times_only():
     start = MATTER.x[MATTER.members("arm")].mean(axis=0)
     when = 2.5 * CONTROL_STEP  # between control steps: the cubic Hermite of a straight walk is the walk
     keys = [[when, start[0], start[1] + 0.1], [TIMES[-1], *start]]
@@ -142,7 +142,7 @@ def test_reductions(over, expected):
     assert reduced(np.array([3.0, -1.0, 4.0]), over, 0.1) == pytest.approx(expected)
 
 
-def test_the_start_counts_for_nothing():
+def test_reductions_leave_out_the_start():
     """Every reduction is over the ends of control steps 1 .. T."""
     jump = np.zeros((N_CONTROLS + 1, 1, 2))
     jump[0] = 7.0
@@ -166,7 +166,7 @@ def test_the_start_counts_for_nothing():
         ("effort", {"over": "min"}, "must be 'final', 'mean', .*, is 'min'"),
     ],
 )
-def test_fields_that_do_not_fit_together(name, fields, words):
+def test_fields_that_do_not_fit_together_are_errors(name, fields, words):
     with pytest.raises(ValidationError, match=words):
         term(name, **fields)
 
@@ -185,12 +185,12 @@ def test_fields_that_do_not_fit_together(name, fields, words):
          "this region of the body 'arm' holds no particle"),
     ],
 )  # fmt: skip
-def test_names_that_do_not_fit_the_scene(name, fields, words):
+def test_names_that_do_not_fit_the_scene_are_errors(name, fields, words):
     with pytest.raises(UsageError, match=words):
         term(name, **fields).bind(MATTER)
 
 
-def test_a_2d_world_has_no_third_axis_and_points_have_its_dimension():
+def test_axis_and_points_must_fit_the_dimension_of_the_world():
     assert term("distance", body="arm", axis="z").dim_problems(2) == [(("axis",), "a 2D world has no axis z")]
     assert term("distance", body="arm", axis="z").dim_problems(3) == []
     (place, message), *_ = term("track", body="arm", path=[[0, 1, 2]]).dim_problems(3)
@@ -200,7 +200,7 @@ def test_a_2d_world_has_no_third_axis_and_points_have_its_dimension():
 
 
 @pytest.mark.parametrize("power", [40, 256, 4096])
-def test_stretch_is_never_below_the_largest_and_near_it(power):
+def test_stretch_is_near_the_largest_and_never_below_it(power):
     bound = term("stretch", body="arm", power=power).bind(MATTER)
     F = np.tile(np.eye(2), (*STEPS[:1], bound.rows.shape[0], 1, 1))
     track = Track(np.zeros(F.shape[:3]), np.zeros(F.shape[:3]), F, F, np.zeros((N_CONTROLS, 1)), {}, CONTROL_STEP)
@@ -218,8 +218,8 @@ def test_stretch_is_never_below_the_largest_and_near_it(power):
     assert np.isfinite(bound.value_vjp(track, 1.0).F).all()
 
 
-def test_stretch_costs_less_than_singular_values(rng):
-    """Value and slope together; of no fewer particles than are powered at a time, so that these are several times."""
+def test_stretch_is_faster_than_singular_values(rng):
+    """Value and gradient together, for more particles than are processed at a time."""
     bound = term("stretch", body="arm").bind(MATTER)
     F = np.eye(2) + 0.1 * rng.normal(size=(20, 4000, 2, 2))
     track = Track(np.zeros(F.shape[:3]), np.zeros(F.shape[:3]), F, F, np.zeros((19, 1)), {}, CONTROL_STEP)
@@ -227,7 +227,7 @@ def test_stretch_costs_less_than_singular_values(rng):
     value = bound.value(track)
     assert singular.max() <= value <= singular.max() * (2 * singular.size) ** (1 / 256)
     slope = bound.value_vjp(track, 1.0).F
-    assert (slope * F).sum() == pytest.approx(value), "stretched by a factor, so is the largest stretch"
+    assert (slope * F).sum() == pytest.approx(value), "the largest stretch is homogeneous of degree 1 in F"
     assert not slope[0].any()
 
     def seconds(what):
@@ -235,8 +235,8 @@ def test_stretch_costs_less_than_singular_values(rng):
         what()
         return time.thread_time() - begin
 
-    own = min(seconds(lambda: (bound.value(track), bound.value_vjp(track, 1.0))) for _ in range(3))
-    assert own < min(seconds(lambda: np.linalg.norm(F[1:], 2, axis=(2, 3))) for _ in range(3))
+    elapsed = min(seconds(lambda: (bound.value(track), bound.value_vjp(track, 1.0))) for _ in range(3))
+    assert elapsed < min(seconds(lambda: np.linalg.norm(F[1:], 2, axis=(2, 3))) for _ in range(3))
 
 
 def test_unchanged_is_the_mean_squared_relative_change():
@@ -247,5 +247,5 @@ def test_unchanged_is_the_mean_squared_relative_change():
     assert bound.value(track) == 0.0
     design[0] *= 1.1
     assert bound.value(track) == pytest.approx(0.01)
-    design[1] *= 3.0  # the volume is another's matter
+    design[1] *= 3.0  # the volume is not part of it
     assert bound.value(track) == pytest.approx(0.01)

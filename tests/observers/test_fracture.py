@@ -1,4 +1,4 @@
-"""Numerical fracture: neighbours are found at rest, and counted as lost once no node is theirs in common."""
+"""Numerical fracture: pairs of neighbours at rest are counted as lost once they share no node."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def nodes(x: np.ndarray) -> set[tuple[int, ...]]:
 
 
 @pytest.mark.parametrize(("dim", "neighbours"), [(2, 8), (3, 18)])
-def test_neighbours_are_those_beside_and_across(dim, neighbours):
-    found = watch(block(dim)).pairs["body"]
+def test_neighbours_lie_along_axes_and_face_diagonals(dim, neighbours):
+    pairs = watch(block(dim)).pairs["body"]
     inner = np.flatnonzero(np.all(np.abs(block(dim) - block(dim).mean(0)) < 0.6 * DX, axis=1))
-    counts = np.bincount(found.ravel())
+    counts = np.bincount(pairs.ravel())
     assert np.all(counts[inner] == neighbours)
 
 
-def test_a_body_at_rest_or_moved_as_a_whole_is_in_one_piece():
+def test_rigid_translation_loses_no_pair():
     x = block(2)
     fracture = watch(x)
     assert fracture.count(x) == {"body": 0}
@@ -46,7 +46,7 @@ def test_a_body_at_rest_or_moved_as_a_whole_is_in_one_piece():
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_the_count_is_that_of_pairs_without_a_common_node(dim, rng):
+def test_count_is_the_number_of_pairs_without_a_common_node(dim, rng):
     x = block(dim)
     fracture = watch(x)
     torn = x * 5.0 + rng.normal(size=x.shape) * 0.1 * DX + 1.0
@@ -55,7 +55,7 @@ def test_the_count_is_that_of_pairs_without_a_common_node(dim, rng):
     assert fracture.count(torn) == {"body": expected}
 
 
-def test_the_worst_moment_is_kept_and_told_by_body():
+def test_largest_count_is_stored_and_reported_by_body():
     x = np.concatenate([block(2), block(2) + np.array([1.0, 0.0])])
     half = len(x) // 2
     fracture = watch(x, left=slice(0, half), right=slice(half, None))
@@ -71,7 +71,7 @@ def test_the_worst_moment_is_kept_and_told_by_body():
     assert "the body 'right'" in sentence
 
 
-def test_particles_too_far_apart_at_rest_are_no_neighbours():
+def test_particles_too_far_apart_at_rest_are_not_neighbours():
     """Where the lattice is wider than the grid, pairs that never shared a node are not counted as lost."""
     x = block(2) * 5.0
     fracture = Fracture.of(x, {"body": slice(0, len(x))}, {"body": 2.5 * DX}, DX)

@@ -1,4 +1,4 @@
-"""Every observer the registry knows: its adjoint by complex step, and its place among others."""
+"""Every registered observer: its adjoint checked by complex step, alone and together with the others."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ALL = ["position", "velocity", "acceleration"]
 
 
 def examples(dim: int) -> dict[str, list[dict[str, Any]]]:
-    """Return fields to try each plug-in with."""
+    """Return fields for each plug-in to test."""
     return {
         "centroids": [
             {"body": "arm", "of": ["acceleration", "position"]},
@@ -85,10 +85,10 @@ def adjoint_error(bound: BoundObserver, moment: Moment, rng: np.random.Generator
 
 
 def bar_of(bar: MomentBar | State, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a cotangent, None as zeros; one of another shape than its value's is an error."""
-    own = getattr(bar, name)
-    assert own is None or own.shape == shape, name
-    return np.zeros(shape) if own is None else own
+    """Return a cotangent, None as zeros; fail if its shape is not that of its value."""
+    part = getattr(bar, name)
+    assert part is None or part.shape == shape, name
+    return np.zeros(shape) if part is None else part
 
 
 def test_every_observer_has_an_example():
@@ -115,36 +115,36 @@ def test_shapes(name, k, dim, rng):
     assert bound.needs_state == (name == "vae")
 
 
-def test_a_wrong_adjoint_is_found(rng):
+def test_a_wrong_adjoint_fails(rng):
     bound = make("strain", 0, 2, rng)
     right = bound.observe_vjp
-    bound.observe_vjp = lambda *given: MomentBar(F=1.001 * right(*given).F)  # type: ignore[method-assign]
+    bound.observe_vjp = lambda *args: MomentBar(F=1.001 * right(*args).F)  # type: ignore[method-assign]
     assert adjoint_error(bound, a_moment(bound, 2, rng), rng) > 1e-4
 
 
 @DIM
 @pytest.mark.parametrize("control", [0, 3])
-def test_all_of_them_as_one(dim, control, rng):
+def test_all_observers_together(dim, control, rng):
     bound = {f"{name}{k}": make(name, k, dim, rng) for name, k in CASES}
     observation = Observation(bound, made_matter(dim).n_particles)
     moment = a_moment(observation, dim, rng, control)
     assert observation.size == sum(o.size for o in bound.values())
     assert adjoint_error(observation, moment, rng) <= 1e-9
     z, _ = observation.observe(moment)
-    row = remembered = 0
-    for name, own in bound.items():
-        rows, kept = slice(row, row + own.rows.shape[0]), slice(remembered, remembered + own.n_memory)
-        row, remembered = rows.stop, kept.stop
+    row = n_memory = 0
+    for name, single in bound.items():
+        rows, memory = slice(row, row + single.rows.shape[0]), slice(n_memory, n_memory + single.n_memory)
+        row, n_memory = rows.stop, memory.stop
         share = Moment(moment.x[rows], moment.v[rows], moment.C[rows], moment.F[rows], moment.time, control,
-                       moment.goals, moment.memory[kept], moment.state)  # fmt: skip
-        alone, _ = own.observe(share)
-        scaled = 2 * (alone - own.low) / (own.high - own.low) - 1
+                       moment.goals, moment.memory[memory], moment.state)  # fmt: skip
+        alone, _ = single.observe(share)
+        scaled = 2 * (alone - single.low) / (single.high - single.low) - 1
         np.testing.assert_allclose(z[observation.parts[name]], scaled, rtol=1e-12, atol=1e-12)
-        assert (observation.rows[rows] != own.rows).nnz == 0
+        assert (observation.rows[rows] != single.rows).nnz == 0
 
 
 class _OfState(BoundObserver):
-    """An observer that looks at all particles."""
+    """An observer that reads all particles."""
 
     size, needs_state = 1, True
     low, high = np.full(1, -1.0), np.full(1, 1.0)
@@ -161,7 +161,7 @@ class _OfState(BoundObserver):
         return MomentBar(state=replace(zeros, x=2 * z_bar[0] * state.x))
 
 
-def test_observers_of_all_particles_add_up(rng):
+def test_cotangents_of_observers_of_all_particles_add_up(rng):
     empty = make("clock", 0, 2, rng)
     observation = Observation({"a": _OfState(empty.rows), "clock": empty, "b": _OfState(empty.rows)}, 3)
     assert observation.needs_state

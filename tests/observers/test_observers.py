@@ -1,4 +1,4 @@
-"""What each observer sees: known values, ranges, and what it refuses."""
+"""Values of each observer in known cases, ranges, and errors."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def observer(name: str, **fields: Any) -> Observer:
 
 
 def moment_of(rows: Any, state: State, *, time: float = 0.0, control: int = 0, memory: Any = (), goals: Any = None):
-    """Return what an observer with these rows sees of all particles."""
+    """Return the moment for an observer with these rows."""
     flat = lambda a: (rows @ a.reshape(len(a), -1)).reshape(rows.shape[0], *a.shape[1:])  # noqa: E731
-    seen = [flat(a) for a in (state.x, state.v, state.C, state.F)]
-    return Moment(*seen, time, control, goals or {}, np.array(memory, float), lambda: state)
+    sums = [flat(a) for a in (state.x, state.v, state.C, state.F)]
+    return Moment(*sums, time, control, goals or {}, np.array(memory, float), lambda: state)
 
 
 def look(spec: Observer, matter: Matter, state: State, **moment: Any) -> np.ndarray:
@@ -65,29 +65,29 @@ def test_a_body_without_groups_is_one_centroid(matter, state):
 
 def test_acceleration_is_the_change_over_the_last_control_step(matter, state):
     bound = observer("centroids", body="ball", of=["acceleration"]).bind(matter)
-    gravity, memory, seen = np.array([0.5, -2.0]), np.zeros(bound.n_memory), []
+    gravity, memory, values = np.array([0.5, -2.0]), np.zeros(bound.n_memory), []
     for control in range(3):
         falling = replace(state, v=np.ones_like(state.v) + gravity * control * CONTROL_STEP)
         z, memory = bound.observe(moment_of(bound.rows, falling, control=control, memory=memory))
-        seen.append(z)
-    np.testing.assert_array_equal(seen[0], 0.0)
-    np.testing.assert_allclose(seen[1:], [gravity, gravity])
+        values.append(z)
+    np.testing.assert_array_equal(values[0], 0.0)
+    np.testing.assert_allclose(values[1:], [gravity, gravity])
 
 
-def test_ranges_become_minus_one_to_one(matter, state):
-    places = {"auto": {}, "raw": {"range": None}, "own": {"range": {"position": [0.0, 0.5], "velocity": None}}}
+def test_ranges_are_scaled_to_minus_one_to_one(matter, state):
+    places = {"auto": {}, "raw": {"range": None}, "given": {"range": {"position": [0.0, 0.5], "velocity": None}}}
     specs = {name: observer("centroids", body="ball", **fields) for name, fields in places.items()}
     observation = Observation.of(specs, matter)
     z, _ = observation.observe(moment_of(observation.rows, state))
     x, v = (a[matter.bodies["ball"]].mean(axis=0) for a in (state.x, state.v))
     np.testing.assert_allclose(z[observation.parts["auto"]], [*(2 * x / matter.size - 1), *(v / matter.size)])
     np.testing.assert_array_equal(z[observation.parts["raw"]], [*x, *v])
-    np.testing.assert_allclose(z[observation.parts["own"]], [*(4 * x - 1), *v])
+    np.testing.assert_allclose(z[observation.parts["given"]], [*(4 * x - 1), *v])
 
 
 @pytest.mark.parametrize("name", ["goal", "strain", "centroids"])
 def test_a_null_range_survives_a_resolved_scene(name):
-    """A resolved scene does not write what is null; read again, it must mean the same."""
+    """A resolved scene does not contain null values; it must still mean the same when it is read again."""
     fields = {"goal": "target"} if name == "goal" else {"body": "arm"}
     chosen = CHOSEN.validate_python({name: {**fields, "range": None}})
     again = CHOSEN.validate_python(CHOSEN.dump_python(chosen, exclude_none=True))
@@ -98,18 +98,18 @@ def test_a_null_range_survives_a_resolved_scene(name):
 @pytest.mark.parametrize(
     "bad", [[1.0, 1.0], [0.0], "automatic", [[0.0, 1.0], [2.0]], [0.0, float("inf")], [True, 2], []]
 )
-def test_what_is_no_range(bad):
+def test_invalid_range_is_an_error(bad):
     with pytest.raises(ValidationError, match=r"must be \[low, high\] with low < high"):
         observer("strain", body="arm", range=bad)
 
 
-def test_a_range_for_each_entry_needs_as_many(matter):
+def test_number_of_ranges_must_be_that_of_the_entries(matter):
     with pytest.raises(UsageError, match=r"2 pairs \[low, high\] for 3 entries"):
         observer("strain", body="arm", range=[[0, 1], [0, 1]]).bind(matter)
 
 
-def test_clusters_are_the_pieces_of_a_body(matter, state):
-    """A body of two heaps far apart."""
+def test_two_separate_heaps_are_two_clusters(matter, state):
+    """The body consists of two heaps far apart."""
     apart = matter.x.copy()
     apart[matter.groups["arm"]["tip"]] -= [5.0, 0.0]  # the tip lies left of the rest now
     far = replace(matter, x=apart)
@@ -119,13 +119,13 @@ def test_clusters_are_the_pieces_of_a_body(matter, state):
     np.testing.assert_allclose(z, [*state.x[tip].mean(axis=0), *state.x[rest].mean(axis=0)])
 
 
-def test_more_clusters_than_particles(matter):
+def test_more_clusters_than_particles_is_an_error(matter):
     with pytest.raises(UsageError, match="5 clusters of 4 particles"):
         observer("clusters", body="ball", count=5).bind(matter)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_strain_of_a_turned_body_is_that_of_the_body(dim, rng):
+def test_strain_does_not_depend_on_rotation(dim, rng):
     matter = made_matter(dim)
     Q, _ = np.linalg.qr(rng.normal(size=(dim, dim)))
     F = np.eye(dim) + 0.1 * rng.normal(size=(dim, dim))
@@ -141,14 +141,14 @@ def test_strain_of_a_turned_body_is_that_of_the_body(dim, rng):
     np.testing.assert_allclose(look(observer("strain", body="arm", axis=list(axis)), matter, bent), stretch)
 
 
-def test_strain_is_of_its_region_alone(matter, state):
+def test_strain_is_measured_in_its_region_only(matter, state):
     left = np.flatnonzero(matter.x[:12, 0] < 0.35)
     state.F[left] = np.diag([1.5, 1.0])
     spec = observer("strain", body="arm", region=box_around_left(2), axis=[3, 0])
     np.testing.assert_allclose(look(spec, matter, state), 0.5)
 
 
-def test_stretch_of_what_is_crushed_has_no_slope(matter, state):
+def test_gradient_of_the_stretch_is_zero_where_F_vanishes(matter, state):
     bound = observer("strain", body="arm", axis=[1, 0]).bind(matter)
     moment = replace(moment_of(bound.rows, state), F=np.zeros((1, 2, 2)))
     assert bound.observe(moment)[0] == [-1.0]
@@ -165,7 +165,7 @@ def test_clock(matter, state):
         observer("clock", harmonics=2)
 
 
-def test_goal_is_seen_from_the_body(matter, state):
+def test_goal_is_relative_to_the_body(matter, state):
     goals, tip = {"target": np.array([0.6, 0.7])}, matter.groups["arm"]["tip"]
     z = look(observer("goal", goal="target", body="arm", group="tip"), matter, state, goals=goals)
     np.testing.assert_allclose(z, goals["target"] - state.x[tip].mean(axis=0))
@@ -185,12 +185,12 @@ def test_goal_is_seen_from_the_body(matter, state):
         ("pca", {"body": "arm", "components": 2}, "the pca has no components: give a `file` of them"),
     ],
 )  # fmt: skip
-def test_names_that_do_not_fit_the_scene(matter, name, fields, words):
+def test_names_that_do_not_fit_the_scene_are_errors(matter, name, fields, words):
     with pytest.raises(UsageError, match=words):
         observer(name, **fields).bind(matter)
 
 
-def test_an_empty_group_is_refused(matter):
+def test_empty_group_is_an_error(matter):
     matter.groups["arm"]["tip"] = np.zeros(0, int)
     with pytest.raises(UsageError, match="tip of the body 'arm' holds no particle"):
         observer("centroids", body="arm").bind(matter)
@@ -198,6 +198,6 @@ def test_an_empty_group_is_refused(matter):
 
 def test_axis_must_be_a_direction_of_the_world():
     assert observer("strain", body="arm", axis=[0.0, 0.0]).dim_problems(2) == [
-        (("axis",), "must not be zero; give a direction, or none for all components")
+        (("axis",), "must not be zero; give a direction, or leave it out for all components")
     ]
     assert observer("strain", body="arm", axis=[1.0, 0.0]).dim_problems(3)

@@ -1,4 +1,4 @@
-"""The range of an observed quantity: the editor's schema and the loader agree on what one is."""
+"""The range of an observed quantity: the JSON schema and the loader accept the same values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RANGE = TypeAdapter(Range)
 
 
 def accepts(schema: dict[str, Any], data: Any) -> bool:
-    """Say whether data is valid, for the keywords that the schema of a range uses."""
+    """Return whether data is valid, for the keywords that the schema of a range uses."""
     assert schema.keys() <= {"anyOf", "enum", "type", "items", "minItems", "maxItems"}
     if "anyOf" in schema:
         return any(accepts(part, data) for part in schema["anyOf"])
@@ -31,13 +31,13 @@ def accepts(schema: dict[str, Any], data: Any) -> bool:
 )
 def test_schema_and_loader_agree(data):
     try:
-        kept = RANGE.validate_python(data)
+        loaded = RANGE.validate_python(data)
     except ValidationError:
         assert not accepts(RANGE.json_schema(), data)
     else:
         assert accepts(RANGE.json_schema(), data)
-        assert kept is not None
-        assert RANGE.validate_python(kept) == kept
+        assert loaded is not None
+        assert RANGE.validate_python(loaded) == loaded
 
 
 @pytest.mark.parametrize("name", plugins("observer"))

@@ -1,4 +1,4 @@
-"""The autoencoder's observer: image, encoder and their adjoints, its file."""
+"""The autoencoder's observer: image, encoder and their adjoints, and its file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def particles(dim: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
 
 
 @DIM
-def test_an_image_holds_every_particle_and_all_momentum(dim, rng):
+def test_image_contains_every_particle_and_the_whole_momentum(dim, rng):
     x, v = particles(dim, rng)
     image = Raster(6, 0.2, 2.0, dim).image(x, v)
     assert image[0].mean() == pytest.approx(1.0)
@@ -29,7 +29,7 @@ def test_an_image_holds_every_particle_and_all_momentum(dim, rng):
 
 
 @DIM
-def test_an_image_travels_with_the_body(dim, rng):
+def test_image_moves_with_the_body(dim, rng):
     x, v = particles(dim, rng)
     raster = Raster(6, 0.2, 2.0, dim)
     np.testing.assert_allclose(raster.image(x + 0.37, v), raster.image(x, v), atol=1e-12)
@@ -47,18 +47,18 @@ def test_dot_product_of_image_and_encoder(dim, rng):
     assert (x_bar * dx).sum() + (v_bar * dv).sum() == pytest.approx(forward, rel=1e-9)
 
 
-def test_a_layer_is_a_cross_correlation_of_every_other_cell(rng):
+def test_layer_is_a_cross_correlation_at_stride_two(rng):
     kernel, image = rng.normal(size=(2, 3, 3, 3)), rng.normal(size=(3, 5, 7))
     out = convolved(kernel, image)
     assert out.shape == (2, 3, 4)
     padded = np.pad(image, [(0, 0), (1, 1), (1, 1)])
     for i, j in ((0, 0), (1, 2), (2, 3)):
-        seen = padded[:, 2 * i : 2 * i + 3, 2 * j : 2 * j + 3]
-        np.testing.assert_allclose(out[:, i, j], (kernel * seen).sum(axis=(1, 2, 3)))
+        patch = padded[:, 2 * i : 2 * i + 3, 2 * j : 2 * j + 3]
+        np.testing.assert_allclose(out[:, i, j], (kernel * patch).sum(axis=(1, 2, 3)))
 
 
 @DIM
-def test_a_file_gives_back_what_was_saved(dim, rng, tmp_path):
+def test_saved_encoder_is_loaded_unchanged(dim, rng, tmp_path):
     trained = made_encoder(dim, rng)
     save_encoder(tmp_path / "encoder.npz", trained)
     again = load_encoder(tmp_path / "encoder.npz")
@@ -67,7 +67,7 @@ def test_a_file_gives_back_what_was_saved(dim, rng, tmp_path):
     np.testing.assert_array_equal(again.encoder.encode(image), trained.encoder.encode(image))
 
 
-def test_another_file_is_refused(tmp_path):
+def test_file_of_another_kind_is_an_error(tmp_path):
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    with pytest.raises(UsageError, match=r"other.npz: is no file of a trained encoder: it must hold the arrays grid"):
+    with pytest.raises(UsageError, match=r"other.npz: is not an encoder file: it must contain the arrays grid"):
         load_encoder(tmp_path / "other.npz")

@@ -1,4 +1,4 @@
-"""CMA-ES: finds optima from values alone, side by side where it may, and lives with failed trials."""
+"""CMA-ES: finds optima from values only, runs trials side by side, and continues after failed trials."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from cqrun.store.history import read_history
 
 
 class Values(Rosenbrock):
-    """Rosenbrock's valley that has no gradient to give."""
+    """Rosenbrock's valley without a gradient."""
 
     def value(self, x, batch=None):
         return Rosenbrock.value_and_grad(self, x)[0]
 
     def value_and_grad(self, x, batch=None):
-        raise AssertionError("CMA-ES asks for no gradient")
+        raise AssertionError("CMA-ES must not need a gradient")
 
 
-def test_it_converges_to_the_valley_floor(tmp_path):
+def test_converges_to_the_minimum_of_the_valley(tmp_path):
     outcome, _ = solve(tmp_path, CmaEs(max_iterations=2000), Values(n=3))
     assert outcome.status == "converged"
     np.testing.assert_allclose(outcome.x, 1.0, atol=1e-4)
     assert "tolfun" in outcome.message
 
 
-def test_it_respects_bounds_on_one_side_and_on_both(tmp_path):
+def test_respects_bounds_on_one_side_and_on_both(tmp_path):
     problem = Values(n=3)
     problem.lower, problem.upper = np.array([-2.0, -np.inf, -1.0]), np.array([0.5, np.inf, np.inf])
-    seen = []
-    problem.values_at = lambda points, batch=None: [seen.append(x.copy()) or problem.value(x) for x in points]
+    trials = []
+    problem.values_at = lambda points, batch=None: [trials.append(x.copy()) or problem.value(x) for x in points]
     outcome, _ = solve(tmp_path, CmaEs(max_iterations=400), problem)
-    assert (problem.lower <= np.array(seen)).all()
-    assert (np.array(seen) <= problem.upper).all()
+    assert (problem.lower <= np.array(trials)).all()
+    assert (np.array(trials) <= problem.upper).all()
     assert outcome.x[0] == pytest.approx(0.5, abs=1e-6)
 
 
-def test_one_unknown_is_enough(tmp_path):
+def test_works_with_one_unknown(tmp_path):
     class Parabola(Values):
         term_names = ()
 
@@ -54,7 +54,7 @@ def test_one_unknown_is_enough(tmp_path):
     assert outcome.x == pytest.approx([0.25], abs=1e-5)
 
 
-def test_a_generation_is_one_call_where_the_problem_offers_it(tmp_path):
+def test_generation_is_one_call_if_the_problem_has_values_at(tmp_path):
     class Together(Values):
         def __init__(self):
             super().__init__()
@@ -71,7 +71,7 @@ def test_a_generation_is_one_call_where_the_problem_offers_it(tmp_path):
     assert bits(both[0]) == bits(both[1])
 
 
-def test_a_row_a_generation_of_its_best_trial(tmp_path):
+def test_history_has_a_row_for_the_best_trial_of_each_generation(tmp_path):
     outcome, _ = solve(tmp_path, CmaEs(max_iterations=9), Values())
     rows = read_history(run_folder(tmp_path) / "history.csv")
     assert rows["iteration"] == list(range(10))
@@ -81,16 +81,16 @@ def test_a_row_a_generation_of_its_best_trial(tmp_path):
     assert np.isnan(rows["valley"]).all()
 
 
-def test_it_leaves_numpys_own_generator_alone(tmp_path):
-    before = np.random.get_state()[1].copy()  # noqa: NPY002  the very state that must not be touched
-    one, _ = solve(tmp_path / "one", CmaEs(max_iterations=5), Values())
+def test_numpys_global_generator_is_not_changed(tmp_path):
+    before = np.random.get_state()[1].copy()  # noqa: NPY002  this state must not change
+    first, _ = solve(tmp_path / "first", CmaEs(max_iterations=5), Values())
     np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
     np.random.seed(1)  # noqa: NPY002
-    two, _ = solve(tmp_path / "two", CmaEs(max_iterations=5), Values())
-    assert bits(one) == bits(two)
+    second, _ = solve(tmp_path / "second", CmaEs(max_iterations=5), Values())
+    assert bits(first) == bits(second)
 
 
-def test_failed_trials_rank_last_and_are_told(tmp_path):
+def test_failed_trials_rank_last_and_are_logged(tmp_path):
     problem = Values(wall=-0.5)
     outcome, _ = solve(tmp_path, CmaEs(max_iterations=60, sigma=0.5), problem)
     assert outcome.status == "iteration_limit"
@@ -100,7 +100,7 @@ def test_failed_trials_rank_last_and_are_told(tmp_path):
     assert "trials failed, such as: body 'beam', particle 7" in log
 
 
-def test_a_problem_may_answer_with_failures_or_with_what_is_no_number(tmp_path):
+def test_values_may_be_failures_or_not_finite(tmp_path):
     def broken(points, batch=None):
         return [TrialFailed("left the grid"), np.nan, np.inf, *(Values().value(x) for x in points[3:])]
 
@@ -111,7 +111,7 @@ def test_a_problem_may_answer_with_failures_or_with_what_is_no_number(tmp_path):
     assert np.isfinite(outcome.loss)
 
 
-def test_a_start_that_fails_ends_the_run(tmp_path):
+def test_failed_start_ends_the_run(tmp_path):
     outcome, _ = solve(tmp_path, CmaEs(), Values(wall=-5.0))
     assert (outcome.status, outcome.iterations) == ("failed", 0)
     for part in ("the start itself fails", "body 'beam'", "particle 7", "trial values: a = -1.2"):
@@ -119,7 +119,7 @@ def test_a_start_that_fails_ends_the_run(tmp_path):
 
 
 class Trap(Values):
-    """Blows up everywhere but at the start, or at a distance from it."""
+    """Blows up everywhere except within `reach` of the start."""
 
     def __init__(self, reach=0.0):
         super().__init__()
@@ -130,7 +130,7 @@ class Trap(Values):
         return super()._evaluate(x)
 
 
-def test_generations_that_fail_as_a_whole_halve_sigma_then_fail(tmp_path):
+def test_generations_without_a_good_trial_halve_sigma_then_fail(tmp_path):
     problem = Trap()
     outcome, _ = solve(tmp_path, CmaEs(population=4), problem)
     assert outcome.status == "failed"
@@ -139,13 +139,13 @@ def test_generations_that_fail_as_a_whole_halve_sigma_then_fail(tmp_path):
     assert outcome.x.tobytes() == problem.start.tobytes()
 
 
-def test_half_of_sigma_may_be_enough(tmp_path):
+def test_run_continues_if_half_of_sigma_is_enough(tmp_path):
     outcome, _ = solve(tmp_path, CmaEs(population=4, max_iterations=3, sigma=1.0), Trap(reach=0.3))
     assert outcome.status == "iteration_limit"
     assert "sigma halved" in (run_folder(tmp_path) / "log.txt").read_text()
 
 
-def test_every_generation_has_its_own_draw_of_a_stochastic_objective(tmp_path):
+def test_stochastic_objective_is_drawn_for_every_generation(tmp_path):
     class Drawn(Values):
         stochastic = True
 
@@ -162,13 +162,13 @@ def test_every_generation_has_its_own_draw_of_a_stochastic_objective(tmp_path):
     assert problem.batches == [(k,) for k in (0, *[1] * 4, *[2] * 4, *[3] * 4)]
 
 
-def test_its_absence_is_named(tmp_path, monkeypatch):
+def test_error_names_the_missing_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "cma", None)
     with pytest.raises(MissingExtra, match=r"cma_es needs the package 'cma'.*pip install 'cqrun\[evo\]'"):
         solve(tmp_path, CmaEs(), Values())
 
 
-def test_it_writes_no_files_of_its_own(tmp_path, monkeypatch):
+def test_library_writes_no_files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     solve(tmp_path / "out", CmaEs(max_iterations=3), Values())
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
@@ -176,6 +176,6 @@ def test_it_writes_no_files_of_its_own(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("options", [{"population": 3}, {"sigma": 0.0}, {"max_iterations": 0}, {"learning_rate": 0.1}])
-def test_options_are_checked(options):
+def test_invalid_options_are_errors(options):
     with pytest.raises(ValidationError):
         CmaEs(**options)

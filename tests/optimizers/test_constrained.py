@@ -1,4 +1,4 @@
-"""Optimizers under constraints: where they end, what they report, and what they say where nothing meets them."""
+"""Optimizers under constraints: minima, history, and messages if the constraints cannot be met."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from toy_problems import Confined, Nearest, Rosenbrock, run_folder, solve
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.optimizers.augmented_lagrangian import AugmentedLagrangian
 from cqrun.optimizers.base import TrialFailed
-from cqrun.optimizers.constrained import Kkt, _of_one_sign, kkt, most_violated, ranked, verdict, violation
+from cqrun.optimizers.constrained import Kkt, _signed_least_squares, kkt, most_violated, ranked, verdict, violation
 from cqrun.optimizers.nlopt import Nlopt
 from cqrun.optimizers.slsqp import MOST_UNKNOWNS, Slsqp
 from cqrun.optimizers.sqp import Sqp
@@ -21,14 +21,14 @@ from cqrun.store.history import read_history
 AIM, W = np.array([3.0, -1.0, 0.5]), np.array([1.0, 2.0, 2.0])
 METHODS = {
     "slsqp": Slsqp(max_iterations=200),
-    "slsqp at once": Slsqp(max_iterations=200, feasibility_first=False),
+    "slsqp, one search": Slsqp(max_iterations=200, feasibility_first=False),
     "sqp": Sqp(max_iterations=200),
     "trust_constr": TrustConstr(max_iterations=400),
     "nlopt slsqp": Nlopt(max_iterations=200),
     "nlopt auglag": Nlopt(algorithm="auglag", max_iterations=2000, feasibility_first=False),
     "nlopt auglag, feasibility first": Nlopt(algorithm="auglag", max_iterations=2000),
     "augmented_lagrangian": AugmentedLagrangian(max_iterations=900, learning_rate=0.05, gradient_tolerance=1e-5),
-    "augmented_lagrangian, by the penalty alone": AugmentedLagrangian(
+    "augmented_lagrangian without restoration": AugmentedLagrangian(
         max_iterations=900, learning_rate=0.05, gradient_tolerance=1e-5, restoring=0
     ),
 }
@@ -40,7 +40,7 @@ def method(request):
 
 
 class Twice(Confined):
-    """Every constraint is there twice."""
+    """The problem with every constraint duplicated."""
 
     constraint_names = ("a", "b", "c", "d")
 
@@ -57,7 +57,7 @@ class Twice(Confined):
         return f, g, np.tile(c, 2), np.vstack([J, J])
 
 
-def test_constraints_that_are_there_twice_do_no_harm(tmp_path):
+def test_duplicate_constraints_do_not_change_the_result(tmp_path):
     once, _ = solve(tmp_path / "once", Sqp(), Confined())
     twice, _ = solve(tmp_path / "twice", Sqp(), Twice())
     assert (once.status, twice.status) == ("converged", "converged")
@@ -67,7 +67,7 @@ def test_constraints_that_are_there_twice_do_no_harm(tmp_path):
 # --- violation and KKT ------------------------------------------------------------------------------------------
 
 
-def test_violation_counts_from_the_nearer_end():
+def test_violation_is_the_distance_from_the_nearer_end():
     low, high = np.array([-np.inf, 1.0, 2.0]), np.array([1.0, 3.0, 2.0])
     np.testing.assert_array_equal(violation(np.array([1.5, 0.5, 2.0]), low, high), [0.5, 0.5, 0.0])
     np.testing.assert_array_equal(violation(np.array([-9.0, 4.0, 1.0]), low, high), [0.0, 1.0, 1.0])
@@ -79,22 +79,22 @@ def at(problem, x, tolerance=1e-9) -> Kkt:
     return kkt(problem, x, g, c, J, tolerance)
 
 
-def test_multipliers_at_a_projection_are_those_of_the_formula():
+def test_multiplier_at_a_projection():
     problem = Nearest(AIM, W, -1.0)
     y = (W @ AIM + 1.0) / (W @ W)
-    found = at(problem, AIM - y * W)
-    assert found.multipliers == pytest.approx([y])
-    assert found.residual < 1e-12
+    optimality = at(problem, AIM - y * W)
+    assert optimality.multipliers == pytest.approx([y])
+    assert optimality.residual < 1e-12
 
 
-def test_a_constraint_that_does_not_hold_has_no_multiplier():
-    found = at(Nearest(AIM, W, 10.0), AIM)
-    assert found.multipliers == pytest.approx([0.0])
-    assert found.residual == 0.0
+def test_inactive_constraint_has_no_multiplier():
+    optimality = at(Nearest(AIM, W, 10.0), AIM)
+    assert optimality.multipliers == pytest.approx([0.0])
+    assert optimality.residual == 0.0
 
 
-def test_a_constraint_that_is_met_with_a_little_room_has_its_multiplier():
-    """A minimum is known as one before the last digit of its constraint is; one with much room counts for nothing."""
+def test_constraint_near_its_end_has_a_multiplier():
+    """A minimum is recognised before its constraint is exact; a constraint far from its end has no multiplier."""
     problem = Nearest(AIM, W, -1.0)
     y, away = (W @ AIM + 1.0) / (W @ W), W / (W @ W)
     at_minimum = AIM - y * W
@@ -106,8 +106,8 @@ def test_a_constraint_that_is_met_with_a_little_room_has_its_multiplier():
     assert far.residual == pytest.approx(2.0 * y, rel=0.01)
 
 
-def test_trust_constr_tells_its_own_multipliers(tmp_path):
-    """Its points keep off all ends by more than the tolerance."""
+def test_trust_constr_reports_its_own_multipliers(tmp_path):
+    """Its points are farther from all ends than the tolerance."""
     problem = Nearest(AIM, W, -1.0)
     solve(tmp_path, METHODS["trust_constr"], problem)
     rows = read_history(run_folder(tmp_path) / "history.csv")
@@ -115,20 +115,20 @@ def test_trust_constr_tells_its_own_multipliers(tmp_path):
     assert rows["kkt"][-1] < 1e-4
 
 
-def test_a_multiplier_never_pulls_out_of_what_is_allowed():
-    """Held at c_high while f would fall further inside: no minimum, and no negative multiplier hides it."""
+def test_multiplier_has_the_right_sign():
+    """At c_high where f falls towards the inside: this is no minimum, and no negative multiplier hides it."""
     problem = Nearest(AIM, W, 10.0)
     x = AIM + W * (10.0 - W @ AIM) / (W @ W)
-    found = at(problem, x)
-    assert found.multipliers == pytest.approx([0.0])
-    assert found.residual == pytest.approx(np.max(np.abs(x - AIM)))
+    optimality = at(problem, x)
+    assert optimality.multipliers == pytest.approx([0.0])
+    assert optimality.residual == pytest.approx(np.max(np.abs(x - AIM)))
 
 
 def test_multipliers_of_more_constraints_than_unknowns():
-    """Found by chance: scipy multiplies infinity by nought there, and columns of 1e-4 and 1e-6 did not converge."""
+    """Found by chance: scipy multiplies infinity by zero here, and did not converge for columns of 1e-4 and 1e-6."""
     A = np.array([[-2.69711810e-04, 1.61547019e-06, 6.15693912e-05], [4.66684255e-04, -1.79905882e-06, 0.0]])
     b = np.array([-21.18180707, 5.52386469])
-    y = _of_one_sign(A, b, (np.array([0.0, -np.inf, 0.0]), np.full(3, np.inf)))
+    y = _signed_least_squares(A, b, (np.array([0.0, -np.inf, 0.0]), np.full(3, np.inf)))
     slope = A.T @ (A @ y - b) / np.linalg.norm(A, axis=0)
     assert slope[1] == pytest.approx(0.0, abs=1e-4)
     assert (y[[0, 2]] >= 0.0).all()
@@ -136,7 +136,7 @@ def test_multipliers_of_more_constraints_than_unknowns():
     assert (y * slope)[[0, 2]] == pytest.approx([0.0, 0.0], abs=1e-4)
 
 
-def test_what_the_box_holds_counts_for_nothing():
+def test_active_bounds_of_the_box_do_not_count_in_the_residual():
     problem = Nearest(AIM, W, 10.0, box=2.0)
     x = np.clip(AIM, -2.0, 2.0)
     assert at(problem, x).residual == 0.0
@@ -146,13 +146,13 @@ def test_what_the_box_holds_counts_for_nothing():
 # --- minima ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("most", [-1.0, 10.0], ids=["held", "free"])
+@pytest.mark.parametrize("most", [-1.0, 10.0], ids=["active", "inactive"])
 def test_ends_at_the_projection(tmp_path, method, most):
     problem = Nearest(AIM, W, most)
     outcome, _ = solve(tmp_path, method, problem)
-    wanted = AIM - W * max(0.0, W @ AIM - most) / (W @ W)
+    projection = AIM - W * max(0.0, W @ AIM - most) / (W @ W)
     assert outcome.status == "converged"
-    assert outcome.x == pytest.approx(wanted, abs=1e-4)
+    assert outcome.x == pytest.approx(projection, abs=1e-4)
     assert W @ outcome.x <= most + method.constraint_tolerance
 
 
@@ -165,7 +165,7 @@ def test_ends_at_a_kkt_point_of_a_valley(tmp_path, method):
     assert kkt(problem, outcome.x, g, c, J, method.constraint_tolerance).residual < 1e-2
 
 
-def test_history_tells_violation_residual_and_multipliers(tmp_path, method):
+def test_history_has_violation_residual_and_multipliers(tmp_path, method):
     problem = Confined()
     outcome, _ = solve(tmp_path, method, problem)
     rows = read_history(run_folder(tmp_path) / "history.csv")
@@ -191,7 +191,7 @@ def test_feasibility_comes_first(tmp_path):
 # --- no minimum ------------------------------------------------------------------------------------------
 
 
-def test_what_cannot_be_met_is_told_with_the_least_violation(tmp_path, method):
+def test_infeasible_problem_ends_at_the_smallest_violation(tmp_path, method):
     outcome, _ = solve(tmp_path, method, Confined(n=3, radius=100.0, total=10.0))
     assert outcome.status == "infeasible"
     assert outcome.x.sum() == pytest.approx(6.0, abs=1e-3)
@@ -200,7 +200,7 @@ def test_what_cannot_be_met_is_told_with_the_least_violation(tmp_path, method):
 
 
 class Stuck(Confined):
-    """The valley with a third constraint, that nothing moves."""
+    """The valley with a third constraint, which is constant."""
 
     constraint_names = ("sum", "ball", "stuck")
 
@@ -221,43 +221,43 @@ class Stuck(Confined):
         return f, g, np.append(c, 7.0), np.vstack([J, np.zeros_like(x)])
 
 
-def test_a_constraint_that_nothing_moves_hides_no_other(tmp_path, method):
-    """The others are met all the same, and what is kept meets them; the history is in the constraints' own units."""
+def test_other_constraints_are_met_beside_a_constant_one(tmp_path, method):
+    """The best point meets the others; the history is in the constraints' own units."""
     problem = Stuck()
     outcome, _ = solve(tmp_path, method, problem)
     assert outcome.status == "infeasible"
     assert "constraint 'stuck' is 70, wanted at most 0" in outcome.message
-    assert "no unknown has a bearing on stuck" in outcome.message
+    assert "no unknown has an effect on stuck" in outcome.message
     rows = read_history(run_folder(tmp_path) / "history.csv")
     assert set(rows["constraint:stuck"]) == {70.0}
     _, c = problem.values_and_constraints(outcome.x)
     others = violation(c, problem.c_low, problem.c_high)[:2]
-    told = np.array([rows["constraint:sum"], rows["constraint:ball"]]) - problem.c_high[:2, None]
-    assert others.sum() <= (np.abs(told[0]) + np.maximum(told[1], 0.0)).min() + 2e-6
-    if not isinstance(method, Slsqp) and getattr(method, "algorithm", "") != "slsqp":  # Kraft's steps end there
+    recorded = np.array([rows["constraint:sum"], rows["constraint:ball"]]) - problem.c_high[:2, None]
+    assert others.sum() <= (np.abs(recorded[0]) + np.maximum(recorded[1], 0.0)).min() + 2e-6
+    if not isinstance(method, Slsqp) and getattr(method, "algorithm", "") != "slsqp":  # Kraft's method ends earlier
         assert others.max() <= method.constraint_tolerance
         assert "violated less" not in outcome.message
 
 
-def test_violations_below_the_tolerance_order_nothing():
+def test_violations_below_the_tolerance_do_not_affect_the_order():
     assert ranked(np.array([2e-7, 0.0]), 3.0, 1e-6) == (0.0, 0.0, 3.0)
     assert ranked(np.array([0.5, 0.25]), 9.0, 1e-6) < ranked(np.array([0.5, 0.25 + 3e-6]), 3.0, 1e-6)
     assert ranked(np.array([0.5, 0.25]), 3.0, 1e-6) < ranked(np.array([0.5 - 4e-7, 0.25 + 3e-7]), 9.0, 1e-6)
     assert ranked(np.zeros(0), 3.0, 0.0) == (0.0, 0.0, 3.0)
 
 
-def test_the_verdict_is_in_the_constraints_own_unit_and_names_the_others():
+def test_verdict_is_in_the_unit_of_the_constraint_and_names_the_others():
     problem = Confined(n=2, radius=1.0, total=3.0)
     problem.__class__ = type("Scaled", (Confined,), {"scales": np.array([0.01, 2.0])})
-    told = verdict(problem, np.array([2.0, 0.5]), np.array([2.5, 4.25]), 1e-6)
-    assert told == (
+    text = verdict(problem, np.array([2.0, 0.5]), np.array([2.5, 4.25]), 1e-6)
+    assert text == (
         "constraint 'ball' is 8.5, wanted at most 2: violated by 6.5 (3.25 of its scale), the least that was found; "
         "sum is violated less; at bounds: [] below, [0] above"
     )
 
 
-def test_an_augmented_lagrangian_converges_where_the_last_point_meets_the_constraints(tmp_path):
-    """Its slope is small, and it was feasible, on its way over the edge too."""
+def test_augmented_lagrangian_converges_at_a_feasible_point(tmp_path):
+    """On the way across the limit the gradient is small too, after feasible points."""
     problem = Nearest([1.0, 0.0], [1.0, 0.0], 0.0)
     problem.start = np.array([-0.1, 1.5])
     method = AugmentedLagrangian(max_iterations=900, learning_rate=0.1, gradient_tolerance=0.1)
@@ -266,8 +266,8 @@ def test_an_augmented_lagrangian_converges_where_the_last_point_meets_the_constr
     assert outcome.x == pytest.approx([0.0, 0.0], abs=0.11)
 
 
-class Blowing(Confined):
-    """The valley, some evaluations of which blow up."""
+class FailingAt(Confined):
+    """The valley, with some evaluations that blow up."""
 
     def __init__(self, blown):
         super().__init__()
@@ -281,15 +281,15 @@ class Blowing(Confined):
 
 
 @pytest.mark.parametrize("blown", [(), (5,), (5, 9), (5, 9, 13)])
-def test_steps_to_the_constraints_are_whole_whatever_has_failed(tmp_path, blown):
-    """Of a quarter of one, a quarter of the violation at the most would go, and none would count as one that helps."""
-    outcome, _ = solve(tmp_path, AugmentedLagrangian(max_iterations=300, learning_rate=0.05), Blowing(blown))
+def test_restoration_steps_are_whole_after_failed_trials(tmp_path, blown):
+    """A quarter of such a step would remove at most a quarter of the violation, and would never count as helpful."""
+    outcome, _ = solve(tmp_path, AugmentedLagrangian(max_iterations=300, learning_rate=0.05), FailingAt(blown))
     assert outcome.status == "iteration_limit"
     assert outcome.x.sum() == pytest.approx(1.0, abs=1e-6)
 
 
-def test_sqp_shortens_its_step_where_a_trial_blows_up(tmp_path):
-    """Every fourth trial does, and it comes to the same minimum without a restart, of which there are but three."""
+def test_sqp_shortens_its_step_after_a_failed_trial(tmp_path):
+    """Every fourth trial fails, and it still converges to the same minimum, without one of the three restarts."""
 
     class Fragile(Confined):
         def _evaluate(self, x):
@@ -304,14 +304,14 @@ def test_sqp_shortens_its_step_where_a_trial_blows_up(tmp_path):
     np.testing.assert_allclose(outcome.x, whole.x, atol=1e-4)
 
 
-def test_a_limit_before_the_constraints_are_met_is_no_success(tmp_path):
+def test_iteration_limit_before_feasibility_is_infeasible(tmp_path):
     outcome, _ = solve(tmp_path, Slsqp(max_iterations=1), Confined(n=6, radius=0.5, total=1.0))
     assert outcome.status == "infeasible"
-    assert outcome.message.startswith("not met yet, more iterations may do: constraint")
+    assert outcome.message.startswith("not met yet, more iterations may help: constraint")
     assert "(1 iterations, the limit)" in outcome.message
 
 
-def test_too_many_unknowns_are_refused_with_their_memory():
+def test_error_for_too_many_unknowns_states_the_memory():
     problem = Nearest(np.zeros(MOST_UNKNOWNS + 1), np.ones(MOST_UNKNOWNS + 1), 1.0)
     with pytest.raises(UsageError, match=r"slsqp needs 1.58 GiB .* 5,001 x 5,001 unknowns.*augmented_lagrangian"):
         Slsqp().require(problem)
@@ -319,7 +319,7 @@ def test_too_many_unknowns_are_refused_with_their_memory():
         TrustConstr().require(problem)
 
 
-def test_a_fit_to_data_is_refused(method):
+def test_fit_to_data_is_an_error(method):
     with pytest.raises(UsageError, match="to fit data take least_squares"):
         method.require(Rosenbrock())
 
@@ -329,13 +329,13 @@ def test_mma_takes_no_equality():
         Nlopt(algorithm="mma").require(Confined())
 
 
-def test_a_limit_ends_a_method_inside_a_method(tmp_path):
+def test_iteration_limit_ends_a_nested_method(tmp_path):
     outcome, _ = solve(tmp_path, Nlopt(algorithm="auglag", max_iterations=4, feasibility_first=False), Confined())
     assert outcome.iterations == 4
     assert "(4 iterations, the limit)" in outcome.message
 
 
-def test_mma_looks_for_what_is_feasible_first(tmp_path):
+def test_mma_searches_for_feasibility_first(tmp_path):
     problem = Nearest([9.0, 9.0, 9.0], W, -20.0)
     outcome, _ = solve(tmp_path, Nlopt(algorithm="mma", max_iterations=200), problem)
     assert outcome.status == "converged"
@@ -348,8 +348,8 @@ def test_mma_ends_at_the_projection(tmp_path):
 
 
 @pytest.mark.parametrize("algorithm", ["slsqp", "mma", "auglag"])
-def test_a_search_that_never_leaves_its_start_ends(tmp_path, algorithm):
-    """Nothing below the start, where the bounds are, meets the constraint: that it stays there counts, too."""
+def test_search_that_cannot_leave_its_start_ends(tmp_path, algorithm):
+    """The bounds exclude all points that meet the constraint; iterations at the start count too."""
     problem = Nearest(AIM, W, -1.0)
     problem.lower = problem.start.copy()
     outcome, _ = solve(tmp_path, Nlopt(algorithm=algorithm, max_iterations=30), problem)
@@ -357,7 +357,7 @@ def test_a_search_that_never_leaves_its_start_ends(tmp_path, algorithm):
     assert "constraint 'plane' is 0, wanted at most -1" in outcome.message
 
 
-def test_a_missing_nlopt_is_named(tmp_path, monkeypatch):
+def test_error_names_the_missing_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "nlopt", None)
     with pytest.raises(MissingExtra, match=r"'nlopt', which is not installed: pip install 'cqrun\[nlopt\]'"):
         solve(tmp_path, Nlopt(), Confined())

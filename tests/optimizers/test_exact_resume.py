@@ -1,4 +1,4 @@
-"""Killed and resumed = never stopped, bit for bit; a longer run = an extended one."""
+"""A run that was killed and resumed, or extended, is bit-for-bit identical to one that was never stopped."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ METHODS = {
     "lbfgs": Lbfgs(max_iterations=25),
     "adam": Adam(max_iterations=25, learning_rate=0.05),
     "adam_batches": Adam(max_iterations=25, learning_rate=0.05, batch_size=3),
-    "adam_tamed": Adam(max_iterations=25, learning_rate=0.05, batch_size=3, clip=2.0, clip_entries=1.0, mask=0.2),
+    "adam_clipped": Adam(max_iterations=25, learning_rate=0.05, batch_size=3, clip=2.0, clip_entries=1.0, mask=0.2),
     "slsqp": Slsqp(max_iterations=12),
     "sqp": Sqp(max_iterations=12),
     "nlopt": Nlopt(max_iterations=12),
     "trust_constr": TrustConstr(max_iterations=12),
     "augmented_lagrangian": AugmentedLagrangian(max_iterations=25, inner=4),
-    "augmented_lagrangian, by the penalty alone": AugmentedLagrangian(max_iterations=25, inner=4, restoring=0),
+    "augmented_lagrangian without restoration": AugmentedLagrangian(max_iterations=25, inner=4, restoring=0),
     "sgd": Sgd(max_iterations=25, learning_rate=0.01, momentum=0.5, batch_size=4, decay=0.01),
 }
 
@@ -66,7 +66,7 @@ def test_killed_in_the_middle_of_evaluations(tmp_path, rng, method, wall):
 
 @pytest.mark.parametrize(
     ("name", "when"),
-    [(name, "report") for name in METHODS] + [(name, "save") for name in ("adam", "adam_tamed", "sgd")],
+    [(name, "report") for name in METHODS] + [(name, "save") for name in ("adam", "adam_clipped", "sgd")],
 )
 def test_killed_between_history_and_state(tmp_path, name, when):
     method = METHODS[name]
@@ -91,7 +91,7 @@ def test_killed_between_history_and_state(tmp_path, name, when):
     assert history_rows(tmp_path / "cut") == history_rows(tmp_path / "whole")
 
 
-def test_extension_gives_the_longer_run(tmp_path, method):
+def test_extended_run_is_identical_to_a_longer_one(tmp_path, method):
     longer = method.model_copy(update={"max_iterations": method.max_iterations})
     shorter = method.model_copy(update={"max_iterations": 4})
     whole, _ = solve(tmp_path / "whole", longer, problem_for(method))
@@ -104,7 +104,7 @@ def test_extension_gives_the_longer_run(tmp_path, method):
     assert history_rows(tmp_path / "cut") == history_rows(tmp_path / "whole")
 
 
-def test_asked_to_stop_then_resumed(tmp_path, method):
+def test_stopped_and_resumed(tmp_path, method):
     whole, _ = solve(tmp_path / "whole", method, problem_for(method))
     problem = problem_for(method)
     stopped, _ = solve(tmp_path / "cut", method, problem, stop=lambda: problem.evaluations >= 6)
@@ -124,7 +124,7 @@ def test_replay_computes_nothing_twice(tmp_path, name):
     assert (replayed.replayed, replayed.computed, again.evaluations) == (problem.evaluations, 0, 0)
 
 
-def test_replay_computes_no_generation_twice(tmp_path):
+def test_replay_of_cma_es_computes_no_generation_twice(tmp_path):
     problem, again = Rosenbrock(), Rosenbrock()
     outcome, session = solve(tmp_path, METHODS["cma_es"], problem)
     _, replayed = solve(tmp_path, METHODS["cma_es"], again)
@@ -132,8 +132,8 @@ def test_replay_computes_no_generation_twice(tmp_path):
     assert (session.computed, replayed.replayed, replayed.computed, again.evaluations) == (26, 26, 0, 0)
 
 
-@pytest.mark.parametrize("name", ["adam_tamed", "sgd"])
-def test_damaged_newest_state_falls_back_to_the_one_before(tmp_path, name):
+@pytest.mark.parametrize("name", ["adam_clipped", "sgd"])
+def test_damaged_newest_state_falls_back_to_the_previous_one(tmp_path, name):
     whole, _ = solve(tmp_path / "whole", METHODS[name], Rosenbrock())
     with pytest.raises(Killed):
         solve(tmp_path / "cut", METHODS[name], Rosenbrock(fuse=9))
@@ -146,12 +146,12 @@ def test_damaged_newest_state_falls_back_to_the_one_before(tmp_path, name):
     assert history_rows(tmp_path / "cut") == history_rows(tmp_path / "whole")
 
 
-@pytest.mark.parametrize("name", ["sgd", "adam_tamed", "cma_es"])
-def test_seed_decides_what_is_drawn(tmp_path, name):
+@pytest.mark.parametrize("name", ["sgd", "adam_clipped", "cma_es"])
+def test_results_depend_on_the_seed(tmp_path, name):
     method = METHODS[name]
-    one, _ = solve(tmp_path / "one", method, Rosenbrock(), seed=1)
-    two, _ = solve(tmp_path / "two", method, Rosenbrock(), seed=2)
-    assert bits(one) != bits(two)
+    first, _ = solve(tmp_path / "first", method, Rosenbrock(), seed=1)
+    second, _ = solve(tmp_path / "second", method, Rosenbrock(), seed=2)
+    assert bits(first) != bits(second)
 
 
 def test_history_has_its_columns_and_units(tmp_path):

@@ -1,4 +1,4 @@
-"""Each optimizer finds optima, stays within bounds, and gives up in words."""
+"""Each optimizer finds optima, stays within bounds, and explains failures."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def name_of(method: Plugin) -> str:
     return method.name
 
 
-def test_registry_finds_them_all():
-    found = plugins("optimizer")
-    assert set(found) == {
+def test_registry_contains_all_optimizers():
+    registered = plugins("optimizer")
+    assert set(registered) == {
         "adam", "augmented_lagrangian", "cma_es", "lbfgs", "least_squares", "nlopt", "sgd", "slsqp", "sqp",
         "trust_constr",
     }  # fmt: skip
-    assert all(issubclass(cls, Optimizer) and cls.__doc__ for cls in found.values())
-    assert all(cls().max_iterations >= 1 for cls in found.values())
+    assert all(issubclass(cls, Optimizer) and cls.__doc__ for cls in registered.values())
+    assert all(cls().max_iterations >= 1 for cls in registered.values())
 
 
-def test_importing_them_imports_no_scipy():
+def test_registry_does_not_import_scipy():
     import subprocess
     import sys
 
@@ -50,7 +50,7 @@ def test_importing_them_imports_no_scipy():
 
 
 @pytest.mark.parametrize("method", SCIPY, ids=name_of)
-def test_scipy_converges_to_the_valley_floor(tmp_path, method):
+def test_scipy_converges_to_the_minimum_of_the_valley(tmp_path, method):
     outcome, _ = solve(tmp_path, method, Rosenbrock())
     assert outcome.status == "converged"
     np.testing.assert_allclose(outcome.x, 1.0, atol=1e-5)
@@ -96,13 +96,13 @@ def test_descent_converges_on_the_projected_gradient(tmp_path, method):
     outcome, _ = solve(tmp_path, method, Bowl())
     assert outcome.status == "converged"
     np.testing.assert_allclose(outcome.x, [0.3, 1.0], atol=1e-5)
-    again, _ = solve(tmp_path, method, Bowl())  # a converged run stays where it is
+    again, _ = solve(tmp_path, method, Bowl())  # a converged run does not change
     assert again.x.tobytes() == outcome.x.tobytes()
     assert again.iterations == outcome.iterations
 
 
-def test_adam_follows_the_paper(tmp_path):
-    """Three steps against algorithm 1 written out."""
+def test_adam_agrees_with_the_paper(tmp_path):
+    """Three steps agree with algorithm 1."""
     method = Adam(max_iterations=3, learning_rate=0.1, beta1=0.8, beta2=0.95)
     x, m, v = Bowl().start, 0.0, 0.0
     for k in range(1, 4):
@@ -113,7 +113,7 @@ def test_adam_follows_the_paper(tmp_path):
     np.testing.assert_allclose(outcome.x, x, rtol=1e-14)
 
 
-def test_sgd_follows_polyak(tmp_path):
+def test_sgd_agrees_with_polyaks_momentum(tmp_path):
     method = Sgd(max_iterations=3, learning_rate=0.05, momentum=0.9)
     x, u = Bowl().start, 0.0
     for _ in range(3):
@@ -123,9 +123,9 @@ def test_sgd_follows_polyak(tmp_path):
     np.testing.assert_allclose(outcome.x, x, rtol=1e-14)
 
 
-def test_a_long_gradient_is_shortened_and_its_entries_cut(tmp_path):
+def test_gradient_is_clipped_by_norm_and_by_entry(tmp_path):
     grad = Bowl().start - Bowl.goal  # (-0.3, -2)
-    for options, wanted in (
+    for options, clipped in (
         ({"clip": 0.5}, 0.5 * grad / np.linalg.norm(grad)),
         ({"clip": 9.0}, grad),
         ({"clip_entries": 1.0}, np.array([-0.3, -1.0])),
@@ -135,18 +135,18 @@ def test_a_long_gradient_is_shortened_and_its_entries_cut(tmp_path):
         problem.upper = np.full(2, np.inf)
         out = tmp_path / "-".join(options) / str(options.get("clip"))
         outcome, _ = solve(out, Sgd(max_iterations=1, learning_rate=0.1, **options), problem)
-        np.testing.assert_allclose(outcome.x, problem.start - 0.1 * wanted, rtol=1e-14)
+        np.testing.assert_allclose(outcome.x, problem.start - 0.1 * clipped, rtol=1e-14)
 
 
-def test_the_history_keeps_the_gradient_as_it_was(tmp_path):
+def test_history_has_the_unclipped_gradient(tmp_path):
     solve(tmp_path / "whole", Sgd(max_iterations=1), Bowl())
     solve(tmp_path / "clipped", Sgd(max_iterations=1, clip=0.1, clip_entries=0.2, mask=0.5), Bowl())
     first = [history_rows(tmp_path / name)[1] for name in ("whole", "clipped")]
     assert first[0] == first[1]
 
 
-def test_masked_entries_stay_where_they_are(tmp_path):
-    """A tenth of the entries, others each time, the same for the same seed."""
+def test_masked_entries_do_not_change(tmp_path):
+    """About a tenth of the entries is masked, different ones in each step, and the same ones for the same seed."""
 
     class Slope(Bowl):
         steps: list[np.ndarray]
@@ -161,19 +161,19 @@ def test_masked_entries_stay_where_they_are(tmp_path):
             return float(np.sum(x)), np.ones(500)
 
     method = Sgd(max_iterations=20, learning_rate=0.5, mask=0.1)
-    one, two, other = Slope(), Slope(), Slope()
-    for problem, name, seed in ((one, "one", 3), (two, "two", 3), (other, "other", 4)):
+    first, repeated, other = Slope(), Slope(), Slope()
+    for problem, name, seed in ((first, "first", 3), (repeated, "repeated", 3), (other, "other", 4)):
         solve(tmp_path / name, method, problem, seed=seed)
-    made = np.diff(one.steps, axis=0)
-    assert set(np.unique(made)) == {-0.5, 0.0}
-    held = made == 0.0
-    assert 0.08 < held.mean() < 0.12
-    assert not (held[0] == held[1]).all()
-    np.testing.assert_array_equal(one.steps, two.steps)
-    assert not np.array_equal(one.steps, other.steps)
+    changes = np.diff(first.steps, axis=0)
+    assert set(np.unique(changes)) == {-0.5, 0.0}
+    masked = changes == 0.0
+    assert 0.08 < masked.mean() < 0.12
+    assert not (masked[0] == masked[1]).all()
+    np.testing.assert_array_equal(first.steps, repeated.steps)
+    assert not np.array_equal(first.steps, other.steps)
 
 
-def test_mini_batches_visit_every_part_once_an_epoch(tmp_path):
+def test_mini_batches_use_every_part_once_per_epoch(tmp_path):
     class Watching(Rosenbrock):
         batches: list[tuple[int, ...]] = []  # noqa: RUF012  one list for the test's only problem
 
@@ -190,7 +190,7 @@ def test_mini_batches_visit_every_part_once_an_epoch(tmp_path):
 
 
 @pytest.mark.parametrize("method", [*SCIPY, *DESCENT], ids=name_of)
-def test_a_start_that_fails_ends_the_run(tmp_path, method):
+def test_failed_start_ends_the_run(tmp_path, method):
     outcome, _ = solve(tmp_path, method, Rosenbrock(wall=-5.0))
     assert outcome.status == "failed"
     for part in ("body 'beam'", "particle 7", "t = 0.25 s", "trial values: a = -1.2"):
@@ -199,7 +199,7 @@ def test_a_start_that_fails_ends_the_run(tmp_path, method):
 
 @pytest.mark.parametrize("method", SCIPY, ids=name_of)
 def test_failed_trials_shrink_the_box(tmp_path, method):
-    problem = Rosenbrock(wall=0.5)  # the way to (1, ..., 1) is closed
+    problem = Rosenbrock(wall=0.5)  # (1, ..., 1) cannot be reached
     outcome, session = solve(tmp_path, method, problem)
     assert outcome.status in ("failed", "stalled")
     assert outcome.x[0] <= 0.5
@@ -211,9 +211,9 @@ def test_failed_trials_shrink_the_box(tmp_path, method):
     assert session.computed == problem.evaluations
 
 
-def test_a_minimum_held_by_the_shrunken_box_is_no_convergence(tmp_path):
+def test_minimum_at_the_shrunken_box_is_reported_as_stalled(tmp_path):
     class Cliff(Bowl):
-        """Fails in a thin band only, so that a smaller box is enough to pass it."""
+        """Fails where x[0] is above 0.25, so a smaller box avoids failures."""
 
         def value_and_grad(self, x, batch=None):
             self._evaluate(np.array([1.0 if x[0] > 0.25 else 0.0, 0.0]))
@@ -230,7 +230,7 @@ def test_a_minimum_held_by_the_shrunken_box_is_no_convergence(tmp_path):
 @pytest.mark.parametrize("method", DESCENT, ids=name_of)
 def test_descent_halves_the_step_five_times_then_fails(tmp_path, method):
     class Trap(Rosenbrock):
-        """Blows up everywhere but at the start."""
+        """Blows up everywhere except at the start."""
 
         def _evaluate(self, x):
             self.wall = np.inf if np.array_equal(x, self.start) else -9.0
@@ -246,7 +246,7 @@ def test_descent_halves_the_step_five_times_then_fails(tmp_path, method):
 
 
 @pytest.mark.parametrize("method", DESCENT, ids=name_of)
-def test_descent_goes_on_with_half_the_step(tmp_path, method):
+def test_descent_continues_with_half_the_step(tmp_path, method):
     class Once(Rosenbrock):
         def _evaluate(self, x):
             self.wall = -9.0 if self.evaluations == 3 else np.inf
@@ -260,7 +260,7 @@ def test_descent_goes_on_with_half_the_step(tmp_path, method):
 
 
 @pytest.mark.parametrize("method", DESCENT, ids=name_of)
-def test_failures_far_apart_do_not_add_up(tmp_path, method):
+def test_separate_failures_are_not_counted_together(tmp_path, method):
     class Thrice(Rosenbrock):
         def _evaluate(self, x):
             self.wall = -9.0 if self.evaluations % 4 == 3 else np.inf
@@ -273,7 +273,7 @@ def test_failures_far_apart_do_not_add_up(tmp_path, method):
 
 
 @pytest.mark.parametrize("method", [*SCIPY, *DESCENT], ids=name_of)
-def test_a_loss_that_is_not_finite_is_a_failed_trial(tmp_path, method):
+def test_loss_that_is_not_finite_is_a_failed_trial(tmp_path, method):
     class Broken(Rosenbrock):
         def _evaluate(self, x):
             r, jacobian = super()._evaluate(x)
@@ -284,7 +284,7 @@ def test_a_loss_that_is_not_finite_is_a_failed_trial(tmp_path, method):
     assert "not finite; trial values: x = [-1.2" in outcome.message
 
 
-def test_half_box_keeps_the_point_and_halves_the_rest():
+def test_half_box_is_half_as_wide_around_the_point():
     x, lower, upper = np.array([0.0, 1.0, 3.0]), np.array([-1.0, 1.0, -np.inf]), np.array([2.0, 5.0, 4.0])
     down, up = half_box(x, lower, upper, reach=8.0)
     np.testing.assert_array_equal(down, [-0.5, 1.0, -1.0])
@@ -303,19 +303,19 @@ def test_half_box_keeps_the_point_and_halves_the_rest():
         {"mask": 1.0},
     ],
 )
-def test_options_are_checked(options):
+def test_invalid_options_are_errors(options):
     with pytest.raises(ValidationError):
         Adam(**options)
 
 
-def test_a_mini_batch_larger_than_the_data_is_refused(tmp_path):
+def test_mini_batch_larger_than_the_data_is_an_error(tmp_path):
     with pytest.raises(UsageError, match=r"batch_size is 11, .* falls into 10 parts.*at most 10"):
         solve(tmp_path, Sgd(batch_size=11), Rosenbrock())
     assert solve(tmp_path / "all", Sgd(batch_size=10, max_iterations=1), Rosenbrock())[0].iterations == 1
 
 
 class Drawn(Rosenbrock):
-    """Says that its data is drawn anew in every iteration, and keeps which draws it was asked for."""
+    """A problem with new data in every iteration, which records the requested draws."""
 
     stochastic = True
 
@@ -329,22 +329,22 @@ class Drawn(Rosenbrock):
 
 
 @pytest.mark.parametrize("method", SCIPY, ids=name_of)
-def test_scipy_refuses_an_objective_that_changes(tmp_path, method):
+def test_changing_objective_is_an_error_for_scipy(tmp_path, method):
     with pytest.raises(UsageError, match=rf"draws fresh goals.*{method.name}.*use adam or sgd, or fix"):
         solve(tmp_path, method, Drawn())
 
 
 @pytest.mark.parametrize("method", DESCENT, ids=name_of)
-def test_descent_asks_for_another_draw_each_iteration(tmp_path, method):
+def test_descent_requests_a_new_draw_in_each_iteration(tmp_path, method):
     problem = Drawn()
     outcome, _ = solve(tmp_path, method.model_copy(update={"max_iterations": 4}), problem)
     assert problem.batches == [(k,) for k in range(5)]
-    assert outcome.loss == problem.value(outcome.x)  # the last point, not the best of losses that do not compare
+    assert outcome.loss == problem.value(outcome.x)  # the last point: losses of different draws cannot be compared
     with pytest.raises(UsageError, match="batch_size takes parts of a fixed set"):
         solve(tmp_path / "parts", method.model_copy(update={"batch_size": 2}), problem)
 
 
-def test_blas_gets_its_threads_back_from_the_last_of_two_that_overlap():
+def test_blas_limit_ends_with_the_last_of_two_overlapping_contexts():
     def threads():
         return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
 

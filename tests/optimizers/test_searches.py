@@ -1,4 +1,4 @@
-"""Searches under constraints that come back, go round in circles or end where nothing is met, and what they say."""
+"""Searches under constraints that go back, repeat themselves or end at an infeasible point, and their messages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from toy_problems import Confined, Told, solve
+from toy_problems import Confined, InNumbers, solve
 
 from cqrun.errors import UsageError
 from cqrun.optimizers.constrained import ConstrainedTrials, ReplayedConstrained
@@ -27,14 +27,14 @@ class Overdetermined(Confined):
 
 
 @pytest.mark.parametrize("kind", [Slsqp(), TrustConstr(), Nlopt(), Nlopt(algorithm="auglag")])
-def test_more_equalities_than_unknowns_are_refused(kind):
-    """These methods give up before their first evaluation."""
+def test_more_equalities_than_unknowns_are_an_error(kind):
+    """These methods would end before their first evaluation."""
     with pytest.raises(UsageError, match=f"{kind.name} takes no more equalities than unknowns, here 3 with 2 unknowns"):
         kind.require(Overdetermined())
 
 
-class Incompatible(Told):
-    """Of one unknown, with two constraints that no value meets both; found by chance."""
+class Incompatible(InNumbers):
+    """A problem with one unknown and two constraints that no value meets both; found by chance."""
 
     term_names = ()
     stochastic = False
@@ -59,23 +59,23 @@ class Incompatible(Told):
         return f, x.copy(), c, (self.A + 2.0 * self.Q * x)[:, None]
 
 
-def test_a_line_search_that_asks_for_the_same_again_and_again_ends(tmp_path, monkeypatch):
+def test_line_search_that_repeats_itself_ends(tmp_path, monkeypatch):
     values, calls = ConstrainedTrials.values, 0
 
     def counted(self, x):
         nonlocal calls
         calls += 1
-        assert calls < 20_000, "it goes on for ever, and heeds neither limit nor stop"
+        assert calls < 20_000, "the search does not end, and checks neither the limit nor a request to stop"
         return values(self, x)
 
     monkeypatch.setattr(ConstrainedTrials, "values", counted)
     outcome, _ = solve(tmp_path, Nlopt(max_iterations=100), Incompatible())
     assert outcome.status == "infeasible"
-    assert "asks again and again for what it has been told" in outcome.message
+    assert "repeats evaluations without end" in outcome.message
 
 
-class Dale(Told):
-    """A constraint that is met in one of two dales, while the start is in the other, whose floor is higher."""
+class TwoValleys(InNumbers):
+    """A constraint that is met in one of two valleys; the start is in the other one, whose minimum is higher."""
 
     term_names = ()
     stochastic = False
@@ -99,22 +99,22 @@ class Dale(Told):
         return f, 2.0 * x, c, np.array([[4.0 * t**3 - 4.0 * t + 0.3, 2.0 * x[1]]])
 
 
-@pytest.mark.parametrize("first", [True, False], ids=["feasibility first", "at once"])
+@pytest.mark.parametrize("first", [True, False], ids=["feasibility first", "one search"])
 @pytest.mark.parametrize("kind", [Sqp, Slsqp, Nlopt])
-def test_a_local_minimum_of_the_violation_is_no_last_word(tmp_path, kind, first):
-    assert Dale().values_and_constraints(np.array([-1.04, 0.0]))[1] < -1.2
-    outcome, _ = solve(tmp_path, kind(feasibility_first=first), Dale())
+def test_message_for_a_local_minimum_of_the_violation(tmp_path, kind, first):
+    assert TwoValleys().values_and_constraints(np.array([-1.04, 0.0]))[1] < -1.2
+    outcome, _ = solve(tmp_path, kind(feasibility_first=first), TwoValleys())
     assert outcome.status == "infeasible"
-    assert re.match(r"not met[^:]*; another start or solver may do: constraint 'deep' is -0.705", outcome.message)
+    assert re.match(r"not met[^:]*; another start or solver may help: constraint 'deep' is -0.705", outcome.message)
 
 
-def test_sqp_tells_a_point_that_no_small_step_betters_from_one_where_it_got_stuck(tmp_path):
-    outcome, _ = solve(tmp_path, Sqp(), Dale())
-    assert outcome.message.startswith("not met where the search converged; another start or solver may do: ")
+def test_sqp_distinguishes_local_minima_of_the_violation_from_stalled_searches(tmp_path):
+    outcome, _ = solve(tmp_path, Sqp(), TwoValleys())
+    assert outcome.message.startswith("not met where the search converged; another start or solver may help: ")
 
 
 class Returning(ReplayedConstrained):
-    """Accepts a point, another, and the first again."""
+    """Accepts a point, another one, and the first one again."""
 
     max_iterations: int = 9
 
@@ -125,15 +125,15 @@ class Returning(ReplayedConstrained):
         return "converged", ""
 
 
-def test_a_solver_may_come_back_to_the_point_before_last(tmp_path):
-    """NLopt's SLSQP does, after a line search that led nowhere."""
+def test_solver_may_go_back_to_an_earlier_point(tmp_path):
+    """NLopt's SLSQP does so after a failed line search."""
     outcome, session = solve(tmp_path, Returning(), Confined())
     assert outcome.iterations == 3
     assert session.computed == 2
 
 
 class Raised(Confined):
-    """The valley, from so high that little changes of the loss are nothing beside it."""
+    """The valley with a large constant added, compared with which changes of the loss are small."""
 
     def values_and_constraints(self, x):
         f, c = super().values_and_constraints(x)
@@ -145,7 +145,7 @@ class Raised(Confined):
 
 
 @pytest.mark.parametrize("algorithm", ["slsqp", "auglag"])
-def test_the_tolerance_of_the_loss_is_absolute(tmp_path, algorithm):
+def test_function_tolerance_is_absolute(tmp_path, algorithm):
     method = Nlopt(algorithm=algorithm, max_iterations=2000, function_tolerance=1e-6)
     low, _ = solve(tmp_path / "low", method, Confined())
     high, _ = solve(tmp_path / "high", method, Raised())

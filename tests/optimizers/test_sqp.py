@@ -1,11 +1,11 @@
-"""The parts of `sqp`: curvature from the last steps, the quadratic program, and thousands of unknowns."""
+"""The parts of `sqp`: curvature from recent steps, quadratic programs, and problems with thousands of unknowns."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, minimize
-from toy_problems import Confined, Killed, Nearest, OnACircle, Rosenbrock, Told, bits, history_rows, solve
+from toy_problems import Confined, InNumbers, Killed, Nearest, OnACircle, Rosenbrock, bits, history_rows, solve
 
 from cqrun.optimizers import sqp
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
@@ -14,15 +14,15 @@ from cqrun.optimizers.sqp import Curvature, Sqp
 NO_MULTIPLIERS = np.zeros(0)
 
 
-def learned(rng, n=8, pairs=5, memory=20):
-    """Return curvature from steps in a convex quadratic without constraints, and the pairs."""
+def curvature_of_quadratic(rng, n=8, pairs=5, memory=20):
+    """Return the curvature from steps in a convex quadratic without constraints, and the pairs (s, y)."""
     root = rng.normal(size=(n, n))
     H = root @ root.T + np.eye(n)
     steps = [rng.normal(size=n) for _ in range(pairs)]
-    found = Curvature(memory)
+    curvature = Curvature(memory)
     for s in steps:
-        found.learn(s, H @ s, np.zeros((0, n)))
-    return found, [(s, H @ s) for s in steps]
+        curvature.update(s, H @ s, np.zeros((0, n)))
+    return curvature, [(s, H @ s) for s in steps]
 
 
 def dense(curvature, n, y=NO_MULTIPLIERS):
@@ -30,57 +30,57 @@ def dense(curvature, n, y=NO_MULTIPLIERS):
     return np.array([B.times(e) for e in np.eye(n)]).T
 
 
-def test_curvature_is_that_of_bfgs(rng):
+def test_curvature_agrees_with_bfgs(rng):
     """From the same multiple of the identity, by the recursion (Nocedal and Wright, eq 6.19)."""
-    found, pairs = learned(rng)
-    B = found.of(NO_MULTIPLIERS).delta * np.eye(8)
+    curvature, pairs = curvature_of_quadratic(rng)
+    B = curvature.of(NO_MULTIPLIERS).delta * np.eye(8)
     for s, y in pairs:
         Bs = B @ s
         B += np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / (s @ Bs)
-    np.testing.assert_allclose(dense(found, 8), B, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(dense(curvature, 8), B, rtol=1e-9, atol=1e-9)
 
 
-def test_curvature_forgets(rng):
-    found, pairs = learned(rng, memory=3)
+def test_curvature_forgets_old_steps(rng):
+    curvature, pairs = curvature_of_quadratic(rng, memory=3)
     fresh = Curvature(3)
     for s, y in pairs[-3:]:
-        fresh.learn(s, y, np.zeros((0, 8)))
-    np.testing.assert_allclose(dense(found, 8), dense(fresh, 8), rtol=1e-12)
+        fresh.update(s, y, np.zeros((0, 8)))
+    np.testing.assert_allclose(dense(curvature, 8), dense(fresh, 8), rtol=1e-12)
 
 
-def test_curvature_stays_positive_where_the_slope_falls(rng):
-    found, _ = learned(rng)
+def test_curvature_stays_positive_definite_with_negative_curvature(rng):
+    curvature, _ = curvature_of_quadratic(rng)
     for _ in range(5):
         s = rng.normal(size=8)
-        found.learn(s, -s, np.zeros((0, 8)))
-    assert np.linalg.eigvalsh(dense(found, 8)).min() > 0
-    before = dense(found, 8)
-    found.learn(np.zeros(8), np.ones(8), np.zeros((0, 8)))
-    np.testing.assert_array_equal(dense(found, 8), before)
+        curvature.update(s, -s, np.zeros((0, 8)))
+    assert np.linalg.eigvalsh(dense(curvature, 8)).min() > 0
+    before = dense(curvature, 8)
+    curvature.update(np.zeros(8), np.ones(8), np.zeros((0, 8)))
+    np.testing.assert_array_equal(dense(curvature, 8), before)
 
 
-def test_curvature_is_the_lagrangians_for_any_multipliers(rng):
-    """What was learned in steps under other multipliers is B for these, as if it had been so all the time."""
+def test_curvature_is_that_of_the_lagrangian_for_any_multipliers(rng):
+    """Steps with other multipliers give the same B as if the multipliers had always been these."""
     root = rng.normal(size=(3, 8, 8))
     H = root @ np.swapaxes(root, 1, 2) + np.eye(8)
     y = np.array([3.0, 0.5])
-    found, alone = Curvature(20), Curvature(20)
+    curvature, alone = Curvature(20), Curvature(20)
     for s in rng.normal(size=(8, 8)):
-        found.learn(s, H[0] @ s, H[1:] @ s)
-        found.of(rng.normal(size=2))
-        alone.learn(s, (H[0] + y[0] * H[1] + y[1] * H[2]) @ s, np.zeros((0, 8)))
-    np.testing.assert_allclose(dense(found, 8, y), dense(alone, 8), rtol=1e-9)
+        curvature.update(s, H[0] @ s, H[1:] @ s)
+        curvature.of(rng.normal(size=2))
+        alone.update(s, (H[0] + y[0] * H[1] + y[1] * H[2]) @ s, np.zeros((0, 8)))
+    np.testing.assert_allclose(dense(curvature, 8, y), dense(alone, 8), rtol=1e-9)
 
 
 @pytest.mark.parametrize("trial", range(6))
-def test_a_quadratic_program_is_solved(trial):
-    """Against scipy's SLSQP: some constraints held, some not, some unknowns at the box."""
+def test_quadratic_program_agrees_with_slsqp(trial):
+    """Some constraints are active and some are not, and some unknowns are at bounds of the box."""
     rng = np.random.default_rng(trial)
-    found, _ = learned(rng)
-    B, g, J = dense(found, 8), rng.normal(size=8), rng.normal(size=(3, 8))
+    curvature, _ = curvature_of_quadratic(rng)
+    B, g, J = dense(curvature, 8), rng.normal(size=8), rng.normal(size=(3, 8))
     ends = np.array([-np.inf, 0.2, -0.1]), np.array([-0.3, 0.2, 4.0])
     box = np.full(8, -0.5), np.full(8, 0.6)
-    d, y = quadratic_program(found.of(NO_MULTIPLIERS), g, J, ends, box, 1e3)
+    d, y = quadratic_program(curvature.of(NO_MULTIPLIERS), g, J, ends, box, 1e3)
     theirs = minimize(
         lambda d: (g @ d + 0.5 * d @ B @ d, g + B @ d), np.zeros(8), jac=True, method="SLSQP",
         bounds=np.stack(box, axis=1), 
@@ -94,7 +94,7 @@ def test_a_quadratic_program_is_solved(trial):
     np.testing.assert_allclose(slope[free], 0.0, atol=1e-5)
 
 
-def test_what_the_box_leaves_no_room_for_is_violated_as_little_as_can_be():
+def test_infeasible_quadratic_program_minimises_the_violation():
     d, _ = quadratic_program(
         LowRank(1.0), np.zeros(2), np.array([[1.0, 1.0]]), (np.array([5.0]), np.array([5.0])),
         (np.full(2, -1.0), np.full(2, 1.0)), 1e3,
@@ -102,17 +102,17 @@ def test_what_the_box_leaves_no_room_for_is_violated_as_little_as_can_be():
     np.testing.assert_allclose(d, 1.0, atol=1e-6)
 
 
-def test_tens_of_thousands_of_unknowns(tmp_path, rng):
+def test_20_000_unknowns(tmp_path, rng):
     n = 20_000
     aim, w = rng.normal(size=n), rng.normal(size=n)
     outcome, _ = solve(tmp_path, Sqp(max_iterations=60), Nearest(aim, w, -300.0))
-    wanted = aim - w * max(0.0, w @ aim + 300.0) / (w @ w)
+    projection = aim - w * max(0.0, w @ aim + 300.0) / (w @ w)
     assert outcome.status == "converged"
-    np.testing.assert_allclose(outcome.x, wanted, atol=1e-3)
+    np.testing.assert_allclose(outcome.x, projection, atol=1e-3)
 
 
 class InOtherUnits(Confined):
-    """The same problem, its objective and its constraints in other units."""
+    """The same problem with objective and constraints in other units."""
 
     def __init__(self, f_unit, c_unit):
         super().__init__()
@@ -130,8 +130,8 @@ class InOtherUnits(Confined):
 
 @pytest.mark.parametrize("feasibility_first", [True, False])
 @pytest.mark.parametrize(("f_unit", "c_unit"), [(1e3, 1.0), (1e-3, 1.0), (1.0, 1e3), (1.0, 1e-3), (1e6, 1.0)])
-def test_units_change_little(f_unit, c_unit, feasibility_first, tmp_path):
-    """The weight of violations finds its size from the start, and where that is far too light it is raised at once."""
+def test_result_does_not_depend_on_units(f_unit, c_unit, feasibility_first, tmp_path):
+    """The weight of violations is estimated at the start, and increased quickly if it is far too small."""
     tolerances = {"function_tolerance": 1e-8 * f_unit, "constraint_tolerance": 1e-6 * c_unit}
     optimizer = Sqp(max_iterations=60, feasibility_first=feasibility_first, **tolerances)
     known, _ = solve(tmp_path / "known", Sqp(), Confined())
@@ -141,13 +141,13 @@ def test_units_change_little(f_unit, c_unit, feasibility_first, tmp_path):
 
 
 @pytest.mark.parametrize("n", [4, 10, 14, 30])
-def test_a_minimum_is_not_called_stalled(n, tmp_path):
-    """Rejected trials leave a small radius, in which nothing is promised; the whole radius promises nothing either.
+def test_minimum_is_reported_as_converged(n, tmp_path):
+    """Rejected trials leave a small radius with a tiny predicted decrease; so is the decrease with the whole radius.
 
-    From 14 unknowns on it seems to, by curvature learned on the way round the valley's bend.
+    From 14 unknowns on it seems larger, because of curvature from earlier steps around the valley's bend.
     """
 
-    class Free(Told, Rosenbrock):
+    class Free(InNumbers, Rosenbrock):
         constraint_names = ()
         c_low = c_high = np.zeros(0)
 
@@ -169,8 +169,8 @@ def uncorrected(trials, B, here, there, *_):
 EXACT = Sqp(max_iterations=100, constraint_tolerance=1e-8)
 
 
-def test_steps_along_a_curved_constraint_are_corrected(tmp_path, monkeypatch):
-    """Without it they stay short, and end outside: an arm once kept the design of iteration 10 of 100."""
+def test_second_order_correction_saves_iterations(tmp_path, monkeypatch):
+    """Without correction, steps along a curved constraint stay short and end outside."""
     outcome, session = solve(tmp_path / "with", EXACT, OnACircle(seed=2))
     assert outcome.status == "converged", outcome.message
     np.testing.assert_allclose(outcome.x, np.eye(12)[0], atol=1e-3)
@@ -180,8 +180,8 @@ def test_steps_along_a_curved_constraint_are_corrected(tmp_path, monkeypatch):
     assert session.computed < 0.7 * other.computed  # an iteration with a correction has more trials
 
 
-def test_a_correction_is_not_tried_where_it_cannot_help(tmp_path, monkeypatch):
-    """Steps that are refused along straight constraints miss these by rounding alone, and cost no second rollout."""
+def test_no_correction_if_it_cannot_help(tmp_path, monkeypatch):
+    """Rejected steps along linear constraints miss them only by rounding errors, and cost no second rollout."""
     missed = []
 
     def noting(trials, B, here, there, *others):
@@ -198,22 +198,22 @@ def test_a_correction_is_not_tried_where_it_cannot_help(tmp_path, monkeypatch):
     assert session.computed == other.computed
 
 
-def test_only_a_step_that_would_be_refused_is_corrected(tmp_path, monkeypatch):
-    """One that falls a little short is good enough, and the radius shrinks."""
-    fallen, corrected = [], sqp._corrected
+def test_only_rejected_steps_are_corrected(tmp_path, monkeypatch):
+    """A step whose decrease is a little too small is taken, and the radius shrinks."""
+    accepted, corrected = [], sqp._corrected
 
     def noting(trials, B, here, there, room, radius, rho, enough):
         ends = trials.problem.c_low, trials.problem.c_high
-        fallen.append(here.merit(rho, *ends) - there.merit(rho, *ends) > enough)
+        accepted.append(here.merit(rho, *ends) - there.merit(rho, *ends) > enough)
         return corrected(trials, B, here, there, room, radius, rho, enough)
 
     monkeypatch.setattr(sqp, "_corrected", noting)
     solve(tmp_path, EXACT, OnACircle(50, seed=1))
-    assert fallen
-    assert not any(fallen)
+    assert accepted
+    assert not any(accepted)
 
 
-def test_killed_at_every_evaluation_it_takes_the_same_corrected_steps(tmp_path, monkeypatch):
+def test_corrected_steps_are_the_same_after_kills_at_every_evaluation(tmp_path, monkeypatch):
     taken, corrected = [], sqp._corrected
 
     def noting(trials, B, here, there, *others):
@@ -233,10 +233,10 @@ def test_killed_at_every_evaluation_it_takes_the_same_corrected_steps(tmp_path, 
     assert history_rows(tmp_path / "cut") == history_rows(tmp_path / "whole")
 
 
-def test_of_a_corrected_step_one_trial_is_learned(tmp_path, monkeypatch):
-    """Both are almost alike: they drove older steps out of the curvature, and an arm's effort fell more slowly."""
-    pairs, learned = [], []
-    corrected, learn = sqp._corrected, sqp.Curvature.learn
+def test_curvature_uses_one_trial_of_a_corrected_step(tmp_path, monkeypatch):
+    """Both trials are almost the same; using both would push older steps out of the memory."""
+    pairs, steps = [], []
+    corrected, update = sqp._corrected, sqp.Curvature.update
 
     def noting(trials, B, here, there, *others):
         other = corrected(trials, B, here, there, *others)
@@ -245,9 +245,9 @@ def test_of_a_corrected_step_one_trial_is_learned(tmp_path, monkeypatch):
         return other
 
     monkeypatch.setattr(sqp, "_corrected", noting)
-    monkeypatch.setattr(sqp.Curvature, "learn", lambda self, s, *changes: learned.append(s) or learn(self, s, *changes))
+    monkeypatch.setattr(sqp.Curvature, "update", lambda self, s, *changes: steps.append(s) or update(self, s, *changes))
     solve(tmp_path, EXACT, OnACircle())
     assert pairs
     for trial, taken in pairs:
-        assert any(np.array_equal(s, taken) for s in learned)
-        assert not any(np.allclose(s, trial, rtol=0.0, atol=1e-13) for s in learned)
+        assert any(np.array_equal(s, taken) for s in steps)
+        assert not any(np.allclose(s, trial, rtol=0.0, atol=1e-13) for s in steps)

@@ -1,4 +1,4 @@
-"""Small problems for the optimizers' tests, and a run to solve them in."""
+"""Small problems for the optimizers' tests, and a run that solves them."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from cqrun.store.session import RunSession
 
 
 class Killed(BaseException):
-    """Stands for a SIGKILL in the middle of an evaluation."""
+    """Simulates a SIGKILL in the middle of an evaluation."""
 
 
 class Rosenbrock:
     """Rosenbrock's valley in n dimensions as residuals, split into parts; it can blow up and be killed.
 
     Args:
-        n: unknowns.
-        wall: the rollout blows up where x[0] is above it.
-        fuse: evaluations until `Killed`.
+        n: number of unknowns.
+        wall: the rollout blows up if x[0] is above it.
+        fuse: number of evaluations before `Killed`.
     """
 
     term_names = ("valley", "slope")
@@ -70,8 +70,8 @@ class Rosenbrock:
         return np.concatenate([valley, slope]), jacobian
 
 
-class Told:
-    """Constraints in their own units, and bounds by number."""
+class InNumbers:
+    """Constraints with scale 1, and bounds described by number."""
 
     @property
     def scales(self):
@@ -81,7 +81,7 @@ class Told:
         return f"at bounds: {np.flatnonzero(below).tolist()} below, {np.flatnonzero(above).tolist()} above"
 
 
-class Confined(Told, Rosenbrock):
+class Confined(InNumbers, Rosenbrock):
     """Rosenbrock's valley where the sum of x is 1 and x.x is at most `radius` squared; half of x in [-2, 2]."""
 
     constraint_names = ("sum", "ball")
@@ -108,7 +108,7 @@ class OnACircle(Confined):
     """Maratos' example in n dimensions: 2 (x.x - 1) - x_1 where x.x is 1 (Nocedal and Wright, example 15.4).
 
     Args:
-        seed: of a start on the circle; without one it is far round it.
+        seed: seed of a random start on the circle; if None, the start is far from the minimum.
     """
 
     constraint_names = ("circle",)
@@ -129,7 +129,7 @@ class OnACircle(Confined):
         return f, 4.0 * x - np.eye(len(x))[0], c, 2.0 * x[None]
 
 
-class Nearest(Told):
+class Nearest(InNumbers):
     """The point nearest to `aim` where w.x is at most `most`: (aim - w max(0, w.aim - most) / w.w), by projection."""
 
     term_names = ()
@@ -159,14 +159,14 @@ class Nearest(Told):
 
 
 def problem_for(method: Optimizer, **options) -> Rosenbrock:
-    """Return the valley that a method is tried on: where it honours constraints, one with constraints."""
+    """Return the valley for testing a method, with constraints if the method supports them."""
     return Confined(**options) if isinstance(method, ConstrainedOptimizer) else Rosenbrock(**options)
 
 
 def solve(
     out: Path, optimizer: Optimizer, problem: Rosenbrock | Nearest, *, stop=lambda: False, seed: int = 3, sabotage=None
 ) -> tuple[Outcome, RunSession]:
-    """Start or resume the run below `out`; `sabotage(session)` may spoil the session first."""
+    """Start or resume the run below `out`; `sabotage(session)` may change the session first."""
     scene = RunScene("toy", "cqrun: 1\n", "cqrun: 1\n")
     with RunDirectory.open(scene, out, argv=["toy"], seed=seed, threads=1) as run:
         run.begin()
@@ -193,10 +193,10 @@ def run_folder(out: Path) -> Path:
 
 
 def history_rows(out: Path) -> list[str]:
-    """Return the history without its column of seconds."""
+    """Return the rows of the history without the column of seconds."""
     return [row.rsplit(",", 1)[0] for row in (run_folder(out) / "history.csv").read_text().splitlines()]
 
 
 def bits(outcome: Outcome) -> tuple:
-    """Return an outcome in a form whose equality is bitwise."""
+    """Return an outcome as a tuple whose equality is bit-for-bit."""
     return outcome.x.tobytes(), outcome.loss.hex(), outcome.status, outcome.message, outcome.iterations

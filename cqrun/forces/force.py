@@ -1,0 +1,183 @@
+"""What a force that depends on the state is: something that pulls some particles, every substep.
+
+A force is made of items: a cable, a spring, a face under pressure. An item touches some particles and pulls each of
+them with a share of its own. Items are independent, so threads take them side by side; then each particle adds up its
+shares, in a fixed order. No two threads write one number, and the sums do not depend on how many threads there are.
+
+A kind of force reaches the kernels as a `NamedTuple` of its own class, with the fields `shares` and `parts` and what
+else it needs. The class picks two functions, each called for one item:
+
+    exert(kernel, item, levels, control, q)                  writes shares.force of the item's shares
+    exert_vjp(kernel, item, levels, control, q, push_bar)    writes shares.x_bar, shares.v_bar and shares.level_bar
+
+With a = kernel.parts[item], `levels.activation[control, a]` [1], `levels.strength[a]` in the force's own unit, and
+`levels.rest[a]` [m] are the numbers of the item's part. q and push_bar, the cotangent of the force on every particle,
+are packed (`state.py`, `packed.py`).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from cqrun.numerics.compile import own_symbols
+from cqrun.numerics.dispatch import ByClass
+from cqrun.plugin.contract import Array, Plugin
+
+Inside = Callable[[str | None, Any], Array]
+"""From a body and a region, each or neither, to the indices of the particles there."""
+
+ACTIVATION, STRENGTH, REST = 0, 1, 2
+"""Columns of `Shares.level_bar`."""
+
+_EXERT = ByClass("exert", "kernel, item, levels, control, q")
+_EXERT_VJP = ByClass("exert_vjp", "kernel, item, levels, control, q, push_bar")
+exert, exert_vjp = _EXERT.call, _EXERT_VJP.call
+
+_ITEMS: dict[type, Callable[[Array, Array], list[Array]]] = {}
+
+
+class Shares(NamedTuple):
+    """What the items of a kind of force pull their particles with."""
+
+    begin: Array  # (I + 1,) where the shares of an item begin
+    columns: Array  # (S,) which particle a share pulls
+    force: Array  # (S, D) [N]
+    x_bar: Array  # (S, D) what a share adds to the cotangent of its particle's position
+    v_bar: Array  # (S, D) and of its velocity
+    level_bar: Array  # (I, 3) cotangents of an item's activation, strength and rest length
+
+
+own_symbols(Shares)
+
+
+class Levels(NamedTuple):
+    """How strong each part of an actuator or a force is; or the cotangent of that.
+
+    Forces without an activation come last; the columns of `activation` that belong to them are 1.
+    """
+
+    activation: Array  # (T, A) one row a control step [1]
+    strength: Array  # (A,) in each part's own unit
+    rest: Array  # (A,) length at rest [m]
+
+
+own_symbols(Levels)
+
+
+class ParticleForce(Plugin):
+    """A force on particles that depends on where they are, without an activation.
+
+    A force may have several parts; each has a strength and a rest length of its own.
+    """
+
+    scale: ClassVar[str] = ""
+    """The differentiable field that is the strength of a part."""
+
+    kernel: ClassVar[type]
+    """The class of the kernels' view."""
+
+    def parts(self) -> tuple[str, ...]:
+        """Return the names of its parts; one without a name if there is only one."""
+        return ("",)
+
+    @abstractmethod
+    def particles(self, part: str, x: Array, inside: Inside) -> Array:
+        """Return the particles of a part.
+
+        Args:
+            part: one of `parts`.
+            x: all particles at rest (N, D) [m].
+            inside: finds the particles of a body and region.
+        """
+
+    def constants(self, x: Array) -> Array:
+        """Return what else a kernel needs of a part, as numbers, given its particles at rest x (n, D) [m]."""
+        return np.zeros(0)
+
+    def rest_length(self, x: Array) -> float:
+        """Return the length at rest [m] of a part whose particles at rest are x (n, D) [m]; 0 where it has none."""
+        return 0.0
+
+    def rest_length_vjp(self, x: Array, bar: float) -> Array:
+        """Return the cotangent of x (n, D)."""
+        return np.zeros(x.shape)
+
+    def problem(self, x: Array, dx: float) -> str | None:
+        """Return what is wrong with a part whose particles at rest are x (n, D) [m], in cells of dx [m], or None."""
+        return None
+
+    def stiffness_at_nodes(self, strength: float) -> float:
+        """Return the stiffness that a part adds to nodes of the grid that its particles touch [N/m]."""
+        return 0.0
+
+
+def register_force(
+    kernel_class: type,
+    items: Callable[[Array, Array], list[Array]],
+    exert: Callable[..., None],
+    exert_vjp: Callable[..., None],
+) -> None:
+    """Make the functions those of a kernel class, whose fields are `shares`, `parts` and `constants`.
+
+    Args:
+        kernel_class: a NamedTuple of these fields; constants (I, ...) has a row an item.
+        items: from the particles (n,) and constants of a part to the particles that each of its items pulls.
+        exert, exert_vjp: see the top of this file.
+    """
+    _EXERT.register(kernel_class, exert)
+    _EXERT_VJP.register(kernel_class, exert_vjp)
+    _ITEMS[kernel_class] = items
+
+
+def is_force(kernel_class: type) -> bool:
+    """Say whether a kernel class is of a force that depends on the state."""
+    return kernel_class in _ITEMS
+
+
+class Kind(NamedTuple):
+    """All parts of one kind of force: their numbers among all parts, their particles' columns, and their constants."""
+
+    kernel: type
+    parts: Array
+    columns: Sequence[Array]
+    constants: Sequence[Array]
+
+
+def make_forces(kinds: Sequence[Kind], dim: int) -> tuple[tuple[Any, ...], Shares]:
+    """Return the kernels' view of every kind, and the shares of all of them one after the other.
+
+    The shares of a kind are a piece of those of all, so what one writes the other reads.
+    """
+    pulled = [
+        [(int(a), item, c) for a, columns, c in zip(k.parts, k.columns, k.constants, strict=True)
+         for item in _ITEMS[k.kernel](columns, c)]
+        for k in kinds
+    ]  # fmt: skip
+    everything = [entry for kind in pulled for entry in kind]
+    all_shares = _shares([item for _, item, _ in everything], dim)
+    views, first_item = [], 0
+    for kind, entries in zip(kinds, pulled, strict=True):
+        shares = _piece(all_shares, first_item, first_item + len(entries))
+        constants = np.array([c for *_, c in entries], float).reshape(len(entries), -1)
+        views.append(kind.kernel(shares, np.array([a for a, *_ in entries], np.int64), constants))
+        first_item += len(entries)
+    return tuple(views), all_shares
+
+
+def _shares(items: Sequence[Array], dim: int) -> Shares:
+    """Return empty shares of items that pull these particles."""
+    begin = np.cumsum([0, *map(len, items)]).astype(np.int64)
+    columns = np.concatenate([np.zeros(0, np.int64), *items]).astype(np.int64)
+    force, x_bar, v_bar = (np.zeros((len(columns), dim)) for _ in range(3))
+    return Shares(begin, columns, force, x_bar, v_bar, np.zeros((len(items), 3)))
+
+
+def _piece(shares: Shares, first: int, last: int) -> Shares:
+    """Return the shares of items first .. last, without a copy but for where each begins."""
+    piece = slice(int(shares.begin[first]), int(shares.begin[last]))
+    arrays = (a[piece] for a in (shares.columns, shares.force, shares.x_bar, shares.v_bar))
+    return Shares(shares.begin[first : last + 1] - piece.start, *arrays, shares.level_bar[first:last])

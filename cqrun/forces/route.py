@@ -1,0 +1,183 @@
+"""Straight lines through particles, along which cables and springs pull.
+
+With the particles x_1 .. x_r of a route, its length is L = sum_i |x_{i+1} - x_i|, and t_i the unit vector from x_i to
+x_{i+1}. A tension T along it pulls x_i with T (t_i - t_{i-1}): no net force and no net torque.
+
+As shares of an item (`force.py`) a route is its segments, one after the other; the two shares of a segment pull its
+first and its last particle.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from cqrun.explain import Loc
+from cqrun.forces.force import Inside, Shares
+from cqrun.numerics.compile import kernel
+from cqrun.plugin.contract import Array
+
+Point = Annotated[list[float], Field(min_length=2, max_length=3)]
+
+
+# --- in a scene --------------------------------------------------------------------------------------------
+
+
+def route_problems(route: list[Point], dim: int) -> list[tuple[Loc, str]]:
+    """Return what is wrong with the points of a route in a world of `dim` dimensions."""
+    wrong: list[tuple[Loc, str]] = [
+        (("route", k), f"must have {dim} entries in this {dim}D world, has {len(point)}")
+        for k, point in enumerate(route)
+        if len(point) != dim
+    ]
+    return wrong + [
+        (("route", k + 1), "is where the point before it is: remove one of the two")
+        for k, (point, next_point) in enumerate(itertools.pairwise(route))
+        if point == next_point
+    ]
+
+
+def particles_along(route: list[Point], spacing: float | None, body: str, x: Array, inside: Inside) -> Array:
+    """Return the particles along a route, in order: those nearest to its points, and between them every `spacing`."""
+    of_body = inside(body, None)
+
+    def nearest(place: Array) -> int:
+        return int(of_body[np.argmin(((x[of_body] - place) ** 2).sum(axis=1))])
+
+    points = np.array(route)
+    tied = [nearest(point) for point in points]
+    along = tied[:1]
+    for k, (begin, end) in enumerate(itertools.pairwise(points)):
+        pieces = 1 if spacing is None else max(1, round(float(np.linalg.norm(end - begin)) / spacing))
+        for piece in range(1, pieces):
+            particle = nearest(begin + (end - begin) * piece / pieces)
+            # a line that is tied more often than there are particles meets some of them again
+            if particle not in (along[-1], tied[k + 1]):
+                along.append(particle)
+        along.append(tied[k + 1])
+    return np.array(along, np.int64)
+
+
+def route_problem(route: list[Point], body: str, x: Array, dx: float) -> str | None:
+    """Return what is wrong with a route along particles at x (r, D) in cells of dx, or None."""
+    for point in route:
+        gap = np.linalg.norm(x - np.array(point), axis=1)
+        if gap.min() > dx:
+            near, place = (", ".join(f"{c:.4g}" for c in of) for of in (x[np.argmin(gap)], point))
+            return (
+                f"its point ({place}) is {gap.min():.3g} m from the body '{body}', whose nearest particle at "
+                f"rest is at ({near}): each point of a route lies within a cell ({dx:.3g} m) of a particle"
+            )
+    different = len(np.unique(x, axis=0))
+    if different < 2:
+        return "runs through fewer than two particles: lengthen the route"
+    if different < len(x):
+        return "runs through a particle twice: separate the points of the route, or tie it less often (`spacing`)"
+    return None
+
+
+def route_length(x: Array) -> float:
+    """Return the length [m] of a route along particles at x (r, D) [m]."""
+    return float(np.linalg.norm(np.diff(x, axis=0), axis=1).sum())
+
+
+def route_length_vjp(x: Array, bar: float) -> Array:
+    """Return the cotangent of x (r, D)."""
+    gaps = np.diff(x, axis=0)
+    along = bar * gaps / np.linalg.norm(gaps, axis=1, keepdims=True)
+    ends = np.zeros((1, x.shape[1]))
+    return np.asarray(np.concatenate([ends, along]) - np.concatenate([along, ends]))
+
+
+# --- in kernels --------------------------------------------------------------------------------------------
+
+
+def segments_of(columns: Array, constants: Array) -> list[Array]:
+    """Return the one item of a part: the particles of its segments, the first and the last of each."""
+    return [np.repeat(columns, 2)[1:-1]]
+
+
+@kernel
+def segment(q: Array, p: int, r: int, in_3d: bool) -> tuple[float, float, float, float]:
+    """Return the unit vector from particle p to particle r, and their distance [m]; x has the first rows of q."""
+    w = q.shape[2]
+    x = q[r // w, 0, r % w] - q[p // w, 0, p % w]
+    y = q[r // w, 1, r % w] - q[p // w, 1, p % w]
+    z = q[r // w, 2, r % w] - q[p // w, 2, p % w] if in_3d else 0.0 * x
+    length = np.sqrt(x * x + y * y + z * z)
+    inverse = 1.0 / length if length > 0.0 else 0.0 * length
+    return x * inverse, y * inverse, z * inverse, length
+
+
+@kernel
+def length_along(shares: Shares, item: int, q: Array) -> float:
+    """Return the length of an item's route [m]."""
+    total = 0.0
+    for s in range(shares.begin[item], shares.begin[item + 1], 2):
+        total += segment(q, shares.columns[s], shares.columns[s + 1], shares.force.shape[1] == 3)[3]
+    return total
+
+
+@kernel
+def put_pair(table: Array, s: int, x: float, y: float, z: float) -> None:
+    """Write a vector to the first share of a segment, and its opposite to the other."""
+    table[s, 0], table[s, 1] = x, y
+    table[s + 1, 0], table[s + 1, 1] = -x, -y
+    if table.shape[1] == 3:
+        table[s, 2], table[s + 1, 2] = z, -z
+
+
+@kernel
+def pull_along(shares: Shares, item: int, tension: float, q: Array) -> None:
+    """Write the shares of a tension [N] along an item's route."""
+    for s in range(shares.begin[item], shares.begin[item + 1], 2):
+        x, y, z, _ = segment(q, shares.columns[s], shares.columns[s + 1], shares.force.shape[1] == 3)
+        put_pair(shares.force, s, tension * x, tension * y, tension * z)
+
+
+@kernel
+def clear_item(table: Array, shares: Shares, item: int) -> None:
+    """Set an item's rows of a table of shares to zero."""
+    for s in range(shares.begin[item], shares.begin[item + 1]):
+        table[s, :] = 0.0
+
+
+@kernel
+def difference(force_bar: Array, p: int, r: int, in_3d: bool) -> tuple[float, float, float]:
+    """Return the cotangent of the force on p less that of the force on r."""
+    w = force_bar.shape[2]
+    x = force_bar[p // w, 0, p % w] - force_bar[r // w, 0, r % w]
+    y = force_bar[p // w, 1, p % w] - force_bar[r // w, 1, r % w]
+    z = force_bar[p // w, 2, p % w] - force_bar[r // w, 2, r % w] if in_3d else 0.0 * x
+    return x, y, z
+
+
+@kernel
+def tension_bar(shares: Shares, item: int, q: Array, push_bar: Array) -> float:
+    """Return the cotangent of the tension along an item's route."""
+    total, in_3d = 0.0, shares.force.shape[1] == 3
+    for s in range(shares.begin[item], shares.begin[item + 1], 2):
+        p, r = shares.columns[s], shares.columns[s + 1]
+        x, y, z, _ = segment(q, p, r, in_3d)
+        fx, fy, fz = difference(push_bar, p, r, in_3d)
+        total += fx * x + fy * y + fz * z
+    return total
+
+
+@kernel
+def pull_along_vjp(shares: Shares, item: int, tension: float, length_bar: float, q: Array, push_bar: Array) -> None:
+    """Write the cotangents of the particles' positions, through the length and through the segments' directions."""
+    in_3d = shares.force.shape[1] == 3
+    for s in range(shares.begin[item], shares.begin[item + 1], 2):
+        p, r = shares.columns[s], shares.columns[s + 1]
+        x, y, z, length = segment(q, p, r, in_3d)
+        fx, fy, fz = difference(push_bar, p, r, in_3d)
+        along = fx * x + fy * y + fz * z
+        turn = tension / length if length > 0.0 else 0.0 * length
+        dx = turn * (fx - along * x) + length_bar * x
+        dy = turn * (fy - along * y) + length_bar * y
+        dz = turn * (fz - along * z) + length_bar * z
+        put_pair(shares.x_bar, s, -dx, -dy, -dz)

@@ -1,0 +1,102 @@
+"""Spring: pulls and pushes the particles along its route towards its rest length.
+
+With the length L of the route (`route.py`), its rest length R and the stiffness k, the energy is E = k / 2 (L - R)^2,
+so the tension is T = k (L - R), negative where the spring is compressed.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pydantic import Field
+
+from cqrun.explain import Loc
+from cqrun.forces.force import REST, STRENGTH, Inside, Levels, ParticleForce, Shares, register_force
+from cqrun.forces.route import (
+    Point,
+    length_along,
+    particles_along,
+    pull_along,
+    pull_along_vjp,
+    route_length,
+    route_length_vjp,
+    route_problem,
+    route_problems,
+    segments_of,
+    tension_bar,
+)
+from cqrun.numerics.compile import kernel
+from cqrun.plugin.contract import Array, quantity
+from cqrun.plugin.reference import BodyName
+from cqrun.plugin.registry import plugin
+
+
+class SpringKernel(NamedTuple):
+    """All springs of a scene."""
+
+    shares: Shares
+    parts: Array
+    constants: Array
+
+
+@plugin("force", "spring")
+class Spring(ParticleForce):
+    """A spring along a route of particles: its force is stiffness (length - rest length), at rest zero.
+
+    It works in both directions: it pulls where it is stretched, and pushes where it is compressed.
+    """
+
+    body: BodyName = Field(description="Body it lies in")
+    route: list[Point] = quantity(
+        "m", "Points at rest that it runs through in straight lines, each at the nearest particle", min_length=2
+    )
+    stiffness: float = quantity("N/m", "Force over stretch", differentiable=True, ge=0)
+
+    scale = "stiffness"
+    kernel = SpringKernel
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions."""
+        return super().dim_problems(dim) + route_problems(self.route, dim)
+
+    def particles(self, part: str, x: Array, inside: Inside) -> Array:
+        """Return the particles along the route, in order."""
+        return particles_along(self.route, None, self.body, x, inside)
+
+    def problem(self, x: Array, dx: float) -> str | None:
+        """Return what is wrong with a route along particles at x (r, D) in cells of dx, or None."""
+        return route_problem(self.route, self.body, x, dx)
+
+    def rest_length(self, x: Array) -> float:
+        """Return the length [m] of a route along particles at x (r, D) [m]."""
+        return route_length(x)
+
+    def rest_length_vjp(self, x: Array, bar: float) -> Array:
+        """Return the cotangent of x (r, D)."""
+        return route_length_vjp(x, bar)
+
+    def stiffness_at_nodes(self, strength: float) -> float:
+        """Return that of a node between two segments of the spring's stiffness [N/m]."""
+        return 4.0 * strength
+
+
+@kernel
+def stretch(springs: SpringKernel, item: int, levels: Levels, control: int, q: Array) -> None:
+    """Write the shares of one spring."""
+    a = springs.parts[item]
+    tension = levels.strength[a] * (length_along(springs.shares, item, q) - levels.rest[a])
+    pull_along(springs.shares, item, tension, q)
+
+
+@kernel
+def stretch_vjp(springs: SpringKernel, item: int, levels: Levels, control: int, q: Array, push_bar: Array) -> None:
+    """Carry the cotangent of the forces back."""
+    a, shares = springs.parts[item], springs.shares
+    stiffness, longer = levels.strength[a], length_along(shares, item, q) - levels.rest[a]
+    T_bar = tension_bar(shares, item, q, push_bar)
+    shares.level_bar[item, STRENGTH] = longer * T_bar
+    shares.level_bar[item, REST] = -stiffness * T_bar
+    pull_along_vjp(shares, item, stiffness * longer, stiffness * T_bar, q, push_bar)
+
+
+register_force(SpringKernel, segments_of, stretch, stretch_vjp)

@@ -1,0 +1,64 @@
+"""The stress of a material in a lane of particles: the sum of its terms, and the adjoint."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba.extending import overload, register_jitable
+
+from cqrun.materials.history import accumulate_history, load_history
+from cqrun.materials.term import accumulate_rows, kirchhoff, kirchhoff_vjp, load_rows
+from cqrun.numerics.tensor import add
+from cqrun.plugin.contract import Array
+
+
+def total_kirchhoff(terms: Any, q: Array, i: int, F: Any, C: Any) -> Any:
+    """Return the summed Kirchhoff stress of all terms for the lane of particles at i."""
+    theta = load_rows(terms[0].theta, terms[0].rows, i)
+    tau = kirchhoff(terms[0], theta, F, C, load_history(terms[0], q, i))
+    return add(tau, total_kirchhoff(terms[1:], q, i, F, C)) if len(terms) > 1 else tau
+
+
+@overload(total_kirchhoff)
+def _total_kirchhoff(terms, q, i, F, C):
+    def one(terms, q, i, F, C):
+        theta = load_rows(terms[0].theta, terms[0].rows, i)
+        return kirchhoff(terms[0], theta, F, C, load_history(terms[0], q, i))
+
+    def several(terms, q, i, F, C):
+        return add(one_of(terms, q, i, F, C), total_kirchhoff(terms[1:], q, i, F, C))
+
+    one_of = register_jitable(one)
+    return several if len(terms) > 1 else one
+
+
+def total_kirchhoff_vjp(
+    terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, C: Any, tau_bar: Any
+) -> Any:
+    """Return (F_bar, C_bar); add to the parameters' cotangents in terms_bar, and to the histories' in q_bar."""
+    theta = load_rows(terms[0].theta, terms[0].rows, i)
+    bars = kirchhoff_vjp(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)
+    accumulate_rows(terms_bar[0].theta, terms[0].rows, i, bars[0])
+    accumulate_history(terms[0], q_bar, i, bars)
+    if len(terms) == 1:
+        return bars[1], bars[2]
+    F_more, C_more = total_kirchhoff_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+    return add(bars[1], F_more), add(bars[2], C_more)
+
+
+@overload(total_kirchhoff_vjp)
+def _total_kirchhoff_vjp(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
+    def one(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
+        theta = load_rows(terms[0].theta, terms[0].rows, i)
+        bars = kirchhoff_vjp(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)
+        accumulate_rows(terms_bar[0].theta, terms[0].rows, i, bars[0])
+        accumulate_history(terms[0], q_bar, i, bars)
+        return bars[1], bars[2]
+
+    def several(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
+        F_bar, C_bar = one_of(terms, terms_bar, q, q_bar, i, F, C, tau_bar)
+        F_more, C_more = total_kirchhoff_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+        return add(F_bar, F_more), add(C_bar, C_more)
+
+    one_of = register_jitable(one)
+    return several if len(terms) > 1 else one

@@ -1,0 +1,209 @@
+"""What a field means, said by its type: it names a body, a group, a file, or is a place in the world.
+
+    carrier: BodyName = Field(description="Body that carries the sensor")
+    hold: GroupName = Field(description="Group of that body")
+    recording_path: FileName = Field(description="What the sensor recorded")
+
+A scene finds what its parts refer to by these types, whatever the fields are called, in lists and mappings too. So it
+refuses a name that nothing has, and counts what a file holds among the inputs that name a run.
+"""
+
+from __future__ import annotations
+
+import types
+import typing
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Annotated, Any, Generic, Literal, TypeVar
+
+from pydantic import GetJsonSchemaHandler
+from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema
+
+from cqrun.explain import Loc
+from cqrun.plugin.contract import Spec
+
+FILLED_MARK = "x-cqrun-filled"
+"""JSON schema key of a field that a user may leave out, until `scene_json_schema` takes it off the required ones."""
+
+M = TypeVar("M")
+
+
+@dataclass(frozen=True)
+class NamesBody:
+    """Mark of the name of one of the scene's bodies."""
+
+
+@dataclass(frozen=True)
+class NamesGroup:
+    """Mark of the name of a group of a body, or of a region of the scene.
+
+    The body is the one that the field `of` names; without, the one that the part's first body field names, or where
+    it has none that of a part around it.
+    """
+
+    of: str | None = None
+
+
+@dataclass(frozen=True)
+class NamesRegion:
+    """Mark of the name of a region of the scene, or where particles are picked of a group of their body."""
+
+
+@dataclass(frozen=True)
+class NamesGoal:
+    """Mark of the name of one of the scene's goals."""
+
+
+@dataclass(frozen=True)
+class NamesActuator:
+    """Mark of the name of one of the scene's actuators."""
+
+
+@dataclass(frozen=True)
+class NamesFile:
+    """Mark of the name of a file, from the scene's folder. `Spec.path_of` returns where it is."""
+
+
+@dataclass(frozen=True)
+class NamesFace:
+    """Mark of the name of a face of the world."""
+
+
+@dataclass(frozen=True)
+class InWorld:
+    """Mark of a position that must lie in the world [m]; its coordinates begin at the entry `first`."""
+
+    first: int = 0
+
+
+@dataclass(frozen=True)
+class FilledIn:
+    """Mark of a field that a user may leave out: the scene fills it in before it is checked.
+
+    Attributes:
+        by: what it is filled with; where the scene has none of it the field is missing.
+    """
+
+    by: Literal["zero vector", "zero spin", "only body"]
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {**handler(schema), FILLED_MARK: True}
+
+
+BodyName = Annotated[str, NamesBody()]
+OnlyBodyName = Annotated[str, NamesBody(), FilledIn("only body")]
+"""Name of a body; in a scene with a single body it may be left out."""
+
+GroupName = Annotated[str, NamesGroup()]
+RegionName = Annotated[str, NamesRegion()]
+GoalName = Annotated[str, NamesGoal()]
+ActuatorName = Annotated[str, NamesActuator()]
+FileName = Annotated[str, NamesFile()]
+Position = Annotated[list[float], InWorld()]
+Face = Annotated[Literal["x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "all"], NamesFace()]
+
+
+@dataclass(frozen=True)
+class Marked(Generic[M]):
+    """A value that its type marks.
+
+    Attributes:
+        part: what has the field.
+        loc: place of the value, from the part that was asked for it: the field's name, then indices and keys.
+        mark: the mark, which tells what the value means.
+        value: never None.
+        at_key: whether it is the key of a mapping, not what stands there.
+    """
+
+    part: Spec
+    loc: Loc
+    mark: M
+    value: Any
+    at_key: bool = False
+
+    def below(self, loc: Loc) -> Marked[M]:
+        """Return it with its place counted from above a part at `loc`."""
+        return replace(self, loc=(*loc, *self.loc))
+
+
+def marked_in(part: Spec, kind: type[M]) -> Iterator[Marked[M]]:
+    """Yield every value in the fields of one part that its type marks with a `kind`; parts inside it are not asked."""
+    annotations = field_types(type(part))
+    for name in marked_fields(type(part), kind):
+        for found in _marked(annotations[name], Marked(part, (name,), None, getattr(part, name))):
+            if isinstance(found.mark, kind):
+                yield found
+
+
+def marked_fields(cls: type[Spec], kind: type[Any]) -> tuple[str, ...]:
+    """Return the names of the fields of a part whose type has a mark of a kind, in their order."""
+    return _marked_fields(cls, kind)  # type: ignore[arg-type]  # mypy does not know that a class can be hashed
+
+
+@cache
+def _marked_fields(cls: type[Spec], kind: type[Any]) -> tuple[str, ...]:
+    return tuple(name for name, info in cls.model_fields.items() if marks(info, kind))
+
+
+def marks(info: FieldInfo, kind: type[M]) -> list[M]:
+    """Return the marks of a kind in a field's type, each once."""
+    return list(dict.fromkeys(mark for mark in _metadata(_type_of(info)) if isinstance(mark, kind)))
+
+
+@cache
+def field_types(cls: type[Spec]) -> dict[str, Any]:
+    """Return the types of the fields of a part, with all their marks."""
+    return {name: _type_of(info) for name, info in cls.model_fields.items()}
+
+
+def body_of(part: Spec) -> str | None:
+    """Return the body that the first body field of a part names; None where it has none, or names none or several."""
+    fields = marked_fields(type(part), NamesBody)
+    value = getattr(part, fields[0]) if fields else None
+    return value if isinstance(value, str) else None
+
+
+def is_union(annotation: Any) -> bool:
+    """Say whether a type is a choice of several types."""
+    return typing.get_origin(annotation) in (typing.Union, types.UnionType)
+
+
+def _type_of(info: FieldInfo) -> Any:
+    """Return the type of a field, with the marks that pydantic has taken off it."""
+    return Annotated[(info.annotation, *info.metadata)] if info.metadata else info.annotation
+
+
+def _metadata(annotation: Any) -> Iterator[Any]:
+    """Yield what a type, and the types that it is made of, are annotated with."""
+    args = typing.get_args(annotation)
+    if typing.get_origin(annotation) is Annotated:
+        yield from args[1:]
+        args = args[:1]
+    for arg in args:
+        yield from _metadata(arg)
+
+
+def _marked(annotation: Any, at: Marked[Any]) -> Iterator[Marked[Any]]:
+    """Yield a value, and those inside it, once for each of the marks of its type."""
+    origin, args, value = typing.get_origin(annotation), typing.get_args(annotation), at.value
+    if value is None or (is_union(annotation) and any(value in typing.get_args(a) for a in args if _is_literal(a))):
+        return  # a word of its own, such as `all`, is no name
+    if origin is Annotated:
+        yield from (replace(at, mark=mark) for mark in args[1:])
+        yield from _marked(args[0], at)
+    elif is_union(annotation):
+        for arg in args:
+            yield from _marked(arg, at)
+    elif origin is list and isinstance(value, list):
+        for k, item in enumerate(value):
+            yield from _marked(args[0], replace(at, loc=(*at.loc, k), value=item))
+    elif origin is dict and isinstance(value, dict):
+        for key, item in value.items():
+            yield from _marked(args[0], replace(at, loc=(*at.loc, key), value=key, at_key=True))
+            yield from _marked(args[1], replace(at, loc=(*at.loc, key), value=item))
+
+
+def _is_literal(annotation: Any) -> bool:
+    return typing.get_origin(annotation) is Literal

@@ -1,0 +1,50 @@
+"""The files that a scene names: which there are, and those that cannot be read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from cqrun.errors import Problem
+from cqrun.explain import Loc
+from cqrun.plugin.reference import NamesFile
+from cqrun.scene.keypath import joined
+from cqrun.scene.schema import Scene
+from cqrun.scene.sections import Sections
+from cqrun.scene.walk import marked
+
+DATA = "data"
+"""The section whose files are read only by jobs that fit something."""
+
+READ_BY_EVERY_JOB = tuple(name for name in Sections.model_fields if name != DATA)
+"""The sections whose files every run depends on."""
+
+
+def named_files(scene: Scene) -> Iterator[tuple[Loc, str]]:
+    """Yield the place of every file's name in a scene, and the name; plug-in files are not among them."""
+    for found in marked(scene, NamesFile):
+        yield found.loc, found.value
+
+
+def files_by_name(scene: Scene, *, of_data: bool) -> dict[str, Path]:
+    """Return where the files of a scene's data are, or those of all else, by the names that the scene uses."""
+    return {name: scene.resolve_path(name) for loc, name in named_files(scene) if (loc[0] == DATA) == of_data}
+
+
+def unreadable_files(scene: Scene, sections: Iterable[str]) -> list[Problem]:
+    """Return a problem for every file that some sections of a scene name and that cannot be read."""
+    wanted, problems = set(sections), []
+    for loc, name in named_files(scene):
+        if loc[0] in wanted and (why := _why_unreadable(scene.resolve_path(name))):
+            message = f"{scene.resolve_path(name)}: cannot be read ({why}); the name starts from the scene's folder"
+            problems.append(Problem(scene.where(joined(loc)), joined(loc), message))
+    return problems
+
+
+def _why_unreadable(path: Path) -> str:
+    """Return why a file cannot be read, or nothing if it can."""
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        return str(error.strerror)
+    return ""

@@ -1,0 +1,38 @@
+"""Random tracks for objective terms, and the dot-product test of a term by complex step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from made_matter import CONTROL_STEP, N_ACTUATORS, N_CONTROLS, made_matter, mismatch, moved, slope
+
+from cqrun.objectives.term import Track, TrackBar
+
+FIELDS = ("x", "v", "C", "F", "activation", "design")
+
+
+def a_track(n_rows: int, dim: int, rng: np.random.Generator) -> Track:
+    draw = lambda *shape: rng.normal(size=(N_CONTROLS + 1, n_rows, *shape))  # noqa: E731
+    goals = {"target": rng.normal(size=dim)}
+    return Track(0.3 * draw(dim), draw(dim), draw(dim, dim), draw(dim, dim), rng.normal(size=(N_CONTROLS, N_ACTUATORS)),
+                 goals, CONTROL_STEP, 2.0 + 0.1 * rng.normal(size=(4, made_matter(dim).n_particles)))  # fmt: skip
+
+
+def adjoint_error(value: Any, value_vjp: Any, track: Track, rng: np.random.Generator) -> float:
+    """Return the relative error of bar (J d) = (J^T bar) . d."""
+    directions = {name: rng.normal(size=getattr(track, name).shape) for name in FIELDS}
+    tilted = replace(track, **{name: moved(getattr(track, name), directions[name]) for name in FIELDS})
+    bar = rng.normal()
+    found = value_vjp(track, bar)
+    parts = [bar_of(found, name, directions[name].shape) * directions[name] for name in FIELDS]
+    expected = slope(lambda: value(tilted), bar)
+    return mismatch(sum(float(p.sum()) for p in parts), expected, sum(float(np.abs(p).sum()) for p in parts))
+
+
+def bar_of(bar: TrackBar, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a cotangent, None as zeros; one of another shape than its value's is an error."""
+    own = getattr(bar, name)
+    assert own is None or own.shape == shape, name
+    return np.zeros(shape) if own is None else own
