@@ -1,7 +1,7 @@
 """cqrun: differentiable soft-robot simulation by the material point method.
 
-cqrun.load(scene) gives a problem with `.value_and_grad(params)` and `.simulate(params)`, NumPy in and out;
-cqrun.environment(scene) a Gymnasium environment (extra `rl`).
+`cqrun.load(scene)` returns a problem with `.value_and_grad(params)` and `.simulate(params)`, with NumPy arrays in and
+out. `cqrun.environment(scene)` returns a Gymnasium environment (extra `rl`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ set_kernel_cache()  # here, because numba reads its cache folder when it is firs
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for only then: the engine takes a second, `cqrun --help` must not."""
+    """Import `load` or `environment` when it is first used: the engine takes a second, `cqrun --help` must not."""
     if name == "load":
         from cqrun.jobs.api import load
 

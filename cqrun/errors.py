@@ -27,7 +27,7 @@ class DataError(UsageError):
 
 
 class MissingExtra(UsageError):
-    """An optional dependency is needed and absent; the message names the extra."""
+    """An optional dependency is needed but not installed; the message names the extra."""
 
 
 class Stopped(CqrunError):
@@ -41,10 +41,10 @@ class RunError(CqrunError):
 
 
 class InfeasibleError(RunError):
-    """A run that ended before its constraints were met; what came nearest is kept.
+    """A run that ended before its constraints were met; the result that is closest to meeting them is kept.
 
     Args:
-        run: its directory.
+        run: directory of the run.
         verdict: which constraint is violated, and by how much.
     """
 
@@ -80,7 +80,7 @@ class SceneError(CqrunError):
 
 
 class CrushedError(RunError):
-    """A rollout whose end is of no use: the material at a marker is inside out or flat.
+    """A rollout that ended in an unusable state: the material at a marker is inverted or flat.
 
     Args:
         reason: where, in words.
@@ -93,13 +93,13 @@ class CrushedError(RunError):
 
 
 class RolloutError(RunError):
-    """A rollout that could not go on: a non-finite value, or a particle at the edge of the grid.
+    """A rollout that had to stop: a value is not finite, or a particle reached the edge of the grid.
 
     Args:
         reason: what happened, in words.
-        body: name of the body the particle belongs to.
-        particle: its index inside that body.
-        time: when [s].
+        body: name of the body that the particle belongs to.
+        particle: index of the particle inside that body.
+        time: when it happened [s].
         advice: what to change.
     """
 

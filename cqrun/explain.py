@@ -1,7 +1,8 @@
-"""What is wrong, in words: pydantic's findings retold as `what is wrong, what would be right`.
+"""Error messages in plain words: what is wrong, and what would be right.
 
-Every `Spec` passes its findings through `retold`, so a scene, a plug-in and a Python call complain alike.
-The kind of finding says where to point: KEY at a key, MISSING at what lacks it, VALUE at a value.
+Every `Spec` passes pydantic's findings through `reworded`, so scenes, plug-ins and Python calls give the same messages.
+The kind of a finding says where its message points: KEY at a key, MISSING at the part that lacks a key, VALUE at a
+value.
 """
 
 from __future__ import annotations
@@ -39,20 +40,20 @@ _RANGES = {
 
 
 def suggest(name: str, legal: Iterable[str]) -> str:
-    """Return ` (did you mean 'x'?)` where a legal name is near, else an empty string."""
+    """Return ` (did you mean 'x'?)` if a legal name is similar, else an empty string."""
     near = difflib.get_close_matches(str(name), list(legal), n=1)
     return f" (did you mean '{near[0]}'?)" if near else ""
 
 
 def listed(names: Iterable[str], at_most: int = 20) -> str:
-    """Return names for a message: `a, b, c`."""
+    """Return names joined for a message: `a, b, c`."""
     names = list(names)
     more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
     return ", ".join(names[:at_most]) + more if names else "none"
 
 
 def shown(value: Any) -> str:
-    """Return a value for a message, shortened."""
+    """Return a value as text for a message, shortened."""
     if isinstance(value, dict):
         return "a mapping"
     if value is None:
@@ -63,7 +64,7 @@ def shown(value: Any) -> str:
 
 
 def cut(text: str) -> str:
-    """Return a text of at most 60 characters."""
+    """Return a text cut to 60 characters."""
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -72,23 +73,24 @@ def finding(message: str, loc: Loc = (), *, kind: str = VALUE, involves: Iterabl
 
     Args:
         message: what is wrong and what would be right.
-        loc: where, from the model that complains.
+        loc: keys from the model that raises the error to the place.
         kind: KEY, MISSING or VALUE.
-        involves: keys beside `loc` that may be the cause as well.
+        involves: other keys that may be the cause as well.
     """
     context = {"message": message, "involves": tuple(involves)}
     return InitErrorDetails(type=PydanticCustomError(kind, "{message}", context), loc=loc, input=None)
 
 
 def complaint(title: str, findings: list[InitErrorDetails]) -> ValidationError:
-    """Return the error for a validator to raise; pydantic puts the outer keys before each `loc`."""
+    """Return the error that a validator raises; pydantic puts the outer keys before each `loc`."""
     return ValidationError.from_exception_data(title, findings)
 
 
-def lists_or_words(errors: Iterable[ErrorDetails]) -> Iterator[ErrorDetails]:
-    """Yield pydantic's findings, those of a field that takes a list or a word by what it was given, at the field.
+def merge_alternatives(errors: Iterable[ErrorDetails]) -> Iterator[ErrorDetails]:
+    """Yield pydantic's findings, with one instead of two for a field that takes a list or a word.
 
-    Pydantic tells one for each of the two, with the type among the keys: `groups.list[str]`, `groups.literal['all']`.
+    Pydantic reports one finding for each alternative and puts the type among the keys: `groups.list[str]`,
+    `groups.literal['all']`. The one that fits the given value is yielded, with the field's own key.
     """
     for error in errors:
         field, branch, *inner = (*error["loc"], "", "")[: max(2, len(error["loc"]))]
@@ -101,8 +103,8 @@ def lists_or_words(errors: Iterable[ErrorDetails]) -> Iterator[ErrorDetails]:
             yield {**error, "loc": (field, *inner)}
 
 
-def retold(error: ErrorDetails, prefix: Loc = (), **hints: Any) -> InitErrorDetails:
-    """Return pydantic's finding in cqrun's words; one that is in them already only gains the prefix."""
+def reworded(error: ErrorDetails, prefix: Loc = (), **hints: Any) -> InitErrorDetails:
+    """Return pydantic's finding in cqrun's words; a finding that has cqrun's words only gets the prefix."""
     loc, context = (*prefix, *error["loc"]), error.get("ctx", {})
     if error["type"] in (KEY, MISSING, VALUE):
         return finding(context["message"], loc, kind=error["type"], involves=context["involves"])
@@ -113,7 +115,7 @@ def retold(error: ErrorDetails, prefix: Loc = (), **hints: Any) -> InitErrorDeta
 
 
 def _words(error: ErrorDetails, *, keys: Iterable[str] = (), about: str = "", unit: str | None = None) -> str:
-    """Say what is wrong; `keys` are the legal ones, `about` and `unit` describe the field."""
+    """Return what is wrong; `keys` are the legal keys, `about` and `unit` describe the field."""
     kind, value, context = error["type"], error["input"], error.get("ctx", {})
     if kind == "missing":
         return f"is missing: {about}" if about else "is missing"

@@ -1,7 +1,8 @@
-"""Which engine this is: hashes of the numeric sources and of the libraries that round for them.
+"""Hashes that identify the engine: its numeric sources, and the libraries that it computes with.
 
-The kernels' hash names their cache, because numba does not see that a helper in another file has changed. The
-engine's, over all that can change a number, guards run directories, because another need not give the same bits.
+The hash of the kernels names their cache folder, because numba does not notice that a helper in another file has
+changed. The hash of the engine covers all sources that can change a number. It guards run directories, because another
+engine may give results that are not bit-for-bit identical.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ KERNELS = (
     "loads",
     "engine",
 )
-"""Files and folders of the package with code that numba compiles; absent ones count as empty."""
+"""Files and folders of the package with code that numba compiles; a missing one counts as empty."""
 
 NUMERIC = (
     *KERNELS,
@@ -55,10 +56,10 @@ NUMERIC = (
     "jobs/simulate.py",
     "jobs/sysid.py",
 )
-"""Files and folders whose sources can change a number of a run."""
+"""Files and folders whose sources can change a number in the results of a run."""
 
-_FOREIGN: set[str] = set()
-"""Modules outside the package with code for kernels: the plug-in files of this process."""
+_PLUGIN_MODULES: set[str] = set()
+"""Modules outside the package with code for kernels: the plug-in files that this process has loaded."""
 
 LIBRARIES = ("numba", "numpy", "scipy")
 CACHE_VARIABLE = "NUMBA_CACHE_DIR"
@@ -92,20 +93,20 @@ def source_hash(package: Path, versions: dict[str, str], entries: tuple[str, ...
 
 @functools.cache
 def engine_hash() -> str:
-    """Return the hash of this engine, 12 hex digits; read once a process."""
+    """Return the hash of this engine, 12 hex digits; computed once per process."""
     return source_hash(Path(__file__).parent, library_versions())
 
 
 @functools.cache
 def kernel_hash() -> str:
-    """Return the hash of this engine's kernels, 12 hex digits; read once a process."""
+    """Return the hash of this engine's kernels, 12 hex digits; computed once per process."""
     return source_hash(Path(__file__).parent, library_versions(), KERNELS)
 
 
 def set_kernel_cache() -> Path:
-    """Point numba's cache at a folder of these kernels' own, unless the user has set one.
+    """Set numba's cache to a folder for exactly these kernels, unless the user has set a folder.
 
-    Call it before numba is imported, and before any kernel is defined at the latest.
+    Call it before numba is imported, or at the latest before any kernel is defined.
 
     Returns:
         The folder in use, which changes with `add_kernels`; numba makes it when it first writes there.
@@ -116,21 +117,21 @@ def set_kernel_cache() -> Path:
         os.environ[CACHE_VARIABLE] = str(Path(platformdirs.user_cache_dir("cqrun")) / kernel_hash())
         if "numba" in sys.modules:  # it has read its environment already
             sys.modules["numba"].config.reload_config()
-    return Path(os.environ[CACHE_VARIABLE]) / _foreign_part()
+    return Path(os.environ[CACHE_VARIABLE]) / _plugin_folder()
 
 
-def _foreign_part() -> str:
-    """Return the folder inside the cache's for kernels that know of plug-in files, nothing where there are none.
+def _plugin_folder() -> str:
+    """Return the folder inside the cache for kernels that use plug-in files, or an empty name without such files.
 
-    An index of compiled code names the classes that the code was compiled for: a process without those files could
-    not read it. And a helper in such a file is as invisible to numba as any other.
+    Numba's index of compiled code names the classes that the code was compiled for, so a process without those files
+    could not read it. And numba does not notice a change of a helper in such a file either.
     """
-    digest = hashlib.sha256("\0".join(sorted(_FOREIGN)).encode()).hexdigest()[:12]
-    return f"plugins-{digest}" if _FOREIGN else ""
+    digest = hashlib.sha256("\0".join(sorted(_PLUGIN_MODULES)).encode()).hexdigest()[:12]
+    return f"plugins-{digest}" if _PLUGIN_MODULES else ""
 
 
 def has_kernels(source: bytes) -> bool:
-    """Say whether Python source outside the package may hold code for kernels: it imports what they are made of."""
+    """Return whether Python source outside the package may contain kernels: it imports numba or a kernel folder."""
     stems = {entry.removesuffix(".py") for entry in KERNELS}
     for node in ast.walk(ast.parse(source)):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
@@ -144,7 +145,10 @@ def has_kernels(source: bytes) -> bool:
 
 
 def add_kernels(module: str) -> None:
-    """Keep kernels apart from now on that know of a module outside the package; its name changes with its content."""
-    _FOREIGN.add(module)
+    """Use a separate cache folder from now on, because kernels use a module outside the package.
+
+    The module's name changes with its content.
+    """
+    _PLUGIN_MODULES.add(module)
     if "cqrun.numerics.compile" in sys.modules:
         sys.modules["cqrun.numerics.compile"].cache_kernels_in(set_kernel_cache())

@@ -6,10 +6,10 @@ import re
 from typing import Literal, NamedTuple
 
 LengthUnit = Literal["m", "cm", "mm"]
-"""What a recording may be written in."""
+"""Length units that a recording may use."""
 
 METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-"""Metres in one of each."""
+"""Each length unit in metres."""
 
 _BYTES = {
     "B": 1,
@@ -31,7 +31,7 @@ class Unit(NamedTuple):
 
 
 def parse_bytes(text: str) -> int:
-    """Return the bytes in `2GiB`, `500 MB`, ...; ValueError says what is legal."""
+    """Return the number of bytes in `2GiB`, `500 MB`, ...; raise a ValueError that says what is legal."""
     match = _AMOUNT.fullmatch(text.strip())
     if match is None or match[2] not in _BYTES:
         raise ValueError(f"must be an amount of memory such as 2GiB or 500MB, is '{text}'")
@@ -39,7 +39,7 @@ def parse_bytes(text: str) -> int:
 
 
 def format_bytes(count: float) -> str:
-    """Return bytes for a message: `1.5 GiB`."""
+    """Return a number of bytes as text for a message: `1.5 GiB`."""
     for unit in ("TiB", "GiB", "MiB", "KiB"):
         if count >= _BYTES[unit]:
             return f"{count / _BYTES[unit]:.3g} {unit}"

@@ -1,4 +1,4 @@
-"""What every test gets: floating-point errors raise, one seeded generator, no display; and the small beam's scenes."""
+"""Settings for all tests: floating-point errors raise, one seeded generator, no display; scenes of the small beam."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from small_beam import BEAM, FIT
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-# a stray NaN, overflow or division by zero is a failure, in fixtures of any scope too; underflow is not
+# NaN, overflow and division by zero are failures, also in fixtures of any scope; underflow is not
 np.seterr(all="raise", under="ignore")
 
 
 @pytest.fixture(autouse=True)
 def _threads_for_few_particles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let as many threads take part as a test asks for, however small its robot."""
+    """Use as many threads as a test requests, even for a small robot."""
     for worth in ("THREAD_WORTH", "CALL_WORTH"):
         monkeypatch.setattr(f"cqrun.engine.forward_run.{worth}", 1)
 

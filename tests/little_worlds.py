@@ -1,8 +1,8 @@
-"""Small models for the engine's tests, all of one kind, so that few kernels are compiled.
+"""Small models for the engine's tests, all of the same types, so that few kernels are compiled.
 
-A kernel is compiled for the types it meets: the dimension, the terms of the stress, the boundary conditions, the
-kinds of actuators, the precision. So every model here has the same of all of them, those that a test does not want
-switched off by their numbers: a modulus or a viscosity of zero, a condition that holds no node, an actuator of nothing.
+A kernel is compiled for the types of its arguments: the dimension, the terms of the stress, the boundary conditions,
+the kinds of actuators, the precision. So every model here has all of them. A test switches off those that it does not
+need by their numbers: a modulus or a viscosity of zero, a condition without nodes, an actuator without particles.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ PASSIVE = spring.SpringKernel
 """The kinds of actuators of every model, in the order of `Inputs.activation`, and of forces without an activation."""
 
 needs_jit = pytest.mark.skipif(config.DISABLE_JIT, reason="threads and speed need compiled kernels")
-"""Marks a test that is of threads, or that would take minutes in plain Python."""
+"""Marks a test of threads, or one that would take minutes in plain Python."""
 
 
 @dataclass
 class Wall:
-    """A condition to use: `kind` is one of CONDITIONS, `nodes` says which node positions (n, D) it holds."""
+    """A boundary condition: `kind` is one of CONDITIONS, `nodes` selects the node positions (n, D) that it holds."""
 
     kind: type
     normal: tuple[float, ...]
@@ -66,7 +66,7 @@ class Wall:
 
 @dataclass(eq=False)
 class Acting:
-    """A part of an actuator to use: `kind` is one of STRESSES or FORCES, `constants` what its kernel asks for."""
+    """A part of an actuator: `kind` is one of STRESSES or FORCES, `constants` are the constants of its kernel."""
 
     kind: type
     particles: np.ndarray
@@ -75,21 +75,21 @@ class Acting:
 
     @classmethod
     def of(cls, spec: Actuator, particles: np.ndarray, x: np.ndarray) -> Acting:
-        """Return a plug-in on some of the particles at rest at x (N, D)."""
+        """Return a plug-in that acts on some of the particles at rest at x (N, D)."""
         particles = np.asarray(particles, np.int64)
         own = x[particles]
         return cls(spec.kernel, particles, spec.constants(own), spec.rest_length(own))
 
 
 def every_kind(wanted: list[Acting], dim: int) -> tuple[list[Acting], np.ndarray]:
-    """Return actuators of all kinds in order, one of nothing where none is wanted, and which are the wanted (A,)."""
-    found: list[Acting] = []
+    """Return actuators of all kinds in order, with empty ones for unused kinds, and which were requested (A,)."""
+    actuators: list[Acting] = []
     for kind, size in zip((*STRESSES, *FORCES), (dim * (dim + 1) // 2, 1, 1, dim), strict=True):
-        own = [a for a in wanted if a.kind is kind]
-        found += own or [Acting(kind, np.zeros(0, np.int64), np.zeros(size))]
-    if [a for a in found if a in wanted] != wanted:
-        raise ValueError("actuators stand in the order of their kinds")
-    return found, np.array([a in wanted for a in found])
+        of_kind = [a for a in wanted if a.kind is kind]
+        actuators += of_kind or [Acting(kind, np.zeros(0, np.int64), np.zeros(size))]
+    if [a for a in actuators if a in wanted] != wanted:
+        raise ValueError("actuators must be in the order of their kinds")
+    return actuators, np.array([a in wanted for a in actuators])
 
 
 def below(axis: int, level: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -103,7 +103,7 @@ def above(axis: int, level: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def conditions(walls: list[Wall], size: np.ndarray, dx: float) -> tuple[tuple[ConditionModel, ...], np.ndarray]:
-    """Return one condition for each of CONDITIONS, the walls in their places, and the coefficients."""
+    """Return one condition for each of CONDITIONS, with the walls among them, and the coefficients."""
     nodes = node_positions(grid_shape(size, dx), dx)
     waiting, models, coefficients = list(walls), [], []
     for kind in CONDITIONS:
@@ -116,7 +116,7 @@ def conditions(walls: list[Wall], size: np.ndarray, dx: float) -> tuple[tuple[Co
         models.append(ConditionModel(kind.name, spec, tuple(float(a) for a in normal), held))
         coefficients.append(wall.coefficient if wall else 0.0)
     if waiting:
-        raise ValueError(f"no place left for {waiting}")
+        raise ValueError(f"there is no free place for {waiting}")
     return tuple(models), np.array(coefficients)
 
 
@@ -130,7 +130,7 @@ def world(
     activation: np.ndarray | None = None, probe: Any = None,
     real: Any = np.float64, budget: int = 2**30,
 ) -> tuple[Model, Inputs]:  # fmt: skip
-    """Return a model and its inputs: bodies at rest at x (N, D) each.
+    """Return a model and its inputs for bodies at rest at x (N, D) each.
 
     Numbers are one for all particles or one each; `neo_hookean` and `incompressible` are the Young's moduli of
     those terms; `muscles` are (particles, direction matrix), `actuators` others after them, in the order of their

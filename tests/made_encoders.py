@@ -1,4 +1,4 @@
-"""Encoders with random weights, for the tests of observers."""
+"""Encoders with random weights, for tests of observers."""
 
 from __future__ import annotations
 

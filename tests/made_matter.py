@@ -1,4 +1,4 @@
-"""A small scene for plug-ins that look at particles: two bodies, groups, a goal; and adjoints by complex step."""
+"""A small scene for plug-ins that use particles: two bodies, groups, a goal; and derivatives by complex step."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from cqrun.observers.matter import Matter
 
 STEP = 1e-30
-"""Of the imaginary part: its image is an exact derivative."""
+"""Size of the imaginary part; it gives an exact derivative."""
 
 CONTROL_STEP, N_CONTROLS, N_ACTUATORS = 0.05, 6, 3
 
 
 def made_matter(dim: int) -> Matter:
-    """Return a lattice `arm` with the groups `left` and `tip`, and a `ball` without any."""
+    """Return a lattice `arm` with the groups `left` and `tip`, and a `ball` without groups."""
     lattice = np.stack(np.meshgrid(*[np.arange(n) for n in (4, 3, 2)[:dim]], indexing="ij"), -1).reshape(-1, dim)
     arm, ball = 0.1 * lattice + 0.2, 0.05 * lattice[: 2 * dim] + 0.8
     x = np.concatenate([arm, ball])
@@ -38,7 +38,7 @@ def made_matter(dim: int) -> Matter:
 
 
 def box_around_left(dim: int) -> dict[str, Any]:
-    """Return a region as a scene has it: the left half of the arm."""
+    """Return a region as in a scene: the left half of the arm."""
     return {"box": {"corner": [0.15] * dim, "size": [0.2, *[1.0] * (dim - 1)]}}
 
 
@@ -50,10 +50,10 @@ def moved(value: Any, direction: Any) -> Any:
 
 
 def slope(function: Callable[[], Any], bar: Any) -> float:
-    """Return bar . derivative of what a function of moved arguments returns."""
+    """Return the dot product of bar and the derivative of a function with moved arguments."""
     return float(np.sum(np.asarray(bar) * np.imag(function()))) / STEP
 
 
-def mismatch(found: float, expected: float, scale: float) -> float:
-    """Return the error of a dot product, relative to its value or to the size of its parts where they cancel."""
-    return abs(found - expected) / max(abs(expected), 1e-3 * scale, 1e-300)
+def mismatch(actual: float, expected: float, scale: float) -> float:
+    """Return the error of a dot product, relative to its value, or to the size of its parts if they cancel."""
+    return abs(actual - expected) / max(abs(expected), 1e-3 * scale, 1e-300)

@@ -1,4 +1,4 @@
-"""What tests of plug-in files leave behind: nothing."""
+"""Isolate tests that load plug-in files from all others."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class Disc(Shape):
 
 @contextmanager
 def sandbox() -> Iterator[None]:
-    """Forget the plug-in files that are run meanwhile, and where they made kernels be cached."""
+    """Forget the plug-in files that are loaded inside this context, and reset the cache folder of the kernels."""
     for kind, folder in registry.FOLDERS.items():
         if find_spec(folder) is not None:
-            registry.plugins(kind)  # so that what is known before is known afterwards
+            registry.plugins(kind)  # load all built-in plug-ins first, so that they stay registered
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(registry, "_PLUGINS", {kind: dict(known) for kind, known in registry._PLUGINS.items()})
-        patch.setattr(plugin_files, "_TAKEN", {})
-        patch.setattr(fingerprint, "_FOREIGN", set())
+        patch.setattr(plugin_files, "_LOADED", {})
+        patch.setattr(fingerprint, "_PLUGIN_MODULES", set())
         yield
     compile.cache_kernels_in(fingerprint.set_kernel_cache())

@@ -1,4 +1,4 @@
-"""A soft 2D beam of 40 particles that makes its own data: whole jobs in a second, all with the same kernels."""
+"""A soft 2D beam of 40 particles with synthetic data: whole jobs take a second, all with the same kernels."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ optimizer: {least_squares: {max_iterations: 8}}
 """
 
 MARKERS = {"tip": [0.119, 0.065], "middle": [0.08, 0.065]}
-"""Where the markers of the fit are at rest."""
+"""Rest positions of the markers of the fit."""
 
 E_PATH = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus"
 SHEAR_PATH = "bodies.beam.material.viscosity.shear"
 
 
 class Listener(Silent):
-    """A reporter that keeps what it is told, and may ask to stop after so many reports."""
+    """A reporter that keeps all messages, and may ask to stop after a number of reports."""
 
     def __init__(self, stop_after: int | None = None) -> None:
         super().__init__()
@@ -91,11 +91,11 @@ def result_of(run: Path) -> dict[str, Any]:
 
 
 def contents(run: Path) -> dict[str, bytes | list[list[str]]]:
-    """Return what must be the same in equal runs.
+    """Return the files that must be the same in equal runs.
 
-    That is every file but the log, run.json and the lock, and of the history all but the seconds; figures show them.
+    These are all files except the log, run.json, the lock and the figures, and the history without its seconds.
     """
-    found: dict[str, bytes | list[list[str]]] = {}
+    files: dict[str, bytes | list[list[str]]] = {}
     for path in sorted(run.rglob("*")):
         name = str(path.relative_to(run))
         if path.is_dir() or name in ("run.json", "log.txt", "lock") or path.parent.name == "figures":
@@ -103,14 +103,14 @@ def contents(run: Path) -> dict[str, bytes | list[list[str]]]:
         if name == "history.csv":
             rows = list(csv.reader(path.read_text().splitlines()))
             assert rows[0][-1] == "seconds"
-            found[name] = [row[:-1] for row in rows]
+            files[name] = [row[:-1] for row in rows]
         else:
-            found[name] = path.read_bytes()
-    return found
+            files[name] = path.read_bytes()
+    return files
 
 
 def assert_same(run: Path, other: Path) -> None:
-    """Fail where two runs differ, and name the file."""
+    """Fail if two runs differ, and name the files."""
     mine, theirs = contents(run), contents(other)
     assert mine.keys() == theirs.keys(), mine.keys() ^ theirs.keys()
     different = [name for name in mine if mine[name] != theirs[name]]
@@ -118,7 +118,7 @@ def assert_same(run: Path, other: Path) -> None:
 
 
 def record(scene: Path, file: Path, *, copies: int = 1) -> list[Path]:
-    """Write recordings of the small beam beside a scene, as its own synthetic data has them; return their files."""
+    """Write the scene of the small beam, make its synthetic data as recordings, and return their files."""
     from cqrun.build.model import build
     from cqrun.fitting.cases import make_cases
     from cqrun.fitting.synthetic import SYNTHETIC
@@ -130,12 +130,12 @@ def record(scene: Path, file: Path, *, copies: int = 1) -> list[Path]:
 
 
 def recorded(scene: Path, files: dict[str, Path], **entries: str) -> Path:
-    """Write a scene that is fitted to recordings: name -> file; `entries` go into each of them as YAML."""
+    """Write a scene that is fitted to recordings (name -> file); `entries` are added to each recording as YAML."""
     markers = ", ".join(f"{name}: {place}" for name, place in MARKERS.items())
-    own = {"markers": f"{{{markers}}}", **entries}
+    spec = {"markers": f"{{{markers}}}", **entries}
     lines = ["data:", "  recordings:"]
     for name, file in files.items():
-        inside = ", ".join(f"{key}: {value}" for key, value in {"file": file, **own}.items())
+        inside = ", ".join(f"{key}: {value}" for key, value in {"file": file, **spec}.items())
         lines.append(f"    {name}: {{{inside}}}")
     scene.write_text(BEAM + "\n".join(lines) + "\n" + FIT[FIT.index("unknowns:") :])
     return scene

@@ -1,4 +1,4 @@
-"""A finger of 48 particles that learns to reach: whole jobs of control in a second, with the kernels of the finger."""
+"""A finger of 48 particles that learns to reach: whole control jobs take a second, with the kernels of the finger."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ constraints:
   up: {{of: {{height: {{body: finger, group: tip, axis: y}}}}, at_least: 0.3, at_most: 0.9}}
 """
 )
-"""Its stiffness, a particle each, beside its control, with the tip near its goal and the effort small."""
+"""A design of its stiffness per particle with its controller; the tip must be near its goal, with a small effort."""
 
 
 def written(folder: Path, text: str = FINGER) -> Path:

@@ -1,4 +1,4 @@
-"""The house keeps its floors: imports go downward, files stay small, scenes stay short."""
+"""The architecture: imports go only downward, files are small, and scenes are short."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def modules() -> dict[str, Path]:
 
 
 def tracked() -> list[Path]:
-    """Return the files git knows or would add."""
+    """Return the files that git tracks or would add."""
     command = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
     listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     return [path for name in listing.splitlines() if (path := ROOT / name).is_file()]
@@ -127,7 +127,7 @@ MUTATIONS = {
         "circle: cqrun.scene.",
     ),
     "a circle inside a function": (
-        "cqrun.store.recording", "def f():\n    import cqrun.store.recordings\n", "circle: cqrun.store.",
+        "cqrun.store.marker_csv", "def f():\n    import cqrun.store.recordings\n", "circle: cqrun.store.",
     ),
     "rooms that are apart": (
         "cqrun.fitting.problem", "from cqrun.learning.agent import Agent\n", "do not import each other: cqrun.learning",
@@ -144,13 +144,13 @@ def test_the_walk_finds_every_kind_of_wrong_import(name, sources):
     assert any(message in problem for problem in problems({**sources, module: source}))
 
 
-def test_modules_are_one_room():
+def test_modules_are_short():
     sources = [path for path in tracked() if path.suffix == ".py"]
     long = [f"{p.relative_to(ROOT)}: {n} lines" for p in sources if (n := _lines(p)) >= MOST_LINES]
     assert not long, "\n".join(long)
 
 
-def test_scenes_fit_fifty_lines():
+def test_scenes_have_at_most_fifty_lines():
     scenes = sorted((ROOT / "scenes").rglob("*.yaml"))
     long = [f"{p.relative_to(ROOT)}: {n} lines" for p in scenes if (n := _lines(p)) > MOST_SCENE_LINES]
     assert not long, "\n".join(long)
@@ -168,9 +168,9 @@ def test_commands_import_nothing_heavy_at_the_top():
     assert not heavy, "\n".join(heavy)
 
 
-def test_no_path_of_one_machine_in_the_tree():
+def test_no_file_contains_a_path_of_a_machine():
     place = re.compile(r"(^|[^a-zA-Z.])/(" + "|".join(("work", "tmp", "root", "farm", "home", "Users")) + r")/")
-    found = []
+    lines_with_paths = []
     for path in tracked():
         if path == Path(__file__):
             continue
@@ -178,8 +178,10 @@ def test_no_path_of_one_machine_in_the_tree():
         if b"\0" in text:
             continue
         lines = text.decode("utf-8").splitlines()
-        found += [f"{path.relative_to(ROOT)}:{i}: {line}" for i, line in enumerate(lines, 1) if place.search(line)]
-    assert not found, "\n".join(found)
+        lines_with_paths += [
+            f"{path.relative_to(ROOT)}:{i}: {line}" for i, line in enumerate(lines, 1) if place.search(line)
+        ]
+    assert not lines_with_paths, "\n".join(lines_with_paths)
 
 
 def test_versions_agree():
@@ -187,7 +189,7 @@ def test_versions_agree():
     assert project["version"] == cqrun.__version__
 
 
-def test_the_lock_names_every_dependency_once_and_no_address():
+def test_the_constraints_name_every_dependency_once_and_no_address():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     lines = [x for x in (ROOT / "constraints.txt").read_text().splitlines() if x and not x.startswith("#")]
     assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9.+]+", line) for line in lines)

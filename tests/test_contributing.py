@@ -71,21 +71,21 @@ def example(source, tmp_path) -> Iterator[ModuleType]:
 
 
 def cqrun(*words: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run `cqrun words...` on this very tree, in a folder, in a process of its own."""
+    """Run `cqrun words...` from this source tree in a folder, in a separate process."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "cqrun", *map(str, words)]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
 def run_of(done: subprocess.CompletedProcess[str], folder: Path) -> Path:
-    """Return the run that a command has printed."""
+    """Return the path of the run that a command has printed."""
     assert done.returncode == 0, done.stderr
     return folder / re.search(r"^run: (.*)$", done.stdout, re.M).group(1)
 
 
 @pytest.fixture
 def folder(source, tmp_path) -> Path:
-    """Return a user's folder, with the example's two files."""
+    """Return a user's folder with the two files of the example."""
     (tmp_path / f"{NAME}.py").write_text(source)
     (tmp_path / "scene.yaml").write_text(block("yaml"))
     return tmp_path
@@ -95,13 +95,13 @@ SIMULATE = ("simulate", "scene.yaml", "--threads", "1", "--quiet")
 
 
 @whole_job
-def test_beside_a_scene_it_runs_where_that_is_allowed(folder):
+def test_the_example_runs_with_permission(folder):
     refused = cqrun(*SIMULATE, folder=folder)
     assert refused.returncode == 2
     assert refused.stderr.startswith("scene.yaml:2:1: plugins: this scene wants to run Python files of its own")
     run = run_of(cqrun(*SIMULATE, "--allow-plugins", folder=folder), folder)
     beam = json.loads((run / "result.json").read_text())["bodies"]["beam"]
-    assert 0.19 < beam["fastest"] < 0.23  # the tip of a clamped beam swings a little ahead of free fall, 0.196 m/s
+    assert 0.19 < beam["fastest"] < 0.23  # the tip of a clamped beam is a little faster than free fall, 0.196 m/s
     assert (run / "plugins" / f"{NAME}.py").read_bytes() == (folder / f"{NAME}.py").read_bytes()
     (folder / f"{NAME}.py").unlink()
     again = cqrun("resume", run, "--allow-plugins", "--quiet", folder=folder)
@@ -110,8 +110,8 @@ def test_beside_a_scene_it_runs_where_that_is_allowed(folder):
 
 @pytest.mark.slow
 @whole_job
-def test_a_changed_law_is_compiled_anew_and_other_scenes_are_not_concerned(folder, monkeypatch):
-    """All in one cache, which begins empty: nothing old is served, and no scene meets another's classes."""
+def test_a_changed_law_is_compiled_again_and_other_scenes_are_not_affected(folder, monkeypatch):
+    """All use one cache, which is empty at the start: no old code is used, and no scene loads another's classes."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder / "cache"))
     text, law = (folder / "scene.yaml").read_text(), (folder / f"{NAME}.py").read_text()
 
@@ -132,7 +132,7 @@ def test_a_changed_law_is_compiled_anew_and_other_scenes_are_not_concerned(folde
     assert len(folders) == 2
 
 
-def test_it_is_found_and_described(example):
+def test_the_example_is_registered_and_described(example):
     assert NAME in registry.plugins("elastic")
     text = "\n".join(_lines("elastic", NAME))
     assert "youngs_modulus: [Pa], number, > 0, required, differentiable" in text
@@ -159,7 +159,7 @@ def test_rest_and_small_strain(example, rng, dim):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_its_adjoint_agrees_with_complex_step(example, rng, dim):
+def test_the_adjoint_agrees_with_complex_step(example, rng, dim):
     n, h = dim**2, 1e-30
     F = np.eye(dim).ravel() + 0.3 * rng.standard_normal(n)
     tau_bar, F_dot, theta_dot = rng.standard_normal(n), rng.standard_normal(n), rng.standard_normal(2) * THETA

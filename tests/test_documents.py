@@ -1,4 +1,4 @@
-"""What the documents promise exists: commands, make targets, exit codes, links."""
+"""Everything that the documents mention exists: commands, make targets, exit codes, links."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NAMES = {command.__name__ for command in COMMANDS}
 TARGETS = set(re.findall(r"^([a-z-]+):", MAKEFILE, re.MULTILINE))
 
 
-def test_the_readme_has_every_command():
+def test_the_readme_lists_every_command():
     assert set(re.findall(r"^\| `cqrun (\w+)", README, re.MULTILINE)) == NAMES
 
 
@@ -43,7 +43,7 @@ def test_code_is_told_from_prose():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_a_page_names_only_what_there_is(page):
+def test_the_commands_and_links_of_a_page_exist(page):
     text = page.read_text()
     code = code_of(text)
     assert set(re.findall(r"\bcqrun ([a-z]+)\b", code)) <= NAMES
@@ -77,7 +77,7 @@ def test_the_readme_shows_a_scene_that_can_be_run():
     assert built.model.n_controls == 100
 
 
-def test_the_demo_runs_a_scene_that_is_shipped():
+def test_the_demo_runs_a_shipped_scene():
     demo = re.search(r"^DEMO := (.+)$", MAKEFILE, re.MULTILINE)
     assert demo
     assert (ROOT / demo[1]).is_file()

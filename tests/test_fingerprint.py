@@ -1,4 +1,4 @@
-"""The engine's hash changes with its numbers, and the kernel cache follows it."""
+"""The engine's hash changes with every source that can change a number, and the kernel cache follows it."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ def package(tmp_path):
     return tmp_path
 
 
-def test_twelve_hex_digits_of_this_engine():
+def test_the_hash_of_the_engine_has_twelve_hex_digits():
     assert re.fullmatch("[0-9a-f]{12}", fingerprint.engine_hash())
     assert fingerprint.library_versions().keys() == VERSIONS.keys()
     assert "absent" not in fingerprint.library_versions().values()
 
 
 @pytest.mark.parametrize("file", ["state.py", "engine/step.py"])
-def test_a_numeric_source_changes_it(package, file):
+def test_a_numeric_source_changes_the_hash(package, file):
     before = fingerprint.source_hash(package, VERSIONS)
     (package / file).write_text("b = 2\n")
     assert fingerprint.source_hash(package, VERSIONS) != before
 
 
-def test_no_module_with_kernels_is_forgotten():
-    """Numba does not see that a helper in another file has changed: such a file must change the cache's name."""
+def test_every_module_with_kernels_is_listed():
+    """Numba does not notice a changed helper in another file, so such a file must change the cache's name."""
     package = Path(fingerprint.__file__).parent
     with_kernels = [p for p in package.rglob("*.py") if re.search("numba|cqrun.numerics.compile", p.read_text())]
     rooms = {p.relative_to(package).parts[0] for p in with_kernels} - {
@@ -54,7 +54,7 @@ def test_no_module_with_kernels_is_forgotten():
     assert {"numerics", "engine"} <= rooms <= set(fingerprint.KERNELS)
 
 
-def test_every_source_that_is_named_exists():
+def test_every_listed_source_exists():
     package = Path(fingerprint.__file__).parent
     assert [entry for entry in fingerprint.NUMERIC if not (package / entry).exists()] == []
 
@@ -63,20 +63,20 @@ AFTERWARDS = {
     "ablate", "api", "bench", "bench_scene", "bodies", "compress", "excerpt", "export", "fleet", "kernels",
     "observables", "report", "reporter", "runs", "seeds", "selfcheck", "threads", "trajectories", "validate", "warmup",
 }  # fmt: skip
-"""Modules of jobs and of running that compute before a run, on what it has found, or outside any."""
+"""Modules of jobs and of running that compute before a run, after it, or without one."""
 
 
-def test_no_job_that_computes_a_run_is_forgotten():
-    """A run that another engine began would otherwise go on, and mix two."""
+def test_every_job_that_computes_a_run_is_listed():
+    """Otherwise a run that another engine started would continue and mix the results of two engines."""
     package = Path(fingerprint.__file__).parent
     uses = re.compile(r"^\s*(import numpy|from cqrun\.(engine\.rollout|design\.params))", re.MULTILINE)
-    rooms = [*(package / "jobs").glob("*.py"), *(package / "running").glob("*.py")]
-    found = {p.stem for p in rooms if uses.search(p.read_text())}
-    named = {Path(entry).stem for entry in fingerprint.NUMERIC if entry.startswith(("jobs/", "running/"))}
-    assert found - named <= AFTERWARDS
+    sources = [*(package / "jobs").glob("*.py"), *(package / "running").glob("*.py")]
+    computing = {p.stem for p in sources if uses.search(p.read_text())}
+    listed = {Path(entry).stem for entry in fingerprint.NUMERIC if entry.startswith(("jobs/", "running/"))}
+    assert computing - listed <= AFTERWARDS
 
 
-def test_what_shapes_a_fit_changes_the_engine_but_not_its_kernels(package):
+def test_a_source_of_fitting_changes_the_hash_of_the_engine_but_not_of_its_kernels(package):
     (package / "fitting").mkdir()
     before = [fingerprint.source_hash(package, VERSIONS, e) for e in (fingerprint.NUMERIC, fingerprint.KERNELS)]
     (package / "fitting" / "problem.py").write_text("weights = 2\n")
@@ -84,7 +84,7 @@ def test_what_shapes_a_fit_changes_the_engine_but_not_its_kernels(package):
     assert (before[0] != after[0], before[1] == after[1]) == (True, True)
 
 
-def test_a_new_and_a_renamed_source_change_it(package):
+def test_a_new_and_a_renamed_source_change_the_hash(package):
     before = fingerprint.source_hash(package, VERSIONS)
     (package / "engine" / "step.py").rename(package / "engine" / "stride.py")
     renamed = fingerprint.source_hash(package, VERSIONS)
@@ -92,7 +92,7 @@ def test_a_new_and_a_renamed_source_change_it(package):
     assert len({before, renamed, fingerprint.source_hash(package, VERSIONS)}) == 3
 
 
-def test_the_command_line_does_not_change_it_but_a_library_does(package):
+def test_the_command_line_does_not_change_the_hash_but_a_library_does(package):
     before = fingerprint.source_hash(package, VERSIONS)
     (package / "cli" / "app.py").write_text("c = 2\n")
     assert fingerprint.source_hash(package, VERSIONS) == before
@@ -116,20 +116,20 @@ def test_which_files_outside_the_package_have_kernels(source, expected):
     assert fingerprint.has_kernels(source.encode()) is expected
 
 
-def test_kernels_that_know_of_a_plug_in_are_cached_apart(tmp_path, monkeypatch):
-    """By the set of such files, in whatever order they were met."""
+def test_kernels_that_use_a_plug_in_have_their_own_cache_folder(tmp_path, monkeypatch):
+    """One folder for each set of such files, whatever the order in which they were loaded."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     with sandbox():
         fingerprint.add_kernels("law_1")
-        one = fingerprint.set_kernel_cache()
-        assert one.parent == tmp_path
-        assert Path(share._cache.cache_path).parent == one
+        first = fingerprint.set_kernel_cache()
+        assert first.parent == tmp_path
+        assert Path(share._cache.cache_path).parent == first
         fingerprint.add_kernels("law_2")
         both = fingerprint.set_kernel_cache()
-        assert both not in (one, tmp_path)
+        assert both not in (first, tmp_path)
     with sandbox():
         fingerprint.add_kernels("law_2")
-        assert fingerprint.set_kernel_cache() not in (one, both)
+        assert fingerprint.set_kernel_cache() not in (first, both)
         fingerprint.add_kernels("law_1")
         assert fingerprint.set_kernel_cache() == both
     assert fingerprint.set_kernel_cache() == tmp_path
@@ -142,7 +142,7 @@ def test_the_users_own_cache_folder_wins(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("first", ["", "import numba; "], ids=["before numba", "after numba"])
-def test_numba_takes_the_folder_whenever_it_is_imported(tmp_path, first):
+def test_numba_uses_the_folder_whenever_it_is_imported(tmp_path, first):
     code = (
         f"{first}import sys, cqrun.fingerprint as f; loaded = 'numba' in sys.modules;"
         "p = f.set_kernel_cache();"

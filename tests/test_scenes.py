@@ -1,4 +1,4 @@
-"""The scenes that are shipped: each validates, runs shortened, and has the gradient that differences have."""
+"""The shipped scenes: each is valid, runs when shortened, and has a gradient that agrees with differences."""
 
 from __future__ import annotations
 
@@ -32,30 +32,30 @@ ROOT = Path(__file__).parents[1]
 SCENES = sorted((ROOT / "scenes").rglob("*.yaml"))
 SCHEMA = ROOT / "scenes" / "cqrun.schema.json"
 RATE = 100.0
-"""Of made-up recordings [Hz]."""
+"""Frame rate of artificial recordings [Hz]."""
 
 
 def elastic(*bodies: str) -> list[str]:
-    """Return overrides that make bodies fixed corotated; the laws have tests of their own."""
+    """Return overrides that give bodies the fixed-corotated law; each law has its own tests."""
     law = "{fixed_corotated: {youngs_modulus: 10, poissons_ratio: 0.3}}"
     return [f"bodies.{body}.material.elastic={law}" for body in bodies]
 
 
 def designed(body: str) -> list[str]:
-    """Return overrides that make a body fixed corotated, its stiffness and density unknown at every particle."""
+    """Return overrides that give a body the fixed-corotated law, with unknown stiffness and density per particle."""
     E = f"bodies.{body}.material.elastic.fixed_corotated.youngs_modulus: {{bounds: [7, 20], per: particle}}"
     rho = f"bodies.{body}.material.density: {{bounds: [0.7, 2], per: particle}}"
     return [*elastic(body), f"unknowns={{{E}, {rho}}}"]
 
 
 FLOOR = {2: 0.05, 3: 0.0667}
-"""Height of the floor that short runs have [m]."""
+"""Height of the floor in short runs [m]."""
 
 
 def boundaries(dim: int, thickness: float | None = None) -> str:
-    """Return an override: walls, and a clamp of a few nodes, as the fingers and the arm have them.
+    """Return an override with the boundaries of the fingers and the arm: walls, and a clamp of a few nodes.
 
-    Walls of no thickness are for robots that a floor would bring to kinks of friction, which differences cross.
+    Use walls without thickness for robots with which differences would cross kinks of the floor's friction.
     """
     thick = FLOOR[dim] if thickness is None else thickness
     clamp = f"{{sticky: {{region: {{box: {{corner: {[0.8] * dim}, size: {[0.1] * dim}}}}}}}}}"
@@ -63,11 +63,11 @@ def boundaries(dim: int, thickness: float | None = None) -> str:
 
 
 def standing(body: str, *at: float) -> str:
-    """Return an override that puts a walker's feet within reach of the floor's nodes: a short run does not fall."""
+    """Return an override that places a walker's feet close to the nodes of the floor, so that it does not fall."""
     return f"bodies.{body}.place.offset={list(at)}"
 
 
-# Kernels are compiled anew for other laws, actuators or boundaries, so scenes that may share some are made to.
+# Other laws, actuators or boundaries need other kernels, so these overrides make scenes share kernels.
 SMALLER = {
     "real_beam": ["world.dx=0.01"],
     "real_beam_rest": ["world.dx=0.01"],
@@ -88,7 +88,7 @@ SMALLER = {
     "arm_reach_3d": ["bodies.arm.sampling.lattice.count=4", "episodes.count=2", "episodes.unseen=1"],
     "leg_actuate": ["bodies.leg.spacing=0.5", "world.dx=1.6", "time.substeps=40"],
     "leg_drop": ["bodies.leg.spacing=0.5", "world.dx=1.6", "time.substeps=40",
-                 "bodies.leg.place={offset: [0, -15, 0]}"],  # in free fall nothing tells its material
+                 "bodies.leg.place={offset: [0, -15, 0]}"],  # in free fall the material has no effect
     "arm_two_link": ["bodies.arm.sampling.lattice.count=10", boundaries(2)],
     "arm_3d": ["bodies.arm.sampling.lattice.count=4", boundaries(3), *designed("arm")],
     "biped_codesign": ["bodies.biped.sampling.lattice.count=10", "bodies.biped.spin=[9]", boundaries(2),
@@ -99,7 +99,7 @@ SMALLER = {
     },
     "creature": ["bodies.creature.spacing=0.02", "time.substeps=2", boundaries(3, 0.0), *elastic("creature")],
 }  # fmt: skip
-"""What makes a scene quicker besides a shorter run."""
+"""Overrides that make a scene faster, in addition to a shorter run."""
 
 PAPERS = {
     "finger": (4_800, 150),
@@ -110,7 +110,7 @@ PAPERS = {
     "crawler": (64_125, 400),
     "leg_drop": (290_000, 9_600),
     "leg_actuate": (290_000, 4_800),
-    "arm_reach_3d": (50_625, 600),  # CQ1 takes 200: each is three here
+    "arm_reach_3d": (50_625, 600),  # CQ1 has 200 substeps, each of which is three here
     "biped_cable": (5_024, 8_000),
     "rhino": (20_000, 8_000),
     "creature": (22_084, 8_000),
@@ -123,16 +123,16 @@ PAPERS = {
     "hexapod_codesign": (111_375, 600),
     "octopod_codesign": (138_375, 600),
 }
-"""Particles and substeps of the papers' robots."""
+"""Numbers of particles and substeps of the robots in the papers."""
 
 FROM_FILES = ("rhino", "creature")
-"""Robots from an image or a mesh, which are our own: their particles cannot be the papers' to the last one."""
+"""Robots from our own image or mesh, whose number of particles is only nearly that of the papers."""
 
 scene_files = pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 
 
 def recorded(scene: Scene, folder: Path) -> list[str]:
-    """Make a recording of a body that hardly moves for each one that a scene names; return overrides to use them."""
+    """Write an artificial recording, with small motion, for each recording of a scene; return overrides to use them."""
     rng = np.random.default_rng(0)
     overrides = []
     for name, spec in ((scene.data and scene.data.recordings) or {}).items():
@@ -148,7 +148,7 @@ def recorded(scene: Scene, folder: Path) -> list[str]:
 
 
 def shortened(path: Path, folder: Path, *, steps: int = 2) -> list[str]:
-    """Return overrides: so many control steps, one iteration, made-up recordings."""
+    """Return overrides for a few control steps, one iteration, and artificial recordings."""
     scene = load_scene(path)
     overrides = [*SMALLER.get(path.stem, []), f"time.duration={steps * scene.time.control_step!r}"]
     for name, spec in ((scene.data and scene.data.recordings) or {}).items():
@@ -164,22 +164,22 @@ def shortened(path: Path, folder: Path, *, steps: int = 2) -> list[str]:
 
 
 def loosened(path: Path) -> list[str]:
-    """Return overrides of constraints that a short run meets."""
+    """Return overrides that make all upper bounds of constraints easy to meet in a short run."""
     scene = load_scene(path)
-    return [f"constraints.{name}.at_most=1000" for name, held in scene.constraints.items() if held.at_most is not None]
+    return [f"constraints.{name}.at_most=1000" for name, c in scene.constraints.items() if c.at_most is not None]
 
 
-def test_there_are_scenes():
+def test_the_expected_scenes_exist():
     wanted = {"beam_twin", "collision", "finger_material", "real_beam", "hydraulic_finger", *PAPERS}
     assert wanted <= {path.stem for path in SCENES}
 
 
-def test_the_schema_beside_them_is_up_to_date():
+def test_the_schema_is_up_to_date():
     assert json.loads(SCHEMA.read_text()) == scene_json_schema(), "run: cqrun schema > scenes/cqrun.schema.json"
 
 
 @scene_files
-def test_it_names_the_schema_and_its_job(path):
+def test_a_scene_names_the_schema_and_its_job(path):
     first = path.read_text().splitlines()[0]
     match = re.fullmatch(r"# yaml-language-server: \$schema=(\S+)", first)
     assert match
@@ -189,14 +189,14 @@ def test_it_names_the_schema_and_its_job(path):
 
 
 @scene_files
-def test_it_validates(path, tmp_path):
+def test_a_scene_is_valid(path, tmp_path):
     text = "\n".join(validate(path, recorded(load_scene(path), tmp_path)))
     assert text.startswith(f"{path}: a valid scene: ")
     assert "particles, " in text
 
 
 @pytest.mark.parametrize("path", [path for path in SCENES if "recordings:" in path.read_text()], ids=lambda p: p.stem)
-def test_missing_recordings_are_told_with_where_to_get_them(path, tmp_path):
+def test_the_error_of_missing_recordings_says_where_to_get_them(path, tmp_path):
     copy = tmp_path / path.name  # without the recordings that may lie beside the scene
     copy.write_text(path.read_text())
     with pytest.raises(SceneError) as info:
@@ -210,7 +210,7 @@ def test_missing_recordings_are_told_with_where_to_get_them(path, tmp_path):
 
 
 @pytest.mark.parametrize("name", PAPERS)
-def test_it_has_the_papers_size(name):
+def test_a_scene_has_the_size_of_the_paper(name):
     (path,) = (path for path in SCENES if path.stem == name)
     built = build(load_scene(path))
     particles, substeps = PAPERS[name]
@@ -218,17 +218,19 @@ def test_it_has_the_papers_size(name):
     assert built.particles.layout.n_particles == pytest.approx(particles, rel=0.01 if name in FROM_FILES else 0)
 
 
-def test_cables_that_are_reeled_in_leave_seven_tenths_of_a_leg():
+def test_cables_shorten_the_legs_to_seven_tenths():
     (path,) = (path for path in SCENES if path.stem == "biped_cable")
     weightless = ["world.gravity=[0, 0]", "controller.open_loop.initial=0", "controller.open_loop.noise=0"]
     motion = cqrun.load(path, [*weightless, "time.duration=1.5"]).simulate()
     start, foot = motion.x[0], motion.x[0, :, 1] < 0.102
-    hip = (np.abs(start[:, 1] - 0.2) < 0.0017) & (start[:, 0] % 0.2 < 0.1)  # the feet's and the body's nearest rows
+    hip = (np.abs(start[:, 1] - 0.2) < 0.0017) & (
+        start[:, 0] % 0.2 < 0.1
+    )  # the nearest rows of the feet and of the body
     legs = motion.x[-100:, hip, 1].mean() - motion.x[-100:, foot, 1].mean()
     assert legs / (start[hip, 1].mean() - start[foot, 1].mean()) == pytest.approx(0.70, abs=0.01)
 
 
-def test_the_files_of_shapes_are_what_their_script_draws():
+def test_the_shape_files_agree_with_their_script():
     folder = ROOT / "scenes" / "control" / "shapes"
     script = runpy.run_path(str(folder / "make_shapes.py"))
     with Image.open(folder / "rhino.png") as drawn:
@@ -240,17 +242,20 @@ def test_the_files_of_shapes_are_what_their_script_draws():
 
 
 def of_job(*jobs: str) -> pytest.MarkDecorator:
-    """Return the scenes of some jobs as a test's parameter."""
+    """Return a decorator that runs a test for the scenes of some jobs."""
     return pytest.mark.parametrize("path", [p for p in SCENES if p.parent.name in jobs], ids=lambda path: path.stem)
 
 
 @of_job("control", "codesign")
-def test_it_learns_shortened(path, tmp_path):
+def test_a_shortened_scene_learns(path, tmp_path):
     overrides = [*shortened(path, tmp_path), *loosened(path)]
     scene = load_scene(path, overrides)
     run = run_control(path, overrides, tmp_path, threads=1, job=path.parent.name)
     result = result_of(run)
-    if (result["status"], result["iterations"]) != ("iteration_limit", 1):  # effort is least where nothing moves
+    if (result["status"], result["iterations"]) != (
+        "iteration_limit",
+        1,
+    ):  # without motion the effort is already minimal
         assert (result["status"], result["iterations"], result["start"]["loss"]) == ("converged", 0, 0.0)
     assert result["unknowns"].keys() == scene.unknowns.keys()
     assert result["constraints"].keys() == scene.constraints.keys()
@@ -265,7 +270,7 @@ def test_it_learns_shortened(path, tmp_path):
 
 
 @of_job("sysid")
-def test_it_runs_shortened(path, tmp_path):
+def test_a_shortened_identification_runs(path, tmp_path):
     run = run_sysid(path, shortened(path, tmp_path), tmp_path, threads=1)
     result = result_of(run)
     assert result["status"] in ("converged", "iteration_limit")
@@ -275,7 +280,7 @@ def test_it_runs_shortened(path, tmp_path):
 
 
 @scene_files
-def test_it_simulates_shortened(path, tmp_path):
+def test_a_shortened_scene_is_simulated(path, tmp_path):
     result = result_of(run_simulate(path, shortened(path, tmp_path), tmp_path, threads=1))
     assert result["status"] == "done"
     assert all(number == 0 for number in result["fracture"].values())
@@ -285,7 +290,7 @@ STANDING = [name for name, overrides in SMALLER.items() if any(".place.offset=" 
 
 
 @pytest.mark.parametrize("name", STANDING)
-def test_what_is_differenced_stands_on_something(name):
+def test_walkers_stand_on_the_floor_in_gradient_checks(name):
     (path,) = (path for path in SCENES if path.stem == name)
     built = build(load_scene(path, SMALLER[name]))
     x, dx = built.particles.x, built.model.dx
@@ -298,12 +303,12 @@ def test_what_is_differenced_stands_on_something(name):
 
 
 @scene_files
-def test_its_gradient_is_that_of_differences(path, tmp_path):
+def test_the_gradient_of_a_scene_agrees_with_differences(path, tmp_path):
     scene = load_scene(path)
-    # a controller takes a few steps to do more than rounding does
+    # a controller needs a few steps until its effect exceeds rounding
     overrides = shortened(path, tmp_path, steps=2 if scene.controller is None else 6)
     if scene.controller is not None and scene.controller.name == "mlp":
-        overrides.append("controller.mlp.activation=tanh")  # differences cannot be taken across the corners of relu
+        overrides.append("controller.mlp.activation=tanh")  # differences fail across the kinks of relu
     run, agrees = run_gradcheck(path, overrides, tmp_path, threads=1)
     assert agrees, "\n".join(report_lines(run))
     rows = json.loads((run / "gradcheck.json").read_text())["rows"]
@@ -312,14 +317,14 @@ def test_its_gradient_is_that_of_differences(path, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stem", ["beam_twin", "collision", "finger_material"])
-def test_its_gradient_over_the_whole_run(stem, tmp_path):
+def test_the_gradient_over_the_whole_run(stem, tmp_path):
     path = ROOT / "scenes" / "sysid" / f"{stem}.yaml"
     run, agrees = run_gradcheck(path, [], tmp_path, threads=2)
     assert agrees, "\n".join(report_lines(run))
 
 
-def test_the_readmes_python_runs(monkeypatch):
-    """The example of the README, on a shorter run."""
+def test_the_python_example_of_the_readme_runs(monkeypatch):
+    """Run the example of the README with a shorter duration."""
     monkeypatch.chdir(ROOT)
     section = (ROOT / "README.md").read_text().partition("## From Python\n")[2].partition("\n## ")[0]
     code = "\n".join(re.findall(r"^    (.*)$", section, re.MULTILINE))

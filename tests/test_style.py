@@ -1,4 +1,4 @@
-"""ruff and mypy are part of the tests."""
+"""Run ruff and mypy as part of the tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Amounts of memory as people write them."""
+"""Amounts of memory, as people write them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def test_amounts_are_read(text: str, count: int) -> None:
 
 
 @pytest.mark.parametrize("text", ["2", "GiB", "2gib", "-1GB", "2 G", "1e3MB", ""])
-def test_what_is_no_amount_is_refused(text: str) -> None:
+def test_text_that_is_no_amount_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="must be an amount of memory such as 2GiB"):
         parse_bytes(text)
 

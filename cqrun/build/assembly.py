@@ -1,7 +1,7 @@
-"""From values by key path to the engine's inputs, and from their cotangent back to gradients by path.
+"""Map values by key path to the engine's inputs, and the cotangent of the inputs back to gradients by path.
 
-A value is one number (`per: body`), one a group or one a particle; a path without a value keeps what the scene
-says. `inputs` is the map, `gradient` its adjoint; each part of one stands beside its part of the other.
+A value is one number (`per: body`), one number per group, or one per particle. A path without a value keeps the value
+in the scene. `inputs` is the map and `gradient` its adjoint; each part of the map is next to its adjoint.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from cqrun.scene.schema import Scene
 from cqrun.state import ParticleFields, State
 
 Values = Mapping[str, Array]
-"""Key path -> value: a scalar array (), one a group (G,), or one a particle (N,)."""
+"""Key path -> value: one number (), one per group (G,), or one per particle (N,)."""
 
 
 class Assembly:
     """The map from values to inputs for one scene.
 
     Args:
-        scene: resolved.
-        particles: its particles.
-        sequence: which of a scene's random activations drives the actuators.
+        scene: the resolved scene.
+        particles: the particles of the scene.
+        sequence: number of the random activation sequence that drives the actuators.
     """
 
     def __init__(self, scene: Scene, particles: Particles, sequence: int = 0) -> None:
@@ -48,61 +48,63 @@ class Assembly:
         ]
         self.loads.append(("world", Gravity(gravity=list(scene.world.gravity))))
         self.loads.sort(key=lambda item: item[1].order)
-        self.chosen = [particles.inside(load.body, load.region) for _, load in self.loads]
+        self.load_particles = [particles.inside(load.body, load.region) for _, load in self.loads]
 
     def with_sequence(self, sequence: int) -> Assembly:
-        """Return the same map driven by another of the random activations."""
+        """Return the same map with another random activation sequence."""
         return Assembly(self.scene, self.particles, sequence)
 
     def reaches(self, path: str) -> bool:
-        """Say whether the engine's inputs depend on a path (the start of a recording is not one)."""
+        """Return whether the engine's inputs depend on a path; they do not depend on the start of a recording."""
         return not path.startswith("data.")
 
     # --- values -------------------------------------------------------------------------------------------
 
-    def _others(self, body: str, path: str) -> list[tuple[Array, str, float]]:
-        """Return where `material_of` has another value than that of a path: particles (N_b,), its path, the value."""
+    def _region_values(self, body: str, path: str) -> list[tuple[Array, str, float]]:
+        """Return the values that `material_of` sets in place of a path's: (which particles (N_b,), path, value)."""
         base = f"bodies.{body}.material"
-        suffix, found = path.removeprefix(f"{base}."), []
+        suffix, regions = path.removeprefix(f"{base}."), []
         for name, other in self.scene.bodies[body].material_of.items():
-            own = other.value(suffix)
-            if own is not None:
-                found.append((self.particles.points[body].named(name), f"{base}_of.{name}.{suffix}", own))
-        return found
+            value = other.value(suffix)
+            if value is not None:
+                regions.append((self.particles.points[body].named(name), f"{base}_of.{name}.{suffix}", value))
+        return regions
 
-    def _spread(self, body: str, path: str, own: float, values: Values) -> Array:
-        """Return a value for each of a body's particles (N_b,)."""
-        result = self._of_whole(body, path, own, values)
-        for held, other, value in self._others(body, path):
-            result[held] = float(np.asarray(values.get(other, value)).reshape(-1)[0])
+    def _per_particle(self, body: str, path: str, default: float, values: Values) -> Array:
+        """Return the value of a path for each of a body's particles (N_b,)."""
+        result = self._body_value(body, path, default, values)
+        for inside, region_path, value in self._region_values(body, path):
+            result[inside] = float(np.asarray(values.get(region_path, value)).reshape(-1)[0])
         return result
 
-    def _of_whole(self, body: str, path: str, own: float, values: Values) -> Array:
-        """Return a value of a body's material for each of its particles (N_b,), those of other materials too."""
+    def _body_value(self, body: str, path: str, default: float, values: Values) -> Array:
+        """Return the same (N_b,) without the values that `material_of` sets."""
         n = self.particles.of(body)
         count = n.stop - n.start
-        value = np.asarray(values.get(path, own), float)
+        value = np.asarray(values.get(path, default), float)
         if value.ndim == 0:
             return np.full(count, float(value))
         if value.size == count:
             return value.reshape(-1).copy()
         labels = self.particles.labels(body)
-        return np.where(labels >= 0, value.reshape(-1)[labels], own)
+        return np.where(labels >= 0, value.reshape(-1)[labels], default)
 
-    def _spread_vjp(self, body: str, path: str, per_particle_bar: Array, values: Values, out: dict[str, Array]) -> None:
-        """Add the cotangent of what `_spread` returns to out, for those of its paths that have a value."""
-        left = per_particle_bar.copy()
-        for held, other, _ in reversed(self._others(body, path)):
-            if other in values:
-                bar = out.setdefault(other, np.zeros(np.shape(values[other])))
-                bar += left[held].sum()
-            left[held] = 0.0
-        self._of_whole_vjp(body, path, left, values, out)
-
-    def _of_whole_vjp(
+    def _per_particle_vjp(
         self, body: str, path: str, per_particle_bar: Array, values: Values, out: dict[str, Array]
     ) -> None:
-        """Add the cotangent of what `_of_whole` returns to out[path], if the path has a value."""
+        """Add the cotangent of the result of `_per_particle` to `out`, for those of its paths that have a value."""
+        remaining = per_particle_bar.copy()
+        for inside, region_path, _ in reversed(self._region_values(body, path)):
+            if region_path in values:
+                bar = out.setdefault(region_path, np.zeros(np.shape(values[region_path])))
+                bar += remaining[inside].sum()
+            remaining[inside] = 0.0
+        self._body_value_vjp(body, path, remaining, values, out)
+
+    def _body_value_vjp(
+        self, body: str, path: str, per_particle_bar: Array, values: Values, out: dict[str, Array]
+    ) -> None:
+        """Add the cotangent of the result of `_body_value` to out[path], if the path has a value."""
         if path not in values:
             return
         value = np.asarray(values[path], float)
@@ -127,14 +129,14 @@ class Assembly:
         drive = self.actuation
         return Inputs(
             state, fields, self._terms(values), drive.activations(self.sequence, values), drive.strengths(values),
-            self._coefficients(values), drive.weights(values), drive.rests(x),
+            self._coefficients(values), drive.weights(values), drive.rest_lengths(x),
         )  # fmt: skip
 
     def gradient(self, values: Values, bar: Inputs) -> dict[str, Array]:
-        """Return the gradient by path, of each value's shape, from the cotangent of the inputs."""
+        """Return the gradient by path, each with the shape of its value, from the cotangent of the inputs."""
         out = {path: np.zeros(np.shape(value)) for path, value in values.items()}
         x, volume = self.geometry.at_rest(values)
-        x_bar = bar.state.x + self._velocities_vjp(x, values, bar, out) + self.actuation.rests_vjp(x, bar.rest)
+        x_bar = bar.state.x + self._velocities_vjp(x, values, bar, out) + self.actuation.rest_lengths_vjp(x, bar.rest)
         self.geometry.at_rest_vjp(values, x_bar, self._fields_vjp(volume, values, bar, out), out)
         self._terms_vjp(values, bar, out)
         self.actuation.activations_vjp(bar.activation, self.sequence, values, out)
@@ -150,27 +152,27 @@ class Assembly:
         fields.volume[:] = volume
         for body in self.particles.names:
             part = self.particles.of(body)
-            path, own = f"bodies.{body}.material.density", self.scene.bodies[body].material.density
-            fields.mass[part] = self._spread(body, path, own, values) * fields.volume[part]
+            path, default = f"bodies.{body}.material.density", self.scene.bodies[body].material.density
+            fields.mass[part] = self._per_particle(body, path, default, values) * fields.volume[part]
         loads = [updated(load, path, values) for path, load in self.loads]
-        for load, chosen in zip(loads, self.chosen, strict=True):
-            load.apply(fields, chosen)
+        for load, indices in zip(loads, self.load_particles, strict=True):
+            load.apply(fields, indices)
         return fields, loads
 
     def _fields_vjp(self, volume: Array, values: Values, bar: Inputs, out: dict[str, Array]) -> Array:
-        """Add to the gradients, and return the cotangent of the volumes (N,)."""
+        """Add to the gradients in `out`, and return the cotangent of the volumes (N,)."""
         fields, loads = self._fields(volume, values)
-        fields_bar = copy.deepcopy(bar.fields)  # loads add to what they read; the cotangent given stays as it is
-        steps = list(zip(self.loads, loads, self.chosen, strict=True))
-        for (path, _), load, chosen in reversed(steps):
-            cotangents = load.apply_vjp(fields, fields_bar, chosen)
+        fields_bar = copy.deepcopy(bar.fields)  # loads change it, but the given cotangent must not change
+        steps = list(zip(self.loads, loads, self.load_particles, strict=True))
+        for (path, _), load, indices in reversed(steps):
+            cotangents = load.apply_vjp(fields, fields_bar, indices)
             require_complete(load, path, cotangents, out)
             collect(path, cotangents, out)
         for body in self.particles.names:
             part = self.particles.of(body)
-            path, own = f"bodies.{body}.material.density", self.scene.bodies[body].material.density
-            self._spread_vjp(body, path, fields_bar.mass[part] * volume[part], values, out)
-            fields_bar.volume[part] += fields_bar.mass[part] * self._spread(body, path, own, values)
+            path, default = f"bodies.{body}.material.density", self.scene.bodies[body].material.density
+            self._per_particle_vjp(body, path, fields_bar.mass[part] * volume[part], values, out)
+            fields_bar.volume[part] += fields_bar.mass[part] * self._per_particle(body, path, default, values)
         return fields_bar.volume
 
     # --- velocities ---------------------------------------------------------------------------------------------
@@ -186,15 +188,15 @@ class Assembly:
         return np.asarray(v + self._arm(body, x) @ spin)
 
     def _arm(self, body: str, x: Array) -> Array:
-        """Return the velocity of each particle by each entry of the spin (N_b, D, 1 or 3)."""
-        own = x[self.particles.of(body)]
-        r = own - own.mean(axis=0)
+        """Return the derivative of each particle's velocity by each entry of the spin (N_b, D, 1 or 3)."""
+        x_body = x[self.particles.of(body)]
+        r = x_body - x_body.mean(axis=0)
         if self.scene.dim == 2:
             return np.stack([-r[:, 1], r[:, 0]], axis=1)[:, :, None]
         return np.cross(np.eye(3)[None, :, :], r[:, None, :]).transpose(0, 2, 1)
 
     def _velocities_vjp(self, x: Array, values: Values, bar: Inputs, out: dict[str, Array]) -> Array:
-        """Add to the gradients, and return the cotangent of the rest positions (N, D): v_bar x spin, less its mean."""
+        """Add to the gradients in `out`, and return the cotangent of the rest positions (N, D): v_bar x spin minus its mean."""
         x_bar = np.zeros(x.shape)
         for body in self.particles.names:
             part, base = self.particles.of(body), f"bodies.{body}"
@@ -212,19 +214,19 @@ class Assembly:
     # --- material terms -------------------------------------------------------------------------------------------
 
     def _terms_of(self, body: str) -> list[tuple[str, Any, str]]:
-        """Return (path, spec, path of the elastic term) of each term of a body's stress."""
+        """Return (path, spec, path of the elastic term) for each term of a body's stress."""
         material, base = self.scene.bodies[body].material, f"bodies.{body}.material"
         elastic = f"{base}.elastic.{material.elastic.name}"
         further = [(f"{base}.{name}", spec, elastic) for name, spec in material.terms.items()]
         return [(elastic, material.elastic.value, elastic), *further]
 
     def _rows(self, body: str, path: str, spec: Any, elastic: str) -> list[tuple[str, float]]:
-        """Return path and the scene's own value of each row of theta; a term may read the elastic term's."""
-        own = self.scene.bodies[body].material.elastic.value
+        """Return path and scene value of each row of theta; a term may use parameters of the elastic term."""
+        law = self.scene.bodies[body].material.elastic.value
         return [
             (f"{path}.{name}", getattr(spec, name))
             if name in type(spec).model_fields
-            else (f"{elastic}.{name}", getattr(own, name))
+            else (f"{elastic}.{name}", getattr(law, name))
             for name in spec.parameters
         ]
 
@@ -232,10 +234,10 @@ class Assembly:
         """Return every number of a body's material for each of its particles (N_b,), by its path."""
         rows = [(f"bodies.{body}.material.density", self.scene.bodies[body].material.density)]
         rows += [row for term in self._terms_of(body) for row in self._rows(body, *term)]
-        return {path: self._spread(body, path, own, values) for path, own in rows}
+        return {path: self._per_particle(body, path, default, values) for path, default in rows}
 
     def _theta(self, body: str, term: tuple[str, Any, str], values: Values) -> Array:
-        return np.array([self._spread(body, path, own, values) for path, own in self._rows(body, *term)])
+        return np.array([self._per_particle(body, path, default, values) for path, default in self._rows(body, *term)])
 
     def _groups(self) -> list[list[str]]:
         groups: dict[Any, list[str]] = {}
@@ -258,54 +260,54 @@ class Assembly:
                 for k, term in enumerate(self._terms_of(body)):
                     theta_bar = bar.terms[g][k][:, part.start - begin : part.stop - begin]
                     for row, (path, _) in zip(theta_bar, self._rows(body, *term), strict=True):
-                        self._spread_vjp(body, path, row, values, out)
+                        self._per_particle_vjp(body, path, row, values, out)
 
     def stiffness(self, body: str, values: Values) -> tuple[Array, Array, Array]:
         """Return density [kg/m^D], pressure-wave modulus [Pa] and viscosity 4/3 eta + zeta [Pa s] (N_b,)."""
-        path, own = f"bodies.{body}.material.density", self.scene.bodies[body].material.density
+        path, default = f"bodies.{body}.material.density", self.scene.bodies[body].material.density
         terms = [(spec, self._theta(body, (path_, spec, e), values)) for path_, spec, e in self._terms_of(body)]
         modulus = sum(spec.wave_modulus(theta) for spec, theta in terms)
         viscosity = sum(spec.wave_viscosity(theta) for spec, theta in terms)
-        return self._spread(body, path, own, values), np.asarray(modulus), np.asarray(viscosity)
+        return self._per_particle(body, path, default, values), np.asarray(modulus), np.asarray(viscosity)
 
     # --- the design --------------------------------------------------------------------------------------------------
 
     def design(self, inputs: Inputs) -> Array:
-        """Return the quantities of `DESIGN`, of every particle (Q, N)."""
-        out = np.full((len(DESIGN), len(self.particles.x)), np.nan)  # a law of one's own may have no Young's modulus
+        """Return the quantities of `DESIGN` for every particle (Q, N)."""
+        out = np.full((len(DESIGN), len(self.particles.x)), np.nan)  # a law need not have a Young's modulus
         out[MASS], out[VOLUME] = inputs.fields.mass, inputs.fields.volume * self.particles.room
-        for which, part, g, row, own in self._elastic_rows():
-            out[which, part] = inputs.terms[g][0][row, own]
+        for quantity, part, g, row, columns in self._elastic_rows():
+            out[quantity, part] = inputs.terms[g][0][row, columns]
         return out
 
     def add_design_bar(self, bar: Inputs, design_bar: Array) -> None:
-        """Add to a cotangent of the inputs what comes from that of the design (Q, N)."""
+        """Add the contribution of the design's cotangent (Q, N) to the cotangent of the inputs."""
         bar.fields.mass += design_bar[MASS]
         bar.fields.volume += design_bar[VOLUME] * self.particles.room
-        for which, part, g, row, own in self._elastic_rows():
-            bar.terms[g][0][row, own] += design_bar[which, part]
+        for quantity, part, g, row, columns in self._elastic_rows():
+            bar.terms[g][0][row, columns] += design_bar[quantity, part]
 
     def _elastic_rows(self) -> Iterator[tuple[int, slice, int, int, slice]]:
-        """Yield a row of the design, a body's particles, its group, the row of its elastic term, their place there."""
+        """Yield (row of the design, particles of a body, its group, row of its elastic term, its particles in that row)."""
         for g, bodies in enumerate(self._groups()):
             begin = self.particles.of(bodies[0]).start
             for body in bodies:
                 part, law = self.particles.of(body), cast(Any, self.scene.bodies[body].material.elastic.value)
-                for which in (STIFFNESS, RATIO):
-                    if DESIGN[which] in law.parameters:
-                        row = law.parameters.index(DESIGN[which])
-                        yield which, part, g, row, slice(part.start - begin, part.stop - begin)
+                for quantity in (STIFFNESS, RATIO):
+                    if DESIGN[quantity] in law.parameters:
+                        row = law.parameters.index(DESIGN[quantity])
+                        yield quantity, part, g, row, slice(part.start - begin, part.stop - begin)
 
     # --- boundaries -------------------------------------------------------------------------------------------------
 
     def _planes(self) -> list[tuple[str, Plugin]]:
-        """Return path and condition of every plane, in the model's order."""
-        size, found = np.zeros((1, self.scene.dim)), []
+        """Return path and condition of every plane, in the order of the model."""
+        origin, planes = np.zeros((1, self.scene.dim)), []
         for name, chosen in self.scene.boundaries.items():
             spec: Any = boundary(self.scene, name)
-            planes = spec.places(size, np.array(self.scene.world.size))
-            found += [(f"boundaries.{name}.{chosen.name}", spec)] * len(planes)
-        return found
+            places = spec.places(origin, np.array(self.scene.world.size))
+            planes += [(f"boundaries.{name}.{chosen.name}", spec)] * len(places)
+        return planes
 
     def _coefficients(self, values: Values) -> Array:
         return np.array([getattr(updated(s, path, values), "coefficient", 0.0) for path, s in self._planes()])
@@ -318,38 +320,38 @@ class Assembly:
 # --- values of a plug-in's fields ---------------------------------------------------------------------------------
 
 
-def numbers(path: str, own: list[float], values: Values) -> Array:
-    """Return a list of numbers with the values that its entries have."""
-    return np.array([float(np.asarray(values.get(f"{path}.{k}", entry)).reshape(-1)[0]) for k, entry in enumerate(own)])
+def numbers(path: str, defaults: list[float], values: Values) -> Array:
+    """Return the values of the entries of a list; an entry without a value keeps its default."""
+    return np.array([float(np.asarray(values.get(f"{path}.{k}", d)).reshape(-1)[0]) for k, d in enumerate(defaults)])
 
 
 def updated(spec: Any, path: str, values: Values) -> Any:
-    """Return a plug-in with the values that its differentiable fields have."""
+    """Return a plug-in with its differentiable fields set to their values."""
     changes: dict[str, Any] = {}
     for name in type(spec).model_fields:
         if is_differentiable(type(spec), name):
-            own = getattr(spec, name)
-            if isinstance(own, list):
-                changes[name] = numbers(f"{path}.{name}", own, values).tolist()
+            current = getattr(spec, name)
+            if isinstance(current, list):
+                changes[name] = numbers(f"{path}.{name}", current, values).tolist()
             elif f"{path}.{name}" in values:
                 changes[name] = float(np.asarray(values[f"{path}.{name}"]).reshape(-1)[0])
     return spec.model_copy(update=changes)
 
 
 def require_complete(load: Load, path: str, cotangents: Mapping[str, Any], out: dict[str, Array]) -> None:
-    """Refuse cotangents of a load that lack a wanted one: its gradient would be 0 without a word."""
+    """Raise a UsageError if a load returns no cotangent for a requested gradient, which would silently be 0."""
     for name in type(load).model_fields:
         base = f"{path}.{name}"
-        wanted = is_differentiable(type(load), name) and any(f"{key}.".startswith(f"{base}.") for key in out)
-        if wanted and name not in cotangents:
+        requested = is_differentiable(type(load), name) and any(f"{key}.".startswith(f"{base}.") for key in out)
+        if requested and name not in cotangents:
             raise UsageError(
-                f"{base}: the load '{load.name}' declares `{name}` differentiable, and its apply_vjp returns no "
+                f"{base}: the load '{load.name}' declares `{name}` differentiable, but its apply_vjp returns no "
                 f"cotangent of it; it returns those of {listed(cotangents)}"
             )
 
 
 def collect(path: str, cotangents: Mapping[str, Any], out: dict[str, Array]) -> None:
-    """Add the cotangents of a part's fields, numbers or lists of them, to the gradients that are wanted."""
+    """Add the cotangents of a part's fields (numbers or lists of numbers) to the gradients in `out`."""
     for name, cotangent in cotangents.items():
         base = f"{path}.{name}" if name else path
         entries = {base: cotangent} if np.ndim(cotangent) == 0 else {f"{base}.{k}": c for k, c in enumerate(cotangent)}

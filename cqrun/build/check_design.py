@@ -1,4 +1,4 @@
-"""What the bounds of geometric unknowns allow: that at none of them a body is where, or as thin as, it cannot be."""
+"""Check the bounds of geometric unknowns: within them no body may leave the world, overlap another or become too thin."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from cqrun.scene.unknowns import body_of, start, tied
 
 ROUNDING = 1e-6
 FEW, MANY = 3, 16
-"""Unknowns of geometry of which all combinations of bounds and start are tried; of which all pairs are, of bounds."""
+"""Up to FEW geometric unknowns, all combinations of bounds and start are tried; up to MANY, all pairs of bounds."""
 
-AT_RANDOM = 32
-"""Combinations of bounds that are tried beside where there are more than a few unknowns."""
+N_RANDOM = 32
+"""Number of random combinations of bounds that are also tried if there are more than FEW unknowns."""
 
 TURN = 30.0
-"""Degrees between two angles that are tried: a body that turns reaches furthest between its bounds."""
+"""Step between angles that are tried [degrees]; a turning body may reach furthest between its bounds."""
 
 CRUSHED = 1e-4
-"""Part of its volume at the start below which nothing is left of a particle."""
+"""Smallest allowed volume of a particle, as a part of its volume at the start."""
 
-STRIDES = 64
-"""Values between its bounds at most of an unknown that carries a body past others: it might meet them in between."""
+MOST_STEPS = 64
+"""Largest number of steps between the bounds of an unknown that moves a body, which might meet others in between."""
 
-LOPSIDED = 0.1
-"""Part of a body whose mirror image lies outside it, from which on a mirrored field is not what one thinks."""
+ASYMMETRIC = 0.1
+"""If the mirror image of more than this part of a body lies outside it, a mirrored field gets a warning."""
 
 NEIGHBOURS = 6
-"""Of a particle, whose distances tell how far apart a body's particles have come."""
+"""Number of neighbours of a particle whose distances are compared to find how far particles have moved apart."""
 
 Ends = Mapping[str, float]
 
@@ -46,7 +46,8 @@ Ends = Mapping[str, float]
 def design_problems(scene: Scene, particles: Particles) -> list[Problem]:
     """Return what is wrong with geometric unknowns and their bounds.
 
-    Each bound is tried alone, then values between them, where a body turns or might meet another, then bounds together.
+    First each bound is tried alone, then values between the bounds if a body turns or might meet another body, and then
+    combinations of bounds.
     """
     unknowns = {path: unknown for path, unknown in scene.unknowns.items() if _geometric(scene, path, 0.0)}
     if not unknowns:
@@ -57,48 +58,48 @@ def design_problems(scene: Scene, particles: Particles) -> list[Problem]:
     except MissingExtra:
         raise
     except UsageError as error:
-        path = next((path for path in unknowns if not _starts(scene, particles, path)), next(iter(unknowns)))
+        path = next((path for path in unknowns if not _can_start(scene, particles, path)), next(iter(unknowns)))
         return [Problem(scene.where(f"unknowns.{path}"), f"unknowns.{path}", str(error))]
-    found = list(_tried(rest, [{path: end} for path, unknown in unknowns.items() for end in unknown.bounds]))
-    for path in unknowns if not found else ():
-        found += _tried(rest, [{path: value} for value in _between(rest, path)], most=1)
-    return found or list(_tried(rest, _together(scene, list(unknowns)), most=1))
+    problems = list(_problems_at(rest, [{path: end} for path, unknown in unknowns.items() for end in unknown.bounds]))
+    for path in unknowns if not problems else ():
+        problems += _problems_at(rest, [{path: value} for value in _values_between(rest, path)], most=1)
+    return problems or list(_problems_at(rest, _combinations(scene, list(unknowns)), most=1))
 
 
 def design_warnings(scene: Scene, particles: Particles) -> list[Problem]:
-    """Return what a user may not expect of unknowns: particles that they do not reach, values that they replace."""
-    found = []
+    """Return warnings about unknowns: particles that they do not reach, and values of the scene that they replace."""
+    warnings = []
     for path, unknown in scene.unknowns.items():
-        told = f"unknowns.{path}"
+        key = f"unknowns.{path}"
         if unknown.per == "group":
-            found += [Problem(scene.where(told), told, message) for message in _ungrouped(scene, particles, path)]
+            warnings += [Problem(scene.where(key), key, message) for message in _ungrouped(scene, particles, path)]
         if unknown.per == "field" and unknown.mirror is not None:
-            messages = _lopsided(scene, particles, path, unknown.mirror)
-            found += [Problem(scene.where(told), f"{told}.mirror", message) for message in messages]
-        found += [Problem(scene.where(told), told, message) for message in _cut(scene, path)]
+            messages = _asymmetric(scene, particles, path, unknown.mirror)
+            warnings += [Problem(scene.where(key), f"{key}.mirror", message) for message in messages]
+        warnings += [Problem(scene.where(key), key, message) for message in _cut(scene, path)]
         for other, value in list(tied(scene, path, start(scene, path)).items())[1:]:
-            own = leaf(scene, other).value
-            if differ(value, own):
-                message = f"{other} starts at {value:g}, by `also`, and not at the {own:g} that the scene has there"
-                found.append(Problem(scene.where(told), told, message))
-    return found
+            in_scene = leaf(scene, other).value
+            if differ(value, in_scene):
+                message = f"{other} starts at {value:g}, because of `also`, and not at its value {in_scene:g} in the scene"
+                warnings.append(Problem(scene.where(key), key, message))
+    return warnings
 
 
 def _cut(scene: Scene, path: str) -> Iterator[str]:
-    """Yield that what cuts a shape does not stay where it is."""
+    """Yield a warning if the unknown changes a shape that is cut by others, because they follow it."""
     through = {name for p in _geometric(scene, path, start(scene, path)) for name, _ in cuts(canonical(scene, p))}
     if through:
         names = " or ".join(f"{'a' if name == 'difference' else 'an'} {name}" for name in sorted(through))
-        yield f"changes the first shape of {names}: what cuts it moves and stretches with it, and does not stay"
+        yield f"changes the first shape of {names}: the shapes that cut it move and stretch with it"
 
 
-def differ(value: float, own: float) -> bool:
-    """Say whether two values differ by more than rounding, as of a sum of two numbers."""
-    return abs(value - own) > ROUNDING * max(abs(value), abs(own))
+def differ(value: float, other: float) -> bool:
+    """Return whether two values differ by more than the rounding of a sum of two numbers."""
+    return abs(value - other) > ROUNDING * max(abs(value), abs(other))
 
 
-def _starts(scene: Scene, particles: Particles, path: str) -> bool:
-    """Say whether particles can follow an unknown of geometry from its start."""
+def _can_start(scene: Scene, particles: Particles, path: str) -> bool:
+    """Return whether particles can follow a geometric unknown to its start value."""
     values = {canonical(scene, p): np.array(v) for p, v in _geometric(scene, path, start(scene, path)).items()}
     try:
         Geometry(scene, particles).at_rest(values)
@@ -109,56 +110,59 @@ def _starts(scene: Scene, particles: Particles, path: str) -> bool:
 
 def _ungrouped(scene: Scene, particles: Particles, path: str) -> Iterator[str]:
     body = body_of(scene, canonical(scene, path))
-    held = np.sum([points for points in particles.points[body].groups.values()], axis=0)
-    if (held == 0).any():
-        yield f"{(held == 0).sum():,} of {held.size:,} particles of '{body}' are in no group: theirs stays as it is"
-    if (held > 1).any():
-        yield f"{(held > 1).sum():,} particles of '{body}' are in several groups, and have the value of the last"
+    count = np.sum([points for points in particles.points[body].groups.values()], axis=0)
+    if (count == 0).any():
+        yield f"{(count == 0).sum():,} of {count.size:,} particles of '{body}' are in no group: their values do not change"
+    if (count > 1).any():
+        yield f"{(count > 1).sum():,} particles of '{body}' are in several groups, and have the value of the last"
 
 
-def _lopsided(scene: Scene, particles: Particles, path: str, mirror: str) -> Iterator[str]:
+def _asymmetric(scene: Scene, particles: Particles, path: str, mirror: str) -> Iterator[str]:
     body = body_of(scene, canonical(scene, path))
     image = mirrored(particles.points[body].world, "xyz".index(mirror))
     outside = np.mean(~scene.bodies[body].whole().inside(image))
-    if outside > LOPSIDED:
+    if outside > ASYMMETRIC:
         yield (
-            f"'{body}' is not its own mirror image across {mirror}, in {outside:.0%} of its particles: their values "
-            "follow those of places where it is not"
+            f"'{body}' is not its own mirror image across {mirror}: the mirror images of {outside:.0%} of its particles "
+            "lie outside it, so the values of these particles follow places without material"
         )
 
 
-def _between(rest: _Rest, path: str) -> Array:
-    """Return the values between its bounds of an unknown that are tried while the others are at their starts."""
+def _values_between(rest: _Rest, path: str) -> Array:
+    """Return the values between the bounds of an unknown that are tried while the others are at their starts."""
     lower, upper = rest.scene.unknowns[path].bounds
     turns = max(2, int(np.ceil((upper - lower) / TURN))) if leaf(rest.scene, path).unit == "deg" else 1
-    return np.linspace(lower, upper, 1 + max(turns, rest.strides(path)))[1:-1]
+    return np.linspace(lower, upper, 1 + max(turns, rest.steps(path)))[1:-1]
 
 
-def _together(scene: Scene, paths: Sequence[str]) -> Iterator[Ends]:
-    """Yield bounds of several unknowns at once."""
+def _combinations(scene: Scene, paths: Sequence[str]) -> Iterator[Ends]:
+    """Yield combinations of the bounds of several unknowns."""
     bounds = {path: scene.unknowns[path].bounds for path in paths}
     if 1 < len(paths) <= FEW:
         for ends in itertools.product(*[(low, start(scene, path), high) for path, (low, high) in bounds.items()]):
             yield dict(zip(paths, ends, strict=True))
     elif len(paths) > FEW:
         yield from ({path: ends[side] for path, ends in bounds.items()} for side in (0, 1))
-        for one, other in itertools.combinations(paths, 2) if len(paths) <= MANY else ():
-            yield from ({one: a, other: b} for a in bounds[one] for b in bounds[other])
-        for sides in np.random.default_rng(0).integers(0, 2, (AT_RANDOM, len(paths))):
+        for first, second in itertools.combinations(paths, 2) if len(paths) <= MANY else ():
+            yield from ({first: a, second: b} for a in bounds[first] for b in bounds[second])
+        for sides in np.random.default_rng(0).integers(0, 2, (N_RANDOM, len(paths))):
             yield {path: bounds[path][side] for path, side in zip(paths, sides, strict=True)}
 
 
-def _tried(rest: _Rest, trials: Iterable[Ends], most: int | None = None) -> Iterator[Problem]:
-    """Yield what is wrong at trials, values of unknowns by path, under the first of them; at `most` so many."""
+def _problems_at(rest: _Rest, trials: Iterable[Ends], most: int | None = None) -> Iterator[Problem]:
+    """Yield the first problem of each trial (values of unknowns by path), but at most `most` problems.
+
+    The key path of a problem is that of the trial's first unknown.
+    """
     scene = rest.scene
     for ends in trials:
-        told = f"unknowns.{next(iter(ends))}.bounds"
+        key = f"unknowns.{next(iter(ends))}.bounds"
         values = {p: v for path, end in ends.items() for p, v in _geometric(scene, path, end).items()}
-        for message in rest.wrong_at(values):
-            yield Problem(scene.where(told), told, f"{_words(ends)} {message}; narrow the bounds")
+        for message in rest.problems_at(values):
+            yield Problem(scene.where(key), key, f"{_words(ends)} {message}; narrow the bounds")
             if most is not None and (most := most - 1) == 0:
                 return
-            break  # the first says enough: one bound often breaks several rules
+            break  # the first problem is enough: one bound often breaks several rules
 
 
 def _is_geometric(scene: Scene, path: str) -> bool:
@@ -166,7 +170,7 @@ def _is_geometric(scene: Scene, path: str) -> bool:
 
 
 def _geometric(scene: Scene, path: str, value: float) -> dict[str, float]:
-    """Return the values of an unknown and its followers that shape or place a body."""
+    """Return those values of an unknown, and of the values tied to it, that shape or place a body."""
     return {p: v for p, v in tied(scene, path, value).items() if _is_geometric(scene, p)}
 
 
@@ -179,10 +183,12 @@ def _words(ends: Mapping[str, float]) -> str:
 
 
 class _Rest:
-    """A scene at rest, as its geometric unknowns change.
+    """A scene at rest as a function of its geometric unknowns.
 
     Args:
-        starts: where these and what follows them start, by path.
+        scene: the scene.
+        particles: the particles of the scene.
+        starts: start values of the geometric unknowns and of the values tied to them, by path.
     """
 
     def __init__(self, scene: Scene, particles: Particles, starts: Ends) -> None:
@@ -190,22 +196,22 @@ class _Rest:
         self._geometry = Geometry(scene, particles)
         self._near = {name: _neighbours(particles.x[particles.of(name)]) for name in particles.names}
         before, self._volume = self._at(starts)
-        self._apart = {name: self._spread(name, before) for name in particles.names}
+        self._distance = {name: self._largest_distance(name, before) for name in particles.names}
 
-    def wrong_at(self, values: Ends) -> Iterator[str]:
-        """Yield what is wrong at some values, the others at their starts."""
+    def problems_at(self, values: Ends) -> Iterator[str]:
+        """Yield what is wrong at some values, with the other unknowns at their starts."""
         scene, particles, values = self.scene, self.particles, {**self.starts, **values}
         try:
             changed = with_values(scene, values)
         except SceneError as error:
-            yield f"the scene is none: {error.problems[0].path} {error.problems[0].message}"
+            yield f"the scene is not valid: {error.problems[0].path} {error.problems[0].message}"
             return
         x, volume = self._at(values)
         if (volume <= 0).any():
             yield "a part of a body is turned inside out"
             return
         if (volume < CRUSHED * self._volume).any():
-            yield f"a part of a body has less than {CRUSHED:g} of the volume that it has at the start"
+            yield f"a part of a body has less than {CRUSHED:g} times its volume at the start"
             return
         points = {name: replace(body, world=x[particles.of(name)]) for name, body in particles.points.items()}
         problems = [
@@ -216,38 +222,38 @@ class _Rest:
         yield from (f"{problem.path} {problem.message}" for problem in problems)
         yield from (message for name in particles.names for message in self._sparse(name, x))
 
-    def strides(self, path: str) -> int:
-        """Return in how many steps an unknown goes from bound to bound so that none passes over a body or a part."""
+    def steps(self, path: str) -> int:
+        """Return the number of steps from bound to bound that are small enough to meet every body or part between."""
         boxes = [shape.bounds() for body in self.scene.bodies.values() for shape in body.pieces.values()]
         if len(boxes) == 1:
             return 1
         bounds = self.scene.unknowns[path].bounds
-        x, there = (self._at({**self.starts, **_geometric(self.scene, path, end)})[0] for end in bounds)
-        far, thin = np.linalg.norm(there - x, axis=1).max(), min((upper - lower).min() for lower, upper in boxes)
-        return int(np.clip(np.ceil(2.0 * far / thin), 1, STRIDES))
+        x, x_end = (self._at({**self.starts, **_geometric(self.scene, path, end)})[0] for end in bounds)
+        far, thin = np.linalg.norm(x_end - x, axis=1).max(), min((upper - lower).min() for lower, upper in boxes)
+        return int(np.clip(np.ceil(2.0 * far / thin), 1, MOST_STEPS))
 
     def _at(self, values: Ends) -> tuple[Array, Array]:
         return self._geometry.at_rest({canonical(self.scene, path): np.array(v) for path, v in values.items()})
 
     def _sparse(self, body: str, x: Array) -> Iterator[str]:
-        """Yield that a body's particles come further apart than half a cell, and further than they are at the start."""
-        dx, apart = self.scene.world.dx, self._spread(body, x)
-        if apart > max(0.5 * dx * (1 + ROUNDING), self._apart[body] * (1 + ROUNDING)):
+        """Yield a message if a body's particles are further apart than half a cell, and than at the start."""
+        dx, distance = self.scene.world.dx, self._largest_distance(body, x)
+        if distance > max(0.5 * dx * (1 + ROUNDING), self._distance[body] * (1 + ROUNDING)):
             yield (
-                f"bodies.{body} has particles {apart:.4g} m apart, fewer than two in a cell's {dx:g} m, so it may "
-                "break: give it more particles"
+                f"bodies.{body} has particles {distance:.4g} m apart, fewer than two in a cell of {dx:g} m, so it may "
+                "break apart: give it more particles"
             )
 
-    def _spread(self, body: str, x: Array) -> float:
-        """Return how far a body's particles are apart, where neighbours have come apart most [m]."""
-        near, distance = self._near[body]
-        own = x[self.particles.of(body)]
-        apart = np.linalg.norm(own[near] - own[:, None], axis=2)
-        return self.particles.spacing[body] * max(1.0, float((apart / distance).max(initial=0.0)))
+    def _largest_distance(self, body: str, x: Array) -> float:
+        """Return the largest distance between neighbouring particles of a body [m]."""
+        near, before = self._near[body]
+        x_body = x[self.particles.of(body)]
+        after = np.linalg.norm(x_body[near] - x_body[:, None], axis=2)
+        return self.particles.spacing[body] * max(1.0, float((after / before).max(initial=0.0)))
 
 
 def _neighbours(x: Array) -> tuple[Array, Array]:
-    """Return the nearest neighbours (n, k) of points x (n, D), and how far they are (n, k) [m]."""
+    """Return the nearest neighbours (n, k) of points x (n, D), and their distances (n, k) [m]."""
     from scipy.spatial import cKDTree
 
     count = min(NEIGHBOURS, len(x) - 1)

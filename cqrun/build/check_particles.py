@@ -1,7 +1,7 @@
-"""What only the particles show: bodies outside the world or inside each other, regions that hold nothing.
+"""Checks that need the particles: bodies outside the world or inside each other, regions without particles.
 
-Every function takes `points`, the sampled particles of each body by name, and returns problems with their key
-paths; the model builder raises them before a run.
+Every function takes `points`, the sampled particles of each body by name, and returns problems with their key paths.
+The model builder raises them before a run.
 """
 
 from __future__ import annotations
@@ -28,31 +28,31 @@ from cqrun.scene.files import unreadable_files
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import marked, parts
 
-ROUNDED = 1e-9
-"""Of a length: a multiple of another one, however both are rounded."""
+ROUNDING = 1e-9
+"""Relative difference up to which a length counts as a multiple of another."""
 
-HOLDS_ON = 1.5
-"""Cells between two bodies below which they hold on to each other."""
+TOO_CLOSE = 1.5
+"""Bodies that start closer than this stick together [cells]."""
 
 Points = Mapping[str, BodyPoints]
 
 INWARD = 1e-6
-"""Of a part's size: particles nearer to a face of another part than that lie on it, and not inside."""
+"""A particle closer than this to a face of another part, relative to the part's size, is on it and not inside."""
 
-MISFIT = 0.02
-"""Part of a shape's volume by which particles may miss it before it is told."""
+VOLUME_ERROR = 0.02
+"""Relative volume error of a body's particles above which there is a warning."""
 
-CHANCE = 3.0
-"""Standard deviations of what a lattice misses of a round shape, where cells at its surface count or do not."""
+N_DEVIATIONS = 3.0
+"""Allowed volume error of a lattice in a round shape, whose surface cells count or not by chance [std. deviations]."""
 
 _MEASURING_CELLS = 200_000
-"""That tell the volume of a shape without a formula to some thousandths, quickly."""
+"""Number of cells that give the volume of a shape without a formula to a few thousandths, and are counted quickly."""
 
 READ_WHEN_BUILT = ("bodies", "regions", "boundaries", "loads", "actuators")
 """The sections whose files are read as a scene is built; those of others are read by who needs them."""
 
 PROBES = 16
-"""Points along every axis that ask how much of a part lies in another."""
+"""Number of points along every axis by which the overlap of two parts is estimated."""
 
 
 def file_problems(scene: Scene) -> tuple[list[Problem], list[Problem]]:
@@ -70,12 +70,12 @@ def file_problems(scene: Scene) -> tuple[list[Problem], list[Problem]]:
 
 
 def geometry_problems(scene: Scene, points: Points, margin: float = 0.0) -> list[Problem]:
-    """Return every problem of the placement.
+    """Return all problems with the placement of bodies and regions.
 
     Args:
         scene: the scene.
         points: particles by body.
-        margin: how far from the world's faces every particle must stay [m].
+        margin: smallest allowed distance of a particle from the faces of the world [m].
     """
     return [
         *empty_bodies(scene, points),
@@ -88,7 +88,7 @@ def geometry_problems(scene: Scene, points: Points, margin: float = 0.0) -> list
 
 
 def empty_bodies(scene: Scene, points: Points) -> Iterator[Problem]:
-    """Yield bodies, or parts of them, without a particle."""
+    """Yield a problem for each body, or part of one, without particles."""
     for name, body in points.items():
         for k, path in enumerate(scene.bodies[name].pieces):
             if not (body.piece == k).any():
@@ -112,17 +112,17 @@ def outside_world(scene: Scene, points: Points, margin: float = 0.0) -> Iterator
                         f"reaches {letter} = {reach:.6g} m, {out} {limit:.6g} m: the world holds "
                         f"particles from {low:.6g} to {high:.6g} m; move the body or enlarge the world"
                     )
-                    yield _problem(scene, _placed(scene, name), message)
+                    yield _problem(scene, _placement_path(scene, name), message)
 
 
 def overlapping_bodies(scene: Scene, points: Points) -> Iterator[Problem]:
-    """Yield pairs of bodies where one's particles lie inside the other; bodies that only touch may."""
+    """Yield a problem for each pair of bodies with particles of one inside the other; bodies may touch."""
     for first, second in combinations(points, 2):
         hits = [*_hits(scene, points[first].world, second), *_hits(scene, points[second].world, first)]
         if hits:
             place = ", ".join(f"{c:.6g}" for c in hits[0])
             message = f"overlaps the body '{first}' in {len(hits)} particles, such as at ({place}) m"
-            yield _problem(scene, _placed(scene, second), f"{message}; move one of them")
+            yield _problem(scene, _placement_path(scene, second), f"{message}; move one of them")
 
 
 def _hits(scene: Scene, x: Array, body: str) -> Array:
@@ -133,40 +133,40 @@ def _hits(scene: Scene, x: Array, body: str) -> Array:
     return near[shape.inside(near)] if len(near) else near
 
 
-def _placed(scene: Scene, body: str) -> str:
-    """Return the path of what says where a body is."""
+def _placement_path(scene: Scene, body: str) -> str:
+    """Return the path of the part that gives the position of a body."""
     spec = scene.bodies[body]
     return f"bodies.{body}." + ("place" if spec.place else "shape" if spec.shape else "parts")
 
 
 def overlapping_parts(scene: Scene, points: Points) -> Iterator[Problem]:
-    """Yield pairs of parts that share space: each is filled on its own, so it would be filled twice."""
+    """Yield a problem for each pair of parts that overlap: parts are filled separately, so space would be filled twice."""
     for name, body in scene.bodies.items():
-        place, held = body.place or Place(), points[name]
-        x = [place.to_local(held.world[held.piece == k]) for k in range(len(body.pieces))]
-        for (k, (first, one)), (m, (second, other)) in combinations(enumerate(body.pieces.items()), 2):
-            share = max(_share(one, other), _share(other, one), _filled(x[k], one, other), _filled(x[m], one, other))
+        place, particles = body.place or Place(), points[name]
+        x = [place.to_local(particles.world[particles.piece == k]) for k in range(len(body.pieces))]
+        for (i, (path_i, a)), (j, (path_j, b)) in combinations(enumerate(body.pieces.items()), 2):
+            share = max(_overlap(a, b), _overlap(b, a), _filled_twice(x[i], a, b), _filled_twice(x[j], a, b))
             if share > 0:
                 message = (
-                    f"overlaps the part '{first.partition('.')[2]}', in about {share:.1%} of the smaller: parts are "
-                    "filled one by one; move one, cut it out by a `difference`, or make one part a `union` of both"
+                    f"overlaps the part '{path_i.partition('.')[2]}', in about {share:.1%} of the smaller: parts are "
+                    "filled separately; move one, cut it out with a `difference`, or make one part a `union` of both"
                 )
-                yield _problem(scene, f"bodies.{name}.{second}", message)
+                yield _problem(scene, f"bodies.{name}.{path_j}", message)
 
 
-def _share(shape: Shape, other: Shape) -> float:
-    """Return how much of a shape lies in another one, from a few points: between 0 and 1."""
+def _overlap(shape: Shape, other: Shape) -> float:
+    """Return the part of a shape that lies in another shape, estimated with a few points: 0 to 1."""
     lower, upper = finite_bounds(shape)
     low, high = other.bounds()
     if (high <= lower).any() or (low >= upper).any():
         return 0.0
     x = cell_centres(lower, (upper - lower) / PROBES, np.full(len(lower), PROBES))
-    held = shape.inside(x)
-    return float((held & other.inside(x)).sum() / max(1, held.sum()))
+    inside = shape.inside(x)
+    return float((inside & other.inside(x)).sum() / max(1, inside.sum()))
 
 
-def _filled(x: Array, shape: Shape, other: Shape) -> float:
-    """Return how many of the particles at x (n, D) lie inside two shapes, and not on a face of either: 0 to 1."""
+def _filled_twice(x: Array, shape: Shape, other: Shape) -> float:
+    """Return the part of the particles at x (n, D) that lie inside both shapes, not on a face of either: 0 to 1."""
     both = x[_near(x, shape) & _near(x, other)]
     if not len(both):
         return 0.0
@@ -182,12 +182,12 @@ def _near(x: Array, shape: Shape) -> Array:
 
 
 def empty_regions(scene: Scene, points: Points) -> Iterator[Problem]:
-    """Yield groups, and regions of what acts on particles, that hold no particle of their body."""
+    """Yield a problem for each group, or region of something that acts on particles, without a particle of its body."""
     for body, spec in scene.bodies.items():
         for name in spec.material_of:
             yield from _empty(scene, f"bodies.{body}.material_of.{name}", name, {body: points[body]})
         for group in (*spec.colours, *spec.groups):
-            path = f"bodies.{body}.groups.{group}" if group in spec.groups else _placed(scene, body)
+            path = f"bodies.{body}.groups.{group}" if group in spec.groups else _placement_path(scene, body)
             what = "holds" if group in spec.groups else f"the colour '{group}' holds"
             yield from _empty(scene, path, group, {body: points[body]}, what)
     for found in marked(scene, Choice):
@@ -202,12 +202,12 @@ def _empty(
 ) -> Iterator[Problem]:
     filled = {name: body.world for name, body in points.items() if len(body.world)}
     try:
-        held = any(points[name].pick(region).any() for name in filled)
+        holds_any = any(points[name].pick(region).any() for name in filled)
     except UsageError as error:
         yield _problem(scene, path, str(error))
         return
-    if filled and not held:  # a body without particles is told of by itself
-        named = isinstance(region, str)  # of a body, in the coordinates of its shape
+    if filled and not holds_any:  # a body without particles has its own problem
+        named = isinstance(region, str)  # a group of the body, in the coordinates of its shape
         extents = [
             f"'{name}' lies within {_corner(x.min(axis=0))} to {_corner(x.max(axis=0))} m{where}"
             for name in filled
@@ -217,7 +217,7 @@ def _empty(
 
 
 def _as_described(scene: Scene, points: Points, body: str) -> tuple[Array, str]:
-    """Return a body's particles in the coordinates of its shape, and what is said of these."""
+    """Return a body's particles in the coordinates of its shape, and words that say so."""
     return points[body].local, " before it is placed" if scene.bodies[body].place is not None else ""
 
 
@@ -226,33 +226,33 @@ def _corner(x: Array) -> str:
 
 
 def sparse_bodies(scene: Scene, volumes: Mapping[str, Array]) -> list[Problem]:
-    """Return warnings for bodies with fewer than two particles a cell and axis.
+    """Return warnings for bodies with fewer than two particles per cell along each axis.
 
     Args:
         scene: the scene.
         volumes: particle volumes (N,) [m^3; 2D: m^2] by body, before any `unit_mass`.
     """
-    wanted, found = 2**scene.dim, []
+    needed, warnings = 2**scene.dim, []
     for name, volume in volumes.items():
         if not len(volume):
             continue
         in_cell = scene.world.dx**scene.dim / float(volume.mean())
-        if in_cell < wanted * (1 - 1e-9):
+        if in_cell < needed * (1 - 1e-9):
             message = (
-                f"{in_cell:.3g} particles in a cell are few: below {wanted} (two an axis) a body "
-                "may break apart as it stretches"
+                f"{in_cell:.3g} particles in a cell are few: with fewer than {needed} (two along each axis) a body "
+                "may break apart when it stretches"
             )
             key = "sampling" if scene.bodies[name].particles_per_cell is None else "particles_per_cell"
             key = "spacing" if scene.bodies[name].spacing is not None else key
-            found.append(_problem(scene, f"bodies.{name}.{key}", message))
-    return found
+            warnings.append(_problem(scene, f"bodies.{name}.{key}", message))
+    return warnings
 
 
-def misfits(scene: Scene, points: Points, volumes: Mapping[str, Array]) -> Iterator[Problem]:
-    """Yield warnings for pieces whose particles make up another volume, and so another mass, than their shapes.
+def volume_errors(scene: Scene, points: Points, volumes: Mapping[str, Array]) -> Iterator[Problem]:
+    """Yield warnings for pieces whose particles have another volume, and so another mass, than their shapes.
 
-    A lattice counts cells in full. Where a shape fills its bounds, as a box, whole rows are too many or too few; of a
-    round one each cell at its surface counts by chance, and a few particles cannot do better.
+    A lattice counts whole cells. If a shape fills its bounds, like a box, whole rows are too many or too few. In a
+    round shape each cell at the surface counts by chance, so with few particles an error cannot be avoided.
 
     Args:
         scene: the scene.
@@ -263,43 +263,47 @@ def misfits(scene: Scene, points: Points, volumes: Mapping[str, Array]) -> Itera
         scale = (body.place or Place()).scale
         spacing = body.particle_spacing(scene.world.dx)
         for k, (path, shape) in enumerate(body.pieces.items()) if not body.unit_mass else ():
-            own = volumes[name][points[name].piece == k]
+            particle_volumes = volumes[name][points[name].piece == k]
             lower, upper = finite_bounds(shape)
             known = type(shape).volume is not Shape.volume
             volume = shape.volume() if known else counted_volume(shape, _MEASURING_CELLS)
-            chance = 0.0 if volume > 0.999 * np.prod(upper - lower) else _chance(len(own), scene.dim)
-            wanted = scale**scene.dim * volume
-            if abs(own.sum() / wanted - 1) > max(MISFIT, chance) * (1 + 1e-9):
+            chance = 0.0 if volume > 0.999 * np.prod(upper - lower) else _chance(len(particle_volumes), scene.dim)
+            expected = scale**scene.dim * volume
+            if abs(particle_volumes.sum() / expected - 1) > max(VOLUME_ERROR, chance) * (1 + 1e-9):
                 unit = "m^2" if scene.dim == 2 else "m^3"
                 message = (
-                    f"its particles make up {own.sum():.4g} {unit}, {own.sum() / wanted - 1:+.1%} beside the "
-                    f"{wanted:.4g} {unit} of the shape, and its mass is wrong by as much: "
+                    f"its particles have a volume of {particle_volumes.sum():.4g} {unit}, which differs by "
+                    f"{particle_volumes.sum() / expected - 1:+.1%} from the {expected:.4g} {unit} of the shape, and so "
+                    "does its mass: "
                 )
-                yield _problem(scene, f"bodies.{name}.{path}", message + _mend(scale * (upper - lower), spacing))
+                yield _problem(scene, f"bodies.{name}.{path}", message + _volume_advice(scale * (upper - lower), spacing))
 
 
 def _chance(count: int, dim: int) -> float:
-    """Return what part of `count` cells a lattice may miss of a round shape: 2 D n^(1 - 1/D) are at its surface."""
+    """Return the relative volume error that a lattice of `count` cells may have in a round shape.
+
+    About 2 D n^(1 - 1/D) of its n cells are at the surface.
+    """
     at_surface = 2 * dim * max(1, count) ** (1 - 1 / dim)
-    return CHANCE * float(np.sqrt(at_surface / 12)) / max(1, count)
+    return N_DEVIATIONS * float(np.sqrt(at_surface / 12)) / max(1, count)
 
 
-def _mend(size: Array, spacing: float | None) -> str:
-    """Return what makes particles fill a shape of a size (D,) [m]."""
+def _volume_advice(size: Array, spacing: float | None) -> str:
+    """Return how to make particles fill a shape of a size (D,) [m]."""
     if spacing is None:
-        return "give another count, or `sampling: {random: {count: ...}}`, whose particles share the shape's own volume"
+        return "give another count, or `sampling: {random: {count: ...}}`, whose particles share the shape's volume"
     rows = size / spacing
-    odd = [f"{size[k]:.6g} m along {'xyz'[k]}" for k in np.flatnonzero(np.abs(rows - np.round(rows)) > ROUNDED * rows)]
+    odd = [f"{size[k]:.6g} m along {'xyz'[k]}" for k in np.flatnonzero(np.abs(rows - np.round(rows)) > ROUNDING * rows)]
     if not odd:
-        return "give a smaller spacing, or `sampling: {random: {count: ...}}`, which shares out the shape's own volume"
+        return "give a smaller spacing, or `sampling: {random: {count: ...}}`, whose particles share the shape's volume"
     return (
-        f"{' and '.join(odd)} {'is no multiple' if len(odd) == 1 else 'are no multiples'} of the spacing of "
+        f"{' and '.join(odd)} {'is not a multiple' if len(odd) == 1 else 'are not multiples'} of the spacing of "
         f"{spacing:.6g} m; give a size that is one, another spacing, or `sampling: {{lattice: {{count: ...}}}}`"
     )
 
 
 def walls_outside(scene: Scene) -> Iterator[Problem]:
-    """Yield warnings for faces at the far end of an axis that no row of nodes meets: their wall stands outside."""
+    """Yield warnings for walls that are outside the world, because no row of nodes is at the far face of an axis."""
     dx = scene.world.dx
     for axis, size in enumerate(scene.world.size):
         letter, cells = "xyz"[axis], max(1, round(size / dx))
@@ -307,11 +311,11 @@ def walls_outside(scene: Scene) -> Iterator[Problem]:
             spec = chosen.value
             if not isinstance(spec, BoundaryCondition) or spec.face not in (f"{letter}_max", "all"):
                 continue
-            held = dx * np.ceil((size * (1 - ROUNDED) - spec.thickness) / dx)
-            if held > size * (1 + ROUNDED):
+            wall = dx * np.ceil((size * (1 - ROUNDING) - spec.thickness) / dx)
+            if wall > size * (1 + ROUNDING):
                 message = (
-                    f"{size:.6g} m along {letter} is no multiple of dx = {dx:.6g} m, so '{name}' holds what is beyond "
-                    f"{held:.6g} m, {held - size:.3g} m outside the world; give dx = {size / cells:.6g} m, or a "
+                    f"{size:.6g} m along {letter} is not a multiple of dx = {dx:.6g} m, so the wall '{name}' begins at "
+                    f"{wall:.6g} m, {wall - size:.3g} m outside the world; give dx = {size / cells:.6g} m, or a "
                     f"size of {cells * dx:.6g} m"
                 )
                 yield _problem(scene, f"world.size.{axis}", message)
@@ -319,7 +323,7 @@ def walls_outside(scene: Scene) -> Iterator[Problem]:
 
 
 def planes_between_nodes(scene: Scene) -> Iterator[Problem]:
-    """Yield warnings for half-spaces across an axis that no row of nodes meets: what they hold begins below them."""
+    """Yield warnings for half-spaces across an axis whose plane is not on a row of nodes: they begin behind it."""
     dx = scene.world.dx
     for name, chosen in scene.boundaries.items():
         region = boundary(scene, name).region
@@ -329,21 +333,21 @@ def planes_between_nodes(scene: Scene) -> Iterator[Problem]:
         axis = int(across[0])
         outward, place = float(np.sign(shape.normal[axis])), shape.point[axis]
         row = outward * place / dx
-        if abs(row - round(row)) > ROUNDED * max(1.0, abs(row)):
+        if abs(row - round(row)) > ROUNDING * max(1.0, abs(row)):
             inner, outer = (outward * dx * side + 0.0 for side in (np.floor(row), np.ceil(row)))
             message = (
-                f"its plane at {'xyz'[axis]} = {place:.6g} m lies between two rows of nodes: what it holds begins at "
+                f"its plane at {'xyz'[axis]} = {place:.6g} m lies between two rows of nodes: the held nodes begin at "
                 f"{inner:.6g} m, {abs(place - inner):.3g} m behind it; put it at {inner:.6g} or {outer:.6g} m, or give "
                 f"a dx of which {place:.6g} m is a multiple"
             )
             yield _problem(scene, f"boundaries.{name}.{chosen.name}.region", message)
 
 
-def bodies_that_hold_on(scene: Scene, points: Points, volumes: Mapping[str, Array]) -> Iterator[Problem]:
-    """Yield warnings for pairs of bodies that start so near to each other that they do not come apart again.
+def bodies_too_close(scene: Scene, points: Points, volumes: Mapping[str, Array]) -> Iterator[Problem]:
+    """Yield warnings for pairs of bodies that start so close to each other that they stick together.
 
-    What lies between them counts as unstretched where it starts, on the nodes that both share: pulled apart they hold
-    on until they tear (tests/engine/test_engine_clinging.py). Bodies that meet later rest a cell apart, and let go.
+    On the nodes that both share, the gap between them counts as unstretched material: they stick together until they
+    are torn apart (tests/engine/test_engine_clinging.py). Bodies that meet later stay a cell apart and separate again.
 
     Args:
         scene: the scene.
@@ -354,33 +358,33 @@ def bodies_that_hold_on(scene: Scene, points: Points, volumes: Mapping[str, Arra
     for first, second in combinations((name for name in points if len(volumes[name])), 2):
         # a surface is half a spacing beyond its particles
         inside = sum(0.5 * float(volumes[name].mean()) ** (1 / scene.dim) for name in (first, second))
-        near = HOLDS_ON * dx * (1 - 1e-9) + inside
+        near = TOO_CLOSE * dx * (1 - 1e-9) + inside
         gaps, _ = cKDTree(points[first].world).query(points[second].world, distance_upper_bound=near)
         if np.isfinite(gaps).any():
             gap = max(0.0, float(gaps.min()) - inside) / dx
             message = (
-                f"starts {gap:.1f} cells from the body '{first}': bodies that start so near are joined there, as if "
-                f"glued; if they should come apart, leave {HOLDS_ON * dx:.3g} m between them"
+                f"starts {gap:.1f} cells from the body '{first}': bodies that start so close stick together as if "
+                f"glued; if they should separate, leave {TOO_CLOSE * dx:.3g} m between them"
             )
-            yield _problem(scene, _placed(scene, second), message)
+            yield _problem(scene, _placement_path(scene, second), message)
 
 
 def points_to_track(scene: Scene, points: Points) -> Iterator[Problem]:
-    """Yield what synthetic data would track that is not on its body."""
-    made = scene.synthetic
-    if made is None or not len(points[made.body].world):
+    """Yield a problem for each point that synthetic data would track, but that is not on the body."""
+    synthetic = scene.synthetic
+    if synthetic is None or not len(points[synthetic.body].world):
         return
-    x = points[made.body].world
-    if (made.tracked or 0) > len(x):
-        message = f"tracks {made.tracked:,} particles, but the body '{made.body}' has only {len(x):,}"
+    x = points[synthetic.body].world
+    if (synthetic.tracked or 0) > len(x):
+        message = f"tracks {synthetic.tracked:,} particles, but the body '{synthetic.body}' has only {len(x):,}"
         yield _problem(scene, "data.synthetic.tracked", message)
-    reach = float(np.linalg.norm(x.max(axis=0) - x.min(axis=0)))
-    for name, place in (made.markers or {}).items():
-        away = float(np.linalg.norm(x - np.array(place), axis=1).min())
-        if away > reach:
+    extent = float(np.linalg.norm(x.max(axis=0) - x.min(axis=0)))
+    for name, place in (synthetic.markers or {}).items():
+        distance = float(np.linalg.norm(x - np.array(place), axis=1).min())
+        if distance > extent:
             message = (
-                f"is {away:.3g} m from the body '{made.body}', which is {reach:.3g} m across: give its rest position "
-                "in the scene's own coordinates, in metres"
+                f"is {distance:.3g} m from the body '{synthetic.body}', which is {extent:.3g} m across: give its rest "
+                "position in the coordinates of the scene, in metres"
             )
             yield _problem(scene, joined(("data", "synthetic", "markers", name)), message)
 

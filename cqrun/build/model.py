@@ -1,4 +1,4 @@
-"""From a scene to the engine's model: particles, stress terms, boundaries, actuators, the substep."""
+"""Build the engine's model of a scene: particles, stress terms, boundaries, actuators and the substep."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import bounds_of, start, tied, truths
 
 WASTEFUL = 1e-3
-"""Part of the largest stable substep below which one is hardly meant."""
+"""A substep smaller than this part of the largest stable one is probably a mistake."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,10 @@ class Built:
     """A scene ready to run.
 
     Attributes:
-        scene: resolved: `time.substeps` is a number.
-        model: what the engine runs.
-        assembly: from values by key path to the engine's inputs, and gradients back.
+        scene: the resolved scene, in which `time.substeps` is a number.
+        particles: its particles.
+        model: the engine's model.
+        assembly: maps values by key path to the engine's inputs, and gradients back.
         limits: bounds on the substep at the stiffest corner of the unknowns' bounds.
         warnings: what a user should know before the run.
     """
@@ -54,14 +55,14 @@ def build(scene: Scene) -> Built:
     """Build a scene.
 
     Raises:
-        SceneError: bodies or regions that cannot be, a substep that is too large, too little memory.
+        SceneError: bodies or regions are not valid, the substep is too large, or there is too little memory.
     """
     particles = sample(scene)
-    if found := design_problems(scene, particles):
-        raise SceneError(found)
+    if problems := design_problems(scene, particles):
+        raise SceneError(problems)
     assembly = Assembly(scene, particles)
     limits = _possible(scene, _stiffest(scene, particles, assembly))
-    warnings = [*particles.warnings, *_unused_episodes(scene), *_doubts(scene), *design_warnings(scene, particles)]
+    warnings = [*particles.warnings, *_unused_episodes(scene), *_plugin_warnings(scene), *design_warnings(scene, particles)]
     warnings += [*_truths_out_of_reach(scene), *_loose_constraints(scene)]
     if scene.time.substeps == "auto":
         bounds = [*limits, *_possible(scene, _limits_of_data(scene, particles, assembly))]
@@ -74,8 +75,8 @@ def build(scene: Scene) -> Built:
         if truth := _truth(scene):
             bounds += _possible(scene, _limits(scene, particles, assembly, truth))
         warnings += _check_substeps(scene, bounds) or _check_corner(scene, limits)
-    if found := memory_problems(scene, particles):
-        raise SceneError(found)
+    if problems := memory_problems(scene, particles):
+        raise SceneError(problems)
     model = Model(
         size=np.array(scene.world.size),
         dx=scene.world.dx,
@@ -95,55 +96,55 @@ def build(scene: Scene) -> Built:
 
 
 def _unused_episodes(scene: Scene) -> list[Problem]:
-    """Warn of episodes that would all be the same one."""
-    said = scene.episodes
-    if (said.count == 1 and not said.unseen) or any(goal.drawn for goal in scene.goals.values()):
+    """Return a warning if all episodes would be the same."""
+    episodes = scene.episodes
+    if (episodes.count == 1 and not episodes.unseen) or any(goal.drawn for goal in scene.goals.values()):
         return []
-    message = "counts for nothing: no goal has a `spread` to draw from, so there is one episode"
+    message = "has no effect: no goal has a `spread` to draw from, so all episodes are the same"
     return [Problem(scene.where("episodes"), "episodes", message)]
 
 
 def _truths_out_of_reach(scene: Scene) -> list[Problem]:
-    """Warn of true values outside their unknowns' bounds: no fit can find them."""
-    found = []
+    """Return warnings for true values outside the bounds of their unknowns, which no fit can find."""
+    warnings = []
     for path, value in scene.synthetic.truth.items() if scene.synthetic is not None else ():
         bounds = bounds_of(scene, path)
         if bounds is not None and not bounds[0] <= value <= bounds[1]:
             key = f"data.synthetic.truth.{path}"
             message = f"{value:g} lies outside the unknown's bounds {bounds[0]:g} to {bounds[1]:g}: no fit can find it"
-            found.append(Problem(scene.where(key), key, message))
-    return found
+            warnings.append(Problem(scene.where(key), key, message))
+    return warnings
 
 
 def _loose_constraints(scene: Scene) -> list[Problem]:
-    """Warn of constraints that count as met far from their ends: those of a small robot are small in SI units."""
+    """Return warnings for constraints with a large tolerance; bounds of a small robot are small in SI units."""
     tolerance = 0.0 if scene.optimizer is None else getattr(scene.optimizer.value, "constraint_tolerance", 0.0)
-    found = []
-    for name, held in scene.constraints.items():
-        if (end := held.loose_end(tolerance)) is not None:
-            value, path = getattr(held, end), f"constraints.{name}.{end}"
+    warnings = []
+    for name, constraint in scene.constraints.items():
+        if (end := constraint.loose_end(tolerance)) is not None:
+            value, path = getattr(constraint, end), f"constraints.{name}.{end}"
             message = (
-                f"{value:g} counts as met when it is missed by {tolerance * held.scale:.3g}: the constraint_tolerance "
-                f"of {tolerance:g} is in units of the constraint's `scale`, {held.scale:g}; with `scale: "
-                f"{abs(value):g}` it would be {tolerance * abs(value):.3g}"
+                f"{value:g} counts as met when it is missed by {tolerance * constraint.scale:.3g}: the "
+                f"constraint_tolerance of {tolerance:g} is in units of the constraint's `scale`, {constraint.scale:g}; "
+                f"with `scale: {abs(value):g}` it would be {tolerance * abs(value):.3g}"
             )
-            found.append(Problem(scene.where(path), path, message))
-    return found
+            warnings.append(Problem(scene.where(path), path, message))
+    return warnings
 
 
-def _doubts(scene: Scene) -> list[Problem]:
-    """Return what the controller, and terms of the objective and the constraints, doubt about themselves."""
-    asked: list[tuple[str, Iterator[tuple[str, str]]]] = []
+def _plugin_warnings(scene: Scene) -> list[Problem]:
+    """Return the warnings of the controller, and of the terms of the objective and the constraints."""
+    sources: list[tuple[str, Iterator[tuple[str, str]]]] = []
     if scene.controller is not None:
         controller: Any = scene.controller.value
-        asked.append((f"controller.{scene.controller.name}", controller.likely_mistakes(scene.time.control_step)))
+        sources.append((f"controller.{scene.controller.name}", controller.likely_mistakes(scene.time.control_step)))
     actuators: dict[str, Any] = {name: chosen.value for name, chosen in scene.actuators.items()}
     neutral = {name: actuator.neutral for name, actuator in actuators.items()}
     terms: dict[str, Any] = {f"objective.{name}.{c.name}": c.value for name, c in scene.objective.items()}
     terms |= {f"constraints.{name}.of.{c.of.name}": c.of.value for name, c in scene.constraints.items()}
-    asked += [(path, term.likely_mistakes(neutral)) for path, term in terms.items()]
-    told = ((f"{path}.{field}", message) for path, found in asked for field, message in found)
-    return [Problem(scene.where(path), path, message) for path, message in told]
+    sources += [(path, term.likely_mistakes(neutral)) for path, term in terms.items()]
+    messages = ((f"{path}.{field}", message) for path, warned in sources for field, message in warned)
+    return [Problem(scene.where(path), path, message) for path, message in messages]
 
 
 def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[GroupModel, ...]:
@@ -171,7 +172,7 @@ def _conditions(scene: Scene) -> tuple[ConditionModel, ...]:
             raise SceneError([Problem(scene.where(path), path, message)])
         conditions += planes
     if len(conditions) > 60:
-        message = f"{len(conditions)} planes of boundaries; at most 60 are possible: join some"
+        message = f"there are {len(conditions)} planes of boundaries, but at most 60 are possible: join some"
         raise SceneError([Problem(scene.where("boundaries"), "boundaries", message)])
     return tuple(conditions)
 
@@ -180,10 +181,10 @@ def _conditions(scene: Scene) -> tuple[ConditionModel, ...]:
 
 
 def stable(built: Built, values: dict[str, Array]) -> tuple[Limit, int]:
-    """Return the least bound on the substep for values by path, and how many substeps `auto` would take for them.
+    """Return the smallest bound on the substep for values by path, and the number of substeps that `auto` would give.
 
     Raises:
-        SceneError: no run could keep to it.
+        SceneError: the bound is too small for any run.
     """
     scene = built.scene
     limits = _possible(scene, _limits(scene, built.particles, built.assembly, values))
@@ -191,10 +192,10 @@ def stable(built: Built, values: dict[str, Array]) -> tuple[Limit, int]:
 
 
 def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict[str, Array]) -> list[Limit]:
-    """Return every part's bound on the substep for some values of the unknowns."""
+    """Return the bound of every part on the substep, for some values of the unknowns."""
     limits: list[Limit] = []
     actuation = assembly.actuation
-    active = actuation.greatest_stress(values)
+    active = actuation.largest_stress(values)
     for name in particles.names:
         part = particles.of(name)
         density, modulus, viscosity = assembly.stiffness(name, values)
@@ -203,7 +204,7 @@ def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict
         moving = motion_limit(f"bodies.{name}.velocity", scene.world.dx, assembly.velocities(name, values))
         limits += [moving] if moving else []
         lightest = float(density.min()) * scene.world.dx**scene.dim
-        if scene.bodies[name].unit_mass:  # its particles fill less than the volume of 1 that they count for
+        if scene.bodies[name].unit_mass:  # its particles fill less space than their volume of 1
             lightest /= particles.spacing[name] ** scene.dim
         limits += _push_limits(scene, actuation, values, name)
         limits += _spring_limits(scene, particles, actuation, values, name, lightest)
@@ -211,22 +212,23 @@ def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict
 
 
 def _push_limits(scene: Scene, actuation: Actuation, values: dict[str, Array], body: str) -> list[Limit]:
-    """Return the bounds of what accelerates particles of a body as it is."""
-    each = zip(actuation.parts, actuation.greatest(values), actuation.strengths(values), strict=False)
-    found = [
+    """Return the bounds of the actuators that accelerate particles of a body directly."""
+    each = zip(actuation.parts, actuation.largest_activation(values), actuation.strengths(values), strict=False)
+    limits = [
         push_limit(part.path, scene.world.dx, part.spec.greatest_acceleration(activation * strength))
         for part, activation, strength in each
         if part.spec.body == body
     ]
-    return [limit for limit in found if limit is not None]
+    return [limit for limit in limits if limit is not None]
 
 
 def _spring_limits(
     scene: Scene, particles: Particles, actuation: Actuation, values: dict[str, Array], body: str, mass: float
 ) -> list[Limit]:
-    """Return the bound of what pulls at nodes of a mass [kg] like springs, those that meet in a cell together.
+    """Return the bound of the actuators that pull like springs at nodes of a mass [kg].
 
-    A mass on springs of stiffness k together swings with omega^2 = k / m, and is stable up to dt = 2 / omega.
+    A mass m on springs with the total stiffness k oscillates with omega^2 = k / m and is stable up to dt = 2 / omega.
+    The stiffnesses of actuators in the same cell are added.
     """
     parts = [
         (part.path, part.model.particles, k)
@@ -235,37 +237,37 @@ def _spring_limits(
     ]
     if not parts:
         return []
-    cells = [np.unique(np.floor(particles.x[held] / scene.world.dx), axis=0) for _, held, _ in parts]
+    cells = [np.unique(np.floor(particles.x[indices] / scene.world.dx), axis=0) for _, indices, _ in parts]
     every, place = np.unique(np.concatenate(cells), axis=0, return_inverse=True)
-    together = np.bincount(place.ravel(), np.repeat([k for *_, k in parts], [len(c) for c in cells]), len(every))
+    total = np.bincount(place.ravel(), np.repeat([k for *_, k in parts], [len(c) for c in cells]), len(every))
     stiffest = max(parts, key=lambda part: part[2])
-    return [Limit(stiffest[0], float(2.0 * np.sqrt(mass / together.max())))]
+    return [Limit(stiffest[0], float(2.0 * np.sqrt(mass / total.max())))]
 
 
 def _stiffest(scene: Scene, particles: Particles, assembly: Assembly) -> list[Limit]:
-    """Return the bounds at the corner of the unknowns' bounds with the least one.
+    """Return the bounds on the substep at the corner of the unknowns' bounds where the smallest of them is smallest.
 
-    Every bound is monotone in every unknown, so each is put where the least of the bounds that it changes is less, the
-    others where they were put before it. One that changes none, as a strength while its signal is nought, is put at the
-    end farther from nought, and asked again when all have been.
+    Every bound on the substep is monotone in every unknown. So the unknowns are set one after another: each to the end
+    at which the smallest of the bounds that it changes is smaller. An unknown that changes no bound (such as a strength
+    while its signal is zero) is set to the end farther from zero, and tried again after all others.
     """
     corner: dict[str, Array] = {}
-    waiting = [path for path in scene.unknowns if assembly.reaches(path)]
+    remaining = [path for path in scene.unknowns if assembly.reaches(path)]
     for _ in range(2):
-        asked, waiting = waiting, []
-        for path in asked:
+        paths, remaining = remaining, []
+        for path in paths:
             ends = sorted(scene.unknowns[path].bounds, key=abs, reverse=True)
             trials = [corner | {p: np.array(v) for p, v in tied(scene, path, end).items()} for end in ends]
             far, near = (_by_part(_limits(scene, particles, assembly, trial)) for trial in trials)
             changed = [part for part in far | near if far.get(part) != near.get(part)]
             least = [min((end.get(part, np.inf) for part in changed), default=0.0) for end in (far, near)]
             corner = trials[int(np.argmin(least))]
-            waiting += [] if changed else [path]
+            remaining += [] if changed else [path]
     return _limits(scene, particles, assembly, corner)
 
 
 def _by_part(limits: list[Limit]) -> dict[str, float]:
-    """Return the least bound [s] of every part that has one."""
+    """Return the smallest bound [s] of every part that has one."""
     least: dict[str, float] = {}
     for limit in limits:
         least[limit.part] = min(limit.dt, least.get(limit.part, np.inf))
@@ -273,25 +275,25 @@ def _by_part(limits: list[Limit]) -> dict[str, float]:
 
 
 def _limits_of_data(scene: Scene, particles: Particles, assembly: Assembly) -> list[Limit]:
-    """Return the bounds of every recording's own variant of the scene, which share one substep, and of a truth."""
-    found: list[Limit] = []
+    """Return the bounds of the scene variants of all recordings, which share one substep, and of the true values."""
+    limits: list[Limit] = []
     if truth := _truth(scene):
-        found += _limits(scene, particles, assembly, truth)
+        limits += _limits(scene, particles, assembly, truth)
     for recording in scene.recordings.values():
         if recording.overrides:
             variant = with_values(scene, recording.overrides)
             particles = sample(variant)
-            found += _stiffest(variant, particles, Assembly(variant, particles))
-    return found
+            limits += _stiffest(variant, particles, Assembly(variant, particles))
+    return limits
 
 
 def _truth(scene: Scene) -> dict[str, Array]:
-    """Return the values that synthetic data are made with."""
+    """Return the true values of the synthetic data."""
     return {path: np.array(value) for path, value in truths(scene).items()}
 
 
 def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:
-    """Return bounds on the substep; SceneError for one that no run could keep to."""
+    """Return bounds on the substep; raise a SceneError if one is too small for any run."""
     for limit in limits:
         if not limit.dt * MOST_SUBSTEPS >= scene.time.control_step:
             path = limit.part if "." in limit.part else ""
@@ -304,7 +306,7 @@ def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:
 
 
 def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
-    """Refuse a given number of substeps that blows up, and warn about one that is near it, or far from all need."""
+    """Raise a SceneError if the given substeps would blow up; return a warning if they are close to it or far too many."""
     least = min(limits, key=lambda limit: limit.dt)
     dt = scene.time.control_step / int(scene.time.substeps)
     share = dt / least.dt
@@ -322,7 +324,7 @@ def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
 
 
 def _check_corner(scene: Scene, limits: list[Limit]) -> list[Problem]:
-    """Warn of a number of substeps that is right at the start, and too small for what the unknowns' bounds allow."""
+    """Return a warning if the number of substeps is stable at the start, but too small at the unknowns' bounds."""
     least = min(limits, key=lambda limit: limit.dt)
     dt = scene.time.control_step / int(scene.time.substeps)
     if dt <= least.dt:

@@ -1,4 +1,4 @@
-"""Particles of a scene's bodies: sampled once, at rest, in material coordinates."""
+"""The particles of a scene's bodies, sampled once at rest."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from cqrun.engine.blocks import BLOCK
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.geometry.place import Place
 from cqrun.build.check_particles import (
-    bodies_that_hold_on,
+    bodies_too_close,
     file_problems,
     geometry_problems,
-    misfits,
+    volume_errors,
     planes_between_nodes,
     sparse_bodies,
     walls_outside,
@@ -31,12 +31,14 @@ class Particles:
     """All particles of a scene, body after body in the order of `names`.
 
     Attributes:
-        names: of the bodies, those with the same stress terms next to each other.
-        points: each body's particles, as regions see them.
-        x: (N, D) at rest [m].
-        volume: (N,) at rest [m^D]; 1 where the body has `unit_mass`.
-        room: (N,) what each fills at rest over its `volume`: 1, and [m^D] where the body has `unit_mass`.
-        spacing: distance between particles of each body [m].
+        names: names of the bodies; bodies with the same stress terms are next to each other.
+        layout: number of particles of each body.
+        points: the particles of each body, in the form that regions use.
+        x: positions at rest (N, D) [m].
+        volume: volumes at rest (N,) [m^D]; 1 if the body has `unit_mass`.
+        room: the space that each particle fills at rest, divided by its `volume` (N,): 1, or [m^D] if the body has
+            `unit_mass`.
+        spacing: distance between the particles of each body [m].
         warnings: what a user should know.
     """
 
@@ -50,31 +52,31 @@ class Particles:
     warnings: tuple[Problem, ...]
 
     def of(self, body: str) -> slice:
-        """Return a body's slice of the particles."""
+        """Return the slice of a body's particles."""
         return self.layout.slices()[self.names.index(body)]
 
     def inside(self, body: str | None, region: Any) -> Array:
-        """Return the indices of the particles of a body (or of all) in a region, or by its name, or everywhere."""
+        """Return the indices of the particles of a body, or of all bodies, in a region, a named region, or everywhere."""
         bodies = self.names if body is None else (body,)
         picked = [self.of(name).start + np.flatnonzero(self.points[name].pick(region)) for name in bodies]
         return np.concatenate(picked)
 
     def groups(self, body: str) -> dict[str, Array]:
-        """Return the indices of the particles of each of a body's groups, by name."""
+        """Return the particle indices of each group of a body, by name."""
         start = self.of(body).start
-        return {name: start + np.flatnonzero(held) for name, held in self.points[body].groups.items()}
+        return {name: start + np.flatnonzero(inside) for name, inside in self.points[body].groups.items()}
 
     def labels(self, body: str) -> Array:
-        """Return the group of each of a body's particles (N_b,), -1 for none (the last group that holds it)."""
+        """Return the group number of each particle of a body (N_b,): the last group that contains it, or -1."""
         points = self.points[body]
         labels = np.full(len(points.x), -1)
-        for k, held in enumerate(points.groups.values()):
-            labels[held] = k
+        for k, inside in enumerate(points.groups.values()):
+            labels[inside] = k
         return labels
 
 
 def stress_key(scene: Scene, body: str) -> tuple[Any, ...]:
-    """Return what bodies with the same stress terms have in common: the terms and what is not a parameter."""
+    """Return a key that is equal for bodies with the same stress terms: the terms and their fixed fields."""
     material = scene.bodies[body].material
     terms = {material.elastic.name: material.elastic.value, **material.terms}
     return tuple(
@@ -87,7 +89,7 @@ def sample(scene: Scene) -> Particles:
     """Sample every body.
 
     Raises:
-        SceneError: a body is empty, outside the world or inside another; a region holds nothing.
+        SceneError: a body is empty, outside the world or inside another body, or a region holds no particle.
     """
     problems, warnings = file_problems(scene)
     if problems:
@@ -101,8 +103,8 @@ def sample(scene: Scene) -> Particles:
     problems = geometry_problems(scene, points)
     if problems:
         raise SceneError(problems)
-    warnings += [*sparse_bodies(scene, volumes), *bodies_that_hold_on(scene, points, volumes)]
-    warnings += [*misfits(scene, points, volumes), *walls_outside(scene), *planes_between_nodes(scene)]
+    warnings += [*sparse_bodies(scene, volumes), *bodies_too_close(scene, points, volumes)]
+    warnings += [*volume_errors(scene, points, volumes), *walls_outside(scene), *planes_between_nodes(scene)]
     room = {name: np.ones(len(volumes[name])) for name in names}
     for name in names:
         spacing[name] = float(volumes[name].mean() ** (1 / scene.dim))
@@ -122,9 +124,9 @@ def sample(scene: Scene) -> Particles:
 
 
 def fill(scene: Scene, name: str) -> tuple[BodyPoints, Array]:
-    """Return a body's particles, block after block of the grid, and their volumes (N,) [m^D].
+    """Return the particles of a body, sorted by grid block, and their volumes (N,) [m^D].
 
-    Every piece is filled on its own, in the body's own coordinates, so that a lattice turns with the body.
+    Every piece is filled separately, in the body's own coordinates, so that a lattice turns with the body.
 
     Raises:
         SceneError: a piece cannot be filled.
@@ -151,7 +153,7 @@ def fill(scene: Scene, name: str) -> tuple[BodyPoints, Array]:
 
 
 def block_order(x: Array, dx: float) -> Array:
-    """Return the order of particles by grid block, then by cell: neighbours in space lie together in memory."""
+    """Return the order of particles by grid block and then by cell, so that neighbours are close in memory."""
     cell = np.floor(x / dx - 0.5).astype(int)
     block = cell // BLOCK
     keys = [*cell.T[::-1], *block.T[::-1]]

@@ -1,4 +1,4 @@
-"""What regions are asked of: the particles of a body, or the nodes of the grid."""
+"""The points that a region selects from: the particles of a body, or the nodes of the grid."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ from cqrun.scene.schema import Scene
 
 @dataclass(frozen=True)
 class BodyPoints:
-    """A body's particles at rest.
+    """The particles of a body at rest.
 
     Attributes:
-        body: its name.
-        x: positions (N, D) in the coordinates of the region that is asked.
+        scene: the scene.
+        body: name of the body.
+        x: positions (N, D) in the coordinates of the region that is evaluated.
         world, local: positions (N, D) [m] in the world, and in the body's own coordinates (`place`).
-        piece: (N,) which of the body's pieces each was sampled in.
+        piece: number of the body's piece in which each particle was sampled (N,).
     """
 
     scene: Scene
@@ -34,23 +35,23 @@ class BodyPoints:
     world: Array
     local: Array
     piece: Array
-    _known: dict[str, Array] = field(default_factory=dict, repr=False, compare=False)
+    _cache: dict[str, Array] = field(default_factory=dict, repr=False, compare=False)
 
     def pick(self, region: Chosen[Region] | str | None) -> Array:
-        """Return which particles a region of the scene, or a name, or None for everything, holds: (N,) bool.
+        """Return which particles are inside a region, or a named region, or True for all if None: (N,) bool.
 
         Raises:
-            UsageError: it cannot be resolved on this body.
+            UsageError: the region cannot be evaluated on this body.
         """
         if region is None:
             return np.ones(len(self.world), bool)
         return self.named(region) if isinstance(region, str) else region.value.pick(self)
 
     def named(self, name: str) -> Array:
-        """Return which particles a group, or else a region of the scene, holds; none where there is no such name."""
-        if name not in self._known:
-            self._known[name] = self._find(name)
-        return self._known[name]
+        """Return which particles a group, or else a region of the scene, holds; none if the name does not exist."""
+        if name not in self._cache:
+            self._cache[name] = self._find(name)
+        return self._cache[name]
 
     def _find(self, name: str) -> Array:
         spec = self.scene.bodies[self.body]
@@ -65,39 +66,39 @@ class BodyPoints:
         return np.zeros(len(self.world), bool)
 
     def coloured(self, colour: str) -> Array:
-        """Return which particles lie in pixels of a colour of the image that their piece is made of."""
+        """Return which particles lie in pixels of a colour, in the image of their piece."""
         pieces = list(self.scene.bodies[self.body].pieces.values())
         if not any(shape.has_colours for shape in pieces):
-            raise UsageError(f"the body '{self.body}' is made of no image, so its particles have no colour")
-        found = coloured_parts(pieces, self.local, colour)
-        return np.any([(self.piece == k) & held for k, held in enumerate(found)], axis=0)
+            raise UsageError(f"the body '{self.body}' is not made from an image, so its particles have no colour")
+        parts = coloured_parts(pieces, self.local, colour)
+        return np.any([(self.piece == k) & inside for k, inside in enumerate(parts)], axis=0)
 
     @property
     def groups(self) -> dict[str, Array]:
-        """Which particles each of the body's groups holds: (N,) bool by name."""
+        """Which particles are in each group of the body: (N,) bool by name."""
         return {name: self.named(name) for name in self.scene.bodies[self.body].group_names}
 
 
 @dataclass(frozen=True)
 class NodePoints:
-    """Nodes of the grid at x (n, D) [m], for the region of a boundary."""
+    """Nodes of the grid at x (n, D) [m], from which the region of a boundary selects."""
 
     scene: Scene
     x: Array
     body: None = None
 
     def named(self, name: str) -> Array:
-        """Return which nodes a region of the scene holds."""
+        """Return which nodes are inside a region of the scene."""
         return self.scene.regions[name].value.pick(self)
 
     def coloured(self, colour: str) -> Array:
-        """Refuse: nodes have no colour."""
+        """Raise a UsageError: nodes have no colour."""
         raise UsageError("nodes of the grid have no colour")
 
 
 @dataclass(frozen=True)
 class _NodeRegion:
-    """A region as a boundary asks for it."""
+    """A region with the interface that a boundary needs."""
 
     scene: Scene
     region: Region
@@ -110,24 +111,24 @@ def boundary(scene: Scene, name: str) -> BoundaryCondition:
     """Return a boundary whose region, if any, can be asked for nodes: a name in it means what the scene says.
 
     Raises:
-        SceneError: it needs a normal, and what the name stands for has none.
+        SceneError: the boundary needs a normal, and its region has none.
     """
     spec: BoundaryCondition = scene.boundaries[name].value  # type: ignore[assignment]  # by its kind
     region: Chosen[Any] | None = spec.region
     if region is None or isinstance(region.value, Shape):
         return spec
-    meant = _meant(scene, region)
-    held: Any = meant.value if isinstance(meant.value, Shape) else _NodeRegion(scene, meant.value)
-    spec = spec.model_copy(update={"region": Chosen(meant.name, held)})
+    resolved = _resolved(scene, region)
+    inner: Any = resolved.value if isinstance(resolved.value, Shape) else _NodeRegion(scene, resolved.value)
+    spec = spec.model_copy(update={"region": Chosen(resolved.name, inner)})
     if spec.lacks_normal:
         path = f"boundaries.{name}.{spec.name}"
         raise SceneError([Problem(scene.where(path), path, spec.lack)])
     return spec
 
 
-def _meant(scene: Scene, region: Chosen[Region]) -> Chosen[Region]:
-    """Return what a name, if it is one of the scene's regions, stands for: terrain has normals under its name, too."""
-    for _ in scene.regions:  # names of names end, or are refused elsewhere
+def _resolved(scene: Scene, region: Chosen[Region]) -> Chosen[Region]:
+    """Return the region itself in place of its name, so that a named terrain has normals too."""
+    for _ in scene.regions:  # circular names are refused elsewhere
         if isinstance(region.value, Named) and region.value.region in scene.regions:
             region = scene.regions[region.value.region]
     return region

@@ -1,10 +1,10 @@
-"""Where particles are at rest, and their volumes, as the numbers of shapes and places change.
+"""Positions and volumes of particles at rest, as functions of the numbers in shapes and places.
 
-Particles are sampled once, at the scene's own values; from there on they follow. Each piece of a body carries its
-particles by a map that is affine in pieces (`Shape.carried`), and the body's place puts them into the world. Volumes,
-and with them masses, grow by the map's determinant. Which particles a region or a marker holds stays as it was.
+Particles are sampled once, at the values in the scene, and then follow the shape. Each piece of a body moves its
+particles by a piecewise affine map (`Shape.carried`), and the body's place puts them into the world. Volumes, and with
+them masses, grow by the determinant of the map. The particles of a region or a marker remain the same.
 
-The derivative by a number p is that of a complex step, Im f(p + ih) / h with a tiny h, which has no cancellation
+The derivative by a number p is computed by a complex step, Im f(p + ih) / h with a tiny h, which has no cancellation
 (W. Squire, G. Trapp: Using complex variables to estimate derivatives of real functions, SIAM Review 40 (1998)).
 """
 
@@ -30,8 +30,8 @@ class Geometry:
     """The map from geometric values to rest positions and volumes, and its adjoint.
 
     Args:
-        scene: whose values the particles were sampled at.
-        particles: its particles.
+        scene: the scene at whose values the particles were sampled.
+        particles: the particles of the scene.
     """
 
     def __init__(self, scene: Scene, particles: Particles) -> None:
@@ -47,10 +47,12 @@ class Geometry:
         return x, volume
 
     def at_rest_vjp(self, values: Mapping[str, Array], x_bar: Array, volume_bar: Array, out: dict[str, Array]) -> None:
-        """Add to the gradients by the geometric values that are wanted.
+        """Add the cotangents of the geometric values to the gradients in `out`.
 
         Args:
+            values: values by key path.
             x_bar, volume_bar: cotangents (N, D), (N,) of positions and volumes.
+            out: gradients by key path.
         """
         for body, numbers in self._by_body(values).items():
             part = self.particles.of(body)
@@ -62,33 +64,33 @@ class Geometry:
 
     def _by_body(self, values: Mapping[str, Array]) -> dict[str, dict[str, Any]]:
         """Return the geometric values of each body that has any."""
-        found: dict[str, dict[str, Any]] = {}
+        by_body: dict[str, dict[str, Any]] = {}
         for path, value in values.items():
             if shapes_a_body(path):
-                found.setdefault(path.split(".")[1], {})[path] = float(np.asarray(value).reshape(-1)[0])
-        return found
+                by_body.setdefault(path.split(".")[1], {})[path] = float(np.asarray(value).reshape(-1)[0])
+        return by_body
 
     def _carried(self, body: str, numbers: Mapping[str, Any]) -> tuple[Array, Array]:
-        """Return positions (N_b, D) and growths (N_b,) of a body's particles, complex if a number is."""
-        points, own = self.particles.points[body], self.scene.bodies[body]
-        to: Body = own
+        """Return positions (N_b, D) and volume ratios (N_b,) of a body's particles; complex if a number is complex."""
+        points, before = self.particles.points[body], self.scene.bodies[body]
+        after: Body = before
         for path, value in numbers.items():
-            to = replaced(to, path.split(".")[2:], value)
+            after = replaced(after, path.split(".")[2:], value)
         order, carried = [], []
-        for k, (shape, shape_to) in enumerate(zip(own.pieces.values(), to.pieces.values(), strict=True)):
-            held = np.flatnonzero(points.piece == k)
-            order.append(held)
-            carried.append(shape.carried(points.local[held], shape_to))
+        for k, (shape, shape_to) in enumerate(zip(before.pieces.values(), after.pieces.values(), strict=True)):
+            indices = np.flatnonzero(points.piece == k)
+            order.append(indices)
+            carried.append(shape.carried(points.local[indices], shape_to))
         back = np.argsort(np.concatenate(order))
         local, growth = (np.concatenate(each)[back] for each in zip(*carried, strict=True))
-        if own.place is None:
+        if before.place is None:
             return local, growth
-        place, place_to = own.place, to.place or Place()
+        place, place_to = before.place, after.place or Place()
         return place_to.to_world(local), growth * (place_to.scale / place.scale) ** self.scene.dim
 
 
 def replaced(node: Any, keys: Sequence[str], value: Any) -> Any:
-    """Return a part of a scene with the value at a place replaced, unchecked: it may be complex."""
+    """Return a part of a scene with one value replaced, without validation, because the value may be complex."""
     if not keys:
         return value
     key, rest = keys[0], keys[1:]

@@ -1,6 +1,6 @@
-"""The `cqrun` command: one Typer application, one file per command.
+"""The `cqrun` command: one Typer application with one file per command.
 
-Commands import what they need inside their function, so that help and completion stay quick.
+Commands import their dependencies inside their functions, so that help and completion are fast.
 Exit codes: 0 done, 1 the run failed, 2 bad scene or usage, 75 stopped but resumable, 130 interrupted.
 """
 
@@ -69,12 +69,12 @@ def _root(
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
-    """Run the command line and exit; every error that cqrun raises on purpose ends here.
+    """Run the command line and exit; this is the one place that handles cqrun's errors.
 
     Args:
-        arguments: without the program's name; those of the process if not given.
+        arguments: the arguments without the program's name; those of the process if not given.
     """
-    # before NumPy is loaded: threads of BLAS spin for a while after each call, on the cores that rollouts need
+    # must be set before NumPy is loaded: BLAS threads busy-wait after each call, on cores that rollouts need
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         app(arguments, prog_name="cqrun")

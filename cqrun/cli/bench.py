@@ -1,4 +1,4 @@
-"""`cqrun bench`: how long each pass takes."""
+"""`cqrun bench`: measure the time of each pass."""
 
 from __future__ import annotations
 
@@ -11,22 +11,21 @@ from cqrun.cli.options import AllowPlugins, Overrides, Quiet, Threads
 
 
 def bench(
-    scene: Annotated[
-        Path | None, typer.Argument(metavar="[SCENE]", help="Scene whose own substeps are measured.")
-    ] = None,
+    scene: Annotated[Path | None, typer.Argument(metavar="[SCENE]", help="Scene whose substeps are measured.")] = None,
     overrides: Overrides = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", metavar="FILE", help="Also write JSON with the machine's facts."),
+        typer.Option("--output", metavar="FILE", help="Also write the results as JSON, with facts about the machine."),
     ] = None,
     threads: Threads = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Small sizes only: does it run, not how fast.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Small sizes only, to check that it runs.")] = False,
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure ns per particle and substep of each pass, forward and backward.
+    """Measure the time of each pass, forward and backward, in ns per particle and substep.
 
-    Of falling blocks of several sizes; or of SCENE, from the middle of its rollout on, with what a gradient costs.
+    Without SCENE it measures falling blocks of several sizes. With SCENE it measures the scene's substeps, from the
+    middle of its rollout on, and the cost of a gradient.
     """
     from cqrun.cli.progress import reporting
     from cqrun.errors import UsageError

@@ -1,4 +1,4 @@
-"""`cqrun codesign`: learn how a body should move, and what it should be."""
+"""`cqrun codesign`: optimise a body's design together with its controller."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ def codesign(
     seeds: Seeds = None,
     jobs: Jobs = None,
     ablate: Annotated[
-        bool, typer.Option("--ablate", help="Compare: controller alone, each kind of unknown, and all of them.")
+        bool,
+        typer.Option("--ablate", help="Compare variants: only the controller, with each kind of unknown, with all."),
     ] = False,
     rates: Annotated[
         list[float] | None,
-        typer.Option("--rate", metavar="X", help="A learning rate that every variant is tried with (repeatable)."),
+        typer.Option("--rate", metavar="X", help="Learning rate to try with every variant (repeatable)."),
     ] = None,
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
     """Optimise a scene's design and its controller together, under its constraints.
 
-    The same command again continues the run, or says that it is finished.
+    Use the same command again to continue the run; if the run is finished, it says so.
     """
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import (
@@ -46,18 +47,18 @@ def codesign(
     from cqrun.scene.plugin_files import plugins_allowed
 
     if rates and not ablate:
-        raise UsageError("--rate: is what variants are tried with: add --ablate, or use -o optimizer...learning_rate=X")
+        raise UsageError("--rate: is only for variants: add --ablate, or use -o optimizer...learning_rate=X")
     if not ablate:
         require_seeds_for_jobs(seeds, jobs)
     with plugins_allowed(allow_plugins), infeasible_shown():
         with reporting(quiet) as reporter:
             if ablate:
-                found, good = run_ablation(
+                comparison, succeeded = run_ablation(
                     scene, overrides or [], out, seeds=1 if seeds is None else seeds, rates=rates or [], jobs=jobs,
                     fresh=fresh, threads=threads, allow_plugins=allow_plugins, reporter=reporter,
                 )  # fmt: skip
             elif seeds is not None:
-                summary, good = run_seeds(
+                summary, succeeded = run_seeds(
                     scene, overrides or [], out, seeds=seeds, job="codesign", jobs=jobs, fresh=fresh, threads=threads,
                     allow_plugins=allow_plugins, reporter=reporter,
                 )  # fmt: skip
@@ -66,8 +67,8 @@ def codesign(
                     scene, overrides or [], out, fresh=fresh, threads=threads, job="codesign", reporter=reporter
                 )
         if ablate:
-            draw_and_print_ablation(found, good)
+            draw_and_print_ablation(comparison, succeeded)
         elif seeds is not None:
-            print_seeds(summary, good)
+            print_seeds(summary, succeeded)
         else:
             draw_and_print_run(run)

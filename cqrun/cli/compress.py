@@ -1,4 +1,4 @@
-"""`cqrun compress`: learn an observer of a body's deformation from runs."""
+"""`cqrun compress`: learn from runs an observer that describes a body's deformation in few numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cqrun.cli.options import Quiet
 
 
 class Method(StrEnum):
-    """How deformation becomes few numbers."""
+    """Methods of compression."""
 
     pca = "pca"
     vae = "vae"
@@ -20,22 +20,22 @@ class Method(StrEnum):
 
 def compress(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run directories with a trajectory.")],
-    output: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="Where the observer's file goes (.npz).")],
+    output: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write for the observer (.npz).")],
     method: Annotated[Method, typer.Option(help="Principal components, or an autoencoder (extra torch).")] = Method.pca,
-    size: Annotated[int, typer.Option(min=1, help="How many numbers.")] = 6,
-    body: Annotated[str | None, typer.Option(help="Whose motion; needed where a run has several bodies.")] = None,
-    cells: Annotated[int, typer.Option(min=4, help="Cells along each axis that the autoencoder sees.")] = 16,
-    epochs: Annotated[int, typer.Option(min=1, help="Times the autoencoder sees every frame.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Of the autoencoder's training.")] = 0,
+    size: Annotated[int, typer.Option(min=1, help="Number of values that describe the deformation.")] = 6,
+    body: Annotated[str | None, typer.Option(help="Body to observe; needed if a run has several bodies.")] = None,
+    cells: Annotated[int, typer.Option(min=4, help="Cells along each axis of the autoencoder's grid.")] = 16,
+    epochs: Annotated[int, typer.Option(min=1, help="Training epochs of the autoencoder.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the autoencoder's training.")] = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Learn from runs how a body deforms, in few numbers: a file for the observers pca and vae."""
+    """Learn from runs to describe a body's deformation in few numbers; the observers pca and vae read the file."""
     from cqrun.cli.progress import reporting
     from cqrun.jobs.compress import compress as learn
 
     with reporting(quiet) as reporter:
-        said = learn(
+        summary = learn(
             runs, method.value, size, output, body=body, cells=cells, epochs=epochs, seed=seed, reporter=reporter
         )
-    typer.echo(said)
+    typer.echo(summary)
     typer.echo(f"written: {output}")

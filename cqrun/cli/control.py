@@ -1,4 +1,4 @@
-"""`cqrun control`: learn how a body should move."""
+"""`cqrun control`: learn a controller for a body."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def control(
 ) -> None:
     """Learn a scene's controller by the gradient of its objective.
 
-    The same command again continues the run, or says that it is finished.
+    Use the same command again to continue the run; if the run is finished, it says so.
     """
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import draw_and_print_run, infeasible_shown, print_seeds, require_seeds_for_jobs
@@ -30,7 +30,7 @@ def control(
     with plugins_allowed(allow_plugins), infeasible_shown():
         with reporting(quiet) as reporter:
             if seeds is not None:
-                summary, good = run_seeds(
+                summary, succeeded = run_seeds(
                     scene, overrides or [], out, seeds=seeds, jobs=jobs, fresh=fresh, threads=threads,
                     allow_plugins=allow_plugins, reporter=reporter,
                 )  # fmt: skip
@@ -39,4 +39,4 @@ def control(
         if seeds is None:
             draw_and_print_run(run)
         else:
-            print_seeds(summary, good)
+            print_seeds(summary, succeeded)

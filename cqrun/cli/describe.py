@@ -1,4 +1,4 @@
-"""`cqrun describe`: the page of any part of a scene, from its own docstring and fields."""
+"""`cqrun describe`: show the page of any part of a scene, made from its docstring and fields."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ LIMITS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 
 
 def describe(
-    kind: Annotated[str | None, typer.Argument(help="Such as elastic, or material for all of its kinds.")] = None,
-    name: Annotated[str | None, typer.Argument(help="Such as fixed_corotated.")] = None,
+    kind: Annotated[
+        str | None, typer.Argument(help="Kind of plug-in, such as elastic, or material for all its kinds.")
+    ] = None,
+    name: Annotated[str | None, typer.Argument(help="Name of a plug-in, such as fixed_corotated.")] = None,
     plugin: PluginFiles = None,
 ) -> None:
-    """Show fields, units, defaults and formula of a part of a scene; with fewer words, a list."""
+    """Show the fields, units, defaults and formula of a part of a scene; without NAME or KIND, show a list."""
     if plugin:
-        from cqrun.scene.plugin_files import take_files
+        from cqrun.scene.plugin_files import load_plugin_files
 
-        take_files(plugin)
+        load_plugin_files(plugin)
     for line in _lines(kind, name):
         typer.echo(line)
 
@@ -40,39 +42,39 @@ def _lines(kind: str | None, name: str | None) -> Iterator[str]:
         yield "parts of a scene (cqrun describe PART):"
         yield f"  {', '.join(_sections())}"
         return
-    if name is None and kind in _sections() and kind != "material":  # whose kinds are listed
+    if name is None and kind in _sections() and kind != "material":  # the kinds of material are listed below
         yield from _page("scene", kind, _sections()[kind])
         return
     kinds = _kinds_called(kind, name)
-    # a shape is a region as well, and is told once
-    found = [(k, n, cls) for k in kinds for n, cls in _plugins(k).items() if len(kinds) == 1 or cls.kind == k]
-    if name is None and not any(kind == n for _, n, _ in found):
-        yield from (f"{k} {n}: {_summary(cls)}" for k, n, cls in found)
+    # a shape is also a region, but it is listed only once
+    entries = [(k, n, cls) for k in kinds for n, cls in _plugins(k).items() if len(kinds) == 1 or cls.kind == k]
+    if name is None and not any(kind == n for _, n, _ in entries):
+        yield from (f"{k} {n}: {_summary(cls)}" for k, n, cls in entries)
         return
-    wanted = name or kind
-    pages = [entry for entry in found if entry[1] == wanted]
+    requested = name or kind
+    pages = [entry for entry in entries if entry[1] == requested]
     if not pages:
         from cqrun.explain import listed, suggest
 
-        names = [n for _, n, _ in found]
-        raise UsageError(f"no {kind} is called '{wanted}'{suggest(wanted, names)}; there are: {listed(names)}")
+        names = [n for _, n, _ in entries]
+        raise UsageError(f"no {kind} is called '{requested}'{suggest(requested, names)}; there are: {listed(names)}")
     for k, n, cls in pages:
         yield from _page(k, n, cls)
 
 
 def _sections() -> dict[str, type[BaseModel]]:
-    """Return what a scene is made of beside its choices, by the key that holds it; `scene` is the whole."""
+    """Return the parts of a scene that are not plug-ins, by their key; `scene` is the whole scene."""
     from cqrun.scene.schema import Scene
 
-    found: dict[str, type[BaseModel]] = {"scene": Scene}
+    sections: dict[str, type[BaseModel]] = {"scene": Scene}
     waiting: list[type[BaseModel]] = [Scene]
     while waiting:
         for name, info in waiting.pop(0).model_fields.items():
             for spec in [] if _choices(info) else _specs(info.annotation):
-                if name not in found:
-                    found[name] = spec
+                if name not in sections:
+                    sections[name] = spec
                     waiting.append(spec)
-    return found
+    return sections
 
 
 def _kinds() -> list[str]:
@@ -89,7 +91,7 @@ def _plugins(kind: str) -> dict[str, Any]:
 
 
 def _kinds_called(word: str, name: str | None) -> list[str]:
-    """Return the kinds a word stands for: itself, its folder's, or those with a plug-in of that name."""
+    """Return the kinds that a word means: itself, the kinds of a folder, or those with a plug-in of that name."""
     from cqrun.explain import listed, suggest
     from cqrun.plugin.registry import FOLDERS
 
@@ -134,20 +136,20 @@ def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
         text = (info.description or "").removesuffix(f" [{unit}]")
         if text:
             yield f"{indent}      {text}"
-        if not _choices(info):  # a choice has pages of its own
+        if not _choices(info):  # each plug-in has its own page
             for spec in _specs(info.annotation):
                 yield from _fields(spec, indent + "    ")
 
 
 def _specs(annotation: Any) -> list[type[BaseModel]]:
-    """Return the parts of a scene that an annotation nests."""
+    """Return the parts of a scene that are nested in an annotation."""
     from cqrun.plugin.contract import Spec
 
     return [part for part in _parts(annotation) if inspect.isclass(part) and issubclass(part, Spec)]
 
 
 def _parts(annotation: Any) -> Iterator[Any]:
-    """Yield an annotation and everything it is made of."""
+    """Yield an annotation and all its components."""
     yield annotation
     for part in typing.get_args(annotation):
         yield from _parts(part)
@@ -162,7 +164,7 @@ def _choices(info: FieldInfo) -> list[str]:
 
 
 def _what(info: FieldInfo) -> str:
-    """Say what kind of value a field takes, in a scene's words."""
+    """Return the type of a field's value, in words for users."""
     chosen = _choices(info)
     kinds = {typing.get_origin(part) or part for part in _parts(info.annotation) if part is not typing.Any}
     several = list in kinds or dict in kinds
@@ -184,7 +186,7 @@ def _what(info: FieldInfo) -> str:
 
 
 def _depth(annotation: Any) -> int:
-    """Return how many lists an annotation has one inside the other, those by name left out."""
+    """Return how many lists are nested in an annotation, not counting mappings."""
     parts, origin = typing.get_args(annotation), typing.get_origin(annotation)
     if origin is typing.Literal:
         return 0

@@ -1,4 +1,4 @@
-"""`cqrun doctor`: is this machine fit to run cqrun, and what would it use?"""
+"""`cqrun doctor`: check that this machine can run cqrun, and show what cqrun uses."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ def doctor(out: Out = DEFAULT_OUT) -> None:
 
     failures = 0
     for name, value in _machine():
-        _say(name, value)
+        _print(name, value)
     for name, value in _packages():
-        _say(name, value)
+        _print(name, value)
     cache = os.environ.get("NUMBA_CACHE_DIR", "")
     for name, folder in (("kernel cache", Path(cache)), ("results", out)):
-        problem = _unwritable(folder)
+        problem = _write_problem(folder)
         failures += bool(problem)
-        _say(name, f"{folder}: {problem or 'writable'}")
+        _print(name, f"{folder}: {problem or 'writable'}")
     threads = _cores()
     kernel = check_kernel(threads)
     failures += not kernel.right
-    _say("threads", f"{threads}, met by the engine's own barrier")
-    _say(
+    _print("threads", f"{threads}, synchronised by the engine's barrier")
+    _print(
         "test kernel",
         f"{'right' if kernel.right else 'WRONG RESULT'}, {kernel.origin}, {kernel.seconds:.2f} s",
     )
@@ -46,7 +46,7 @@ def doctor(out: Out = DEFAULT_OUT) -> None:
         raise typer.Exit(1)
 
 
-def _say(name: str, value: str) -> None:
+def _print(name: str, value: str) -> None:
     typer.echo(f"{name:20} {value}")
 
 
@@ -63,14 +63,14 @@ def _machine() -> Iterator[tuple[str, str]]:
 
 
 def _cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _packages() -> Iterator[tuple[str, str]]:
-    """Yield each dependency with its version; those of an extra say so, absent ones too."""
+    """Yield each dependency with its version or `absent`, and the extra that it belongs to."""
     try:
         required = metadata.requires("cqrun") or []
     except metadata.PackageNotFoundError:
@@ -79,7 +79,7 @@ def _packages() -> Iterator[tuple[str, str]]:
     for text in required:
         match = REQUIREMENT.match(text)
         if match is None:
-            raise AssertionError(f"a requirement that cannot be read: {text}")
+            raise AssertionError(f"this requirement cannot be parsed: {text}")
         name, extra = match.groups()
         try:
             version = metadata.version(name)
@@ -88,8 +88,8 @@ def _packages() -> Iterator[tuple[str, str]]:
         yield name, version + (f" (extra '{extra}')" if extra else "")
 
 
-def _unwritable(folder: Path) -> str:
-    """Return why no file can be written into a folder, or below its nearest existing parent; else nothing."""
+def _write_problem(folder: Path) -> str:
+    """Return why a folder, or its nearest existing parent, cannot be written to; empty if it can."""
     if not folder.parts:
         return "not set"
     nearest = next((f for f in (folder, *folder.absolute().parents) if f.exists()), folder)

@@ -1,4 +1,4 @@
-"""`cqrun export`: what a run has found, for other programs."""
+"""`cqrun export`: write results of a run for other programs."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from cqrun.errors import UsageError
 def export(
     run: Run,
     design: Annotated[
-        bool, typer.Option("--design", help="The designed body: a table of its particles, VTK, and its surface.")
+        bool, typer.Option("--design", help="The designed body: a table of its particles, VTK and its surface.")
     ] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Where to; into the run's design/ if not given.")
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to; the run's design/ if not given.")
     ] = None,
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
     """Write the body that a run has designed: per-particle CSV with units, VTKHDF for ParaView, surface or outline.
 
-    Of a run that is not finished the best design so far is written.
+    For an unfinished run this is the best design so far.
     """
     if not design:
-        raise UsageError("say what to export: --design")
+        raise UsageError("nothing to export is given: add --design")
     from cqrun.cli.progress import reporting
     from cqrun.jobs.export import export_design
     from cqrun.scene.plugin_files import plugins_allowed

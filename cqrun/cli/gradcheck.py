@@ -1,4 +1,4 @@
-"""`cqrun gradcheck`: compare a scene's gradient with differences."""
+"""`cqrun gradcheck`: compare a scene's gradient with finite differences."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def gradcheck(
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare a scene's gradient with finite differences over a scan of steps; exit 1 unless they agree."""
+    """Compare a scene's gradient with finite differences for several step sizes; exit with 1 unless they agree."""
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import print_run
     from cqrun.jobs.gradcheck import run_gradcheck

@@ -1,4 +1,4 @@
-"""The options that commands share, spelt once."""
+"""The options that several commands share."""
 
 from __future__ import annotations
 
@@ -15,21 +15,23 @@ Overrides = Annotated[
     list[str] | None,
     typer.Option("-o", "--override", metavar="KEY=VALUE", help="Replace a value of the scene (repeatable)."),
 ]
-Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where run directories are made.")]
-Fresh = Annotated[bool, typer.Option("--fresh", help="Start over, even if this run exists.")]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for run directories.")]
+Fresh = Annotated[bool, typer.Option("--fresh", help="Start over even if this run exists.")]
 Threads = Annotated[
-    int | None, typer.Option("--threads", min=1, metavar="N", help="Threads to use at most; all cores if not given.")
+    int | None, typer.Option("--threads", min=1, metavar="N", help="Largest number of threads; all cores if not given.")
 ]
 AllowPlugins = Annotated[
     bool,
-    typer.Option("--allow-plugins", help="Run the Python files that the scene names as its plug-ins: read them first."),
+    typer.Option("--allow-plugins", help="Run the Python plug-in files that the scene names; read them first."),
 ]
 PluginFiles = Annotated[
     list[Path] | None,
-    typer.Option("--plugin", metavar="FILE", help="A file with plug-ins of your own; it is run (repeatable)."),
+    typer.Option("--plugin", metavar="FILE", help="File with your own plug-ins; it is run (repeatable)."),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; results and warnings only.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show results and warnings, but no progress.")]
 Seeds = Annotated[
-    int | None, typer.Option("--seeds", metavar="N", help="Learn from N seeds side by side, each a run of its own.")
+    int | None, typer.Option("--seeds", metavar="N", help="Learn with N seeds at once, each in a separate run.")
 ]
-Jobs = Annotated[int | None, typer.Option("--jobs", metavar="N", help="Runs at once; as many as threads if not given.")]
+Jobs = Annotated[
+    int | None, typer.Option("--jobs", metavar="N", help="Number of runs at once; the number of threads if not given.")
+]

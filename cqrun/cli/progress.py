@@ -1,6 +1,6 @@
-"""Progress on standard error: one live line on a terminal, a plain line now and then elsewhere.
+"""Show progress on standard error: one live line on a terminal, or else a plain line from time to time.
 
-Results go to standard output and never through here. Colours follow NO_COLOR.
+Results are printed on standard output by other modules. Colours follow NO_COLOR.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from rich.text import Text
 from cqrun.running.reporter import StopFlag
 
 PLAIN_EVERY = 5.0
-"""Least time between two plain progress lines [s]: log files stay readable."""
+"""Shortest time between two plain progress lines [s], so that log files remain readable."""
 
 
 class Progress:
-    """A `cqrun.running.reporter.Reporter` for people; use it as a context manager.
+    """A `cqrun.running.reporter.Reporter` that prints for people; use it as a context manager.
 
     Args:
-        total: number of iterations at most, where it is known beforehand.
-        quiet: print warnings only.
-        stream: where to; standard error if not given.
-        plain_every: least time between two plain lines [s].
+        total: largest number of iterations, if it is known.
+        quiet: print only warnings.
+        stream: stream to print to; standard error if not given.
+        plain_every: shortest time between two plain lines [s].
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class Progress:
         plain_every: float = PLAIN_EVERY,
     ) -> None:
         self.stop = StopFlag(announce=self.warn)
-        # no emoji: the place `scene.yaml:100:53` is none
+        # no emoji: `:100:` in the place `scene.yaml:100:53` is the name of one
         self._console = Console(file=stream or sys.stderr, highlight=False, soft_wrap=True, emoji=False)
         self._quiet = quiet
         self._plain_every = plain_every
@@ -60,15 +60,15 @@ class Progress:
     def __exit__(self, *exception: object) -> None:
         if self._live is not None:
             self._live.stop()
-        self._print_the_last()
+        self._print_pending()
 
     def begin(self, total: int) -> None:
-        """Say how many iterations are to come at most."""
+        """Set how many iterations there will be at most."""
         self._total = total
 
     def phase(self, text: str) -> None:
-        """Name what happens now."""
-        self._print_the_last()
+        """Show what happens now."""
+        self._print_pending()
         self._phase, self._numbers, self._began = text, "", None
         if self._live is None and not self._quiet:
             self._print(text)
@@ -76,7 +76,7 @@ class Progress:
     def say(self, text: str) -> None:
         """Print a fact, unless quiet."""
         if not self._quiet:
-            self._print_the_last()
+            self._print_pending()
             self._print(text)
 
     def update(
@@ -87,21 +87,21 @@ class Progress:
         if self._total is not None:
             of = f"/{self._total}"
             left = f"  {clock(max(self._total - iteration, 0) * seconds)} left"
-        beside = f"best {best:.6g}" if violation is None else f"violation {violation:.3g}"
+        best_text = f"best {best:.6g}" if violation is None else f"violation {violation:.3g}"
         self._numbers = (
-            f"iteration {iteration}{of}  loss {loss:.6g}  {beside}  step {step:.3g}  {seconds:.3g} s/iteration{left}"
+            f"iteration {iteration}{of}  loss {loss:.6g}  {best_text}  step {step:.3g}  {seconds:.3g} s/iteration{left}"
         )
-        self._print_now_and_then()
+        self._print_if_due()
 
     def advance(self, done: int, total: int, text: str) -> None:
-        """Show how far the work is, and the time that is left at the pace so far; arguments as in `Reporter`."""
+        """Show the progress of the work and an estimate of the remaining time; arguments as in `Reporter`."""
         now = time.monotonic()
         first, began = self._began = self._began or (done, now)
         left = f"  {clock((total - done) * (now - began) / (done - first))} left" if done > first else ""
         self._numbers = f"{text}{left}"
-        self._print_now_and_then()
+        self._print_if_due()
 
-    def _print_now_and_then(self) -> None:
+    def _print_if_due(self) -> None:
         if self._live is not None or self._quiet:
             return
         self._unprinted = time.monotonic() - self._last_print < self._plain_every
@@ -109,14 +109,14 @@ class Progress:
             self._print(self._numbers)
             self._last_print = time.monotonic()
 
-    def _print_the_last(self) -> None:
-        """Print the numbers that came too soon after others, so that the last ones are never missing."""
+    def _print_pending(self) -> None:
+        """Print the last numbers if they were not printed because they came too soon after others."""
         if self._unprinted:
             self._print(self._numbers)
             self._unprinted = False
 
     def warn(self, text: str) -> None:
-        """Print a warning, also when quiet."""
+        """Print a warning, even when quiet."""
         self._print(f"warning: {text}", style="yellow")
 
     def _print(self, text: str, style: str | None = None) -> None:
@@ -132,21 +132,21 @@ class Progress:
 
 @contextmanager
 def reporting(quiet: bool) -> Iterator[Progress]:
-    """Show progress and listen to Ctrl-C and SIGTERM while a job runs.
+    """Show progress and handle Ctrl-C and SIGTERM while a job runs.
 
     Raises:
-        Stopped: at the second signal, which aborts the job where it stands.
+        Stopped: at the second signal, which aborts the job at once.
     """
     with Progress(quiet=quiet) as progress, progress.stop:
         try:
             yield progress
         except KeyboardInterrupt:
-            message = "aborted; the same command again continues from the last checkpoint"
+            message = "aborted; the same command continues from the last checkpoint"
             raise progress.stop.stopped(message) from None
 
 
 def clock(seconds: float) -> str:
-    """Write a duration as `42 s`, `3:07` or `1:02:09`."""
+    """Return a duration as text: `42 s`, `3:07` or `1:02:09`."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"

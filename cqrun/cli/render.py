@@ -1,4 +1,4 @@
-"""`cqrun render`: movies and stills of a run."""
+"""`cqrun render`: make movies and stills of a run."""
 
 from __future__ import annotations
 
@@ -16,61 +16,69 @@ SUFFIXES = {"gif": ".gif", "mp4": ".mp4", "png": ".png", "stills": ".png", "onio
 
 def render(
     run: Run,
-    gif: Annotated[bool, typer.Option("--gif", help="A movie as GIF; so it is if nothing is said.")] = False,
+    gif: Annotated[bool, typer.Option("--gif", help="A movie as GIF (the default).")] = False,
     mp4: Annotated[bool, typer.Option("--mp4", help="A movie as MP4 (extra 'video').")] = False,
     png: Annotated[bool, typer.Option("--png", help="The last frame as a picture.")] = False,
     stills: Annotated[
-        int | None, typer.Option("--stills", min=1, metavar="N", help="N pictures, spread over the time.")
+        int | None, typer.Option("--stills", min=1, metavar="N", help="N pictures, spread evenly over the time.")
     ] = None,
     onion: Annotated[
-        int | None, typer.Option("--onion", min=2, metavar="N", help="N instants in one picture, early ones pale.")
+        int | None,
+        typer.Option("--onion", min=2, metavar="N", help="N instants in one picture, the earlier ones paler."),
     ] = None,
     color: Annotated[
         Quantity | None,
-        typer.Option("--color", help="What colours particles; activation if there is any, else displacement."),
+        typer.Option(
+            "--color", help="Quantity that colours the particles; activation if there is any, else displacement."
+        ),
     ] = None,
-    fps: Annotated[float, typer.Option("--fps", min=1, max=100, help="Pictures a second of a movie.")] = 25.0,
+    fps: Annotated[float, typer.Option("--fps", min=1, max=100, help="Pictures per second in a movie.")] = 25.0,
     every: Annotated[int, typer.Option("--every", min=1, metavar="N", help="Only every N-th frame in a movie.")] = 1,
-    view: Annotated[Look | None, typer.Option("--view", help="In 3D, from where; iso if not given.")] = None,
+    view: Annotated[Look | None, typer.Option("--view", help="Direction of view in 3D; iso if not given.")] = None,
     trail: Annotated[
         str | None,
-        typer.Option("--trail", metavar="BODY|GROUP", help="Whose centroid leaves a trail; 'none' for nobody's."),
+        typer.Option(
+            "--trail", metavar="BODY|GROUP", help="Body or group whose centroid leaves a trail; 'none' for no trail."
+        ),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="FILE", help="Where to; into the run's figures/ if not given.")
+        Path | None,
+        typer.Option("-o", "--out", metavar="FILE", help="File to write; a file in the run's figures/ if not given."),
     ] = None,
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
-    """Draw the motion of a run, finished or not: a movie, stills, or several instants in one picture.
+    """Draw the motion of a run: a movie, stills, or several instants in one picture.
 
-    2D needs nothing more; 3D needs the extra 'viz3d'.
+    The run need not be finished. Scenes in 3D need the extra 'viz3d'.
     """
-    chosen = {"gif": gif, "mp4": mp4, "png": png, "stills": stills is not None, "onion": onion is not None}
-    kind = _kind([name for name, wanted in chosen.items() if wanted], output)
+    options = {"gif": gif, "mp4": mp4, "png": png, "stills": stills is not None, "onion": onion is not None}
+    kind = _kind([name for name, given in options.items() if given], output)
     from cqrun.cli.progress import reporting
-    from cqrun.figures.render import Wanted
+    from cqrun.figures.render import RenderOptions
     from cqrun.figures.render import render as draw
     from cqrun.scene.plugin_files import plugins_allowed
 
-    wanted = Wanted(kind, stills or onion or 1, color, fps, every, view, trail, output)
+    render_options = RenderOptions(kind, stills or onion or 1, color, fps, every, view, trail, output)
     with plugins_allowed(allow_plugins), reporting(quiet) as reporter:
-        paths = draw(run, wanted, reporter)
+        paths = draw(run, render_options, reporter)
     for path in paths:
         typer.echo(path)
 
 
-def _kind(asked: list[str], output: Path | None) -> Literal["gif", "mp4", "png", "stills", "onion"]:
-    """Return what to draw: what was asked for, or what the file's name says.
+def _kind(options: list[str], output: Path | None) -> Literal["gif", "mp4", "png", "stills", "onion"]:
+    """Return what to draw, from the option or from the suffix of the file.
 
     Raises:
-        UsageError: several things were asked for, or the file's name says another.
+        UsageError: there are several options, or the suffix does not fit.
     """
-    if len(asked) > 1:
-        raise UsageError(f"--{asked[0]} and --{asked[1]}: give one of --gif, --mp4, --png, --stills N and --onion N")
+    if len(options) > 1:
+        raise UsageError(
+            f"--{options[0]} and --{options[1]}: give one of --gif, --mp4, --png, --stills N and --onion N"
+        )
     by_suffix = {".gif": "gif", ".mp4": "mp4", ".png": "png"}
     suffix = output.suffix.lower() if output is not None else ""
-    kind = asked[0] if asked else by_suffix.get(suffix, "gif")
+    kind = options[0] if options else by_suffix.get(suffix, "gif")
     if output is not None and suffix != SUFFIXES[kind]:
         raise UsageError(f"-o {output}: must end in {SUFFIXES[kind]}, as --{kind} makes it; or in .gif, .mp4 or .png")
     return kind  # type: ignore[return-value]  # a literal: one of the keys of SUFFIXES

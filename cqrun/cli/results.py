@@ -1,4 +1,4 @@
-"""What a finished command leaves: pictures in the run, results on standard output."""
+"""What a finished command does: draw pictures in the run, and print results on standard output."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pathlib import Path
 import typer
 
 PICTURES = "CQRUN_PICTURES"
-"""Environment variable: 0 draws nothing when a run is finished, as of hundreds that nobody looks at one by one."""
+"""Environment variable: 0 means that no pictures are drawn when a run is finished, for example in large studies."""
 
 
 def print_run(run: Path) -> None:
-    """Print what a run found, and where it lies."""
+    """Print the results of a run, and its directory."""
     from cqrun.jobs.report import report_lines
 
     for line in report_lines(run):
@@ -23,7 +23,7 @@ def print_run(run: Path) -> None:
 
 
 def draw_and_print_run(run: Path) -> None:
-    """Draw a run, if its job has pictures, then print it; a picture that cannot be drawn makes no run fail.
+    """Draw a run, if its job has pictures, and print it; an error while drawing does not make the run fail.
 
     Raises:
         UsageError, RunError: the pictures cannot be written.
@@ -31,27 +31,27 @@ def draw_and_print_run(run: Path) -> None:
     from cqrun.figures.draw import draw_run, has_pictures
 
     try:
-        _draw(lambda: has_pictures(run) and draw_run(run), f"`cqrun plot {run}` tells more")
+        _draw(lambda: has_pictures(run) and draw_run(run), f"`cqrun plot {run}` shows the details")
     finally:
         print_run(run)
 
 
-def draw_and_print_ablation(found: Path, good: bool) -> None:
-    """Draw how variants compare, then print it; exit with 1 where a run failed. Raises as `draw_and_print_run`."""
+def draw_and_print_ablation(comparison: Path, succeeded: bool) -> None:
+    """Draw and print the comparison of variants; exit with 1 if a run failed. Raises as `draw_and_print_run`."""
     from cqrun.figures.ablation import draw_ablation
     from cqrun.jobs.ablate import ablation_lines
 
     try:
-        _draw(lambda: draw_ablation(found), f"the numbers are in {found}")
+        _draw(lambda: draw_ablation(comparison), f"the numbers are in {comparison}")
     finally:
-        for line in ablation_lines(found):
+        for line in ablation_lines(comparison):
             typer.echo(line)
-    if not good:
+    if not succeeded:
         raise typer.Exit(1)
 
 
 def _draw(draw: Callable[[], object], advice: str) -> None:
-    """Draw, where pictures are wanted; a fault of ours is told: what was found is worth more than how it looks."""
+    """Draw, unless pictures are switched off; a bug in drawing is only a warning, so that the results are printed."""
     from cqrun.errors import CqrunError
 
     if os.environ.get(PICTURES) == "0":
@@ -66,7 +66,7 @@ def _draw(draw: Callable[[], object], advice: str) -> None:
 
 @contextmanager
 def infeasible_shown() -> Iterator[None]:
-    """Draw and print a run that ended infeasible, too, before its verdict."""
+    """Also draw and print a run that ended infeasible, before its error is shown."""
     from cqrun.errors import InfeasibleError
 
     try:
@@ -77,18 +77,18 @@ def infeasible_shown() -> Iterator[None]:
 
 
 def require_seeds_for_jobs(seeds: int | None, jobs: int | None) -> None:
-    """Refuse a number of runs at once where there is but one."""
+    """Raise a UsageError if a number of runs at once is given, but only one run."""
     from cqrun.errors import UsageError
 
     if seeds is None and jobs is not None:
-        raise UsageError(f"--jobs {jobs}: says how many of several seeds run at once: add --seeds N")
+        raise UsageError(f"--jobs {jobs}: is the number of seeds that run at once: add --seeds N")
 
 
-def print_seeds(summary: Path, good: bool) -> None:
-    """Print what several seeds found; exit with 1 where one failed."""
+def print_seeds(summary: Path, succeeded: bool) -> None:
+    """Print the results of several seeds; exit with 1 if one failed."""
     from cqrun.jobs.seeds import summary_lines
 
     for line in summary_lines(summary):
         typer.echo(line)
-    if not good:
+    if not succeeded:
         raise typer.Exit(1)

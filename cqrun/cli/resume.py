@@ -12,7 +12,7 @@ def resume(
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
-    """Continue a run from its directory; `-o optimizer.NAME.max_iterations=N` extends one that is finished."""
+    """Continue a run from its directory; `-o optimizer.NAME.max_iterations=N` extends a finished run."""
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import draw_and_print_run, infeasible_shown
     from cqrun.jobs.resume import run_resume

@@ -1,4 +1,4 @@
-"""`cqrun schema`: the JSON Schema of scenes."""
+"""`cqrun schema`: print the JSON Schema of scenes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from cqrun.cli.options import PluginFiles
 
 
 def schema(plugin: PluginFiles = None) -> None:
-    """Print the JSON Schema of scenes: `cqrun schema > cqrun.schema.json` gives editors their completion."""
-    from cqrun.scene.plugin_files import take_files
+    """Print the JSON Schema of scenes; with `cqrun schema > cqrun.schema.json` editors can complete scenes."""
+    from cqrun.scene.plugin_files import load_plugin_files
     from cqrun.scene.schema_json import scene_json_schema
 
-    take_files(plugin or [])
+    load_plugin_files(plugin or [])
     typer.echo(json.dumps(scene_json_schema(), indent=2))

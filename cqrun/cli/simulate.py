@@ -20,15 +20,15 @@ def simulate(
     fresh: Fresh = False,
     threads: Threads = None,
     controller: Annotated[
-        Path | None, typer.Option("--controller", metavar="FILE", help="A trained controller (controller.npz) to act.")
+        Path | None, typer.Option("--controller", metavar="FILE", help="Trained controller to use (controller.npz).")
     ] = None,
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run a scene forward and keep its trajectory (HDF5; ParaView reads it).
+    """Run a scene forward and write its trajectory (HDF5, which ParaView can read).
 
-    A run of `cqrun control` or `codesign` in the place of a scene is replayed: with -o longer, elsewhere, or with
-    another goal. So is one of `cqrun sysid`: its scene with the values that it identified.
+    Instead of a scene you can give a run to replay: one of `cqrun control` or `codesign`, with -o for example for a
+    longer time or another goal, or one of `cqrun sysid`, with the values that it identified.
     """
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import draw_and_print_run

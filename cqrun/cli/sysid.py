@@ -1,4 +1,4 @@
-"""`cqrun sysid`: find a scene's unknowns from data."""
+"""`cqrun sysid`: identify a scene's unknowns from data."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ def sysid(
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
-    """Identify a scene's unknowns from its data, with intervals.
+    """Identify a scene's unknowns from its data, with confidence intervals.
 
-    The same command again continues the run, or says that it is finished.
+    Use the same command again to continue the run; if the run is finished, it says so.
     """
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import draw_and_print_run

@@ -8,13 +8,13 @@ from cqrun.cli.options import AllowPlugins, Overrides, Scene
 
 
 def validate(scene: Scene, overrides: Overrides = None, allow_plugins: AllowPlugins = False) -> None:
-    """Check a scene and print its counts, masses, time step and what the run will cost.
+    """Check a scene and print its counts, masses, time step and the cost of the run.
 
-    It is checked for the job that it names; for another with `-o job=control`.
+    The scene is checked for the job that it names; use `-o job=control` to check it for another job.
     """
-    from cqrun.jobs.validate import validate as lines
+    from cqrun.jobs.validate import validate as validation_lines
     from cqrun.scene.plugin_files import plugins_allowed
 
     with plugins_allowed(allow_plugins):
-        for line in lines(scene, overrides or []):
+        for line in validation_lines(scene, overrides or []):
             typer.echo(line)

@@ -12,12 +12,12 @@ from cqrun.cli.options import AllowPlugins, Quiet
 
 def warmup(
     scenes: Annotated[
-        list[Path] | None, typer.Argument(metavar="[SCENE...]", help="Scenes whose kernels are wanted.")
+        list[Path] | None, typer.Argument(metavar="[SCENE...]", help="Scenes whose kernels are compiled.")
     ] = None,
     allow_plugins: AllowPlugins = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compile kernels into the cache, so that the next run starts at once: of SCENE..., or the common ones."""
+    """Compile the kernels of SCENE..., or the common ones, into the cache, so that the next run starts at once."""
     from cqrun.cli.progress import reporting
     from cqrun.jobs.warmup import warmup as compile_kernels
     from cqrun.scene.plugin_files import plugins_allowed

@@ -1,1 +1,1 @@
-"""Pictures of runs. They read run directories only, and draw without a display."""
+"""Pictures of runs, drawn from run directories without a display."""

@@ -1,4 +1,4 @@
-"""ablation.png: a term of the objective against the iteration for every variant of a design, and where each ended."""
+"""ablation.png: a term of the objective against the iteration for every variant of a design, and the final values."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def draw_ablation(path: Path, kinds: tuple[str, ...] = ("png",)) -> list[Path]:
-    """Draw what `ablate` wrote to `path`, beside it; return the pictures' paths."""
+    """Draw the comparison that `ablate` wrote to `path`, in the same folder; return the paths of the pictures."""
     result = json.loads(path.read_text())
     with styled():
         return save(_figure(result), path.with_suffix(""), kinds)
@@ -29,29 +29,29 @@ def _figure(result: dict[str, Any]) -> Figure:
     figure = new_figure(9.0, 1.6 + 0.3 * len(variants) + 1.2)
     by_iteration, ends = figure.subplots(1, 2)
     for place, (name, entry) in enumerate(variants.items()):
-        colour, found = COLOURS[place % len(COLOURS)], entry["terms"][compared]
-        # some fail at their very start, and some optimizers tell no terms
+        colour, value = COLOURS[place % len(COLOURS)], entry["terms"][compared]
+        # some runs fail at the start, and some optimizers report no terms
         runs = [run for run in map(read_run, map(Path, entry["runs"])) if compared in term_names(run)]
         if runs:
             plot_group(by_iteration, Group(name, tuple(term_curve(run, compared) for run in runs)), colour, None)
-        if found["mean"] is None:  # every run of it has failed
+        if value["mean"] is None:  # all runs of this variant have failed
             continue
-        low, high = (found["mean"] if found[end] is None else found[end] for end in ("low", "high"))
+        low, high = (value["mean"] if value[end] is None else value[end] for end in ("low", "high"))
         ends.plot([low, high], [place, place], color=colour, linewidth=4, alpha=0.35, solid_capstyle="butt")
-        ends.plot(found["mean"], place, marker="o", color=colour)
+        ends.plot(value["mean"], place, marker="o", color=colour)
         if place and entry["gain"] is not None:
             ends.annotate(
                 f"{entry['gain']['mean']:+.0%}", (high, place), (5, 0), textcoords="offset points", va="center"
             )
     ends.set_yticks(range(len(variants)), list(variants))
     for tick, colour in zip(ends.get_yticklabels(), itertools.cycle(COLOURS)):
-        tick.set_color(colour)  # so that they name the curves, too
+        tick.set_color(colour)  # so that the names also belong to the curves
     ends.invert_yaxis()
     ends.margins(x=0.15)
-    ends.locator_params(axis="x", nbins=4)  # values that differ in their last digits have long names
+    ends.locator_params(axis="x", nbins=4)  # nearly equal values have long labels
     whole_ticks(by_iteration.xaxis)
     by_iteration.set_xlabel("iteration")
     titled(by_iteration, capitalised(compared))
-    sure = f"{100 * result['confidence']:.0f} % interval"
-    titled(ends, f"{capitalised(compared)} learned: mean, {sure}, gain over control")
+    interval = f"{100 * result['confidence']:.0f} % interval"
+    titled(ends, f"{capitalised(compared)} learned: mean, {interval}, gain over control")
     return figure

@@ -12,7 +12,7 @@ from cqrun.errors import UsageError
 from cqrun.figures.dots import COVER, COVER_3D, Dots, add_dots, far_to_near
 from cqrun.figures.quantities import length_unit
 from cqrun.figures.run_data import TRAJECTORY, RunData
-from cqrun.figures.scenery import frame_axes, goals, held, plot_goals, plot_held, seen
+from cqrun.figures.scenery import boundary_section, frame_axes, goals, plot_boundaries, plot_goals, window_with_goals
 from cqrun.figures.style import AMOUNT_MAP, GREY, PALE, new_figure
 from cqrun.figures.views import View, of_equal_width, views
 from cqrun.plugin.contract import Array
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_DOTS = 150_000
-"""More dots than this are drawn thinned out, each larger."""
+"""If there are more dots than this, fewer and larger ones are drawn."""
 
 PANEL = 3.0
 """Width of a panel [inch]."""
@@ -37,25 +37,25 @@ class Snapshot:
     """The particles at one time.
 
     Attributes:
-        time: [s].
-        x: (N, D) [m].
+        time: time of the frame [s].
+        x: positions (N, D) [m].
         moved: length of the displacement since the first frame (N,) [m].
-        dots: that fill the bodies.
-        told: what the trajectory says of itself, where this run's goals and courses are.
+        dots: the dots that fill the bodies.
+        provenance: attributes of the trajectory, with the goals and courses of this run.
     """
 
     time: float
     x: Array
     moved: Array
     dots: Dots
-    told: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
 
 
 # --- data ---------------------------------------------------------------------------------------------------
 
 
 def snapshots(frames: Frames, shown: Sequence[int] | None = None) -> list[Snapshot]:
-    """Return some frames; the first, the middle and the last one if not said, fewer where there are fewer.
+    """Return the frames `shown`, by default the first, the middle and the last one (fewer if there are fewer).
 
     Raises:
         UsageError: no frame was written.
@@ -73,9 +73,9 @@ def snapshots(frames: Frames, shown: Sequence[int] | None = None) -> list[Snapsh
 
 
 def farthest_frame(frames: Frames) -> int:
-    """Return the frame at which the particles are farthest from where they began, on the whole.
+    """Return the frame with the largest mean squared displacement of the particles.
 
-    It reads one frame at a time: a trajectory may be larger than the memory.
+    Reads one frame at a time, because a trajectory may be larger than the memory.
     """
     rest = frames.read("x", 0)
     return int(np.argmax([np.sum((frames.read("x", frame) - rest) ** 2) for frame in range(len(frames))]))
@@ -85,7 +85,7 @@ def farthest_frame(frames: Frames) -> int:
 
 
 def draw_bodies(run: RunData) -> Figure:
-    """Return the picture: a column a frame, a row a view."""
+    """Return the picture: a column for each frame, a row for each view."""
     with run.frames() as frames:
         shots, complete = snapshots(frames), frames.complete
     x = np.stack([shot.x for shot in shots])
@@ -107,15 +107,15 @@ def draw_bodies(run: RunData) -> Figure:
     colours = figure.colorbar(dots, ax=panels, shrink=0.85, pad=0.015, aspect=28)
     colours.set_label(f"displacement ({unit.name})")
     colours.outline.set_visible(False)
-    name = run.name if complete else f"{run.name}: as far as it is written"
+    name = run.name if complete else f"{run.name}: not complete yet"
     figure.suptitle(name, fontsize=9, color=GREY, x=0.995, ha="right")
     return figure
 
 
 def window_of(scene: Scene, shots: Sequence[Snapshot], look: View) -> Array:
-    """Return the window that holds the particles of some snapshots, and what they are to reach (2, 2) [m]."""
+    """Return the window that contains the particles of some snapshots, and their goals (2, 2) [m]."""
     plane = np.concatenate([shot.x for shot in shots]) @ look.axes.T
-    return seen(plane, look, goals(scene, shots[0].told), shots[0].dots.size)
+    return window_with_goals(plane, look, goals(scene, shots[0].provenance), shots[0].dots.size)
 
 
 def plot_body(
@@ -128,19 +128,25 @@ def plot_body(
     largest: float,
     shown: tuple[Array, float, float] | None = None,
 ) -> EllipseCollection:
-    """Draw particles as dots that cover the body, the far ones first, and what holds them.
+    """Draw particles as dots that cover the body, the far ones first, with the boundaries.
 
     Args:
-        corners: what to show (2, 2) [m].
-        largest: displacement at the end of the colours [m].
-        shown: what colours particles (N,) instead of their displacement, pale where it is no number, and both ends.
+        axes: axes to draw in.
+        scene: the scene.
+        shot: the particles.
+        look: the view.
+        corners: window to show (2, 2) [m].
+        unit: unit of lengths.
+        largest: displacement at the end of the colour map [m].
+        shown: values that colour the particles instead of their displacement (N,), pale where NaN, and both ends of the
+            colour map.
     """
     from matplotlib import colormaps
 
     x = shot.dots.positions(shot.x)
     order = far_to_near(x, look)
     if look.names:
-        plot_held(axes, held(scene, look, corners, shot.x.mean(axis=0)), unit.factor)
+        plot_boundaries(axes, boundary_section(scene, look, corners, shot.x.mean(axis=0)), unit.factor)
     size = unit.factor * shot.dots.size[order]
     dots = add_dots(axes, size, edge=0.15 if scene.dim == 3 else 0.0, cover=COVER_3D if scene.dim == 3 else COVER)
     dots.set_offsets(unit.factor * x[order] @ look.axes.T)
@@ -149,5 +155,5 @@ def plot_body(
     dots.set_array(values[shot.dots.source[order]])
     dots.set_clim(low, high)
     frame_axes(axes, look, corners, unit)
-    plot_goals(axes, goals(scene, shot.told), look, unit.factor)
+    plot_goals(axes, goals(scene, shot.provenance), look, unit.factor)
     return dots

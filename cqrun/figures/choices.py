@@ -1,14 +1,14 @@
-"""What a user may choose of pictures; light, so that the command line can name it without importing what draws."""
+"""The options of pictures; a module without heavy imports, so that the command line can use it."""
 
 from typing import Literal
 
 Quantity = Literal[
     "activation", "strain", "velocity", "stiffness", "density", "poissons_ratio", "weight", "displacement"
 ]  # fmt: skip
-"""What colours the particles."""
+"""Quantities that can colour the particles."""
 
 Look = Literal["front", "side", "top", "iso"]
-"""From where a world of three dimensions is seen."""
+"""Directions of view in 3D."""
 
 Kind = Literal["gif", "mp4", "png", "stills", "onion"]
-"""What is made of a motion."""
+"""Kinds of pictures of a motion."""

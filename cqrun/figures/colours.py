@@ -1,4 +1,4 @@
-"""What colours particles: a quantity that the trajectory holds, or that the scene and it give together."""
+"""Colours of particles, by a quantity from the trajectory, or computed from the trajectory and the scene."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ MATERIAL = {
     "poissons_ratio": ("poissons_ratio", "Poisson's ratio", ""),
     "weight": ("weight", "share of the actuator's strength", ""),
 }
-"""Of the material, and of what drives it: the last name of its path, what it is called, its unit."""
+"""Quantities of the material and of actuators: last name of the key path, label, and unit."""
 
 SHARE = 0.995
-"""Of a frame's particles: colours reach as far as these, so that one fast particle does not dim all others."""
+"""Share of a frame's particles within the colour range, so that one fast particle does not make all others dark."""
 
 
 @dataclass(frozen=True)
 class Colours:
-    """Particles' colours in every frame.
+    """The colours of particles in every frame.
 
     Attributes:
         label: the quantity with its unit, for the colour bar.
-        low, high: ends of the colours, in that unit.
-        cmap: name of the map.
-        values: frame -> value of every particle (N,) in that unit, NaN where it has none.
-        beyond: some values lie beyond `high`.
+        low, high: ends of the colour range, in that unit.
+        cmap: name of the colour map.
+        values: maps a frame to the values of the particles (N,) in that unit; NaN for particles without a value.
+        beyond: whether some values are larger than `high`.
     """
 
     label: str
@@ -66,11 +66,13 @@ class Colours:
 
 
 def colours(quantity: str | None, run: RunData, frames: Frames, shown: Sequence[int]) -> tuple[str, Colours]:
-    """Return one of `choices.Quantity` and the colours that show it.
+    """Return the quantity (one of `choices.Quantity`) and the colours that show it.
 
     Args:
-        quantity: activation where actuators have signals, and displacement elsewhere, if None.
-        shown: the frames that are drawn; the colours span what happens in them.
+        quantity: the quantity; None means activation if actuators have signals, and displacement otherwise.
+        run: the run.
+        frames: its trajectory.
+        shown: the frames that are drawn, which determine the colour range.
 
     Raises:
         UsageError: the quantity is neither stored nor given by the scene.
@@ -84,10 +86,10 @@ def colours(quantity: str | None, run: RunData, frames: Frames, shown: Sequence[
 
 
 def _amount(label: str, values: Callable[[int], Array], shown: Sequence[int]) -> Colours:
-    """Return colours from zero to what nearly all particles reach in the frames shown."""
+    """Return colours from zero to a value that nearly all particles stay below in the frames shown."""
     high, most = 0.0, 0.0
     for frame in shown:
-        known = (found := values(frame))[np.isfinite(found)]
+        known = (all_values := values(frame))[np.isfinite(all_values)]
         if known.size:
             high, most = max(high, float(np.quantile(known, SHARE))), max(most, float(known.max()))
     return Colours(label, 0.0, high or 1.0, AMOUNT_MAP, values, beyond=most > 1.02 * high)
@@ -120,14 +122,14 @@ def _length(vectors: Array) -> Array:
 
 
 def sampled(run: RunData, frames: Frames) -> Particles:
-    """Return the scene's particles, which are those of the trajectory.
+    """Return the scene's particles, and check that the trajectory has the same particles.
 
     Raises:
-        UsageError: they are not, so the scene cannot say what each particle is.
+        UsageError: the trajectory has other particles, so the scene cannot describe them.
     """
     particles = sample(run.scene)
-    there = {name: particles.of(name) for name in particles.names}
-    if there != frames.bodies:
+    bodies = {name: particles.of(name) for name in particles.names}
+    if bodies != frames.bodies:
         raise UsageError(
             f"{frames.path}: its particles are not those of {run.path / 'scene.yaml'}; run the scene again with --fresh"
         )
@@ -146,23 +148,27 @@ def _of_material(quantity: str, run: RunData, frames: Frames) -> Colours:
 
 
 def material_of(run: RunData, particles: Particles, quantity: str) -> Array:
-    """Return one of MATERIAL for every particle (N,), with the values that a run has found; UsageError without it."""
-    assembly, values = Assembly(run.scene, particles), _found(run, particles)
+    """Return one of the quantities in MATERIAL for every particle (N,), with the values that the run has found.
+
+    Raises:
+        UsageError: the material of a body does not have this quantity.
+    """
+    assembly, values = Assembly(run.scene, particles), _run_values(run, particles)
     if quantity == "weight":
         return _weight(assembly.actuation, values, len(particles.x))
-    found, key = np.zeros(len(particles.x)), MATERIAL[quantity][0]
+    result, key = np.zeros(len(particles.x)), MATERIAL[quantity][0]
     for body in particles.names:
         material = assembly.material(body, values)
         path = next((path for path in material if path.endswith(f".{key}")), None)
         if path is None:
             law = run.scene.bodies[body].material.elastic.name
             raise UsageError(f"--color {quantity}: the law {law} of body '{body}' has no {key} to show")
-        found[particles.of(body)] = material[path]
-    return found
+        result[particles.of(body)] = material[path]
+    return result
 
 
-def _found(run: RunData, particles: Particles) -> dict[str, Array]:
-    """Return the values by path that a run has found, or that acted in a replay."""
+def _run_values(run: RunData, particles: Particles) -> dict[str, Array]:
+    """Return the values by path that a run has found, or that a replay used."""
     if run.job == "simulate" and run.has(FILE):
         return kept_values(run.path / FILE)
     if run.job == "simulate" and run.has(IDENTIFIED):
@@ -171,17 +177,17 @@ def _found(run: RunData, particles: Particles) -> dict[str, Array]:
 
 
 def _weight(actuation: Actuation, values: Mapping[str, Array], n: int) -> Array:
-    """Return the largest weight that an actuator has at every particle (N,), 0 where there is none."""
-    weights, found, begin = actuation.weights(values), np.zeros(n), 0
+    """Return the largest weight of any actuator at every particle (N,), 0 without an actuator."""
+    weights, largest, begin = actuation.weights(values), np.zeros(n), 0
     for part in actuation.parts:
-        held = part.model.particles
-        own = weights[begin : begin + len(held)] if len(weights) else np.ones(len(held))
-        begin += len(held)
+        indices = part.model.particles
+        part_weights = weights[begin : begin + len(indices)] if len(weights) else np.ones(len(indices))
+        begin += len(indices)
         if hasattr(part.spec, "weight"):
-            found[held] = np.maximum(found[held], own)
+            largest[indices] = np.maximum(largest[indices], part_weights)
     if not any(hasattr(part.spec, "weight") for part in actuation.parts):
-        raise UsageError("--color weight: the scene of this run has no muscle or chamber, which alone have weights")
-    return found
+        raise UsageError("--color weight: only muscles and chambers have weights, and the scene of this run has none")
+    return largest
 
 
 def _has_activation(run: RunData, frames: Frames) -> bool:
@@ -196,30 +202,30 @@ def _activation(run: RunData, frames: Frames, shown: Sequence[int]) -> Colours:
     if run.scene.activation is None:
         raise _absent("activation", frames, "field activation, and its scene no `activation` to compute it from")
     actuation = Assembly(run.scene, sampled(run, frames)).actuation
-    levels = actuation.activations(0, {})  # of several random sequences the first one drives a trajectory
+    levels = actuation.activations(0, {})  # a trajectory uses the first of several random sequences
     driven = [part.model.particles for part in actuation.parts]
 
     def values(frame: int) -> Array:
-        level = levels[max(int(frames.step[frame]) - 1, 0)]  # what has acted until then
+        level = levels[max(int(frames.step[frame]) - 1, 0)]  # the activation before this frame
         out = np.full(max(part.stop for part in frames.bodies.values()), np.nan)
-        for particles, own in zip(driven, level, strict=True):
-            there = out[particles]
-            stronger = np.isnan(there) | (abs(own) > np.abs(np.nan_to_num(there)))
-            out[particles] = np.where(stronger, own, there)
+        for particles, activation in zip(driven, level, strict=True):
+            before = out[particles]
+            stronger = np.isnan(before) | (abs(activation) > np.abs(np.nan_to_num(before)))
+            out[particles] = np.where(stronger, activation, before)
         return out
 
     return _signed("activation", values, shown)
 
 
 def _signed(label: str, values: Callable[[int], Array], shown: Sequence[int]) -> Colours:
-    """Return colours that are even on both sides of zero."""
+    """Return colours with a range that is symmetric about zero."""
     most = 0.0
     for frame in shown:
-        known = (found := values(frame))[np.isfinite(found)]
+        known = (all_values := values(frame))[np.isfinite(all_values)]
         most = max(most, float(np.abs(known).max()) if known.size else 0.0)
     return Colours(label, -(most or 1.0), most or 1.0, SIGNED_MAP, values)
 
 
 def _absent(quantity: str, frames: Frames, what: str) -> UsageError:
     others = " and ".join(name for name in ("displacement", "strain") if name != quantity)
-    return UsageError(f"--color {quantity}: {frames.path} holds no {what}; {others} can be shown of every run")
+    return UsageError(f"--color {quantity}: {frames.path} has no {what}; {others} can be shown for every run")

@@ -1,4 +1,4 @@
-"""compare.png: the loss of several runs against iteration and wall time, with a band over those of many seeds."""
+"""compare.png: the loss of several runs against iteration and wall time; many seeds are shown as mean and band."""
 
 from __future__ import annotations
 
@@ -24,32 +24,32 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BAND_FROM = 3
-"""Runs that differ in their seeds alone are drawn as mean and band if there are at least so many."""
+"""Smallest number of runs that differ only in their seeds and are drawn as mean and band."""
 
 CONFIDENCE = 0.90
-"""Of the band around the mean."""
+"""Confidence level of the band around the mean."""
 
 SMALLEST = 1e-9
-"""Losses are not drawn below this on a logarithmic axis, which has no zero."""
+"""Smallest loss on a logarithmic axis, which has no zero."""
 
 BEYOND = 100.0
-"""How many times beyond all losses a band is shown on a logarithmic axis: a wide one would squeeze the losses flat."""
+"""Largest factor between the losses and the end of a logarithmic axis; a wide band must not make the losses flat."""
 
 TIMES = 200
-"""Points in time at which means are taken."""
+"""Number of points in time at which means are computed."""
 
 MOST_DIFFERENCES = 2
-"""Runs of one scene that differ in more values than this are told apart by their hash."""
+"""If runs of one scene differ in more values than this, their labels have the hash instead."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that differ in their seeds alone.
+    """Runs that differ only in their seeds.
 
     Attributes:
-        label: what tells them from the others.
-        curves: the loss of each.
-        seeds: no two of them are the same run again.
+        label: name that distinguishes them from the other groups.
+        curves: the loss of each run.
+        seeds: whether all runs have different seeds, so that no run is a repetition of another.
     """
 
     label: str
@@ -58,15 +58,17 @@ class Group:
 
     @property
     def log(self) -> bool:
-        """Whether their mean is that of logarithms."""
+        """Whether their mean is the mean of logarithms."""
         return all(curve.log for curve in self.curves)
 
 
 @dataclass(frozen=True)
 class Band:
-    """Mean over runs with its confidence interval; on a logarithmic axis the geometric mean, that of logarithms.
+    """Mean over runs with its confidence interval; on a logarithmic axis this is the geometric mean.
 
-    x (K,) is iteration or time [s], the rest (K,) in the losses' unit.
+    Attributes:
+        x: iteration or time [s] (K,).
+        mean, low, high: mean and interval, in the unit of the losses (K,).
     """
 
     x: Array
@@ -82,18 +84,18 @@ def groups(runs: Sequence[RunData], term: str | None = None) -> list[Group]:
     """Return runs grouped by their scenes without seeds, in order of first appearance.
 
     Args:
-        runs: to compare.
-        term: of the objective that is compared; the loss if None.
+        runs: the runs to compare.
+        term: the term of the objective to compare; the loss if None.
 
     Raises:
-        UsageError: a run has no history yet or no such term, or the runs' losses are not of one kind or are sums of
-            different terms.
+        UsageError: a run has no history yet or no such term, or the losses are of different kinds or sums of different
+            terms.
     """
     curves = [loss_curve(run) if term is None else term_curve(run, term) for run in runs]
     kinds = {curve.title: run.path for run, curve in zip(runs, curves, strict=True)}
     if len(kinds) > 1:
-        told = "; ".join(f"{path}: {label}" for label, path in kinds.items())
-        raise UsageError(f"these runs minimise different things, which one axis cannot compare: {told}")
+        examples = "; ".join(f"{path}: {label}" for label, path in kinds.items())
+        raise UsageError(f"these runs minimise different things, which one axis cannot compare: {examples}")
     resolved = [resolve(run.scene) for run in runs]
     scenes = [_without_seeds(scene) for scene in resolved]
     if term is None:
@@ -101,33 +103,33 @@ def groups(runs: Sequence[RunData], term: str | None = None) -> list[Group]:
     keys = [f"{run.name} {json.dumps(scene, sort_keys=True)}" for run, scene in zip(runs, scenes, strict=True)]
     members = {key: [i for i, other in enumerate(keys) if other == key] for key in dict.fromkeys(keys)}
     names = group_labels(
-        [runs[own[0]].name for own in members.values()],
-        [_flat(scenes[own[0]]) for own in members.values()],
-        [runs[own[0]].path.resolve().name for own in members.values()],
+        [runs[indices[0]].name for indices in members.values()],
+        [_flat(scenes[indices[0]]) for indices in members.values()],
+        [runs[indices[0]].path.resolve().name for indices in members.values()],
     )
     return [
         Group(
             name,
-            tuple(curves[i] for i in own),
-            len({json.dumps(resolved[i], sort_keys=True) for i in own}) == len(own),
+            tuple(curves[i] for i in indices),
+            len({json.dumps(resolved[i], sort_keys=True) for i in indices}) == len(indices),
         )
-        for name, own in zip(names, members.values(), strict=True)
+        for name, indices in zip(names, members.values(), strict=True)
     ]
 
 
 def _require_one_objective(runs: Sequence[RunData], objectives: Sequence[dict[str, Any]]) -> None:
-    """Raise a UsageError where losses are sums of different terms; fits to data have none."""
-    own = [(run, terms) for run, terms in zip(runs, objectives, strict=True) if run.job != "sysid"]
-    other = next(((run, terms) for run, terms in own if terms != own[0][1]), None)
+    """Raise a UsageError if losses are sums of different terms; fits to data have no terms."""
+    learned = [(run, terms) for run, terms in zip(runs, objectives, strict=True) if run.job != "sysid"]
+    other = next(((run, terms) for run, terms in learned if terms != learned[0][1]), None)
     if other is None:
         return
-    names = dict.fromkeys(name for _, terms in (own[0], other) for name in terms)
-    apart = [f"objective.{name}" for name in names if own[0][1].get(name) != other[1].get(name)]
-    shared = [name for name in names if all(name in term_names(run) for run, _ in own)]
+    names = dict.fromkeys(name for _, terms in (learned[0], other) for name in terms)
+    differences = [f"objective.{name}" for name in names if learned[0][1].get(name) != other[1].get(name)]
+    shared = [name for name in names if all(name in term_names(run) for run, _ in learned)]
     advice = f"; compare a term that all have with --show TERM: {listed(shared)}" if shared else ""
     raise UsageError(
         "these runs minimise different things, which one axis cannot compare: "
-        f"{own[0][0].path} and {other[0].path} differ in {listed(apart)}{advice}"
+        f"{learned[0][0].path} and {other[0].path} differ in {listed(differences)}{advice}"
     )
 
 
@@ -147,31 +149,31 @@ def _flat(value: Any, path: str = "") -> dict[str, Any]:
 
 
 def group_labels(names: Sequence[str], scenes: Sequence[dict[str, Any]], hashes: Sequence[str]) -> list[str]:
-    """Return a label for each scene: its name, and what tells it from others of that name."""
+    """Return a label for each scene: its name, and its differences from other scenes of that name."""
     labels = []
     for name, scene, digest in zip(names, scenes, hashes, strict=True):
         rivals = [other for other, same in zip(scenes, names, strict=True) if same == name]
-        apart = _differences(scene, rivals)
+        differences = _differences(scene, rivals)
         if len(rivals) == 1:
             labels.append(name)
-        elif 0 < len(apart) <= MOST_DIFFERENCES:
-            labels.append(f"{name}, {', '.join(apart)}")
+        elif 0 < len(differences) <= MOST_DIFFERENCES:
+            labels.append(f"{name}, {', '.join(differences)}")
         else:
             labels.append(f"{name} {digest}")
     return labels
 
 
 def _differences(scene: dict[str, Any], rivals: Sequence[dict[str, Any]]) -> list[str]:
-    """Return what a scene has that not all its rivals have; of another optimizer, its name alone."""
+    """Return the values of a scene that some rivals do not have; for another optimizer only its name."""
     method, methods = _optimizer(scene), {_optimizer(rival) for rival in rivals}
-    told = [method] if len(methods) > 1 else []
+    differences = [method] if len(methods) > 1 else []
     for key, value in scene.items():
         if len(methods) > 1 and key.startswith("optimizer."):
             continue
         if any(key not in rival or rival[key] != value for rival in rivals):
             short = ".".join(key.split(".")[-2:])
-            told.append(f"{short} {value:g}" if isinstance(value, int | float) else f"{short} {value}")
-    return told
+            differences.append(f"{short} {value:g}" if isinstance(value, int | float) else f"{short} {value}")
+    return differences
 
 
 def _optimizer(scene: dict[str, Any]) -> str:
@@ -179,14 +181,14 @@ def _optimizer(scene: dict[str, Any]) -> str:
 
 
 def _place(curve: LossCurve, over_time: bool) -> Array:
-    """Return the iterations of a curve, or the seconds since its first evaluation: compiling is no optimizing."""
+    """Return the iterations of a curve, or the time since its first evaluation, without compile time [s]."""
     return curve.seconds - curve.seconds[0] if over_time else curve.iteration
 
 
 def band(group: Group, *, over_time: bool) -> Band:
-    """Return mean and confidence interval over a group; a run that has ended stays where it ended.
+    """Return mean and confidence interval over a group; a run that has ended keeps its last value.
 
-    The mean is the geometric one where the group is drawn on a logarithmic axis.
+    The mean is geometric if the group is drawn on a logarithmic axis.
     """
     places = [_place(curve, over_time) for curve in group.curves]
     end = max(float(place[-1]) for place in places)
@@ -203,7 +205,7 @@ def band(group: Group, *, over_time: bool) -> Band:
 
 
 def draw_comparison(runs: Sequence[RunData], term: str | None = None) -> Figure:
-    """Return the picture: loss, or a term of the objective, against iteration and against wall time."""
+    """Return the picture: the loss, or a term of the objective, against iteration and wall time."""
     all_groups = groups(runs, term)
     figure = new_figure(9.0, 3.6)
     by_iteration, by_time = figure.subplots(1, 2, sharey=True)
@@ -229,7 +231,7 @@ def draw_comparison(runs: Sequence[RunData], term: str | None = None) -> Figure:
 
 
 def _log_ends(all_groups: Sequence[Group]) -> tuple[float, float]:
-    """Return the ends of a logarithmic axis: every loss is inside, and bands as far as `BEYOND` allows."""
+    """Return the ends of a logarithmic axis that contains every loss, and bands up to the factor `BEYOND`."""
     shown = np.concatenate([np.maximum(curve.value, SMALLEST) for group in all_groups for curve in group.curves])
     bands = [
         band(group, over_time=over_time)
@@ -248,7 +250,10 @@ def plot_group(axes: Axes, group: Group, colour: str, clock: float | None) -> No
     """Draw a group: each run, or their mean and band.
 
     Args:
-        clock: what a second is in the axis' unit, against time; None against iterations.
+        axes: axes to draw in.
+        group: the runs.
+        colour: colour of the curves.
+        clock: a second in the unit of the time axis; None to draw against iterations.
     """
     count, over_time = len(group.curves), clock is not None
     many = count >= BAND_FROM

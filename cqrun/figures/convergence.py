@@ -1,4 +1,4 @@
-"""convergence.png: the loss, its terms and every unknown against the iteration, as in CQ2 Fig 5."""
+"""convergence.png: the loss, its terms and every unknown against the iteration (CQ2 Fig 5)."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDE_LOG = 5.0
-"""An unknown on a log scale whose view spans at least this factor gets a logarithmic axis."""
+"""An unknown on a log scale gets a logarithmic axis if the range shown spans at least this factor."""
 
 NEAR = 1.0
-"""A bound that is at most so many spans away from what happened is shown, others are only told."""
+"""Bounds at most this far from the values, in units of their span, are drawn; others are only in the title."""
 
 
 @dataclass(frozen=True)
 class UnknownCurve:
-    """One unknown over a run, in the unit it is shown in.
+    """One unknown over a run, in the unit in which it is shown.
 
     Attributes:
-        path: its key path.
+        path: key path of the unknown.
         label: short name.
-        unit: what numbers are shown in.
+        unit: unit in which the numbers are shown.
         log: whether the optimizer sees its logarithm.
-        bounds: least and greatest value.
-        values: (K, n), with n = 0 where the history has only the gradient.
-        names: of the n numbers; empty where n < 2.
+        bounds: lower and upper bound.
+        values: values (K, n); n = 0 if the history has only the gradient.
+        names: names of the n numbers; empty if n < 2.
         gradient: norm of the gradient in scaled coordinates (K,).
-        final: value found (n,), or None while there is none.
-        intervals: 95 % interval of each number, None where there is none.
-        truth: of synthetic data, or None.
+        final: the value found (n,), or None if there is none yet.
+        intervals: 95 % interval of each number, or None.
+        truth: true value of synthetic data, or None.
     """
 
     path: str
@@ -70,13 +70,13 @@ def unknown_curves(run: RunData) -> list[UnknownCurve]:
     paths = [canonical(scene, path) for path in scene.unknowns]
     synthetic = scene.synthetic
     truths = {canonical(scene, p): v for p, v in synthetic.truth.items()} if synthetic is not None else {}
-    found = (run.result or {}).get("unknowns", {})
+    results = (run.result or {}).get("unknowns", {})
     curves = []
     for path, label, unknown in zip(paths, labels(paths, scene.dim), scene.unknowns.values(), strict=True):
         lower, upper = unknown.bounds
         unit = shown_unit(leaf(scene, path).unit, max(abs(lower), abs(upper)))
         values = _values(run, path)
-        final, intervals = _found(found.get(path), unit)
+        final, intervals = _result(results.get(path), unit)
         truth = unit.factor * truths[path] if path in truths else None
         curves.append(
             UnknownCurve(
@@ -94,21 +94,21 @@ def _values(run: RunData, path: str) -> Array:
 
 
 def _names(run: RunData, path: str, per: str, count: int, final: Array | None) -> tuple[str, ...]:
-    """Return what numbers are called: groups, those that share a mirrored one together, or else by number."""
+    """Return the names of the numbers: groups, several groups that share a mirrored value, or else indices."""
     if count < 2:
         return ()
     groups = groups_of(run.scene, path) if per == "group" else ()
     if len(groups) == count:
         return groups
-    together: dict[float, list[str]] = {}
+    by_value: dict[float, list[str]] = {}
     for name, value in zip(groups, () if final is None else final, strict=False):
-        together.setdefault(float(value), []).append(name)
-    if len(together) == count:
-        return tuple(", ".join(names) for names in together.values())
+        by_value.setdefault(float(value), []).append(name)
+    if len(by_value) == count:
+        return tuple(", ".join(names) for names in by_value.values())
     return tuple(str(i) for i in range(count))
 
 
-def _found(entry: dict[str, Any] | None, unit: Unit) -> tuple[Array | None, tuple[tuple[float, float] | None, ...]]:
+def _result(entry: dict[str, Any] | None, unit: Unit) -> tuple[Array | None, tuple[tuple[float, float] | None, ...]]:
     if entry is None:
         return None, ()
     final = unit.factor * np.atleast_1d(np.array(entry["value"], dtype=float))
@@ -123,7 +123,7 @@ def _found(entry: dict[str, Any] | None, unit: Unit) -> tuple[Array | None, tupl
 
 
 def draw_convergence(run: RunData) -> Figure:
-    """Return the picture: a panel for the loss, each of its terms and each unknown, and one for gradients."""
+    """Return the picture: panels for the loss, each of its terms, each unknown, and the gradients."""
     loss = loss_curve(run)
     panels: list[Callable[[Axes], None]] = [
         *([partial(plot_violation, run=run)] if VIOLATION in run.history else []),
@@ -147,21 +147,21 @@ def draw_convergence(run: RunData) -> Figure:
 
 
 def gradient_blocks(run: RunData) -> dict[str, Array]:
-    """Return the norm of the gradient (K,) of each block that is no unknown of the scene, by its name."""
+    """Return the norm of the gradient (K,) of each block that is not an unknown of the scene, by name."""
     unknowns = {canonical(run.scene, path) for path in run.scene.unknowns}
     norms = {name.removeprefix("grad:"): column for name, column in run.history.items() if name.startswith("grad:")}
     return {name: column for name, column in norms.items() if name not in unknowns}
 
 
 def layout(panels: int) -> tuple[int, int, int]:
-    """Return rows, columns, and how many columns the first panel takes so that no place is left empty."""
+    """Return the numbers of rows and columns, and the columns of the first panel, so that no place remains empty."""
     columns = min(panels, 2 if panels in (2, 4) else 3)
     rows = -(-panels // columns)
     return rows, columns, 1 + rows * columns - panels
 
 
 def plot_loss(axes: Axes, loss: LossCurve) -> None:
-    """Draw the loss or a term; below the iterations stands the wall time."""
+    """Draw the loss or a term, with the wall time below the iterations."""
     axes.plot(loss.iteration, loss.value, color=COLOURS[0], **_marked(len(loss.iteration)))
     if loss.log:
         shown = [*loss.value[loss.value > 0], *([] if loss.floor is None else [loss.floor])]
@@ -171,18 +171,19 @@ def plot_loss(axes: Axes, loss: LossCurve) -> None:
         text = f"noise: {error(loss.floor)} {loss.unit}"
         axes.axhline(loss.floor, color=TRUTH, linestyle="--", linewidth=1.0, label=text)
         axes.legend(loc="upper right")
-    if axes.get_yscale() == "linear":  # no power of ten above the axis, where the title is
+    if axes.get_yscale() == "linear":  # no power of ten above the axis, because the title is there
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:.5g}".replace("-", "\u2212"))
     whole_ticks(axes.xaxis)
     _pad_iterations(axes, loss.iteration)
     unit = clock_ticks(axes.xaxis, loss.iteration, loss.seconds)
     axes.set_xlabel(f"iteration, wall time ({unit})")
     last = f"{_value(loss, -1)} after {int(loss.iteration[-1])}"
-    if loss.kept is None:
+    if loss.best_row is None:
         titled(axes, loss.title, f"{last} iterations")
     else:
-        axes.plot(loss.iteration[loss.kept], loss.value[loss.kept], "o", ms=6, mfc="none", color=COLOURS[0])
-        titled(axes, loss.title, f"{_value(loss, loss.kept)} kept, after {int(loss.iteration[loss.kept])}; {last}")
+        axes.plot(loss.iteration[loss.best_row], loss.value[loss.best_row], "o", ms=6, mfc="none", color=COLOURS[0])
+        best = f"best: {_value(loss, loss.best_row)} after {int(loss.iteration[loss.best_row])}"
+        titled(axes, loss.title, f"{best}; last: {last}")
 
 
 def _value(loss: LossCurve, row: int) -> str:
@@ -191,11 +192,11 @@ def _value(loss: LossCurve, row: int) -> str:
 
 
 def plot_violation(axes: Axes, run: RunData) -> None:
-    """Draw the largest violation of a constraint, in its scale, and what counts as none (CQ1 Fig 8, CQ2 Fig 10)."""
+    """Draw the largest violation of a constraint, in units of its scale, and the tolerance (CQ1 Fig 8, CQ2 Fig 10)."""
     iteration, value = run.history["iteration"], run.history[VIOLATION]
     optimizer: Any = run.scene.optimizer
     met = float(optimizer.value.constraint_tolerance) if optimizer is not None else 0.0
-    floor = 0.1 * min(met, *value[value > 0], np.inf)  # what is not violated at all is drawn there
+    floor = 0.1 * min(met, *value[value > 0], np.inf)  # zero violations are drawn there
     shown = np.maximum(value, floor)
     none = f"none, drawn at {floor:.0e}" if not value.all() else None
     axes.plot(iteration, shown, color=COLOURS[0], label=none, **_marked(len(iteration)))
@@ -220,18 +221,18 @@ def _plot_gradients(axes: Axes, iteration: Array, blocks: dict[str, Array]) -> N
     """Draw the norm of the gradient of every block of parameters."""
     known = [norm[norm > 0] for norm in blocks.values()]
     for k, (name, norm) in enumerate(blocks.items()):
-        there = norm > 0
+        positive = norm > 0
         colour = COLOURS[k % len(COLOURS)]
-        axes.plot(iteration[there], norm[there], color=colour, label=name, **_marked(len(iteration)))
+        axes.plot(iteration[positive], norm[positive], color=colour, label=name, **_marked(len(iteration)))
     whole_ticks(axes.xaxis)
     _pad_iterations(axes, iteration)
     titled(axes, "Norm of the gradient")
-    if not any(norm.size for norm in known):  # of a method without gradients, or nought at every iteration
-        axes.text(0.5, 0.5, "none, or nought", transform=axes.transAxes, ha="center", color=GREY)
+    if not any(norm.size for norm in known):  # the method has no gradients, or they are always zero
+        axes.text(0.5, 0.5, "none, or zero", transform=axes.transAxes, ha="center", color=GREY)
         return
-    everything = np.concatenate(known)
-    _log_axis(axes, float(everything.min()), float(everything.max()))
-    if len(blocks) > 3:  # room above the lines for the names, two side by side
+    norms = np.concatenate(known)
+    _log_axis(axes, float(norms.min()), float(norms.max()))
+    if len(blocks) > 3:  # space above the lines for the names in two columns
         low, high = axes.get_ylim()
         axes.set_ylim(low, high * (high / low) ** (0.14 * (len(blocks) + 1) / 2))
         axes.legend(loc="upper center", ncols=2, handlelength=1.2, fontsize=6.5)
@@ -239,8 +240,8 @@ def _plot_gradients(axes: Axes, iteration: Array, blocks: dict[str, Array]) -> N
         axes.legend(loc="best", handlelength=1.6)
 
 
-def plot_unknown(axes: Axes, iteration: Array, curve: UnknownCurve, *, tell_bounds: bool = True) -> None:
-    """Draw one unknown: its way, its final value with interval, truth and bounds."""
+def plot_unknown(axes: Axes, iteration: Array, curve: UnknownCurve, *, show_bounds: bool = True) -> None:
+    """Draw one unknown: its values over the iterations, final value with interval, truth and bounds."""
     whole_ticks(axes.xaxis)
     _pad_iterations(axes, iteration)
     name = curve.unit.label(curve.label)
@@ -264,24 +265,24 @@ def plot_unknown(axes: Axes, iteration: Array, curve: UnknownCurve, *, tell_boun
     _plot_intervals(axes, iteration, curve, (low, high))
     if len(axes.get_legend_handles_labels()[0]):
         axes.legend(loc="best", ncols=1 if len(curve.names) <= 6 else 2, handlelength=1.6)
-    titled(axes, name, _summary(curve, tell_bounds))
+    titled(axes, name, _summary(curve, show_bounds))
 
 
 def _plot_gradient(axes: Axes, iteration: Array, curve: UnknownCurve, name: str) -> None:
-    """Draw the norm of the gradient of a block too large to be shown number by number."""
+    """Draw the norm of the gradient of a block that is too large to draw each number."""
     shown = curve.gradient > 0
     axes.plot(iteration[shown], curve.gradient[shown], color=COLOURS[0], **_marked(len(iteration)))
     if shown.any():
         _log_axis(axes, float(curve.gradient[shown].min()), float(curve.gradient[shown].max()))
     axes.set_ylabel("norm of the gradient")
-    found = ""
+    note = ""
     if curve.final is not None:
-        found = f"{curve.final.size} values, {number(curve.final.min())} to {number(curve.final.max())}"
-    titled(axes, f"Gradient by {name}", found)
+        note = f"{curve.final.size} values, {number(curve.final.min())} to {number(curve.final.max())}"
+    titled(axes, f"Gradient by {name}", note)
 
 
 def _plot_intervals(axes: Axes, iteration: Array, curve: UnknownCurve, shown: tuple[float, float]) -> None:
-    """Draw the 95 % interval: a band for one number, bars behind the last iteration for several."""
+    """Draw the 95 % interval: a band for one number, bars after the last iteration for several."""
     if curve.final is None or not any(curve.intervals):
         return
     low, high = shown
@@ -300,19 +301,19 @@ def _plot_intervals(axes: Axes, iteration: Array, curve: UnknownCurve, shown: tu
             colour = COLOURS[k % len(COLOURS)]
             axes.plot([place, place], np.clip(pair, low, high), color=colour, linewidth=2.5, alpha=0.6)
             for end, beyond, marker in ((low, pair[0] < low, "v"), (high, pair[1] > high, "^")):
-                if beyond:  # the bar goes on outside of the picture
+                if beyond:  # the bar continues outside the axes
                     axes.plot(place, end, marker=marker, markersize=4, color=colour, clip_on=False)
 
 
 def view(curve: UnknownCurve) -> tuple[float, float]:
-    """Return the part of an unknown's axis to show: all that happened, and bounds that are near it."""
+    """Return the range of an unknown's axis: all its values, and bounds that are near them."""
     lower, upper = curve.bounds
-    seen = [*curve.values.ravel(), *(curve.final if curve.final is not None else [])]
-    seen += [curve.truth] if curve.truth is not None else []
+    shown = [*curve.values.ravel(), *(curve.final if curve.final is not None else [])]
+    shown += [curve.truth] if curve.truth is not None else []
     for pair in curve.intervals:
-        seen += [float(np.clip(end, lower, upper)) for end in pair] if pair is not None else []
+        shown += [float(np.clip(end, lower, upper)) for end in pair] if pair is not None else []
     scale = np.log if curve.log else np.asarray
-    low, high = float(scale(min(seen))), float(scale(max(seen)))
+    low, high = float(scale(min(shown))), float(scale(max(shown)))
     bottom, top = float(scale(lower)), float(scale(upper))
     span = high - low or 0.1 * (top - bottom)
     low = bottom if low - bottom <= NEAR * span else low
@@ -322,20 +323,20 @@ def view(curve: UnknownCurve) -> tuple[float, float]:
     return (float(np.exp(ends[0])), float(np.exp(ends[1]))) if curve.log else ends
 
 
-def _summary(curve: UnknownCurve, tell_bounds: bool) -> str:
-    """Return the line below an unknown's title: value with interval, and bounds."""
+def _summary(curve: UnknownCurve, show_bounds: bool) -> str:
+    """Return the text below an unknown's title: its value with interval, and its bounds."""
     parts = []
     if curve.values.shape[1] == 1 and curve.final is None:
         parts.append(f"{number(float(curve.values[-1, 0]))} so far")
     elif curve.values.shape[1] == 1 and curve.final is not None:
         parts.append(estimate(float(curve.final[0]), curve.intervals[0]))
-    if tell_bounds:
+    if show_bounds:
         parts.append(f"bounds {number(curve.bounds[0])} to {number(curve.bounds[1])}")
     return ", ".join(parts)
 
 
 def _marked(count: int) -> dict[str, Any]:
-    """Return how a line of so many points is drawn: each point is an iteration, as long as they are few."""
+    """Return the style of a line with `count` points: few points are marked."""
     return {"marker": "o", "markersize": 3.2} if count <= 40 else {"linewidth": 1.2}
 
 

@@ -1,7 +1,7 @@
-"""What was designed.
+"""Pictures of a design.
 
-design.png   quantities of the material, coloured on the body at rest and where it has moved farthest; a row a quantity
-shape.png    the bodies as they were before and as they were designed, where geometry changed
+design.png   designed quantities as colours on the body, at rest and at its largest displacement; a row for each
+shape.png    the bodies before and after the design, if the geometry changed
 """
 
 from __future__ import annotations
@@ -28,47 +28,47 @@ if TYPE_CHECKING:
 
 
 def designed_quantities(run: RunData) -> dict[str, Array]:
-    """Return what of MATERIAL the unknowns of a codesign run change from particle to particle, (N,) each.
+    """Return the quantities of MATERIAL that the unknowns of a codesign run vary between particles, (N,) each.
 
-    It is not a number in bodies whose own is as the scene says.
+    They are NaN in bodies whose values the unknowns do not change.
     """
     if run.job != "codesign" or not (run.result or {}).get("unknowns"):
         return {}
     particles = sample(run.scene)
     paths = [path for unknown, spec in run.scene.unknowns.items() for path in (unknown, *spec.also)]
-    found = {}
+    designed = {}
     for name, (key, *_) in MATERIAL.items():
         bodies = {body_of(run.scene, canonical(run.scene, path)) for path in paths if path.endswith(f".{key}")}
         if bodies:
-            found[name] = np.full(len(particles.x), np.nan)
+            designed[name] = np.full(len(particles.x), np.nan)
             values = material_of(run, particles, name)
             for body in bodies:
-                found[name][particles.of(body)] = values[particles.of(body)]
-    return {name: values for name, values in found.items() if np.nanmin(values) < np.nanmax(values)}
+                designed[name][particles.of(body)] = values[particles.of(body)]
+    return {name: values for name, values in designed.items() if np.nanmin(values) < np.nanmax(values)}
 
 
 def has_new_shape(run: RunData) -> bool:
-    """Say whether the unknowns of a codesign run change where particles begin."""
+    """Return whether the unknowns of a codesign run change the shape of a body."""
     return run.job == "codesign" and bool(_shape_before(run))
 
 
 def _shape_before(run: RunData) -> dict[str, float]:
-    """Return the starts of the unknowns that are geometry, and of what follows them, by path."""
+    """Return the start values of the geometric unknowns and of the values tied to them, by path."""
     unknowns = (run.result or {}).get("unknowns") or {}
-    asked = [path for path in run.scene.unknowns if canonical(run.scene, path) in unknowns]
-    starts = [tied(run.scene, path, start(run.scene, path)) for path in asked if run.scene.unknowns[path].per == "body"]
+    paths = [path for path in run.scene.unknowns if canonical(run.scene, path) in unknowns]
+    starts = [tied(run.scene, path, start(run.scene, path)) for path in paths if run.scene.unknowns[path].per == "body"]
     return {path: value for each in starts for path, value in each.items() if shapes_a_body(path)}
 
 
 def draw_shape(run: RunData) -> Figure:
-    """Return the picture of a design that has another shape (`has_new_shape`): before, and as it was designed."""
+    """Return the picture of a design with a new shape (`has_new_shape`): before and after."""
     with run.frames() as frames:
         (after,) = snapshots(frames, [0])
     particles = sample(run.scene)
     x, _ = Geometry(run.scene, particles).at_rest({path: np.array(v) for path, v in _shape_before(run).items()})
     bodies = {name: particles.of(name) for name in run.scene.bodies}
     fill = Dots.of(x, bodies).thinned(x, bodies, MOST_DOTS)
-    before = Snapshot(0.0, x, np.zeros(len(x)), fill, after.told)
+    before = Snapshot(0.0, x, np.zeros(len(x)), fill, after.provenance)
     both = np.concatenate([before.x, after.x])
     looks = views(run.scene, both)
     windows = of_equal_width([window(both, look, room_around(both, after.dots.size)) for look in looks])

@@ -1,4 +1,4 @@
-"""Particles as dots that look like a solid body."""
+"""Draw particles as dots that look like a solid body."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ if TYPE_CHECKING:
     from matplotlib.collections import EllipseCollection
 
 COVER = 1.5
-"""Diameter of a dot in distances between dots: the diagonal of a square lattice, and some stretch."""
+"""Diameter of a dot divided by the distance between dots: the diagonal of a square lattice, and some stretch."""
 
 COVER_3D = 1.25
-"""The same in three dimensions, where dots have an edge: smaller, so that what lies behind shows its form."""
+"""The same in 3D, where dots have an edge; smaller, so that the shape of a body is visible."""
 
 AROUND = {2: 16, 3: 40}
-"""Nearest particles among which those beside a particle are looked for, in every direction."""
+"""Number of nearest particles among which the neighbours in all directions are searched."""
 
 ACROSS = 0.8
-"""Sine of the angle at which a neighbour begins to lie in another direction."""
+"""Sine of the smallest angle between two directions of neighbours."""
 
 MOST = 6
-"""Dots for one particle along a direction in which particles lie far apart."""
+"""Largest number of dots per particle along a direction in which particles are far apart."""
 
 EVEN, MOSTLY = 0.1, 0.7
-"""On a lattice the distance to the nearest is the same as for that one, to this part, for most particles."""
+"""Particles are on a lattice if, for this share of them, the nearest distance equals that of the nearest particle."""
 
 
 @dataclass(frozen=True)
 class Dots:
-    """Dots that fill bodies: one a particle or, on a lattice that is finer along one direction, some in a row.
+    """Dots that fill bodies: one per particle, or several in a row on a lattice that is finer in one direction.
 
     Attributes:
         source: particle of each dot (M,).
         size: distance between dots at rest (M,) [m].
-        beside: the particle beside each, in each direction (N, D); itself where there is none.
-        place: of each dot between its particle and those beside it (M, D), in parts of that distance.
+        beside: the neighbour of each particle in each direction (N, D); the particle itself if it has none.
+        place: position of each dot between its particle and the neighbours (M, D), in parts of that distance.
     """
 
     source: Array
@@ -52,14 +52,14 @@ class Dots:
 
     @classmethod
     def of(cls, rest: Array, bodies: Mapping[str, slice]) -> Dots:
-        """Return the dots of bodies whose undeformed particles are at rest (N, D)."""
+        """Return the dots of bodies with undeformed particles at `rest` (N, D)."""
         n, dim = rest.shape
         beside, counts = np.tile(np.arange(n)[:, None], dim), np.ones((n, dim), int)
         size = np.full(n, np.nan)
         for part in bodies.values():
-            own = rest[part]
-            if len(own) > 1:
-                near, distance, size[part] = _neighbours(own)
+            x_body = rest[part]
+            if len(x_body) > 1:
+                near, distance, size[part] = _neighbours(x_body)
                 beside[part] = part.start + near
                 counts[part] = distance
         known = size[np.nan_to_num(size) > 0]
@@ -69,21 +69,23 @@ class Dots:
         return cls(source, size[source], beside, place)
 
     def positions(self, x: Array) -> Array:
-        """Return where the dots are (M, D) with the particles at x (N, D)."""
+        """Return the positions of the dots (M, D) for particles at x (N, D)."""
         out = x[self.source].copy()
         for axis in range(x.shape[1]):
             moved = np.flatnonzero(self.place[:, axis])
-            own = self.source[moved]
-            out[moved] += self.place[moved, axis, None] * (x[self.beside[own, axis]] - x[own])
+            source = self.source[moved]
+            out[moved] += self.place[moved, axis, None] * (x[self.beside[source, axis]] - x[source])
         return np.asarray(out)
 
     def thinned(self, rest: Array, bodies: Mapping[str, slice], most: int) -> Dots:
-        """Return these dots, or where they are more than `most`, every second one, third one, ... along every axis.
+        """Return these dots, or only every second, third, ... dot along every axis if there are more than `most`.
 
-        Of dots from far to near every eighth would be drawn sooner, but those may be whole layers.
+        Drawing every eighth dot of the sorted list would be simpler, but it could omit whole layers.
 
         Args:
-            rest: undeformed particles (N, D).
+            rest: positions of the undeformed particles (N, D).
+            bodies: slice of each body's particles.
+            most: largest number of dots.
         """
         at, step = self.positions(rest), max(1, int(np.ceil((len(self.source) / most) ** (1 / rest.shape[1]))) - 1)
         parts = [slice(*np.searchsorted(self.source, (part.start, part.stop))) for part in bodies.values()]
@@ -97,26 +99,28 @@ class Dots:
 
 
 def _one_a_cell(at: Array, size: Array, step: int) -> Array:
-    """Return the first dot of each cell of so many along every axis (K,), of a body's dots at (M, D)."""
+    """Return the first dot in each cell of `step` dots along every axis (K,), for a body's dots at (M, D)."""
     if not len(at):
         return np.empty(0, int)
-    place = (at - at.min(axis=0)) / np.median(size) + 0.5  # in the middle of [k, k + 1), however it is rounded
+    place = (at - at.min(axis=0)) / np.median(
+        size
+    ) + 0.5  # in the middle of [k, k + 1), so that rounding does not matter
     return np.sort(np.unique(np.floor(place / step).astype(int), axis=0, return_index=True)[1])
 
 
-def _neighbours(own: Array) -> tuple[Array, Array, Array]:
-    """Return the particle beside each in every direction (n, D), dots along it (n, D) and their distance (n,)."""
+def _neighbours(x: Array) -> tuple[Array, Array, Array]:
+    """Return neighbours and number of dots of each particle in every direction (n, D), and the dots' distance (n,)."""
     from scipy.spatial import cKDTree
 
-    n, dim = own.shape
-    distance, near = cKDTree(own).query(own, k=min(AROUND[dim], n - 1) + 1)
-    arms = own[near[:, 1:]] - own[:, None]
+    n, dim = x.shape
+    distance, near = cKDTree(x).query(x, k=min(AROUND[dim], n - 1) + 1)
+    arms = x[near[:, 1:]] - x[:, None]
     beside, apart = np.tile(np.arange(n)[:, None], dim), np.full((n, dim), np.nan)
-    rest = arms.copy()  # what is left of each arm across the directions found so far
+    rest = arms.copy()  # the part of each arm perpendicular to the directions found so far
     for axis in range(dim):
         across = np.sqrt(np.sum(rest**2, axis=2)) > ACROSS * np.maximum(distance[:, 1:], 1e-300)
-        found, first = across.any(axis=1), across.argmax(axis=1)
-        rows = np.flatnonzero(found)
+        has_neighbour, first = across.any(axis=1), across.argmax(axis=1)
+        rows = np.flatnonzero(has_neighbour)
         beside[rows, axis] = near[rows, 1 + first[rows]]
         apart[rows, axis] = distance[rows, 1 + first[rows]]
         direction = np.zeros((n, dim))
@@ -124,7 +128,7 @@ def _neighbours(own: Array) -> tuple[Array, Array, Array]:
         rest = rest - np.einsum("nki,ni->nk", rest, direction)[:, :, None] * direction[:, None]
     nearest = distance[:, 1]
     even = np.abs(nearest - nearest[near[:, 1]]) <= EVEN * nearest
-    if even.mean() < MOSTLY or not (nearest > 0).all():  # no lattice: a dot as large as the gaps between particles
+    if even.mean() < MOSTLY or not (nearest > 0).all():  # not a lattice: dots as large as the gaps between particles
         return beside, np.ones((n, dim), int), distance[:, min(2 * dim, n - 1)]
     apart = np.where(np.isnan(apart), nearest[:, None], apart)
     counts = np.clip(np.round(apart / nearest[:, None]), 1, MOST).astype(int)
@@ -132,26 +136,27 @@ def _neighbours(own: Array) -> tuple[Array, Array, Array]:
 
 
 def _subdivided(counts: Array) -> tuple[Array, Array]:
-    """Return particle (M,) and place (M, D) of each dot, for numbers of dots along each direction (N, D)."""
+    """Return particle (M,) and place (M, D) of each dot, for the numbers of dots along each direction (N, D)."""
     sources, places = [], []
     for row in np.unique(counts, axis=0):
-        own = np.flatnonzero((counts == row).all(axis=1))
+        particles = np.flatnonzero((counts == row).all(axis=1))
         steps = [(np.arange(k) + 0.5) / k - 0.5 for k in row]
         cell = np.stack([part.ravel() for part in np.meshgrid(*steps, indexing="ij")], axis=1)
-        sources.append(np.repeat(own, len(cell)))
-        places.append(np.tile(cell, (len(own), 1)))
+        sources.append(np.repeat(particles, len(cell)))
+        places.append(np.tile(cell, (len(particles), 1)))
     source, place = np.concatenate(sources), np.concatenate(places)
     order = np.argsort(source, kind="stable")
     return source[order], place[order]
 
 
 def add_dots(axes: Axes, size: Array, *, cover: float = COVER, edge: float = 0.0) -> EllipseCollection:
-    """Add dots to axes, to be placed by `set_offsets`.
+    """Add dots to axes; `set_offsets` sets their positions.
 
     Args:
-        size: distance between dots (M,), in the axes' unit.
-        cover: diameter in those distances.
-        edge: width of the white line around a dot [points]; it tells near dots from far ones.
+        axes: axes to draw in.
+        size: distance between dots (M,), in the unit of the axes.
+        cover: diameter of a dot divided by this distance.
+        edge: width of the white line around a dot [points], which separates near dots from far ones.
     """
     from matplotlib.collections import EllipseCollection
 
@@ -164,5 +169,5 @@ def add_dots(axes: Axes, size: Array, *, cover: float = COVER, edge: float = 0.0
 
 
 def far_to_near(x: Array, look: View) -> Array:
-    """Return the order in which dots at x (M, D) are drawn, so that near ones cover far ones."""
+    """Return the order in which to draw dots at x (M, D), so that near dots cover far ones."""
     return np.argsort(x @ look.towards, kind="stable")

@@ -1,4 +1,4 @@
-"""Draw what a run directory holds, into its own figures/; several runs are compared elsewhere."""
+"""Draw the pictures of a run into its figures/ folder, and compare several runs in one picture."""
 
 from __future__ import annotations
 
@@ -26,35 +26,35 @@ if TYPE_CHECKING:
 FIGURES = "figures"
 
 DRAWN = ("sysid", "control", "codesign", "simulate")
-"""Jobs that have pictures."""
+"""Jobs with pictures."""
 
 MOST_NAMES = 5
-"""Scenes that the name of a comparison tells."""
+"""Largest number of scenes in the name of a comparison."""
 
-INCOMPLETE = "though the run has ended well: the directory is incomplete, run its scene again with --fresh"
+INCOMPLETE = "although the run has finished: the directory is incomplete, run its scene again with --fresh"
 
 
 def has_pictures(path: Path) -> bool:
-    """Say whether the job of a run is one that is drawn; UsageError if it is no run."""
+    """Return whether the job of a run has pictures; raise a UsageError if the path is not a run."""
     return read_record(path).get("job") in DRAWN
 
 
 def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
-    """Draw all that a run has so far; return the pictures' paths.
+    """Draw everything that a run has so far; return the paths of the pictures.
 
     convergence   loss and unknowns against the iteration
     tracks_NAME   a recording beside the model
     bodies        first, middle and last frame of the trajectory
-    design        what of the material was designed, on the body
-    shape         the body before and as it was designed
-    overview      the most of it in one wide picture
+    design        designed quantities of the material, on the body
+    shape         the body before and after the design
+    overview      the most important panels in one wide picture
 
     Args:
-        path: the run's directory.
+        path: the run directory.
         kinds: png, pdf.
 
     Raises:
-        UsageError: it is no run, what it should hold is missing or damaged, or nothing is there to draw yet.
+        UsageError: the path is not a run, a file is missing or damaged, or there is nothing to draw yet.
         RunError: the disk is full.
     """
     run = read_run(path)
@@ -69,10 +69,10 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
 
 
 def require_files(run: RunData) -> None:
-    """Raise a UsageError where a run lacks what there must be to draw it."""
+    """Raise a UsageError if a run lacks files that are needed to draw it."""
     if run.job not in DRAWN:
         drawn = f"{', '.join(DRAWN[:-1])} and {DRAWN[-1]}"
-        raise UsageError(f"{run.path}: a run of '{run.job}' has no pictures; those of {drawn} have")
+        raise UsageError(f"{run.path}: a run of '{run.job}' has no pictures; runs of {drawn} have them")
     if run.job != "simulate":
         run.require(HISTORY, "so there is no convergence to draw")
         if not run.history:
@@ -88,7 +88,7 @@ def require_files(run: RunData) -> None:
 
 
 def _figures(run: RunData) -> list[tuple[str, Figure]]:
-    """Return name and picture of all that a run has."""
+    """Return names and pictures of everything that a run has."""
     drawn: list[tuple[str, Figure]] = []
     if run.history:
         drawn.append(("convergence", draw_convergence(run)))
@@ -110,36 +110,36 @@ def draw_several(
 ) -> list[Path]:
     """Compare runs in one picture, `out`/compare_<scenes>; return its paths.
 
-    Where a picture of other runs has this name, the name of the new one ends in a hash of its runs.
+    If a picture of other runs has this name, the name of the new one ends in a hash of its runs.
 
     Args:
-        paths: of the runs.
+        paths: the run directories.
         out: directory of the picture.
         kinds: png, pdf.
-        term: of the objective that is compared; the loss if None or `loss`.
+        term: the term of the objective to compare; the loss if None or `loss`.
 
     Raises:
-        UsageError: a directory is no run, has no history yet, or the runs' losses are of different kinds.
+        UsageError: a directory is not a run or has no history yet, or the losses of the runs are of different kinds.
         RunError: the disk is full.
     """
     term = None if term == LOSS else term
     runs = [read_run(path) for path in paths]
     names = list(dict.fromkeys(run.name for run in runs))
-    told = [*names[:MOST_NAMES], *(["others"] if len(names) > MOST_NAMES else []), *([] if term is None else [term])]
-    base, shows = out / f"compare_{'_'.join(told)}", fingerprint(runs)
-    if any(is_of_others(base.with_name(f"{base.name}.{kind}"), shows) for kind in kinds):
-        base = base.with_name(f"{base.name}_{shows[:8]}")
+    words = [*names[:MOST_NAMES], *(["others"] if len(names) > MOST_NAMES else []), *([] if term is None else [term])]
+    base, identity = out / f"compare_{'_'.join(words)}", fingerprint(runs)
+    if any(shows_other_runs(base.with_name(f"{base.name}.{kind}"), identity) for kind in kinds):
+        base = base.with_name(f"{base.name}_{identity[:8]}")
     make_directory(out)
     with styled():
-        return save(draw_comparison(runs, term), base, kinds, keywords=shows)
+        return save(draw_comparison(runs, term), base, kinds, keywords=identity)
 
 
 def fingerprint(runs: Sequence[RunData]) -> str:
-    """Return hex digits that tell which runs these are, in whatever order and wherever they lie."""
+    """Return hex digits that identify a set of runs, independent of their order and location."""
     names = sorted(f"{run.name}/{run.path.resolve().name}" for run in runs)
     return hashlib.sha256("\n".join(names).encode()).hexdigest()[:32]
 
 
-def is_of_others(picture: Path, shows: str) -> bool:
-    """Say whether there is a picture that does not say, among its keywords, that it shows these runs."""
-    return picture.is_file() and shows.encode() not in picture.read_bytes()
+def shows_other_runs(picture: Path, identity: str) -> bool:
+    """Return whether a picture exists that does not have these runs' fingerprint among its keywords."""
+    return picture.is_file() and identity.encode() not in picture.read_bytes()

@@ -1,4 +1,4 @@
-"""Pictures to a file, one after another: GIF by Pillow, MP4 by ffmpeg, PNG. A file is there whole or not at all."""
+"""Write pictures to files, completely or not at all: GIF with Pillow, MP4 with ffmpeg, and PNG."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 COLOURS = 256
-"""Of a GIF, which has one palette for all of its pictures, so that nothing flickers."""
+"""Number of colours of a GIF; all its pictures have the same palette, so that nothing flickers."""
 
 QUALITY = "18"
-"""Of H.264, its constant rate factor: nothing is seen to be lost."""
+"""Constant rate factor of H.264, without visible loss."""
 
 
 def write_png(path: Path, picture: Array, dpi: float) -> None:
-    """Write one picture (h, w, 3) of uint8; UsageError or RunError where it cannot be."""
+    """Write one picture (h, w, 3) of uint8; raise a UsageError or RunError if it cannot be written."""
     from PIL import Image
 
     content = io.BytesIO()
@@ -39,18 +39,21 @@ def write_png(path: Path, picture: Array, dpi: float) -> None:
 
 
 def gif_delay(fps: float) -> int:
-    """Return how long a picture of a GIF stays [ms]: whole hundredths of a second, two at least."""
+    """Return the duration of a picture in a GIF [ms]: at least two hundredths of a second, in whole hundredths."""
     return max(2, round(100 / fps)) * 10
 
 
 def write_gif(path: Path, pictures: Iterable[Array], fps: float, samples: Sequence[Array]) -> None:
-    """Write pictures (h, w, 3) of uint8 as an endless GIF; one picture is in memory at a time.
+    """Write pictures (h, w, 3) of uint8 as an endless GIF, with one picture in memory at a time.
 
     Args:
-        samples: some of the pictures, which the palette is made of.
+        path: file to write.
+        pictures: the pictures.
+        fps: pictures per second.
+        samples: some of the pictures, from which the palette is made.
 
     Raises:
-        UsageError, RunError: it cannot be written.
+        UsageError, RunError: the file cannot be written.
     """
     from PIL import GifImagePlugin
 
@@ -75,12 +78,12 @@ def _write(file: IO[bytes], pieces: Iterable[bytes]) -> None:
 
 
 def _palette(samples: Sequence[Array]) -> Image:
-    """Return an image whose palette suits the samples; its last colour is white."""
+    """Return an image with a palette that fits the samples; its last colour is white."""
     from PIL import Image
 
-    found = Image.fromarray(np.concatenate(samples)).quantize(COLOURS - 1, method=Image.Quantize.MEDIANCUT)
+    quantized = Image.fromarray(np.concatenate(samples)).quantize(COLOURS - 1, method=Image.Quantize.MEDIANCUT)
     palette = Image.new("P", (1, 1))
-    colours = (found.getpalette() or [])[: 3 * (COLOURS - 1)]
+    colours = (quantized.getpalette() or [])[: 3 * (COLOURS - 1)]
     palette.putpalette(colours + [255] * (3 * COLOURS - len(colours)))
     return palette
 
@@ -90,13 +93,13 @@ def _with_palette(picture: Array, palette: Image) -> Image:
 
     image = Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
     index = np.array(image)
-    index[(picture == 255).all(axis=2)] = COLOURS - 1  # Pillow takes a near white for white
+    index[(picture == 255).all(axis=2)] = COLOURS - 1  # Pillow would replace white by a nearly white colour
     image.putdata(index.ravel())
     return image
 
 
 def _changed(before: Image, after: Image) -> tuple[int, int, int, int]:
-    """Return the box in which two pictures of one palette differ; one pixel where they do not."""
+    """Return the box in which two pictures with one palette differ; one pixel if they are equal."""
     differs = np.asarray(before) != np.asarray(after)
     rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
     if not rows.size:
@@ -117,7 +120,7 @@ def ffmpeg() -> str:
         import imageio_ffmpeg
     except ModuleNotFoundError:
         raise MissingExtra(
-            "--mp4 needs imageio-ffmpeg, which is not installed: pip install 'cqrun[video]'; --gif needs nothing more"
+            "--mp4 needs imageio-ffmpeg, which is not installed: pip install 'cqrun[video]'; --gif works without it"
         ) from None
     try:
         return str(imageio_ffmpeg.get_ffmpeg_exe())
@@ -126,10 +129,11 @@ def ffmpeg() -> str:
 
 
 def write_mp4(path: Path, pictures: Iterable[Array], fps: float) -> None:
-    """Write pictures (h, w, 3) of uint8, h and w even, as H.264 in MP4; they are streamed to ffmpeg.
+    """Write pictures (h, w, 3) of uint8, with even h and w, as H.264 in MP4, by streaming them to ffmpeg.
 
     Raises:
-        MissingExtra: the extra `video` is not installed. UsageError, RunError: it cannot be written.
+        MissingExtra: the extra `video` is not installed.
+        UsageError, RunError: the file cannot be written.
     """
     program = ffmpeg()
     stream = iter(pictures)
@@ -139,8 +143,8 @@ def write_mp4(path: Path, pictures: Iterable[Array], fps: float) -> None:
         source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "-"]
         kind = ["-c:v", "libx264", "-crf", QUALITY, "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"]
         words = [program, "-y", "-loglevel", "error", "-nostats", *source, *kind, str(temporary)]
-        temporary.touch()  # what forbids it is told better here than by ffmpeg
-        # a session of its own: Ctrl-C is for cqrun, which then ends ffmpeg
+        temporary.touch()  # if this fails, the error is clearer than that of ffmpeg
+        # in a new session, so that Ctrl-C reaches only cqrun, which then ends ffmpeg
         process = subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
         try:
             _feed(process, chain([first], stream))
@@ -148,9 +152,9 @@ def write_mp4(path: Path, pictures: Iterable[Array], fps: float) -> None:
             process.kill()
             process.communicate()
             raise
-        _, complaint = process.communicate()
+        _, stderr = process.communicate()
         if process.returncode != 0:
-            raise _failure(path, complaint.decode(errors="replace"))
+            raise _failure(path, stderr.decode(errors="replace"))
 
 
 def _feed(process: subprocess.Popen[bytes], pictures: Iterator[Array]) -> None:
@@ -159,11 +163,11 @@ def _feed(process: subprocess.Popen[bytes], pictures: Iterator[Array]) -> None:
         try:
             process.stdin.write(np.ascontiguousarray(picture).tobytes())
         except BrokenPipeError:
-            return  # ffmpeg has ended, and says why
+            return  # ffmpeg has ended and reports the reason
 
 
-def _failure(path: Path, complaint: str) -> Exception:
-    if "No space left" in complaint:
+def _failure(path: Path, stderr: str) -> Exception:
+    if "No space left" in stderr:
         return OSError(errno.ENOSPC, "No space left on device")
-    lines = complaint.strip().splitlines() or ["it does not say why"]
+    lines = stderr.strip().splitlines() or ["it gives no reason"]
     return RunError(f"{path}: ffmpeg failed: {lines[-1]}")

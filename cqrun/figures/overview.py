@@ -1,4 +1,4 @@
-"""overview.png: one wide picture of an identification: loss, first unknown, a track and the body."""
+"""overview.png: one wide picture of a run: loss, first unknown, a track and the body."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PANEL, HEIGHT = 2.7, 2.35
 
 
 def draw_overview(run: RunData) -> Figure:
-    """Return the picture: a panel for each thing that the run has."""
+    """Return the picture: one panel for each part that the run has."""
     parts: list[Callable[[Axes, RunData], None]] = [_loss]
     if VIOLATION in run.history:
         parts.append(_violation)
@@ -37,7 +37,7 @@ def draw_overview(run: RunData) -> Figure:
     if run.has_trajectory():
         parts.append(_body)
     figure = new_figure(PANEL * len(parts), HEIGHT)
-    # each panel its own subfigure: the body's colour bar moves no axes but its own
+    # each panel is a subfigure, so that the colour bar of the body moves no other axes
     for part, room in zip(parts, figure.subfigures(1, len(parts), squeeze=False)[0], strict=True):
         part(room.add_subplot(), run)
     return figure
@@ -54,7 +54,7 @@ def _violation(axes: Axes, run: RunData) -> None:
 
 def _unknown(axes: Axes, run: RunData) -> None:
     curve = next(curve for curve in unknown_curves(run) if curve.values.shape[1])
-    plot_unknown(axes, run.history["iteration"], curve, tell_bounds=False)
+    plot_unknown(axes, run.history["iteration"], curve, show_bounds=False)
     axes.set_xlabel("iteration")
 
 

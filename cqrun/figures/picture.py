@@ -1,4 +1,4 @@
-"""One picture of bodies that move: laid out once, drawn again for every frame."""
+"""A picture of moving bodies: the layout is made once, and the bodies are drawn again for every frame."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from cqrun.figures.colours import Colours
 from cqrun.figures.dots import Dots, add_dots
 from cqrun.figures.quantities import length_unit
-from cqrun.figures.scenery import Goal, frame_axes, held, plot_goals, plot_held
+from cqrun.figures.scenery import Goal, boundary_section, frame_axes, plot_boundaries, plot_goals
 from cqrun.figures.solid import SolidBodies
 from cqrun.figures.style import GREY, INK
 from cqrun.figures.views import View
@@ -24,25 +24,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDEST, TALLEST, LOWEST = 6.6, 4.8, 1.2
-"""Room for the bodies: greatest width, greatest and least height [inch]."""
+"""Area for the bodies: largest width, largest and smallest height [inch]."""
 
 NARROWEST = 1.8
-"""Least width of that room [inch]."""
+"""Smallest width of this area [inch]."""
 
 LEFT, RIGHT, TOP, BOTTOM = 0.75, 0.25, 0.42, 0.55
-"""Around that room, without the colour bar [inch]."""
+"""Margins around this area, without the colour bar [inch]."""
 
 BAR = 0.85
-"""Taken by a colour bar on the right; below, a little less [inch]."""
+"""Width of a colour bar on the right; a little less below [inch]."""
 
 
 @dataclass(frozen=True)
 class Trails:
-    """Where centroids have been.
+    """The paths of centroids.
 
     Attributes:
-        frames: of the points (K,), in order.
-        paths: name -> (K, D) [m].
+        frames: frames of the points (K,), in order.
+        paths: name -> positions (K, D) [m].
     """
 
     frames: Array
@@ -51,19 +51,19 @@ class Trails:
 
 @dataclass(frozen=True)
 class Stage:
-    """What stays the same in all pictures.
+    """The parts that are the same in all pictures.
 
     Attributes:
-        scene: of the run.
-        look, corners: from where it is seen, and what part of it (2, 2) [m].
-        box: the bodies over all of the time, lower and upper corner (2, D) [m].
-        dots: that fill the bodies.
-        colours: of the particles.
-        trails: of what is followed.
-        cables: the particles along each, in order.
-        goals: that are marked.
-        name: of the run, for the corner.
-        quantity: that the colours show.
+        scene: the scene of the run.
+        look, corners: the view, and its window (2, 2) [m].
+        box: lower and upper corner of the bodies over the whole time (2, D) [m].
+        dots: the dots that fill the bodies.
+        colours: colours of the particles.
+        trails: paths of the followed centroids.
+        cables: the particles along each cable, in order.
+        goals: the goals to mark.
+        name: name of the run, for the corner.
+        quantity: the quantity that the colours show.
     """
 
     scene: Scene
@@ -80,11 +80,12 @@ class Stage:
 
 
 class Picture:
-    """The picture; `show` changes it and returns its pixels, `close` lets go of what it holds.
+    """The picture; `show` draws a frame and returns its pixels, `close` releases the renderer.
 
     Args:
-        layers: how many times the bodies are shown at once.
-        dpi: pixels an inch; the picture is about 8 inches wide.
+        stage: the parts that are the same in all pictures.
+        layers: number of instants that are shown at once.
+        dpi: pixels per inch; the picture is about 8 inches wide.
     """
 
     def __init__(self, stage: Stage, layers: int, dpi: float) -> None:
@@ -96,8 +97,8 @@ class Picture:
         self.figure, self.axes = _lay_out(self._corners, dpi)
         self._canvas = FigureCanvasAgg(self.figure)
         if stage.look.names:
-            plane = held(stage.scene, stage.look, self._corners, stage.box.mean(axis=0))
-            plot_held(self.axes, plane, self._unit.factor)
+            section = boundary_section(stage.scene, stage.look, self._corners, stage.box.mean(axis=0))
+            plot_boundaries(self.axes, section, self._unit.factor)
         frame_axes(self.axes, stage.look, self._corners, self._unit)
         maker = _Solid if stage.scene.dim == 3 else _Flat
         self._bodies = maker(self.axes, stage, self._corners, self._unit, layers)
@@ -120,12 +121,12 @@ class Picture:
         )  # fmt: skip
 
     def show(self, layers: Sequence[tuple[Array, Array]], stamp: str, frame: int) -> Array:
-        """Return the picture (h, w, 3) of uint8, both even.
+        """Return the picture (h, w, 3) of uint8, with even h and w.
 
         Args:
-            layers: x (N, D) [m] and colours (N, 3) each time the bodies are shown, the last on top.
+            layers: positions x (N, D) [m] and colours (N, 3) of each instant, the last on top.
             stamp: the title.
-            frame: as far as to which trails are drawn.
+            frame: the frame up to which trails are drawn.
         """
         dots = self.stage.dots
         self._bodies.paint([(dots.positions(x), rgb[dots.source]) for x, rgb in layers])
@@ -140,7 +141,7 @@ class Picture:
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
     def close(self) -> None:
-        """Let go of the renderer of bodies in three dimensions."""
+        """Release the renderer of bodies in 3D."""
         self._bodies.close()
 
     def __enter__(self) -> Picture:
@@ -151,7 +152,7 @@ class Picture:
 
 
 class _Flat:
-    """Bodies of two dimensions: dots."""
+    """Bodies in 2D, drawn as dots."""
 
     def __init__(self, axes: Axes, stage: Stage, corners: Array, unit: Unit, layers: int) -> None:
         self._factor = unit.factor
@@ -162,11 +163,11 @@ class _Flat:
         self._dots.set_facecolor(np.concatenate([rgb for _, rgb in layers]))
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Do nothing: there is nothing to release."""
 
 
 class _Solid:
-    """Bodies of three dimensions: a picture by pyvista, put where the axes are."""
+    """Bodies in 3D: an image made by pyvista, placed in the axes."""
 
     def __init__(self, axes: Axes, stage: Stage, corners: Array, unit: Unit, layers: int) -> None:
         box = axes.get_window_extent()
@@ -194,7 +195,7 @@ def _width(corners: Array) -> float:
 
 
 def _widened(corners: Array) -> Array:
-    """Return a window that is neither too flat nor too narrow for a picture."""
+    """Return a window widened so that it is neither too flat nor too narrow for a picture."""
     wide, tall = corners[1] - corners[0]
     least = np.array([tall * NARROWEST / TALLEST, wide * LOWEST / WIDEST])
     more = 0.5 * np.maximum(0.0, least - (wide, tall))
@@ -202,7 +203,7 @@ def _widened(corners: Array) -> Array:
 
 
 def _lay_out(corners: Array, dpi: float) -> tuple[Figure, Axes]:
-    """Return a figure with axes of the window's shape; its pixels are even numbers, as movies want them."""
+    """Return a figure with axes in the shape of the window; its pixel counts are even, as movies require."""
     from matplotlib.figure import Figure
 
     wide, tall = corners[1] - corners[0]
@@ -221,7 +222,7 @@ def _bar_is_below(width: float, height: float) -> bool:
 
 
 def _colour_bar(figure: Figure, axes: Axes, colours: Colours) -> None:
-    """Add the colour bar: on the right, or below bodies that are much wider than tall."""
+    """Add the colour bar on the right, or below if the bodies are much wider than tall."""
     import matplotlib
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -247,7 +248,7 @@ def _colour_bar(figure: Figure, axes: Axes, colours: Colours) -> None:
 
 
 def _scale_bar(axes: Axes, corners: Array, unit: Unit) -> None:
-    """Draw a line of a round length into the lower left corner: an oblique view has no ticks."""
+    """Draw a line of a round length in the lower left corner, because an oblique view has no ticks."""
     longest = 0.2 * _width(corners)
     power = 10.0 ** np.floor(np.log10(longest))
     length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest)

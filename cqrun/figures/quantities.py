@@ -1,4 +1,4 @@
-"""How key paths, units and numbers are written in pictures."""
+"""Write key paths, units and numbers for pictures."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from cqrun.units import Unit
 MILLI = 1e3
 
 _WORDS = {"youngs_modulus": "Young's modulus", "poissons_ratio": "Poisson's ratio", "density": "density"}
-"""Names that say what they are without the key before them."""
+"""Names that are clear without the key before them."""
 
 _ORDER = {"shear": "shear viscosity", "bulk": "bulk viscosity"}
 
 _PREFIXES = {"Pa": (("GPa", 1e9), ("MPa", 1e6), ("kPa", 1e3)), "m": (("m", 1.0), ("mm", 1e-3))}
-"""Units that are shown with another prefix where the numbers ask for it, the largest first."""
+"""Units that are shown with a prefix if the numbers are large or small enough, the largest first."""
 
 _TIMES = (("h", 3600.0), ("min", 60.0), ("s", 1.0))
-"""Units of time, the largest first, with their seconds."""
+"""Units of time in seconds, the largest first."""
 
 _RAISED = str.maketrans({"^": None, "2": "²", "3": "³"})
 
 LARGE = 0.5
-"""Lengths from here on are shown in metres [m]."""
+"""Lengths of at least this much are shown in metres [m]."""
 
 
 def shown_unit(unit: str, largest: float) -> Unit:
-    """Return the unit for numbers of SI unit `unit`, the greatest of which is `largest`."""
+    """Return the display unit for numbers with the SI unit `unit`, the largest of which is `largest`."""
     if unit == "m":
         return length_unit(largest)
     for name, size in _PREFIXES.get(unit, ()):
@@ -48,17 +48,17 @@ def time_unit(longest: float) -> Unit:
 
 
 def labels(paths: Sequence[str], dim: int) -> list[str]:
-    """Return a short name for each key path; paths that would share one get what tells them apart."""
+    """Return a short name for each key path; paths with the same short name get their differences as a prefix."""
     short = [capitalised(_short(path, dim)) for path in paths]
     out = []
     for path, name in zip(paths, short, strict=True):
         rivals = [rival for rival, same in zip(paths, short, strict=True) if same == name and rival != path]
-        out.append(_apart(path, rivals) + name if rivals else name)
+        out.append(_difference(path, rivals) + name if rivals else name)
     return out
 
 
 def capitalised(text: str) -> str:
-    """Return text with its first letter as a capital, the others as they are."""
+    """Return text with a capital first letter and the others unchanged."""
     return text[:1].upper() + text[1:]
 
 
@@ -68,9 +68,9 @@ def _short(path: str, dim: int) -> str:
     if last.isdigit():
         axis = "xyz"[int(last)] if int(last) < 3 else last
         if parent == "spin" and dim == 2:
-            axis = "z"  # the one that it can be about
-        named = " ".join(before[-2:]) if parent.isdigit() else parent  # `points 2`, of a polygon
-        return f"{named} {axis}".replace("_", " ")
+            axis = "z"  # the only axis of rotation in 2D
+        prefix = " ".join(before[-2:]) if parent.isdigit() else parent  # `points 2`, of a polygon
+        return f"{prefix} {axis}".replace("_", " ")
     if last in _WORDS:
         return _WORDS[last]
     if parent == "viscosity" and last in _ORDER:
@@ -78,21 +78,21 @@ def _short(path: str, dim: int) -> str:
     return f"{parent} {last}".strip().replace("_", " ")
 
 
-def _apart(path: str, rivals: Sequence[str]) -> str:
-    """Return the keys of a path in which it differs from one of its rivals, with a colon behind them."""
+def _difference(path: str, rivals: Sequence[str]) -> str:
+    """Return the keys of a path in which it differs from one of its rivals, followed by a colon."""
     keys = path.split(".")
     columns = [rival.split(".") for rival in rivals]
-    apart = [key for i, key in enumerate(keys) if any(len(c) <= i or c[i] != key for c in columns)]
-    return f"{' '.join(apart).replace('_', ' ')}: "
+    different = [key for i, key in enumerate(keys) if any(len(c) <= i or c[i] != key for c in columns)]
+    return f"{' '.join(different).replace('_', ' ')}: "
 
 
 def error(value: float) -> str:
-    """Return an error with three digits."""
+    """Return an error as text with three digits."""
     return f"{value:#.3g}".rstrip(".") if np.isfinite(value) else "not seen"
 
 
 def number(value: float, width: float | None = None) -> str:
-    """Return a number as text: four digits, or as many as an uncertainty `width` leaves meaning."""
+    """Return a number as text with four digits, or with the digits that are significant for an uncertainty `width`."""
     if width is None or not np.isfinite(width) or width <= 0:
         return f"{value:.4g}"
     decimals = 1 - int(np.floor(np.log10(width)))
@@ -102,7 +102,7 @@ def number(value: float, width: float | None = None) -> str:
 
 
 def estimate(value: float, interval: tuple[float, float] | None) -> str:
-    """Return a value with its 95 % interval, as `264.2 (263.6 to 264.7)`; all in the unit to show."""
+    """Return a value with its 95 % interval as text, such as `264.2 (263.6 to 264.7)`; all in display units."""
     if interval is None:
         return number(value)
     width = min(abs(interval[1] - value), abs(value - interval[0]))

@@ -1,4 +1,4 @@
-"""What pictures need of a run directory, whether the run is finished, going on or was stopped."""
+"""Read the data of a run directory that pictures need, whether the run is finished, running or stopped."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ HISTORY, RESULT, TRAJECTORY, SCENE = "history.csv", "result.json", "trajectory.h
 
 @dataclass(frozen=True)
 class Tracks:
-    """One recording beside the model, in the measurement's unit.
+    """One recording and the model, in the measurement's unit.
 
     Attributes:
-        recording: its name.
-        channels: M names, such as those of markers.
-        time: (T,) since the run began [s].
-        data: (T, M, D); NaN where a channel was not seen.
-        model: (T, M, D).
-        holdout: predicted, never fitted.
-        components: D names.
+        recording: name of the recording.
+        channels: names of the M channels, such as markers.
+        time: time since the release (T,) [s].
+        data: recorded values (T, M, D); NaN where a channel was not seen.
+        model: values in the model (T, M, D).
+        holdout: whether the recording was held out of the fit.
+        components: names of the D components.
         measurement: what was measured, and its unit.
     """
 
@@ -54,11 +54,11 @@ class Tracks:
         return np.asarray(np.sqrt(np.sum((self.data - self.model) ** 2, axis=2)))
 
     def rmse(self) -> float:
-        """Return the root mean square error over what was seen."""
+        """Return the root mean square error over all seen values."""
         return _root_mean_square(self.error)
 
     def rmse_by_channel(self) -> Array:
-        """Return the same by channel (M,); NaN for one that is not seen."""
+        """Return the root mean square error of each channel (M,); NaN for a channel that was never seen."""
         return np.array([_root_mean_square(column) for column in self.error.T])
 
 
@@ -69,14 +69,14 @@ def _root_mean_square(error: Array) -> float:
 
 @dataclass(frozen=True)
 class RunData:
-    """A run as its directory tells it.
+    """The content of a run directory.
 
     Attributes:
         path: the directory.
-        record: run.json.
-        scene: resolved.
+        record: content of run.json.
+        scene: the resolved scene.
         history: columns by name (K,); empty if there are no rows yet.
-        result: result.json, or None while there is none.
+        result: content of result.json, or None if there is none yet.
     """
 
     path: Path
@@ -87,27 +87,27 @@ class RunData:
 
     @property
     def job(self) -> str:
-        """What was run, such as sysid."""
+        """The job, such as sysid."""
         return str(self.record.get("job", ""))
 
     @property
     def name(self) -> str:
-        """The scene file's stem."""
+        """The stem of the scene file."""
         return self.path.resolve().parent.name
 
     @property
     def status(self) -> str:
-        """How the run ended, or that it goes on, in words."""
+        """The status in words: how the run ended, or that it is running."""
         return str(self.record["status"]).replace("_", " ")
 
     @property
     def succeeded(self) -> bool:
-        """Whether the run came to its end and found something."""
+        """Whether the run has finished without failing."""
         status = self.record["status"]
         return status in FINISHED and status != "failed"
 
     def has(self, name: str) -> bool:
-        """Say whether a file of the run is there."""
+        """Return whether a file of the run exists."""
         return (self.path / name).is_file()
 
     def require(self, name: str, why: str) -> None:
@@ -116,10 +116,10 @@ class RunData:
             raise UsageError(f"{self.path}: there is no {name}, {why}")
 
     def tracks(self) -> list[Tracks]:
-        """Return every recording beside the model.
+        """Return the tracks of every recording.
 
         Raises:
-            UsageError: there is no table of them, or it cannot be read.
+            UsageError: the table of a recording is missing or cannot be read.
         """
         self.require_tables("so there is nothing to draw beside the model")
         holdouts = {name for name, recording in self.scene.recordings.items() if recording.holdout}
@@ -146,25 +146,25 @@ class RunData:
             self.require(next(iter(self.tables), Markers.table_file()), why)
 
     def has_trajectory(self) -> bool:
-        """Say whether there is a trajectory, perhaps one that is being written."""
+        """Return whether there is a trajectory, perhaps incomplete."""
         path = self.path / TRAJECTORY
         return path.is_file() or part_path(path).is_file()
 
     def frames(self) -> Frames:
-        """Return the trajectory opened, a context manager that reads frame by frame; UsageError without one."""
+        """Open the trajectory to read it frame by frame (a context manager); raise a UsageError if there is none."""
         return Frames(self.path / TRAJECTORY)
 
     def trajectory(self) -> Trajectory:
-        """Return the trajectory, all of it in memory; UsageError without one."""
+        """Return the whole trajectory in memory; raise a UsageError if there is none."""
         return read_trajectory(self.path / TRAJECTORY)
 
 
 def read_run(path: Path) -> RunData:
-    """Read a run's directory.
+    """Read a run directory.
 
     Raises:
-        UsageError: it is no run, or a file of it cannot be read.
-        SceneError: its scene cannot be read by this version.
+        UsageError: the path is not a run, or one of its files cannot be read.
+        SceneError: this version cannot read the scene.
     """
     record = read_record(path)
     scene_file = path / SCENE
@@ -193,24 +193,24 @@ def _result(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}: unreadable ({error}); run the scene again with --fresh") from error
     if not isinstance(result, dict):
-        raise UsageError(f"{path}: holds no result; run the scene again with --fresh")
+        raise UsageError(f"{path}: is not a result; run the scene again with --fresh")
     return result
 
 
 def read_tracks(
     path: Path, holdouts: set[str] | frozenset[str] = frozenset(), measurement: type[Measurement] = Markers
 ) -> list[Tracks]:
-    """Read a table: a row is recording, channel, time, then the components of data and model.
+    """Read a table; each row has recording, channel, time, then the components of data and model.
 
     Raises:
-        UsageError: it is not such a table.
+        UsageError: the file is not such a table.
     """
     with path.open(newline="") as file:
         rows = list(csv.reader(file))
     header, body = (rows[0], rows[1:]) if rows else ([], [])
     components = tuple(name.removeprefix("data_") for name in header if name.startswith("data_"))
     if header[:3] != ["recording", measurement.channel, "time"] or len(header) != 3 + 2 * len(components) or not body:
-        raise UsageError(f"{path}: no table of {measurement.channel}s; run the scene again with --fresh")
+        raise UsageError(f"{path}: is not a table of {measurement.channel}s; run the scene again with --fresh")
     grouped: dict[str, dict[str, list[list[str]]]] = {}
     for row in body:
         grouped.setdefault(row[0], {}).setdefault(row[1], []).append(row[2:])

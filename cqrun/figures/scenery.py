@@ -1,4 +1,4 @@
-"""What stands still in a picture of bodies: what holds them, where they shall go, the axes around them."""
+"""The fixed parts in a picture of bodies: boundaries, goals and axes."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PIXELS = 240
-"""Samples along the longer side of the view that show where boundaries hold the grid."""
+"""Number of samples along the longer side of the view, at which boundaries are evaluated."""
 
 
 LABELS_RIGHT = 0.7
-"""Part of a picture's width in which a goal's name stands to the right of it; beyond, to the left."""
+"""Names are to the right of goals in this left part of a picture, and to the left of goals in the rest."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """A place where something shall be.
+    """A position to reach.
 
     Attributes:
-        name: as in the scene.
+        name: name in the scene.
         position: (D,) [m].
-        spread: half the range it is drawn from (D,) [m]; zero where it is fixed.
-        course: places to be passed before it (K, D) [m].
+        spread: half the range from which it is drawn (D,) [m]; zero if it is fixed.
+        course: positions to pass before it (K, D) [m].
     """
 
     name: str
@@ -43,33 +43,36 @@ class Goal:
     course: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
-def goals(scene: Scene, told: Mapping[str, Any] | None = None) -> list[Goal]:
+def goals(scene: Scene, provenance: Mapping[str, Any] | None = None) -> list[Goal]:
     """Return the goals of a scene, and the courses of its objective.
 
     Args:
-        told: what the trajectory says of itself: `goals`, where those of this run are (D,) [m] that are drawn from a
-            range, and `courses`, places to be passed (K, D) [m]; both by name.
+        scene: the scene.
+        provenance: attributes of the trajectory: `goals` are the drawn positions of goals in this run (D,) [m], and
+            `courses` positions to pass (K, D) [m]; both by name.
     """
-    found = []
-    drawn: Mapping[str, Any] = (told or {}).get("goals") or {}
-    still = np.zeros(scene.dim)
+    result = []
+    drawn: Mapping[str, Any] = (provenance or {}).get("goals") or {}
+    no_spread = np.zeros(scene.dim)
     for name, goal in scene.goals.items():
         if name in drawn:
-            found.append(Goal(name, np.array(drawn[name]), still))
+            result.append(Goal(name, np.array(drawn[name]), no_spread))
         else:
-            found.append(Goal(name, np.array(goal.position), still if goal.spread is None else np.array(goal.spread)))
-    for name, course in ((told or {}).get("courses") or {}).items():
-        found.append(Goal(name, np.array(course[-1]), still, np.array(course)))
-    return found
+            spread = no_spread if goal.spread is None else np.array(goal.spread)
+            result.append(Goal(name, np.array(goal.position), spread))
+    for name, course in ((provenance or {}).get("courses") or {}).items():
+        result.append(Goal(name, np.array(course[-1]), no_spread, np.array(course)))
+    return result
 
 
-def seen(plane: Array, look: View, marked: Sequence[Goal], size: Array) -> Array:
-    """Return the window that holds bodies and goals, with the ranges and the courses of these (2, 2) [m].
+def window_with_goals(plane: Array, look: View, marked: Sequence[Goal], size: Array) -> Array:
+    """Return the window that contains bodies and goals, with the goals' ranges and courses (2, 2) [m].
 
     Args:
-        plane: points of the bodies to the right and upwards in the view (n, 2) [m].
+        plane: points of the bodies in the plane of the view (n, 2) [m].
+        look: the view.
         marked: the goals.
-        size: of the particles (N,) [m], for the room around.
+        size: sizes of the particles (N,) [m], for the margin.
     """
     ends = [plane]
     for goal in marked:
@@ -82,11 +85,13 @@ def seen(plane: Array, look: View, marked: Sequence[Goal], size: Array) -> Array
     return np.array([extent.min(axis=0) - room, extent.max(axis=0) + room])
 
 
-def held_at(scene: Scene, points: Array, towards: Array | None = None) -> Array:
-    """Return whether a boundary holds the grid at points (n, D) (n,).
+def inside_boundaries(scene: Scene, points: Array, towards: Array | None = None) -> Array:
+    """Return whether each of the points (n, D) is inside a boundary: (n,) of bool.
 
     Args:
-        towards: unit vector to the eye (D,), if faces of the world between the eye and its inside are left out.
+        scene: the scene.
+        points: the points (n, D) [m].
+        towards: unit vector to the eye (D,), to omit faces of the world that would hide its inside.
     """
     inside = np.zeros(len(points), dtype=bool)
     world = np.array(scene.world.size)
@@ -99,35 +104,35 @@ def held_at(scene: Scene, points: Array, towards: Array | None = None) -> Array:
     return inside
 
 
-def held(scene: Scene, look: View, corners: Array, middle: Array) -> tuple[Array, Array, Array]:
-    """Return where boundaries hold the grid in the plane of a view through `middle` (D,) [m].
+def boundary_section(scene: Scene, look: View, corners: Array, middle: Array) -> tuple[Array, Array, Array]:
+    """Return the section of the boundaries with the plane of a view through `middle` (D,) [m].
 
     Returns:
-        Places to the right (a,) and upwards (b,) [m], and whether the grid is held there, (b, a) of bool.
+        Coordinates to the right (a,) and upwards (b,) [m], and whether each point is inside a boundary: (b, a) of bool.
     """
     size = corners[1] - corners[0]
     counts = np.maximum(2, np.ceil(PIXELS * size / size.max()).astype(int))
     right, up = (np.linspace(corners[0, k], corners[1, k], counts[k]) for k in range(2))
     plane = np.stack([part.ravel() for part in np.meshgrid(right, up)], axis=1)
     points = plane @ look.axes + (middle @ look.towards) * look.towards
-    return right, up, held_at(scene, points).reshape(counts[1], counts[0])
+    return right, up, inside_boundaries(scene, points).reshape(counts[1], counts[0])
 
 
-def plot_held(axes: Axes, place: tuple[Array, Array, Array], factor: float) -> None:
-    """Draw what `held` found as ground."""
-    right, up, inside = place
+def plot_boundaries(axes: Axes, section: tuple[Array, Array, Array], factor: float) -> None:
+    """Draw the section of the boundaries (`boundary_section`) as ground."""
+    right, up, inside = section
     if inside.any() and not inside.all():
         scaled = factor * right, factor * up, inside.astype(float)
         axes.contourf(*scaled, levels=[0.5, 1.5], colors=[GROUND], zorder=0.5)
         axes.contour(*scaled, levels=[0.5], colors=[GREY], linewidths=0.6, zorder=0.6)
 
 
-def plot_goals(axes: Axes, found: Sequence[Goal], look: View, factor: float) -> None:
-    """Mark goals, the ranges that they are drawn from, and courses, in axes that have their extent."""
+def plot_goals(axes: Axes, marked: Sequence[Goal], look: View, factor: float) -> None:
+    """Mark goals, their ranges and their courses in axes that already have their limits."""
     from matplotlib.patches import Rectangle
 
     left, right = axes.get_xlim()
-    for goal in found:
+    for goal in marked:
         place = factor * look.axes @ goal.position
         side = 1 if place[0] < left + LABELS_RIGHT * (right - left) else -1
         axes.plot(
@@ -139,8 +144,8 @@ def plot_goals(axes: Axes, found: Sequence[Goal], look: View, factor: float) -> 
             bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "alpha": 0.75, "linewidth": 0},
         )  # fmt: skip
         if len(goal.course):
-            passed = factor * look.axes @ goal.course.T
-            axes.plot(*passed, marker=".", markersize=3, color=TRUTH, linestyle="none", zorder=4)
+            course = factor * look.axes @ goal.course.T
+            axes.plot(*course, marker=".", markersize=3, color=TRUTH, linestyle="none", zorder=4)
         if goal.spread.any():
             half = factor * np.abs(look.axes) @ goal.spread
             box = Rectangle(place - half, *(2 * half), fill=False, edgecolor=TRUTH, linestyle="--", linewidth=0.9)
@@ -149,7 +154,7 @@ def plot_goals(axes: Axes, found: Sequence[Goal], look: View, factor: float) -> 
 
 
 def frame_axes(axes: Axes, look: View, corners: Array, unit: Unit) -> None:
-    """Give axes the extent of a window (2, 2) [m], equal scales, and ticks in a unit where the view has names."""
+    """Give axes the limits of a window (2, 2) [m], equal scales, and ticks in a unit if the view has named axes."""
     from matplotlib.ticker import FuncFormatter
 
     axes.set_aspect("equal")
@@ -165,5 +170,5 @@ def frame_axes(axes: Axes, look: View, corners: Array, unit: Unit) -> None:
     axes.set_xlabel(unit.label(look.names[0]))
     axes.set_ylabel(unit.label(look.names[1]))
     for axis, direction in zip((axes.xaxis, axes.yaxis), look.axes, strict=True):
-        if direction.sum() < 0:  # the world's axis points to the left, or down
+        if direction.sum() < 0:  # the axis of the world points left or down
             axis.set_major_formatter(FuncFormatter(lambda tick, _: f"{0.0 - tick:g}"))

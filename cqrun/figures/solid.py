@@ -1,4 +1,4 @@
-"""Bodies of three dimensions, by pyvista without a window: particles as spheres that hide each other."""
+"""Draw bodies in 3D with pyvista, without a window: particles are spheres that hide each other."""
 
 from __future__ import annotations
 
@@ -12,52 +12,53 @@ import numpy as np
 
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.explain import listed
-from cqrun.figures.scenery import held_at
+from cqrun.figures.scenery import inside_boundaries
 from cqrun.figures.style import GREY, GROUND
 from cqrun.figures.views import View
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
 SAMPLES = 72
-"""Samples along the longest side of what is seen that show where boundaries hold the grid."""
+"""Number of samples along the longest side of the visible region, at which boundaries are evaluated."""
 
 COVER = 1.45
-"""Diameter of a sphere in distances between dots."""
+"""Diameter of a sphere divided by the distance between dots."""
 
 WITHOUT_DISPLAY = ("libEGL.so.1", "libOSMesa.so.8")
-"""Libraries of the system by which VTK draws where there is no display."""
+"""System libraries with which VTK can draw without a display."""
 
 CLASSES = 1.15
-"""Dots whose sizes differ by less than this factor are drawn of one size."""
+"""Dots whose sizes differ by less than this factor are drawn with the same size."""
 
 
 def require_pyvista() -> Any:
-    """Return pyvista, which is told to open no window.
+    """Return pyvista if it can draw without a window.
 
     Raises:
         MissingExtra: the extra `viz3d` is not installed.
+        UsageError: a system library is missing.
     """
     try:
         import pyvista
         from vtkmodules.vtkCommonCore import vtkLogger
     except ModuleNotFoundError as error:
         raise MissingExtra(
-            f"a picture of three dimensions needs pyvista ({error.name} is not installed): pip install 'cqrun[viz3d]'; "
-            "trajectory.h5 opens in ParaView as it is"
+            f"a picture in 3D needs pyvista ({error.name} is not installed): pip install 'cqrun[viz3d]'; or open "
+            "trajectory.h5 in ParaView"
         ) from None
-    except ImportError as error:  # VTK is there, but a library of the system is not
+    except ImportError as error:  # VTK is installed, but a system library is missing
         raise UsageError(f"pyvista cannot be used here: {error}") from error
     if sys.platform == "linux" and not os.environ.get("DISPLAY") and not any(map(_loads, WITHOUT_DISPLAY)):
         raise UsageError(
-            f"pyvista cannot draw here: there is no display, and none of {listed(WITHOUT_DISPLAY)} that could do "
-            "without; install one of them (Debian and Ubuntu: libegl1)"
-        )  # VTK would end the process
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # that there is no display is no news
+            f"pyvista cannot draw here: there is no display, and none of {listed(WITHOUT_DISPLAY)}, which work "
+            "without one; install one of them (Debian and Ubuntu: libegl1)"
+        )  # otherwise VTK would end the process
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # no warnings about the missing display
     return pyvista
 
 
 def _loads(library: str) -> bool:
-    """Say whether a library of the system can be loaded."""
+    """Return whether a system library can be loaded."""
     try:
         ctypes.CDLL(library)
     except OSError:
@@ -66,12 +67,12 @@ def _loads(library: str) -> bool:
 
 
 class SolidBodies:
-    """The particles as one picture; `close` lets go of the renderer.
+    """The particles as one picture; `close` releases the renderer.
 
     Args:
-        scene: whose boundaries are drawn in an oblique view; those of others are the axes' own.
-        look, corners: from where, and what is seen (2, 2) [m].
-        box: the bodies over all of the time, lower and upper corner (2, 3) [m].
+        scene: the scene, whose boundaries are drawn in an oblique view only.
+        look, corners: the view, and its window (2, 2) [m].
+        box: lower and upper corner of the bodies over the whole time (2, 3) [m].
         size: distance between dots (M,) [m].
         pixels: width and height of the picture.
     """
@@ -99,10 +100,10 @@ class SolidBodies:
         self._ground = [] if look.names else self._add_ground(pyvista, scene, look, box)
 
     def paint(self, layers: Sequence[tuple[Array, Array]]) -> Array:
-        """Return the picture (h, w, 4) in 0 to 1 of the dots at x (M, 3) in colours (M, 3), once a layer.
+        """Return the picture (h, w, 4), 0 to 1, of layers of dots at x (M, 3) with colours (M, 3).
 
-        Where nothing is, it is transparent. A later layer covers the earlier ones wherever it is: they are other
-        times, not other places.
+        Empty pixels are transparent. A later layer covers the earlier ones, whatever the depth, because layers are
+        different times.
         """
         picture = self._render(*layers[0], ground=True)
         for x, rgb in layers[1:]:
@@ -111,7 +112,7 @@ class SolidBodies:
         return picture
 
     def _render(self, x: Array, rgb: Array, *, ground: bool) -> Array:
-        """Return one layer (h, w, 4), red to opacity in 0 to 1."""
+        """Return one layer (h, w, 4): red, green, blue and opacity, 0 to 1."""
         for chosen, cloud in self._classes:
             cloud.points = x[chosen]
             cloud["colour"] = np.round(255 * rgb[chosen]).astype(np.uint8)
@@ -121,7 +122,7 @@ class SolidBodies:
         return np.asarray(self._plotter.screenshot(return_img=True, transparent_background=True)) / 255.0
 
     def close(self) -> None:
-        """Let go of the renderer."""
+        """Release the renderer."""
         self._plotter.close()
 
     def _place_camera(self, look: View, corners: Array, box: Array) -> None:
@@ -134,16 +135,16 @@ class SolidBodies:
         camera.clipping_range = (0.1 * away, 2.0 * away)
 
     def _add_ground(self, pyvista: Any, scene: Scene, look: View, box: Array) -> list[Any]:
-        """Return surface and edges of what boundaries hold near the bodies, but for what would hide them."""
+        """Return surface and edges of the boundaries near the bodies, without those that would hide the bodies."""
         room = 0.25 * float((box[1] - box[0]).max())
         grown = np.array([box[0] - room, box[1] + room])
         step = float((grown[1] - grown[0]).max()) / SAMPLES
         up = int(np.argmax(np.abs(look.axes[1])))
-        grown[:, up] = box[0, up] - 3 * step, box[1, up] + 3 * step  # a floor is a sheet, not a block
+        grown[:, up] = box[0, up] - 3 * step, box[1, up] + 3 * step  # a floor is drawn as a sheet and not as a block
         counts = np.ceil((grown[1] - grown[0]) / step).astype(int) + 1
         places = [grown[0, k] + step * np.arange(counts[k]) for k in range(3)]
         points = np.stack([part.ravel(order="F") for part in np.meshgrid(*places, indexing="ij")], axis=1)
-        inside = held_at(scene, points, look.towards).reshape(counts, order="F")
+        inside = inside_boundaries(scene, points, look.towards).reshape(counts, order="F")
         if not inside.any():
             return []
         for axis in range(3):  # closed at its ends

@@ -1,4 +1,4 @@
-"""The deformation of a body as its particles' positions tell it."""
+"""Compute the strain of a body from the positions of its particles."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from cqrun.plugin.contract import Array
 
 NEIGHBOURS = {2: 12, 3: 40}
-"""Particles whose motion gives the deformation of the one between them; enough for lattices that are finer one way."""
+"""Number of neighbours from which a deformation gradient is fitted; enough for lattices finer in one direction."""
 
 FLAT = 1e-6
-"""Neighbours in one line or plane, to this part of their extent, do not tell the deformation."""
+"""If neighbours are in one line or plane, to this part of their extent, the deformation gradient is unknown."""
 
 
 class Strain:
-    """Green's strain of every particle, from positions alone: F maps its neighbours from rest to where they are.
+    """The deformation gradient F of every particle, from positions only.
 
     F is the least-squares fit of dx = F dX over the nearest particles of the same body at rest, weighted by 1 / |dX|^2.
 
     Args:
         rest: positions of the undeformed bodies (N, D) [m].
-        bodies: slice of each.
+        bodies: slice of each body's particles.
     """
 
     def __init__(self, rest: Array, bodies: Mapping[str, slice]) -> None:
@@ -31,26 +31,26 @@ class Strain:
         self.dim = rest.shape[1]
         self._parts: list[tuple[slice, Array, Array, Array]] = []
         for part in bodies.values():
-            own = rest[part]
-            count = min(NEIGHBOURS[self.dim], len(own) - 1)
+            x_rest = rest[part]
+            count = min(NEIGHBOURS[self.dim], len(x_rest) - 1)
             if count < self.dim:
                 continue
-            near = cKDTree(own).query(own, k=count + 1)[1][:, 1:]
-            arms = own[near] - own[:, None]
+            near = cKDTree(x_rest).query(x_rest, k=count + 1)[1][:, 1:]
+            arms = x_rest[near] - x_rest[:, None]
             weighted = arms / np.maximum(np.sum(arms**2, axis=2, keepdims=True), 1e-300)
             moment = np.einsum("nki,nkj->nij", weighted, arms)
             extent = np.linalg.eigvalsh(moment)
-            told = extent[:, 0] > FLAT * extent[:, -1]
-            moment[~told] = np.eye(self.dim)
-            self._parts.append((part, near, np.einsum("nki,nij->nkj", weighted, np.linalg.inv(moment)), told))
+            known = extent[:, 0] > FLAT * extent[:, -1]
+            moment[~known] = np.eye(self.dim)
+            self._parts.append((part, near, np.einsum("nki,nij->nkj", weighted, np.linalg.inv(moment)), known))
 
     def gradient(self, x: Array) -> Array:
-        """Return F (N, D, D) at positions x (N, D); NaN where too few neighbours tell it."""
+        """Return F (N, D, D) at positions x (N, D); NaN for particles with too few neighbours."""
         F = np.full((len(x), self.dim, self.dim), np.nan)
-        for part, near, weights, told in self._parts:
-            own = x[part]
-            fitted = np.einsum("nki,nkj->nij", own[near] - own[:, None], weights)
-            fitted[~told] = np.nan
+        for part, near, weights, known in self._parts:
+            x_body = x[part]
+            fitted = np.einsum("nki,nkj->nij", x_body[near] - x_body[:, None], weights)
+            fitted[~known] = np.nan
             F[part] = fitted
         return F
 

@@ -1,6 +1,7 @@
-"""How every picture looks, and how it reaches the disk: whole or not at all.
+"""The style of all pictures, and how they are saved: completely or not at all.
 
-Pictures are made without pyplot: no window, no state between two of them. Draw and save inside `styled()`.
+Pictures are made without pyplot, so there is no window and no state between two of them. Draw and save inside
+`styled()`.
 """
 
 from __future__ import annotations
@@ -24,17 +25,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#6A51A3", "#8C6D31")
-"""Told apart by colour-blind readers too (Okabe and Ito's, the yellow left out as too pale for lines)."""
+"""Colours that colour-blind readers can distinguish (Okabe and Ito, without yellow, which is too pale for lines)."""
 
 INK, GREY, PALE = "#222222", "#6E6E6E", "#D9D9D9"
 TRUTH = "#C00000"
 GROUND = "#DADADA"
 
 AMOUNT_MAP, SIGNED_MAP = "viridis", "coolwarm"
-"""Of quantities from 0 on, and of those with a sign; both are read by colour-blind people too."""
+"""Colour maps of quantities from 0 on and of signed quantities; colour-blind readers can read both."""
 
 PASSIVE = "#B4B4B4"
-"""Of particles that have no value of what is shown."""
+"""Colour of particles that have no value of the quantity shown."""
 
 STYLE: dict[str, Any] = {
     "figure.dpi": 130,
@@ -70,21 +71,21 @@ STYLE: dict[str, Any] = {
 }
 
 FEW_DECADES = 2.5
-"""A logarithmic axis shorter than this is labelled at 1, 2 and 5 times the powers of ten."""
+"""Logarithmic axes of fewer decades than this are labelled at 1, 2 and 5 times the powers of ten."""
 
 LONG_TITLE = 36
-"""Titles of more letters are written smaller."""
+"""Titles with more letters than this are smaller."""
 
 TITLE_LINE = 48
-"""Letters in a line of a title."""
+"""Largest number of letters in a line of a title."""
 
 NARROW = 3.0
-"""One whose ends differ by a smaller factor is labelled at round numbers, as a linear one."""
+"""Logarithmic axes whose ends differ by less than this factor are labelled at round numbers, like linear axes."""
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Draw and save in cqrun's style, whatever the user's own settings are."""
+    """Draw and save in cqrun's style, independent of the user's settings."""
     import matplotlib
     from cycler import cycler
 
@@ -106,7 +107,10 @@ def save(figure: Figure, base: Path, kinds: Sequence[str] = ("png",), keywords: 
     """Write `base` with a suffix for each kind, png or pdf; return the paths.
 
     Args:
-        keywords: what the file says of itself, as plain text among its bytes.
+        figure: the picture.
+        base: path without the suffix.
+        kinds: png, pdf.
+        keywords: keywords in the metadata of the file, stored as plain text.
 
     Raises:
         UsageError: the directory cannot be written to.
@@ -115,9 +119,9 @@ def save(figure: Figure, base: Path, kinds: Sequence[str] = ("png",), keywords: 
     written = []
     for kind in kinds:
         content = io.BytesIO()
-        stamp = {"CreationDate": None} if kind == "pdf" else {}  # equal pictures are equal files
-        told = {"Keywords": keywords} if keywords else {}
-        figure.savefig(content, format=kind, metadata=stamp | told)
+        stamp = {"CreationDate": None} if kind == "pdf" else {}  # so that equal pictures are equal files
+        metadata = {"Keywords": keywords} if keywords else {}
+        figure.savefig(content, format=kind, metadata=stamp | metadata)
         path = base.with_name(f"{base.name}.{kind}")
         write_bytes(path, content.getvalue())
         written.append(path)
@@ -132,9 +136,9 @@ def whole_ticks(axis: Axis) -> None:
 
 
 def clock_ticks(axis: Axis, iteration: Array, seconds: Array, last: float = 0.0) -> str:
-    """Write the wall time [s] below each iteration; return the unit that it is written in.
+    """Write the wall time [s] below each iteration; return its unit.
 
-    An axis that goes on to `last` has a tick there, without a time, and one where the iterations end.
+    An axis that continues to `last` has ticks without times there, and one where the iterations end.
     """
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
@@ -176,11 +180,11 @@ def note(axes: Axes, text: str) -> None:
         text, (0, 1), xycoords="axes fraction", xytext=(0, 3), textcoords="offset points",
         fontsize=7.5, color=GREY, va="bottom", ha="left", annotation_clip=False,
     )  # fmt: skip
-    line.set_in_layout(False)  # a long line must not squeeze the axes
+    line.set_in_layout(False)  # a long line must not make the axes smaller
 
 
 def plain(name: str) -> str:
-    """Return a user's name as text that is drawn as it stands: between two dollars it would be a formula."""
+    """Return a user's name as literal text; matplotlib would draw text between two dollars as a formula."""
     return name.replace("$", r"\$")
 
 

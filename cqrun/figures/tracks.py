@@ -1,4 +1,4 @@
-"""tracks_<recording>.png: what was measured beside the model, and how far apart they are."""
+"""tracks_<recording>.png: a recording, the same from the model, and their difference."""
 
 from __future__ import annotations
 
@@ -19,56 +19,56 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FEW_MARKERS = 8
-"""Up to this many markers each has its own colour and line; of more, some paths are shown in the plane."""
+"""Up to this many markers are drawn one by one; of more markers, some paths are drawn in a plane."""
 
 MOVES = 0.15
-"""A coordinate that moves less than this part of the one that moves most is not drawn."""
+"""A coordinate is not drawn if it moves less than this part of the one that moves most."""
 
 SHOWN_PATHS = 12
-"""How many paths are shown of many markers."""
+"""Number of paths that are drawn of many markers."""
 
 SHOWN_TIMES = 3
-"""How many of those are shown against time."""
+"""Number of these paths that are also drawn against time."""
 
 
 # --- data ---------------------------------------------------------------------------------------------------
 
 
 def displacements(tracks: Tracks) -> tuple[Array, Array]:
-    """Return data and model (T, M, D): places from where the model's are in the first frame, others as they are."""
+    """Return data and model (T, M, D): positions relative to the model's in the first frame, other values unchanged."""
     origin = tracks.model[0] if tracks.measurement.unit == "m" else 0.0
     return tracks.data - origin, tracks.model - origin
 
 
 def rmse(tracks: Tracks) -> str:
-    """Return the root mean square error, in the unit in which it is shown."""
+    """Return the root mean square error as text, in its display unit."""
     unit = tracks.measurement.shown
     return f"{error(unit.factor * tracks.rmse())} {unit.name}".rstrip()
 
 
 def moving_axes(tracks: Tracks) -> list[int]:
-    """Return the coordinates worth drawing, in order: those that move, in the model or in the data."""
+    """Return the coordinates to draw, in order: those that move in the model or in the data."""
     spans = _spans(tracks)
     largest = spans.max()
     return [axis for axis, span in enumerate(spans) if span >= MOVES * largest]
 
 
 def main_coordinate(tracks: Tracks) -> int:
-    """Return the coordinate that moves most, in the model: noise moves nothing there."""
+    """Return the coordinate that moves most in the model, which has no noise."""
     return int(np.argmax(np.ptp(tracks.model, axis=0).max(axis=0)))
 
 
 def main_axes(tracks: Tracks) -> tuple[int, int]:
-    """Return the two coordinates that span most: the plane in which paths are shown, in order."""
+    """Return the two coordinates with the largest extent, in order: the plane in which paths are drawn."""
     if tracks.model.shape[2] == 2:
         return 0, 1
-    everything = np.ptp(tracks.model.reshape(-1, tracks.model.shape[2]), axis=0)
-    first, second = sorted(np.argsort(everything)[-2:].tolist())
+    extent = np.ptp(tracks.model.reshape(-1, tracks.model.shape[2]), axis=0)
+    first, second = sorted(np.argsort(extent)[-2:].tolist())
     return first, second
 
 
 def _spans(tracks: Tracks) -> Array:
-    """Return how far the marker that moves most goes along each axis (D,) [m], outliers of the data left out."""
+    """Return the largest range of a marker along each axis (D,) [m], without outliers in the data."""
     model = np.ptp(tracks.model, axis=0).max(axis=0)
     seen = [m for m in range(len(tracks.channels)) if np.isfinite(tracks.data[:, m]).any()]
     if not seen:
@@ -78,7 +78,7 @@ def _spans(tracks: Tracks) -> Array:
 
 
 def spread(points: Array, count: int, first: int = 0) -> list[int]:
-    """Return `count` of the points (N, D) that lie far apart, beginning with `first`."""
+    """Return the indices of `count` of the points (N, D) that are far apart, starting with `first`."""
     chosen = [first]
     nearest = np.sum((points - points[first]) ** 2, axis=1)
     while len(chosen) < min(count, len(points)):
@@ -101,7 +101,7 @@ def draw_recording(tracks: Tracks, scene: str) -> Figure:
 
 
 def _draw_channels(tracks: Tracks) -> Figure:
-    """Draw each channel against time: a row a component, and one for the error."""
+    """Draw each channel against time: a row for each component, and one for the error."""
     axes = moving_axes(tracks)
     figure = new_figure(8.6, 0.6 + 2.0 * len(axes) + 1.5)
     panels = figure.subplots(len(axes) + 1, 1, sharex=True, height_ratios=[2.0] * len(axes) + [1.4])
@@ -120,10 +120,14 @@ def _draw_channels(tracks: Tracks) -> Figure:
 def plot_coordinate(
     panel: Axes, tracks: Tracks, axis: int, channels: Sequence[int], dots: str | None = None
 ) -> list[Artist]:
-    """Draw one component of some channels against time: data as dots, the model as lines, which are returned.
+    """Draw one component of some channels against time, data as dots and the model as lines; return the lines.
 
     Args:
-        dots: colour of the data; that of the channel's line if not given.
+        panel: axes to draw in.
+        tracks: the recording.
+        axis: index of the component.
+        channels: indices of the channels.
+        dots: colour of the data; the colour of the channel's line if not given.
     """
     lines: list[Artist] = []
     data, model = displacements(tracks)
@@ -142,7 +146,7 @@ def plot_coordinate(
 
 
 def explain(panel: Axes) -> None:
-    """Say what dots and lines are."""
+    """Add a legend that explains dots and lines."""
     from matplotlib.lines import Line2D
 
     dots = Line2D([], [], linestyle="none", marker="o", markersize=3, color=GREY)
@@ -153,13 +157,13 @@ def explain(panel: Axes) -> None:
 
 
 def _raise_top(panel: Axes, part: float) -> None:
-    """Make room for a legend in a row along the top."""
+    """Extend the vertical axis to make space for a legend along the top."""
     low, high = panel.get_ylim()
     panel.set_ylim(low, high + part * (high - low))
 
 
 def _plot_errors(panel: Axes, tracks: Tracks) -> None:
-    """Draw every channel's distance from the model against time, and their root mean square."""
+    """Draw the distance of every channel from the model against time, and their root mean square."""
     factor = tracks.measurement.shown.factor
     for m, column in enumerate(factor * tracks.error.T):
         panel.plot(tracks.time, column, color=COLOURS[m % len(COLOURS)], linewidth=0.8, alpha=0.4)
@@ -171,7 +175,7 @@ def _plot_errors(panel: Axes, tracks: Tracks) -> None:
 
 
 def rms_over_markers(tracks: Tracks) -> tuple[Array, Array]:
-    """Return the times at which a channel was seen (K,) [s], and the root mean square error then (K,)."""
+    """Return the times at which any channel was seen (K,) [s], and the root mean square errors then (K,)."""
     seen = np.isfinite(tracks.error).any(axis=1)
     return tracks.time[seen], np.sqrt(np.nanmean(tracks.error[seen] ** 2, axis=1))
 
@@ -184,7 +188,7 @@ def _finish_errors(panel: Axes, tracks: Tracks) -> None:
 
 
 def _draw_paths(tracks: Tracks) -> Figure:
-    """Draw paths of some markers in the plane, a few against time, and the error of all."""
+    """Draw paths of some markers in a plane, a few of them against time, and the error of all markers."""
     first, second = main_axes(tracks)
     unit = length_unit(float(np.abs(tracks.model).max()))
     figure = new_figure(10.0, 5.2)
@@ -216,7 +220,7 @@ def _plot_paths(panel: Axes, tracks: Tracks, shown: list[int], plane: tuple[int,
 
 
 def _plot_error_band(panel: Axes, tracks: Tracks) -> None:
-    """Draw the error over all channels against time: root mean square, and where nine tenths lie."""
+    """Draw the error of all channels against time: the root mean square, and the band with 90 % of them."""
     time, mean = rms_over_markers(tracks)
     seen = np.isfinite(tracks.error).any(axis=1)
     factor, label = tracks.measurement.shown.factor, f"5 to 95 % of the {tracks.measurement.channel}s"

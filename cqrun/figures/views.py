@@ -1,4 +1,4 @@
-"""How a picture looks at the world, and how much of it is seen."""
+"""The views of a picture, and the windows that they show."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
 TURN, TILT = 30.0, 20.0
-"""The oblique view: turned about the vertical, and looked at from above [degrees]."""
+"""Angles of the oblique view: turn about the vertical, and tilt from above [degrees]."""
 
 MARGIN = 0.05
-"""Free room around the bodies, in parts of their extent."""
+"""Free margin around the bodies, as a part of their extent."""
 
 NEARLY = 0.9
-"""Part of the longest extent from which the earlier axis is the one across: robots of equal sides are seen along z."""
+"""Sides at least this part of the longest count as equally long; then the first axis is drawn across."""
 
 
 @dataclass(frozen=True)
 class View:
-    """An orthographic look at the world.
+    """An orthographic view of the world.
 
     Attributes:
         axes: unit vectors to the right and upwards in the picture (2, D).
-        names: of these two axes; empty for an oblique view, which has no ticks. An axis of the world may point to
-            the left or downwards in the picture.
+        names: names of these two axes; empty for an oblique view, which has no ticks. An axis of the world may point
+            left or down in the picture.
     """
 
     axes: Array
@@ -36,29 +36,30 @@ class View:
 
     @property
     def towards(self) -> Array:
-        """Unit vector to the eye (D,); zero in 2D."""
+        """Unit vector towards the eye (D,); zero in 2D."""
         return np.cross(*self.axes) if self.axes.shape[1] == 3 else np.zeros(2)
 
 
 PLANE = View(np.eye(2), "xy")
-"""A world of two dimensions, as it is."""
+"""The view of a 2D world."""
 
 
 def views(scene: Scene, x: Array) -> list[View]:
-    """Return how to look at positions x (..., D): the plane itself in 2D; from the side and from above in 3D."""
+    """Return the views of positions x (..., D): the plane itself in 2D, from the side and oblique in 3D."""
     return [PLANE] if scene.dim == 2 else [view(scene, x, "side"), view(scene, x, "iso")]
 
 
 def view(scene: Scene, x: Array, name: str) -> View:
-    """Return one of `choices.Look` of positions x (..., 3).
+    """Return one of the views in `choices.Look` of positions x (..., 3).
 
-    Up is against the largest component of gravity, z without; the side is the one that shows the bodies longest.
+    Up is opposite to the largest component of gravity, or z without gravity. The side view shows the longest side of
+    the bodies.
 
     Raises:
-        UsageError: the world has two dimensions, and is always seen as it is.
+        UsageError: the world is 2D, which has only one view.
     """
     if scene.dim == 2:
-        raise UsageError(f"--view {name}: the world of this run has two dimensions; it is seen as it is")
+        raise UsageError(f"--view {name}: the world of this run has two dimensions, so it has only one view")
     axes = np.eye(3)
     gravity = np.array(scene.world.gravity)
     up = int(np.argmax(np.abs(gravity))) if gravity.any() else 2
@@ -82,18 +83,18 @@ def view(scene: Scene, x: Array, name: str) -> View:
 
 
 def window(x: Array, look: View, room: float) -> Array:
-    """Return what to show of positions x (..., D): lower and upper corner (2, 2) [m], with room around [m]."""
+    """Return the window that shows positions x (..., D) with a margin `room` [m]: lower and upper corner (2, 2) [m]."""
     plane = x.reshape(-1, x.shape[-1]) @ look.axes.T
     return np.array([plane.min(axis=0) - room, plane.max(axis=0) + room])
 
 
 def room_around(x: Array, size: Array) -> float:
-    """Return how much free room to leave around particles at x (..., D) of a size (N,) [m]."""
+    """Return the margin to leave around particles at x (..., D) with a size (N,) [m]."""
     return MARGIN * float(np.max(np.ptp(x.reshape(-1, x.shape[-1]), axis=0))) + float(size.max())
 
 
 def of_equal_width(windows: Sequence[Array]) -> list[Array]:
-    """Return windows of the width of the widest, their middles where they were: so all have one scale."""
+    """Return windows with the same middles and the width of the widest, so that all have the same scale."""
     widest = max(float(w[1, 0] - w[0, 0]) for w in windows)
     out = []
     for corners in windows:

@@ -1,8 +1,8 @@
-"""From a recording's own axes to the scene's: a rigid transform, and displacements from the still frames.
+"""Transform a recording from its own axes to the scene's, and compute displacements from the still frames.
 
-The mean of the frames before the release is laid onto the markers' rest positions (Kabsch). The
-transform never stretches: what it leaves over says how well the rest positions are known, and because
-of it displacements are compared, each marker from its own mean, and not positions.
+A rigid transform maps the mean of the frames before the release to the rest positions of the markers (Kabsch). It does
+not stretch, so its residuals show how accurately the rest positions are known. Because of these residuals,
+displacements of each marker from its own mean are compared, and not positions.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from cqrun.measurements.recording import Recording
 from cqrun.plugin.contract import Array
 
 LARGEST_RESIDUAL = 5e-3
-"""A marker further than this from its rest position after alignment is refused [m]."""
+"""Largest allowed distance of a marker from its rest position after alignment [m]."""
 
 LARGEST_SHARE = 0.05
-"""So is one further than this part of the markers' extent: on a small body swapped names leave little more."""
+"""The same limit as a part of the markers' extent, because on a small body even swapped names give small residuals."""
 
 _THINNEST = 0.02
-"""Markers whose second extent is less than this part of their first count as on one line."""
+"""Markers are collinear if their second extent is less than this part of the first."""
 
 _LOOKS = {
     3: "is in millimetres: say `units: mm`",
@@ -34,7 +34,7 @@ _LOOKS = {
     -2: "is in metres, not centimetres: correct `units:`",
     -3: "is in metres, not millimetres: correct `units:`",
 }
-"""What a ratio of extents says of the units, by its power of ten."""
+"""Advice about the units, by the power of ten in the ratio of extents."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ class Alignment:
     """Rigid transform scene = rotation @ recording + translation.
 
     Attributes:
-        rotation: (D, D).
+        rotation: rotation matrix (D, D).
         translation: (D,) [m].
-        residuals: (M,) distance of each marker's mean still position from its rest position [m].
+        residuals: distance of each marker's mean still position from its rest position (M,) [m].
     """
 
     rotation: Array
@@ -61,14 +61,15 @@ class Measured:
     """A recording in the scene's frame, ready to be compared with a model.
 
     Attributes:
-        time: (T,) the recording's own time [s].
-        names: M markers.
-        rest: (M, D) rest positions in the scene's frame [m].
-        values: (T, M, D) displacements from the still mean, or positions if `absolute` [m]; NaN where unseen.
-        still: (T_s, M, D) the still frames' own displacements [m]; NaN where unseen, T_s = 0 without such frames.
+        time: the time in the recording (T,) [s].
+        names: names of the M markers.
+        rest: rest positions in the scene's frame (M, D) [m].
+        values: displacements from the still mean, or positions if `absolute` (T, M, D) [m]; NaN where a marker was not
+            seen.
+        still: displacements in the still frames (T_s, M, D) [m]; NaN where not seen; T_s = 0 without still frames.
         absolute: whether `values` are positions in the scene's frame.
-        alignment: None if the recording was in the scene's frame already.
-        source: where it came from, as errors name it.
+        alignment: None if the recording was already in the scene's frame.
+        source: name of the recording in error messages.
     """
 
     time: Array
@@ -85,13 +86,14 @@ def measure(recording: Recording, markers: Mapping[str, Array], still: tuple[flo
     """Bring the named markers of a recording into the scene's frame.
 
     Args:
+        recording: the recording.
         markers: rest position (D,) of each marker in the scene's frame [m].
-        still: first and last time of the frames at rest before the release [s]; None says that the
-            recording is in the scene's frame already, as cqrun's own are.
+        still: first and last time of the frames at rest before the release [s]; None if the recording is already in
+            the scene's frame, like cqrun's own recordings.
 
     Raises:
-        DataError: no markers, unknown or doubled ones, another dimension, no still frames, a marker that is never
-            seen in them, fewer than 3 or collinear markers, wrong units, or too large a residual.
+        DataError: no markers, unknown or repeated markers, another dimension, no still frames, a marker that is never
+            seen in them, fewer than 3 or collinear markers, wrong units, or a residual that is too large.
     """
     if not markers:
         raise DataError(
@@ -114,7 +116,7 @@ def measure(recording: Recording, markers: Mapping[str, Array], still: tuple[flo
 
 
 def still_frames(recording: Recording, still: tuple[float, float]) -> Array:
-    """Return which frames (T,) of bool have still[0] <= time <= still[1]."""
+    """Return which frames have still[0] <= time <= still[1]: (T,) of bool."""
     first, last = still
     begin, end = recording.time[0], recording.time[-1]
     slack = 1e-6 * (end - begin) / (recording.time.size - 1)
@@ -141,13 +143,13 @@ def still_mean(recording: Recording, still: tuple[float, float]) -> Array:
 
 
 def align(mean: Array, rest: Array, names: tuple[str, ...], source: str = "") -> Alignment:
-    """Return the rigid transform that lays `mean` onto `rest`, both (M, D), in the least-squares sense.
+    """Return the rigid transform that maps `mean` to `rest`, both (M, D), in the least-squares sense.
 
-    In 2D the rotation stays in the plane, so that no mirror image can pass for a rotation.
+    In 2D the rotation stays in the plane, so that a mirror image is never accepted as a rotation.
 
     Raises:
-        DataError: fewer than 3 markers (2D: 2), collinear ones, wrong units, or a residual above the lesser of
-            LARGEST_RESIDUAL and LARGEST_SHARE of the markers' extent.
+        DataError: fewer than 3 markers (2D: 2), collinear markers, wrong units, or a residual above the smaller of
+            LARGEST_RESIDUAL and LARGEST_SHARE times the markers' extent.
     """
     dim = rest.shape[1]
     if len(rest) < dim:
@@ -190,18 +192,18 @@ def _check_seen(recording: Recording) -> None:
 
 
 def _check_spread(points: Array, which: str, source: str) -> None:
-    """Refuse points that leave a rotation free: on one line in 3D, all at one place in 2D."""
+    """Refuse points that do not determine the rotation: on one line in 3D, or all at one place in 2D."""
     extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if extents[0] == 0:
         raise DataError(f"{source}: {which} are all at one place; the alignment needs them apart")
     if points.shape[1] == 3 and extents[1] < _THINNEST * extents[0]:
         raise DataError(
-            f"{source}: {which} lie on one line, which leaves the rotation about it open; use 3 or more that do not"
+            f"{source}: {which} lie on one line, so the rotation about it is unknown; use 3 or more that do not"
         )
 
 
 def _check_units(mean: Array, rest: Array, source: str) -> None:
-    """Refuse a recording whose extent is out of proportion to the body by about 10, 100 or 1000."""
+    """Refuse a recording whose extent differs from the body's by a factor of about 10, 100 or 1000."""
     spread = [float(np.sqrt(np.var(points, axis=0).sum())) for points in (mean, rest)]
     power = float(np.log10(spread[0] / spread[1]))
     if round(power) in _LOOKS and abs(power - round(power)) < 0.3:

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from cqrun.engine.model import Records
 from cqrun.errors import DataError
-from cqrun.explain import Loc, retold
+from cqrun.explain import Loc, reworded
 from cqrun.measurements.alignment import Alignment, Measured, measure
 from cqrun.measurements.measurement import Measurement, Recorded
 from cqrun.measurements.points import Points, markers
@@ -51,8 +51,8 @@ class Markers(Measurement):
     takes: ClassVar[frozenset[str]] = frozenset({"still", "units"})
 
     @classmethod
-    def _retold(cls, error: ErrorDetails) -> InitErrorDetails:
-        return retold(error, unit=cls.unit)
+    def _reworded(cls, error: ErrorDetails) -> InitErrorDetails:
+        return reworded(error, unit=cls.unit)
 
     @property
     def rest(self) -> dict[str, Array]:

@@ -24,10 +24,10 @@ class Recording:
     """Positions of markers over time.
 
     Attributes:
-        time: (T,) strictly increasing [s].
-        names: M labels, in the file's order; a C3D file may repeat one.
-        positions: (T, M, D) in the recording's own axes [m]; NaN where a marker was not seen.
-        source: where it came from, as errors name it.
+        time: strictly increasing times (T,) [s].
+        names: M labels, in the order of the file; a C3D file may repeat one.
+        positions: positions in the axes of the recording (T, M, D) [m]; NaN where a marker was not seen.
+        source: name of the recording in error messages.
     """
 
     time: Array
@@ -41,27 +41,27 @@ class Recording:
         return int(self.positions.shape[2])
 
     def seen(self) -> Array:
-        """Say where each marker was seen: (T, M) of bool."""
+        """Return where each marker was seen: (T, M) of bool."""
         return ~np.isnan(self.positions).any(axis=2)
 
     def select(self, names: Sequence[str]) -> Recording:
-        """Return the recording of `names` alone, in that order.
+        """Return the recording with only the markers `names`, in that order.
 
         Raises:
-            DataError: a name is not in the recording, or is there more than once.
+            DataError: a name is not in the recording, or appears more than once.
         """
         columns = []
         for name in names:
-            found = [i for i, label in enumerate(self.names) if label == name]
-            if not found:
+            matching = [i for i, label in enumerate(self.names) if label == name]
+            if not matching:
                 known = listed((f"'{label}'" for label in dict.fromkeys(self.names)), 12)
                 raise DataError(f"{self.source}: no marker '{name}'{suggest(name, self.names)}; it has {known}")
-            if len(found) > 1:
+            if len(matching) > 1:
                 raise DataError(
-                    f"{self.source}: marker '{name}' is there {len(found)} times; "
+                    f"{self.source}: marker '{name}' appears {len(matching)} times; "
                     "rename or remove the others in the recording"
                 )
-            columns.append(found[0])
+            columns.append(matching[0])
         return replace(self, names=tuple(names), positions=self.positions[:, columns])
 
 
@@ -69,7 +69,7 @@ def check_recording(recording: Recording) -> Recording:
     """Return `recording` if its times increase and its positions are finite or missing.
 
     Raises:
-        DataError: says which frame or marker is wrong.
+        DataError: a frame or marker is wrong; the message says which.
     """
     time, positions, source = recording.time, recording.positions, recording.source
     if time.size < 2:
@@ -88,13 +88,13 @@ def check_recording(recording: Recording) -> Recording:
         frame, marker, _ = (int(i[0]) for i in np.nonzero(np.isinf(positions)))
         raise DataError(
             f"{source}: marker '{recording.names[marker]}' is at infinity in frame {frame}; "
-            "leave a marker that was not seen out, or write nan"
+            "omit a marker that was not seen, or write nan"
         )
     return recording
 
 
 def unit_of(text: str) -> str | None:
-    """Return `m`, `cm` or `mm` for what a file calls its unit, None for anything else."""
+    """Return `m`, `cm` or `mm` for the name of a unit in a file, or None for any other name."""
     word = text.strip().lower()
     word = _SPELLINGS.get(word, word)
     return word if word in METRES else None

@@ -77,16 +77,16 @@ class Window:
         return frames
 
     def require_still(self, still: tuple[float, float]) -> None:
-        """Refuse still frames that reach into the time in which the model moves [s].
+        """Refuse still frames that overlap the time in which the model moves [s].
 
         Raises:
-            DataError: they do; their mean would be no rest position.
+            DataError: they overlap, so that their mean is not a rest position.
         """
         begin, end = self.bounds[0], self.bounds[1] + self.steps * self.control_step
         slack = 1e-9 * max(abs(begin), abs(end))
         if still[1] > begin + slack and still[0] < end - slack:
             raise DataError(
-                f"{self.source}: the still frames, {still[0]:g} to {still[1]:g} s, reach into {begin:g} to {end:g} s, "
-                f"in which the body may move already: end `still` at {begin:g} s at the latest, the earliest that "
-                "`start` may be"
+                f"{self.source}: the still frames, {still[0]:g} to {still[1]:g} s, overlap with {begin:g} to "
+                f"{end:g} s, when the body may already move: end `still` at {begin:g} s at the latest, the earliest "
+                "possible `start`"
             )

@@ -1,1 +1,1 @@
-"""Plug-ins: what a field declares, the registry of names, and the choice of one in a scene."""
+"""Plug-ins: how they declare fields, the registry of their names, and how a scene chooses one."""

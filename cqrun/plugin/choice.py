@@ -2,7 +2,7 @@
 
     elastic: Annotated[Chosen[Elastic], Choice("elastic")]
 
-The registry is read when a value is validated, so a plug-in file added later is known without more ado.
+The registry is read when a value is validated, so a plug-in file that is added later is found too.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from typing import Any, Generic, TypeVar
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
-from cqrun.explain import KEY, complaint, finding, listed, retold, shown, suggest
+from cqrun.explain import KEY, complaint, finding, listed, reworded, shown, suggest
 from cqrun.plugin import registry
 from cqrun.plugin.contract import Plugin
 
 P = TypeVar("P", bound=Plugin, covariant=True)
 
 CHOICE_MARK = "x-cqrun-choice"
-"""JSON schema key that stands for a choice of a kind until `scene_json_schema` spells it out."""
+"""JSON schema key that marks a choice of a kind until `scene_json_schema` replaces it by the plug-ins."""
 
 
 @dataclass(frozen=True)
 class Chosen(Generic[P]):
-    """A chosen plug-in: its `name`, and the validated instance as `value`."""
+    """A chosen plug-in: its `name`, and the validated instance in `value`."""
 
     name: str
     value: P
@@ -34,9 +34,9 @@ class Chosen(Generic[P]):
 
 @dataclass(frozen=True)
 class Choice:
-    """Annotation of a field that chooses one plug-in of `kind`; the field holds a `Chosen`.
+    """Annotation of a field that chooses one plug-in of `kind`; the value of the field is a `Chosen`.
 
-    A plug-in whose class sets `shorthand` to a field's name also takes that field's bare value:
+    If a plug-in's class sets `shorthand` to the name of a field, a scene may give the value of that field alone:
     `{union: [...]}` for `{union: {shapes: [...]}}`.
     """
 
@@ -68,7 +68,7 @@ class Choice:
         try:
             return cls.model_validate(value)
         except ValidationError as error:
-            findings = [retold(e, (name,)) for e in error.errors(include_url=False)]
+            findings = [reworded(e, (name,)) for e in error.errors(include_url=False)]
             raise complaint(self.kind, findings) from None
 
     def _complaint(self, message: str, involves: Sequence[str] = ()) -> ValidationError:
@@ -83,7 +83,7 @@ class Choice:
 
 
 def _no_mapping(data: Any, legal: dict[str, type[Plugin]]) -> str:
-    """Return what is wrong with a choice that is no mapping."""
+    """Return what is wrong with a choice that is not a mapping."""
     if isinstance(data, str) and data in legal:
         inside = "{...}" if any(field.is_required() for field in legal[data].model_fields.values()) else "{}"
         return f"must be a mapping `name: {{...}}`, is {shown(data)}: write `{{{data}: {inside}}}`"

@@ -1,7 +1,7 @@
 """Plug-ins by kind and name: one file in one folder, found by importing that folder.
 
-A plug-in file registers its class with `@plugin(kind, name)`; nothing else has to change for
-`cqrun describe`, the scene schema and the generated tests to know it.
+A plug-in file registers its class with `@plugin(kind, name)`. Nothing else has to change: `cqrun describe`, the scene
+schema and the generated tests find it in the registry.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ FOLDERS = {
     "measurement": "cqrun.measurements",
     "optimizer": "cqrun.optimizers",
 }
-"""Where the plug-ins of each kind live."""
+"""Package with the plug-ins of each kind."""
 
 INCLUDED = {"region": "shape"}
-"""Kinds that take the plug-ins of another as well: every shape is a region, unless a region has its name."""
+"""Kinds that include the plug-ins of another kind: every shape is also a region, unless a region has its name."""
 
 _PLUGINS: dict[str, dict[str, type[Any]]] = {}
-_GIVING_WAY: set[str] = set()
+_REPLACEABLE: set[str] = set()
 
 T = TypeVar("T", bound=type[Any])
 
@@ -49,7 +49,7 @@ def plugin(kind: str, name: str) -> Callable[[T], T]:
     def register(cls: T) -> T:
         known = _PLUGINS.setdefault(kind, {})
         other = known.setdefault(name, cls)
-        if _identity(other) != _identity(cls) and other.__module__ not in _GIVING_WAY:
+        if _identity(other) != _identity(cls) and other.__module__ not in _REPLACEABLE:
             raise ValueError(f"two plug-ins of kind '{kind}' are called '{name}'; the other is in {_place(other)}")
         known[name] = cls
         cls.kind, cls.name = kind, name
@@ -67,15 +67,15 @@ def _place(cls: type) -> str:
 
 
 @contextmanager
-def changes(giving_way: Iterable[str] = ()) -> Iterator[None]:
-    """Register plug-ins meanwhile, all of them or, where an error leaves this context, none.
+def changes(replaceable: Iterable[str] = ()) -> Iterator[None]:
+    """Register all plug-ins inside this context, or none of them if it ends with an error.
 
     Args:
-        giving_way: modules whose plug-ins' names may be taken: files of earlier scenes, among them what a file was
-            before it was changed.
+        replaceable: modules whose plug-ins may be replaced by others of the same name: files of earlier scenes, also
+            the same file before it was changed.
     """
     before = {kind: dict(known) for kind, known in _PLUGINS.items()}
-    _GIVING_WAY.update(giving_way)
+    _REPLACEABLE.update(replaceable)
     try:
         yield
     except BaseException:
@@ -83,7 +83,7 @@ def changes(giving_way: Iterable[str] = ()) -> Iterator[None]:
         _PLUGINS.update(before)
         raise
     finally:
-        _GIVING_WAY.clear()
+        _REPLACEABLE.clear()
 
 
 def of_module(module: str) -> list[type[Any]]:

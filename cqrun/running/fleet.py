@@ -1,4 +1,4 @@
-"""Runs side by side, each a process of its own that can be stopped and resumed as any other run."""
+"""Several runs at once: each is a separate process that can be stopped and resumed like any other run."""
 
 from __future__ import annotations
 
@@ -12,15 +12,25 @@ from pathlib import Path
 from typing import IO
 
 from cqrun.running.reporter import EXIT_INTERRUPTED, Reporter
-from cqrun.store.lock import held
+from cqrun.store.lock import is_locked
 
-EVERY = 0.2
-"""Time between two looks at the processes [s]."""
+POLL_INTERVAL = 0.2
+"""Time between two checks of the processes [s]."""
 
 
 @dataclass
 class Member:
-    """One run: its name, directory and command, how it failed if it did, and its process while there is one."""
+    """One run of a fleet.
+
+    Attributes:
+        name: such as `seed 3`.
+        run: directory of the run.
+        command: command line that starts or continues it.
+        iterations: number of iterations at most.
+        failure: why it failed, or None.
+        process: its process while that runs.
+        stderr: what the process writes to standard error.
+    """
 
     name: str
     run: Path
@@ -28,99 +38,108 @@ class Member:
     iterations: int
     failure: str | None = None
     process: subprocess.Popen[bytes] | None = None
-    said: IO[bytes] | None = None
+    stderr: IO[bytes] | None = None
 
     @property
     def iteration(self) -> int:
-        """How many iterations its history has."""
+        """Number of iterations in its history."""
         history = self.run / "history.csv"
         return max(0, history.read_bytes().count(b"\n") - 2) if history.is_file() else 0
 
     def start(self) -> None:
-        """Begin; out of reach of the terminal's Ctrl-C, which this process hands on once."""
-        self.said = tempfile.TemporaryFile()  # noqa: SIM115  closed when the process is over
+        """Start the process in a session of its own, so that the terminal's Ctrl-C reaches this process only."""
+        self.stderr = tempfile.TemporaryFile()  # noqa: SIM115  closed when the process has ended
         self.process = subprocess.Popen(
-            self.command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self.said, start_new_session=True
+            self.command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=self.stderr,
+            start_new_session=True,
         )
 
-    def ask(self, number: signal.Signals) -> None:
-        """Ask it to stop at the next iteration."""
+    def request_stop(self, number: signal.Signals) -> None:
+        """Ask the process to stop after its current iteration."""
         if self.process is not None:
             self.process.send_signal(number)
 
-    def ended(self) -> bool:
-        """Say whether its process is over; a failure is known then."""
-        return self.process is not None and self.process.poll() is not None and self._take_leave()
+    def has_ended(self) -> bool:
+        """Return whether its process has ended; then `failure` is set if it failed."""
+        return self.process is not None and self.process.poll() is not None and self._record_end()
 
     def kill(self) -> None:
-        """End it where it stands: it can be resumed from its last checkpoint."""
+        """Kill the process; the run can be resumed from its last checkpoint."""
         if self.process is not None:
             self.process.kill()
             self.process.wait()
-            self._take_leave()
+            self._record_end()
 
-    def _take_leave(self) -> bool:
+    def _record_end(self) -> bool:
         assert self.process is not None
-        assert self.said is not None
+        assert self.stderr is not None
         code = self.process.returncode
-        if code < 0:  # what it said before is not why
+        if code < 0:  # its last message is not the reason
             self.failure = f"was killed ({signal.Signals(-code).name}); the same command goes on with it"
         elif code > 0:
-            self.said.seek(0)
-            lines = self.said.read().decode(errors="replace").strip().splitlines()
-            self.failure = lines[-1].removeprefix("error: ") if lines else f"ended with {code}"
-        self.said.close()
-        self.process = self.said = None
+            self.stderr.seek(0)
+            lines = self.stderr.read().decode(errors="replace").strip().splitlines()
+            self.failure = lines[-1].removeprefix("error: ") if lines else f"ended with exit code {code}"
+        self.stderr.close()
+        self.process = self.stderr = None
         return True
 
 
-def run_fleet(members: Sequence[Member], at_once: int, what: str, talk: Reporter) -> None:
-    """Run every member's process; a first request to stop is handed on, and none begins after it.
+def run_fleet(members: Sequence[Member], at_once: int, what: str, reporter: Reporter) -> None:
+    """Run the process of every member; pass a request to stop on to all of them, and start no others after it.
 
-    A run that another process works on is waited for: a command that was killed leaves its runs behind, and they go on.
+    If another process works on a run, wait for it: when a command is killed, the runs that it started continue.
 
     Args:
-        at_once: how many processes at once.
-        what: members are called, such as `seeds`.
+        at_once: number of processes at once.
+        what: what the members are called, such as `seeds`.
+        reporter: receives the progress, failures and warnings.
     """
-    waiting, running, told, asked = list(members), list[Member](), set[str](), False
+    waiting, running, announced, stopping = list(members), list[Member](), set[str](), False
     try:
         while waiting or running:
-            if talk.stop.asked and not asked:
-                asked = True
+            if reporter.stop.asked and not stopping:
+                stopping = True
                 for member in waiting:
-                    member.failure = "not begun"
+                    member.failure = "not started"
                 waiting.clear()
                 for member in running:
-                    member.ask(signal.SIGINT if talk.stop.exit_code == EXIT_INTERRUPTED else signal.SIGTERM)
-            for member in [m for m in waiting if not held(m.run)][: at_once - len(running)]:
+                    member.request_stop(
+                        signal.SIGINT if reporter.stop.exit_code == EXIT_INTERRUPTED else signal.SIGTERM
+                    )
+            for member in [m for m in waiting if not is_locked(m.run)][: at_once - len(running)]:
                 waiting.remove(member)
                 running.append(member)
                 member.start()
-            if len(running) < at_once:  # those left are held
+            if len(running) < at_once:  # other processes work on those that still wait
                 for member in waiting:
-                    if member.name not in told:
-                        talk.warn(f"{member.name}: another process works on it ({member.run}); waiting for its end")
-                told |= {member.name for member in waiting}
-            for member in [m for m in running if m.ended()]:
+                    if member.name not in announced:
+                        reporter.warn(
+                            f"{member.name}: another process works on it ({member.run}); waiting until it ends"
+                        )
+                announced |= {member.name for member in waiting}
+            for member in [m for m in running if m.has_ended()]:
                 running.remove(member)
-                if member.failure is not None and not asked:
-                    talk.warn(f"{member.name}: {member.failure}")
-            if not asked:
-                _tell(members, running, waiting, what, talk)
+                if member.failure is not None and not stopping:
+                    reporter.warn(f"{member.name}: {member.failure}")
+            if not stopping:
+                _report_progress(members, running, waiting, what, reporter)
             if running or waiting:
-                time.sleep(EVERY)
+                time.sleep(POLL_INTERVAL)
     finally:  # after a second Ctrl-C, or an error here
         for member in running:
             member.kill()
 
 
-def _tell(
-    members: Sequence[Member], running: Sequence[Member], waiting: Sequence[Member], what: str, talk: Reporter
+def _report_progress(
+    members: Sequence[Member], running: Sequence[Member], waiting: Sequence[Member], what: str, reporter: Reporter
 ) -> None:
-    """Report one line for all."""
-    over = [m for m in members if m not in running and m not in waiting]
+    """Report the progress of all members in one line."""
+    finished = [m for m in members if m not in running and m not in waiting]
     reached = [f"{m.name} at {m.iteration}/{m.iterations}" for m in running]
-    done = sum(m.iterations for m in over) + sum(m.iteration for m in running)
+    done = sum(m.iterations for m in finished) + sum(m.iteration for m in running)
     total = sum(m.iterations for m in members)
-    talk.advance(done, total, ", ".join([f"{len(over)} of {len(members)} {what}", *reached]))
+    reporter.advance(done, total, ", ".join([f"{len(finished)} of {len(members)} {what}", *reached]))

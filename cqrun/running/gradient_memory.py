@@ -1,4 +1,4 @@
-"""What a scene's gradients need: states kept, substeps run again; refused before a run where it cannot be."""
+"""Plan how gradients fit the memory of a scene: which states are kept, and which substeps are run again."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from cqrun.engine.model import Model
 from cqrun.errors import Problem, RunError, SceneError
 
 GRADIENT = 5.0
-"""What a gradient takes, in forward runs, where all states fit."""
+"""Time of a gradient divided by the time of a forward run, if all states fit the memory."""
 
 THREAD_GAIN = 0.5
-"""By how much a thread beside the first speeds a rollout up, at the least: decision 002."""
+"""Speed-up of a rollout by each thread after the first, at least (decision 002)."""
 
 
 def state_bytes(model: Model) -> int:
@@ -26,10 +26,10 @@ def state_bytes(model: Model) -> int:
 
 
 def gradient_plan(built: Built) -> Plan:
-    """Return how a gradient of a scene fits its memory.
+    """Return the plan by which a gradient of a scene fits its memory.
 
     Raises:
-        SceneError: it does not.
+        SceneError: a gradient needs more memory than the scene allows.
     """
     model = built.model
     try:
@@ -39,10 +39,10 @@ def gradient_plan(built: Built) -> Plan:
 
 
 def gradients_at_once(models: Sequence[Model], threads: int) -> int:
-    """Return how many gradients, one of each model, should run side by side: of what ends soonest the most.
+    """Return how many gradients, one of each model, should run at once.
 
-    The more there are, the less of the budget and the fewer threads each has: with few states it runs its substeps
-    again and again.
+    This is the number for which all gradients finish soonest; of several such numbers it is the largest. If more run at
+    once, each has less memory and fewer threads, and with few kept states it runs its substeps again and again.
     """
     distinct = list({id(model): model for model in models}.values())
 
@@ -56,10 +56,10 @@ def gradients_at_once(models: Sequence[Model], threads: int) -> int:
 
 
 def gradient_time(model: Model, at_once: int, threads: int) -> float:
-    """Return how long one of several gradients takes, in forward runs on one thread; without end if it does not fit."""
+    """Return the time of one of `at_once` gradients, in forward runs on one thread; infinity if it does not fit."""
     try:
         plan = make_plan(model.n_steps, state_bytes(model), model.memory_budget // at_once)
     except RunError:
         return inf
-    own = useful_threads(model, threads // at_once)
-    return (GRADIENT + plan.recompute - 1.0) / (1.0 + THREAD_GAIN * (own - 1))
+    threads_each = useful_threads(model, threads // at_once)
+    return (GRADIENT + plan.recompute - 1.0) / (1.0 + THREAD_GAIN * (threads_each - 1))

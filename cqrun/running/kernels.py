@@ -1,8 +1,9 @@
-"""Compiling a scene's kernels before they are timed, and saying so only when it really happens.
+"""Compile a scene's kernels before its run is timed, and announce it only if compiling is necessary.
 
-Numba compiles a kernel for the types it meets: the dimension, the precision, the terms of each body's stress, the
-planes of the boundaries. What is compiled lies in a folder named after all kernels (`fingerprint.py`); a mark beside
-it, one for each composition, tells a later process that it need not wait.
+Numba compiles a kernel for the types of its arguments. These depend on the dimension, the precision, the terms of each
+body's stress, and the planes of the boundaries: together they are the composition of a scene. The compiled code is in
+a folder named after all kernels (`fingerprint.py`). There a mark file for each composition shows a later process that
+its kernels are compiled.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from cqrun.running.reporter import Reporter
 
 
 def composition(built: Built, *, adjoint: bool) -> str:
-    """Return in words which kernels a scene needs: scenes with the same words share them."""
+    """Return in words which kernels a scene needs; scenes with the same words share their kernels."""
     scene, model = built.scene, built.model
     groups = []
     _, steady, forces = model.kinds()
@@ -38,7 +39,7 @@ def composition(built: Built, *, adjoint: bool) -> str:
 
 
 def _kind(kernel_class: type) -> str:
-    """Return the name of the file that has an actuator's kernels."""
+    """Return the name of the file with an actuator's kernels."""
     return kernel_class.__module__.rpartition(".")[2]
 
 
@@ -48,27 +49,27 @@ def mark_of(words: str) -> Path:
     return set_kernel_cache() / f"compiled-{digest}.txt"
 
 
-def compile_kernels(scenes: Sequence[Built], talk: Reporter, *, adjoint: bool) -> float:
-    """Have the kernels of scenes ready, compiled or from the cache, by one substep of each kind.
+def compile_kernels(scenes: Sequence[Built], reporter: Reporter, *, adjoint: bool) -> float:
+    """Run one substep of each composition, so that its kernels are compiled or loaded from the cache.
 
     Args:
-        scenes: may share kernels.
-        talk: is told when something must be compiled.
-        adjoint: whether gradients will be asked for.
+        scenes: scenes of the same composition are compiled once.
+        reporter: receives a message if something must be compiled.
+        adjoint: whether gradients will be computed.
 
     Returns:
-        How long it took [s].
+        The time it took [s].
     """
     begin = time.perf_counter()
     for words, built in {composition(built, adjoint=adjoint): built for built in scenes}.items():
         if not mark_of(words).exists():
-            talk.phase(f"compiling kernels (once for scenes of this kind: {words})")
+            reporter.phase(f"compiling kernels (once for scenes of this kind: {words})")
         try:
             _one_substep(built, adjoint)
         except RolloutError:
-            continue  # the job meets the same at its first step, and tells it with its values
+            continue  # the job fails at its first step as well, and reports it with its values
         for compiled in {words, composition(built, adjoint=False)}:
-            _put_mark(compiled)
+            _write_mark(compiled)
     return time.perf_counter() - begin
 
 
@@ -82,8 +83,8 @@ def _one_substep(built: Built, adjoint: bool) -> None:
         rollout.run()
 
 
-def _put_mark(words: str) -> None:
-    """Mark a composition as compiled; where that cannot be written, the next process announces it once more."""
+def _write_mark(words: str) -> None:
+    """Mark a composition as compiled; if the mark cannot be written, the next process announces compiling again."""
     from numba import config
 
     mark = mark_of(words)

@@ -1,11 +1,11 @@
-"""observables.csv: one row a control step with what each body does, readable while the run goes on.
+"""Write observables.csv: one row per control step with the motion of each body; it can be read during the run.
 
 time                          [s]
-<body>.x, .y, .z              centroid, by mass [m]
+<body>.x, .y, .z              centre of mass [m]
 <body>.kinetic_energy         sum of m |v|^2 / 2 [J; 2D: J/m]
-<body>.least_volume_ratio     least det F of its particles
-<body>.fastest                greatest speed of a particle [m/s]
-<body>.fracture               neighbouring particles that share no grid node (observers/fracture.py)
+<body>.least_volume_ratio     smallest det F of its particles
+<body>.fastest                largest speed of a particle [m/s]
+<body>.fracture               number of neighbours that no longer share a grid node (observers/fracture.py)
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ from cqrun.store.atomic import disk_errors
 
 
 def fracture_of(built: Built) -> Fracture:
-    """Return the neighbours of a scene's particles, to watch."""
+    """Return the pairs of neighbouring particles of a scene, to detect fracture."""
     p = built.particles
     return Fracture.of(p.x, {name: p.of(name) for name in p.names}, p.spacing, built.model.dx)
 
 
 class Observables:
-    """Writes a row a control step, and keeps the extremes; a context manager that closes the file.
+    """Writes a row per control step and keeps the extreme values; a context manager that closes the file.
 
     Attributes:
-        fracture: the neighbours and the most that were lost.
-        fastest: greatest speed so far by body [m/s].
-        least_volume_ratio: least det F so far by body.
-        last: the row of the last state by body, its columns by name.
+        fracture: the pairs of neighbours, and the largest number of lost pairs so far.
+        fastest: largest speed so far by body [m/s].
+        least_volume_ratio: smallest det F so far by body.
+        last: by body, the last row: its values by column name.
     """
 
     def __init__(self, path: Path, built: Built, inputs: Inputs) -> None:
         """Open the file.
 
         Args:
-            inputs: of the rollout, whose masses are those that act.
+            inputs: inputs of the rollout, for the masses of the particles.
 
         Raises:
-            UsageError, RunError: it cannot be written.
+            UsageError, RunError: the file cannot be written.
         """
         self.path = path
         self.fracture = fracture_of(built)
@@ -65,7 +65,7 @@ class Observables:
         """Write the row of a control step.
 
         Raises:
-            UsageError, RunError: it cannot be written.
+            UsageError, RunError: the row cannot be written.
         """
         lost = self.fracture.count(state.x)
         J = np.linalg.det(state.F)

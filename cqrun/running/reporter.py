@@ -1,7 +1,7 @@
-"""How a job talks while it runs, and how it is asked to stop.
+"""How a job reports its progress, and how it is asked to stop.
 
-A job knows nothing of terminals: it calls a `Reporter` that the caller passes in. The command
-line passes a progress line; Python callers get `Silent`.
+A job does not know about terminals: it calls a `Reporter` that its caller passes in. The command line passes a progress
+line, and Python callers get `Silent`.
 """
 
 from __future__ import annotations
@@ -14,15 +14,14 @@ from typing import Any, Protocol
 from cqrun.errors import Stopped
 
 EXIT_INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells use it."""
+"""Exit code after Ctrl-C, the same as in shells."""
 
 
 class StopFlag:
-    """Set by the first SIGINT or SIGTERM; a job looks at it after each iteration.
+    """A flag that the first SIGINT or SIGTERM sets; a job checks it after each iteration.
 
-    As a context manager it listens to both signals: the first asks the job to finish its
-    iteration and checkpoint, the second raises KeyboardInterrupt at once. Outside a context
-    it is never set by a signal, only by `ask`.
+    As a context manager it handles both signals: the first asks the job to finish its iteration and write a checkpoint,
+    the second raises KeyboardInterrupt at once. Outside a context no signal sets the flag, only `ask` does.
 
         if reporter.stop.asked:
             checkpoint()
@@ -39,20 +38,20 @@ class StopFlag:
 
     @property
     def asked(self) -> bool:
-        """True once the job should stop."""
+        """Whether the job should stop."""
         return self._signal is not None
 
     @property
     def exit_code(self) -> int:
-        """130 after Ctrl-C, otherwise that of `Stopped`: stopped, and can be resumed."""
+        """130 after Ctrl-C, otherwise the exit code of `Stopped`: stopped, and can be resumed."""
         return EXIT_INTERRUPTED if self._signal == signal.SIGINT else Stopped.exit_code
 
     def ask(self, signum: int = signal.SIGTERM) -> None:
-        """Ask the job to stop, as `signum` would."""
+        """Ask the job to stop, as the signal `signum` does."""
         self._signal = signum
 
     def stopped(self, message: str) -> Stopped:
-        """Return the error a job ends with once it has checkpointed; its exit code fits the signal."""
+        """Return the error that a job raises after its checkpoint; its exit code fits the signal."""
         error = Stopped(message)
         error.exit_code = self.exit_code
         return error
@@ -78,18 +77,18 @@ class StopFlag:
 
 
 class Reporter(Protocol):
-    """What a job may tell, and the flag that it must heed."""
+    """What a job reports, and the flag that it must check."""
 
     stop: StopFlag
 
     def begin(self, total: int) -> None:
-        """Say how many iterations are to come at most."""
+        """Report how many iterations there will be at most."""
 
     def phase(self, text: str) -> None:
-        """Name what happens now, such as `compiling kernels (once, about 40 s)`."""
+        """Report what happens now, such as `compiling kernels (once, about 40 s)`."""
 
     def say(self, text: str) -> None:
-        """Tell a fact that stays to be read."""
+        """Report a fact that stays visible."""
 
     def update(
         self, iteration: int, loss: float, best: float, step: float, seconds: float, violation: float | None = None
@@ -99,27 +98,27 @@ class Reporter(Protocol):
         Args:
             iteration: its number, from 1.
             loss: the objective at the accepted point.
-            best: the least objective so far.
+            best: the smallest objective so far.
             step: length of the step in the optimizer's variables.
-            seconds: how long the iteration took [s].
-            violation: the largest of a constraint, where there are any; then `best` means nothing.
+            seconds: duration of the iteration [s].
+            violation: the largest violation of a constraint, if there are constraints; then `best` has no meaning.
         """
 
     def advance(self, done: int, total: int, text: str) -> None:
-        """Report how far a piece of work with a known end is.
+        """Report the progress of work with a known end.
 
         Args:
-            done: parts that are done.
-            total: how many there are.
+            done: number of parts that are done.
+            total: number of all parts.
             text: what has been reached, such as `t = 0.31 of 1.5 s`.
         """
 
     def warn(self, text: str) -> None:
-        """Tell something the user should know although the job goes on."""
+        """Report something that the user should know although the job continues."""
 
 
 class Silent:
-    """The reporter that says nothing; its flag is set only by whoever holds it."""
+    """A reporter that prints nothing; only its owner can set its flag."""
 
     def __init__(self) -> None:
         self.stop = StopFlag()

@@ -1,4 +1,4 @@
-"""What fitting and learning have in common: rollouts side by side, what they cost, and trials that may fail."""
+"""Tools that fitting and learning share: rollouts in parallel, their cost, and trials that may fail."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ T = TypeVar("T")
 
 
 def side_by_side(tasks: Sequence[Callable[[int], T]], threads: int, at_once: int | None = None) -> list[T]:
-    """Run tasks, each given its number of threads, and return their results in order.
+    """Run tasks in parallel and return their results in order.
 
-    Where there are fewer tasks than threads, they share the threads evenly.
+    If there are fewer tasks than threads, the tasks share the threads evenly.
 
     Args:
-        at_once: how many may run side by side; as many as there are threads, if not given.
+        tasks: functions of the number of threads that they may use.
+        threads: number of threads for all of them.
+        at_once: how many tasks may run at once; the number of threads if not given.
     """
     at_once = min(threads, len(tasks), threads if at_once is None else at_once)
     if at_once <= 1:
@@ -35,25 +37,25 @@ def side_by_side(tasks: Sequence[Callable[[int], T]], threads: int, at_once: int
 
 @dataclass
 class Effort:
-    """What gradients cost: the greatest recompute factor, and states kept [bytes]."""
+    """The cost of gradients: the largest recompute factor, and the largest size of the kept states [bytes]."""
 
     recompute: float = 0.0
     peak: int = 0
 
     @classmethod
     def of(cls, rollout: Rollout) -> Effort:
-        """Return what a rollout's gradients cost."""
+        """Return the cost of a rollout's gradients."""
         plan = rollout.plan
         return cls() if plan is None else cls(plan.recompute, plan.states * rollout.state_bytes)
 
     def add(self, other: Effort) -> None:
-        """Take other gradients into account."""
+        """Include the cost of other gradients."""
         self.recompute, self.peak = max(self.recompute, other.recompute), max(self.peak, other.peak)
 
 
 @contextmanager
 def trial(params: Params, x: Array) -> Iterator[None]:
-    """Have a rollout at x that is of no use raise TrialFailed, which names the parameters' values."""
+    """Turn errors of a rollout at x into TrialFailed, which names the values of the parameters."""
     try:
         yield
     except RolloutError as error:
@@ -66,7 +68,7 @@ def trial(params: Params, x: Array) -> Iterator[None]:
 
 
 def the_value(answers: Sequence[float | TrialFailed]) -> float:
-    """Return the only answer, or raise that its trial failed."""
+    """Return the only answer, or raise it if it is a failed trial."""
     (answer,) = answers
     if isinstance(answer, TrialFailed):
         raise answer

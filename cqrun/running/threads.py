@@ -1,4 +1,4 @@
-"""How many threads a job uses, and whether those asked for from Python can be used."""
+"""The number of threads of a job, and checks of the arguments that Python callers pass."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from cqrun.explain import shown
 
 
 def cores(threads: int | None) -> int:
-    """Return how many threads to use: those asked for, or every core this process may run on."""
+    """Return how many threads to use: the given number, or all cores that this process may run on."""
     if threads is not None:
         return threads
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def checked_threads(caller: str, scene: Any, overrides: Any, threads: Any) -> int | None:
-    """Return the number of threads as Python's own; UsageError for an argument of a caller that cannot be."""
+    """Return the number of threads as an int; raise a UsageError if an argument of `caller` is not valid."""
     if not isinstance(scene, Path | str | dict):
         raise UsageError(f"{caller}: the scene must be a file's path, YAML text or a dict, is {shown(scene)}")
     if isinstance(overrides, str):

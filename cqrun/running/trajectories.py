@@ -1,4 +1,4 @@
-"""One forward run of a scene into a trajectory file."""
+"""Run a scene forward and write its trajectory file."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from cqrun.store.atomic import write_table
 from cqrun.store.trajectory import TrajectoryWriter
 
 FRAMES = 300
-"""Frames after the first that a trajectory has at the most, spread evenly over the control steps."""
+"""Largest number of frames after the first in a trajectory; they are spread evenly over the control steps."""
 
 MANY = 100
-"""A value of more numbers is told by its range: attributes of HDF5 hold 64 KiB."""
+"""If a value has more numbers than this, only its range is stored, because attributes of HDF5 hold 64 KiB at most."""
 
 
 def write_trajectory(
@@ -37,13 +37,15 @@ def write_trajectory(
     """Run a scene and write x, v, J = det F, the activation and the histories of its particles.
 
     Args:
-        rollout: of the scene, or of one with another probe; not yet run.
-        should_stop: looked at every control step; a stopped trajectory stays a readable `.part`.
+        path: file to write.
+        built: the scene.
+        rollout: a rollout of the scene, perhaps with another probe, that has not run yet.
+        should_stop: called at every control step; after a stop the trajectory remains a readable `.part` file.
         progress: called with every control step and its state.
-        provenance: what else the file shall say of itself.
+        provenance: more attributes of the file.
 
     Returns:
-        The probe's records, and whether the run came to its end.
+        The records of the probe, and whether the run reached its end.
     """
     model, particles = built.model, built.particles
     every = -(-model.n_controls // FRAMES)
@@ -53,10 +55,10 @@ def write_trajectory(
     if model.actuators:
         fields["activation"] = ()
     fields |= {field.name: field.shape for field in model.layout.history}
-    said = {"scene": dump(resolve(built.scene)), "engine": engine_hash(), "seed": built.scene.seed}
-    said |= provenance or {}
+    attributes = {"scene": dump(resolve(built.scene)), "engine": engine_hash(), "seed": built.scene.seed}
+    attributes |= provenance or {}
     step = built.scene.time.control_step
-    with TrajectoryWriter(path, n_frames, bodies, model.dim, fields, said) as writer:
+    with TrajectoryWriter(path, n_frames, bodies, model.dim, fields, attributes) as writer:
 
         def observe(control: int, state: State) -> None:
             if progress is not None:
@@ -69,32 +71,32 @@ def write_trajectory(
                 writer.write(writer.written, control * step, **values)
 
         records = rollout.run(observe, should_stop)
-        complete = writer.written == n_frames  # the last frame is that of the last control step
+        complete = writer.written == n_frames  # the last frame belongs to the last control step
         if not complete:
             writer.abandon()
     return records, complete
 
 
 def as_found(values: Mapping[str, Array]) -> dict[str, Any]:
-    """Return what a trajectory says of the values that moved its bodies where its scene has others, by path."""
+    """Return the attribute of a trajectory that has the values, by path, with which the run replaced the scene's."""
 
-    def told(value: Array) -> Any:
+    def stored(value: Array) -> Any:
         if value.size <= MANY:
             return value.tolist()
         return f"{value.size} numbers from {value.min():.6g} to {value.max():.6g}"
 
-    return {"found": {path: told(np.asarray(value)) for path, value in values.items()}} if values else {}
+    return {"found": {path: stored(np.asarray(value)) for path, value in values.items()}} if values else {}
 
 
 def write_activation(path: Path, built: Built, activation: Array) -> None:
-    """Write a table of what drove the actuators (T, A): a row a control step, a column for every part of one."""
+    """Write the activation (T, A) as a table: one row per control step, one column per part of an actuator."""
     step = built.scene.time.control_step
     head = ["time", *(part.name for part in built.assembly.actuation.parts)]
     write_table(path, [head, *([k * step, *row] for k, row in enumerate(activation.tolist()))])
 
 
 def on_particles(rollout: Rollout, control: int) -> Array:
-    """Return what drove each particle in a control step (N,): the sum of the activations of its actuators."""
+    """Return the activation of each particle in a control step (N,): the sum over its actuators."""
     out = np.zeros(rollout.model.layout.n_particles)
     for a, actuator in enumerate(rollout.model.actuators):
         out[actuator.particles] += rollout.activation[control, a]

@@ -1,1 +1,1 @@
-"""Scenes: YAML in, a validated and resolved scene out."""
+"""The scene language: read a YAML file and return a validated scene with all defaults."""

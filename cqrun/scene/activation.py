@@ -1,4 +1,4 @@
-"""What a scene says of open-loop signals: knots for each actuator, given or random."""
+"""Section `activation`: open-loop signals of the actuators, from given or random knots."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cqrun.scene.fields import Name, Seed
 
 
 class RandomActivation(Spec):
-    """Sequences of random knots, for synthetic data."""
+    """Random sequences of knots, for synthetic data."""
 
-    sequences: int = Field(description="How many sequences", ge=1)
-    knots: int = Field(description="Knots in each, spread evenly over the run", ge=1)
-    low: float = quantity("1", "Least activation", default=0.0)
-    high: float = quantity("1", "Greatest activation", default=1.0)
+    sequences: int = Field(description="Number of sequences", ge=1)
+    knots: int = Field(description="Knots per sequence, spread evenly over the run", ge=1)
+    low: float = quantity("1", "Smallest activation", default=0.0)
+    high: float = quantity("1", "Largest activation", default=1.0)
     seed: Seed = Field(description="Seed of the knots", default=0)
 
     @model_validator(mode="after")
@@ -40,10 +40,10 @@ class Activation(Spec):
         "1", "Actuator -> knots, spread evenly over time", differentiable=True, default=None
     )
     random: RandomActivation | None = Field(description="Random sequences", default=None)
-    interpolate: Literal["hold", "linear"] = Field(description="Between knots", default="hold")
+    interpolate: Literal["hold", "linear"] = Field(description="Interpolation between knots", default="hold")
     over: float | None = quantity(
         "s",
-        "Time that the knots are spread over, and after it the last; the run's duration if absent",
+        "Time over which the knots are spread, after which the last knot is held; the run's duration if absent",
         gt=0,
         default=None,
     )

@@ -1,4 +1,4 @@
-"""What a scene says about learning: goals and episodes."""
+"""Sections `goals` and `episodes`: what a controller learns."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cqrun.scene.fields import Seed
 
 
 class Goal(Spec):
-    """Numbers that an episode is about, such as a position; drawn from a range where there is a spread."""
+    """A goal of an episode, such as a position; it is drawn from a range if it has a spread."""
 
-    position: list[float] = quantity("m", "Goal, or the middle of its range", min_length=1)
+    position: list[float] = quantity("m", "The goal, or the middle of its range", min_length=1)
     spread: list[float] | None = quantity(
-        "m", "Half the range of each entry; drawn evenly from it, once an episode", default=None
+        "m", "Half the range of each entry; the goal is drawn uniformly, once per episode", default=None
     )
 
     @model_validator(mode="after")
@@ -31,7 +31,7 @@ class Goal(Spec):
 
     @property
     def drawn(self) -> bool:
-        """Whether it differs from episode to episode."""
+        """Whether the goal differs from episode to episode."""
         return any(self.spread or [])
 
     def draw(self, rng: np.random.Generator) -> Array:
@@ -41,9 +41,11 @@ class Goal(Spec):
 
 
 class Episodes(Spec):
-    """How many rollouts an iteration has, each with goals of its own."""
+    """The number of rollouts in an iteration, each with its own goals."""
 
-    count: int = Field(description="Episodes of an iteration, or in the fixed set", ge=1, default=1)
-    fresh: bool = Field(description="Draw new goals at every iteration; else one set for the whole run", default=False)
-    unseen: int = Field(description="Episodes with other goals that the result is tested on", ge=0, default=0)
+    count: int = Field(description="Episodes per iteration, or in the fixed set", ge=1, default=1)
+    fresh: bool = Field(
+        description="Draw new goals in every iteration; otherwise one set for the whole run", default=False
+    )
+    unseen: int = Field(description="Episodes with other goals, on which the result is tested", ge=0, default=0)
     seed: Seed = Field(description="Seed of the goals", default=0)

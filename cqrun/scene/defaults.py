@@ -17,7 +17,14 @@ from cqrun.scene.sections import Sections
 
 def with_defaults(scene: Any) -> Any:
     """Return plain scene data with its `FilledIn` fields given; anything unexpected is left to the schema."""
-    return _filled(Sections, scene, _defaults(scene)) if isinstance(scene, dict) else scene
+    if not isinstance(scene, dict):
+        return scene
+    defaults = _defaults(scene)
+    filled = _filled(Sections, scene, defaults)
+    target = _mapping(_mapping(scene.get("data")).get("target"))
+    if target and "only body" in defaults:  # is refused, and the advice names the body
+        filled["data"] = {**filled["data"], "target": {"body": defaults["only body"], **target}}
+    return filled
 
 
 def _defaults(scene: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,8 +1,8 @@
-"""YAML text -> plain data that remembers where each part stood; plain data -> YAML text.
+"""Read YAML text as plain data with the position of every part, and write plain data as YAML text.
 
-Numbers, booleans and nothing else are read as YAML 1.2's core schema has them: `1e4` is a number, `no`, `on`
-and `1:30` are text, `010` is ten. Tags are refused, so no text can build an object or run code; aliases
-may repeat a part, but not blow it up.
+Scalars are read as in the core schema of YAML 1.2: `1e4` is a number, `no`, `on` and `1:30` are text, `010` is ten.
+Tags are refused, so that no text can build an object or run code. Aliases may repeat a part, but only a limited number
+of times.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ _RESOLVERS = [
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads text as nodes; `_Builder` makes data of them."""
+    """Reads text as nodes; `_Builder` turns them into data."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 (PyYAML's own way)
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes plain data such that `_Loader` reads the same data: quotes follow the same resolvers."""
+    """Writes plain data so that `_Loader` reads the same data: it quotes text by the same resolvers."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
 
@@ -55,9 +55,9 @@ for _name, _pattern, _first in _RESOLVERS:
 
 @dataclass(frozen=True)
 class Document:
-    """Plain data and, where it came from text, the nodes it was made of.
+    """Plain data and, if it came from text, the YAML nodes that it was made from.
 
-    `name` is the file's name as the user typed it, or `scene` for data that had no file.
+    `name` is the file's name as the user typed it, or `scene` for data without a file.
     """
 
     data: Any
@@ -65,17 +65,17 @@ class Document:
     node: yaml.Node | None = field(default=None, repr=False)
 
     def where(self, loc: Loc, *, at_key: bool = False) -> str:
-        """Return `file:line:column` of a place, or of the nearest part around it that the text has.
+        """Return `file:line:column` of a place, or of the smallest part around it that is in the text.
 
         Args:
             loc: keys and indices from the root.
-            at_key: point at the last key even if its value is a scalar.
+            at_key: return the position of the last key even if its value is a scalar.
         """
         line, column = self.position(loc, at_key=at_key)
         return f"{self.name}:{line}:{column}" if self.node is not None else self.name
 
-    def leads_on(self, loc: Loc) -> bool:
-        """Say whether the text has a mapping or a list at this very place."""
+    def has_part_at(self, loc: Loc) -> bool:
+        """Return whether the data have a mapping or a list exactly at this place."""
         data = self.data
         for key in loc:
             if isinstance(data, dict) and key in data:
@@ -87,7 +87,7 @@ class Document:
         return isinstance(data, (dict, list))
 
     def position(self, loc: Loc, *, at_key: bool = False) -> tuple[int, int]:
-        """Return line and column, counted from 1, as `where` does."""
+        """Return line and column, counted from 1, of the place that `where` names."""
         if self.node is None:
             return 0, 0
         mark, node = self.node.start_mark, self.node
@@ -104,7 +104,7 @@ class Document:
 
 
 def _entry(node: yaml.Node, key: int | str) -> tuple[yaml.Mark, yaml.Node] | None:
-    """Return where a key stands and the node it leads to."""
+    """Return the position of a key and the node of its value."""
     if isinstance(node, yaml.MappingNode):
         for key_node, value in node.value:
             if isinstance(key_node, yaml.ScalarNode) and key_node.value == str(key):
@@ -115,7 +115,7 @@ def _entry(node: yaml.Node, key: int | str) -> tuple[yaml.Mark, yaml.Node] | Non
 
 
 def _is_shorthand(node: yaml.Node, rest: Loc) -> bool:
-    """Say whether a list stands for `{shapes: [...]}`, so that the key has no text of its own."""
+    """Return whether a list is short for `{shapes: [...]}`, so that the key `shapes` is not in the text."""
     return isinstance(node, yaml.SequenceNode) and len(rest) > 1 and isinstance(rest[1], int)
 
 
@@ -123,7 +123,7 @@ def read(text: str, name: str = "scene") -> Document:
     """Return the document in a YAML text.
 
     Raises:
-        SceneError: syntax, duplicate keys, tags, aliases that grow too large; with `name:line:column`.
+        SceneError: wrong syntax, duplicate keys, tags, or too many repeated aliases; with `name:line:column`.
     """
     if len(text) > MAX_CHARACTERS:
         message = f"has {len(text)} characters; a scene has at most {MAX_CHARACTERS}"
@@ -133,8 +133,8 @@ def read(text: str, name: str = "scene") -> Document:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
-        told = ", ".join(part for part in (error.context, error.problem) if part)
-        raise SceneError([Problem(place, "", f"this is not YAML: {told}")]) from None
+        reason = ", ".join(part for part in (error.context, error.problem) if part)
+        raise SceneError([Problem(place, "", f"this is not YAML: {reason}")]) from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         column = error.position - text.rfind("\n", 0, error.position)
@@ -156,7 +156,7 @@ def _too_deep() -> str:
 
 
 def _deep_place(text: str) -> str:
-    """Return `line:column` where a text is nested too deeply; its events come one by one, without recursion."""
+    """Return `line:column` where a text is nested too deeply; reading events needs no recursion."""
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
@@ -166,7 +166,7 @@ def _deep_place(text: str) -> str:
 
 
 class _Builder:
-    """Makes plain data of nodes, and collects what is wrong with them."""
+    """Turns nodes into plain data and collects what is wrong with them."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -176,7 +176,7 @@ class _Builder:
         self._aliased = 0
 
     def build(self, node: yaml.Node, loc: Loc, aliased: int) -> Any:
-        """Return the data of a node; `aliased` says how many aliases led to it."""
+        """Return the data of a node; `aliased` is the number of aliases on the way to it."""
         repeated = id(node) in self._seen
         self._seen.add(id(node))
         self._aliased += bool(aliased or repeated)
@@ -201,7 +201,7 @@ class _Builder:
             try:
                 return _SCALARS[kind](node.value)
             except ValueError as error:
-                self._report(node, loc, f"is no {kind}: {str(error).splitlines()[0]}")
+                self._report(node, loc, f"is not a valid {kind}: {str(error).splitlines()[0]}")
                 return None
         self._report(node, loc, f"the tag {node.tag} is not allowed: a scene is plain data")
         return None
@@ -215,7 +215,7 @@ class _Builder:
                 continue
             key = str(key_node.value)
             if key in data:
-                first = f"the first stands in line {lines[key]}"
+                first = f"the first is in line {lines[key]}"
                 self._report(key_node, (*loc, key), f"this key is here twice; {first}; keep one")
             else:
                 lines[key] = key_node.start_mark.line + 1
@@ -237,7 +237,9 @@ def _int(text: str) -> int:
 
 
 def _float(text: str) -> float:
-    return float(text.replace(".", "", 1) if "n" in text.lower() else text)  # .inf, .nan: Python has no dot
+    return float(
+        text.replace(".", "", 1) if "n" in text.lower() else text
+    )  # .inf, .nan: Python writes them without a dot
 
 
 def _bool(text: str) -> bool:
@@ -251,6 +253,6 @@ _SCALARS = {"str": str, "int": _int, "float": _float, "bool": _bool, "null": lam
 
 
 def write(data: Any) -> str:
-    """Return YAML text that `read` turns into the same plain data, floats to the bit."""
+    """Return YAML text that `read` turns into the same plain data, with bit-for-bit identical floats."""
     text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
     return str(text)

@@ -16,12 +16,12 @@ _IDENTIFIER = r"[A-Za-z_][A-Za-z0-9_]*"
 
 def _identifier(name: str) -> str:
     if not re.fullmatch(_IDENTIFIER, name):
-        raise ValueError(f"a name has letters, digits and _, and begins with no digit; '{name}' does not")
+        raise ValueError(f"a name has letters, digits and _, and does not begin with a digit; '{name}' is not a name")
     return name
 
 
 Name = Annotated[str, AfterValidator(_identifier), WithJsonSchema({"type": "string", "pattern": f"^{_IDENTIFIER}$"})]
-"""Name of a body, group, boundary, ...: an identifier, so that key paths need no quotes."""
+"""The name of a body, group, boundary, ...: an identifier, so that key paths need no quotes."""
 
 
 def _bytes(value: Any) -> int:
@@ -33,9 +33,9 @@ def _bytes(value: Any) -> int:
 
 
 def _fits_machine(count: int) -> int:
-    there = psutil.virtual_memory().total
-    if count > there:
-        raise ValueError(f"asks for {format_bytes(count)}, this machine has {format_bytes(there)}: give less")
+    total = psutil.virtual_memory().total
+    if count > total:
+        raise ValueError(f"asks for {format_bytes(count)}, but this machine has {format_bytes(total)}: give less")
     return count
 
 
@@ -46,7 +46,7 @@ Memory = Annotated[
     AfterValidator(_fits_machine),
     WithJsonSchema({"type": ["integer", "string"], "examples": ["2GiB", "500MB"]}),
 ]
-"""Bytes, from a whole number or text such as `2GiB`; at most what the machine has."""
+"""A number of bytes, given as a whole number or as text such as `2GiB`; at most the memory of the machine."""
 
 
 def _substeps(value: Any) -> int | str:
@@ -61,7 +61,7 @@ Substeps = Annotated[
     PlainValidator(_substeps),
     WithJsonSchema({"anyOf": [{"const": "auto"}, {"type": "integer", "minimum": 1}]}),
 ]
-"""Substeps in a control step, or `auto`."""
+"""The number of substeps per control step, or `auto`."""
 
 Seed = Annotated[int, Field(ge=0)]
 Vector = Annotated[list[float], Field(min_length=2, max_length=3)]

@@ -1,6 +1,6 @@
 """Key paths on plain data: `bodies.beam.material.density`, `world.gravity.2`.
 
-Keys may hold dots themselves (the keys of `unknowns` are paths), so a path is split by what is there.
+Keys may contain dots (the keys of `unknowns` are paths), so a path is split by the keys that the data have.
 """
 
 from __future__ import annotations
@@ -11,29 +11,29 @@ from typing import Any
 from cqrun.explain import Loc, listed
 
 KEYED_BY_PATHS = {"unknowns", "truth", "overrides"}
-"""Mappings whose keys are key paths: a new key is all that remains of the path."""
+"""Mappings whose keys are key paths: the whole rest of a path is one new key."""
 
 
 NAMED = {
     "bodies", "regions", "boundaries", "loads", "forces", "actuators", "observers", "goals", "objective", "unknowns",
     "constraints", "data.recordings", "activation.signals",
 }  # fmt: skip
-"""Mappings from names that a user gives: an entry that is overridden by null is gone."""
+"""Mappings whose keys are names that a user gives: `-o entry=null` removes an entry."""
 
 
 def joined(loc: Iterable[int | str]) -> str:
-    """Return the path of keys and indices."""
+    """Return keys and indices joined to a path."""
     return ".".join(map(str, loc))
 
 
 def first_key(keys: Iterable[int | str], path: str) -> int | str | None:
-    """Return the longest key that the path begins with; None if there is none."""
+    """Return the longest key with which the path begins, or None."""
     matching = [key for key in keys if path == str(key) or path.startswith(f"{key}.")]
     return max(matching, key=lambda key: len(str(key)), default=None)
 
 
 def locate(data: Any, path: str) -> Loc:
-    """Return the keys and indices of a path in plain data; what is not there is split at its dots."""
+    """Return the keys and indices of a path in plain data; the part that the data lack is split at its dots."""
     loc: list[int | str] = []
     rest = path
     while rest:
@@ -48,7 +48,7 @@ def locate(data: Any, path: str) -> Loc:
         else:
             key = rest if loc and loc[-1] in KEYED_BY_PATHS else rest.partition(".")[0]
             skips = isinstance(data, list) and rest.partition(".")[2].partition(".")[0].isdigit()
-            if skips:  # `union.shapes.0` where the text has the short form `union: [...]`
+            if skips:  # the path is `union.shapes.0`, but the data have the short form `union: [...]`
                 rest = rest.partition(".")[2]
                 continue
             data = None
@@ -57,8 +57,8 @@ def locate(data: Any, path: str) -> Loc:
     return tuple(loc)
 
 
-def found(data: Any, loc: Loc) -> Any:
-    """Return what is at a place in plain data, None where nothing is."""
+def value_at(data: Any, loc: Loc) -> Any:
+    """Return the value at a place in plain data, or None if there is nothing."""
     for key in loc:
         if isinstance(data, dict):
             data = data.get(key)
@@ -68,10 +68,10 @@ def found(data: Any, loc: Loc) -> Any:
 
 
 def replaced(data: Any, loc: Loc, value: Any) -> Any:
-    """Return plain data with one place replaced; mappings on the way are made where there are none.
+    """Return plain data with one value replaced; missing mappings on the way are added.
 
     Raises:
-        KeyError: a list has no such entry; its argument says so.
+        KeyError: a list has no such entry; the argument of the error is the message.
     """
     if not loc:
         return value
@@ -85,7 +85,7 @@ def replaced(data: Any, loc: Loc, value: Any) -> Any:
 
 
 def is_named(loc: Loc) -> bool:
-    """Say whether a place is an entry of a mapping whose names a user gives, or a term of a material."""
+    """Return whether a place is a named entry, whose name a user gives, or a term of a material."""
     if len(loc) == 4 and loc[0] == "bodies" and loc[2] == "material":
         return loc[3] not in ("density", "elastic")
     if len(loc) == 4 and loc[0] == "bodies" and loc[2] in ("parts", "groups", "material_of"):
@@ -97,10 +97,10 @@ def removed(data: Any, loc: Loc) -> Any:
     """Return plain data without one entry of a mapping.
 
     Raises:
-        KeyError: there is none; its argument says what there is.
+        KeyError: there is no such entry; the argument of the error is the message.
     """
     key, rest = loc[0], loc[1:]
     if not isinstance(data, dict) or key not in data:
-        there = listed(data) if isinstance(data, dict) and data else "nothing"
-        raise KeyError(f"cannot be removed: there is no '{key}'; there is: {there}")
+        existing = listed(data) if isinstance(data, dict) and data else "nothing"
+        raise KeyError(f"cannot be removed: there is no '{key}'; there is: {existing}")
     return {**data, key: removed(data[key], rest)} if rest else {k: v for k, v in data.items() if k != key}

@@ -1,4 +1,4 @@
-"""A scene from a file, text or data: everything wrong is told at once, each with its place."""
+"""Load a scene from a file, text or data; all problems are reported at once, each with its place."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cqrun.errors import Problem, SceneError
 from cqrun.explain import complaint
 from cqrun.scene.defaults import with_defaults
 from cqrun.scene.document import Document, read, write
-from cqrun.scene.keypath import found, is_named, locate, removed, replaced
+from cqrun.scene.keypath import is_named, locate, removed, replaced, value_at
 from cqrun.scene.origin import Origin, Override
 from cqrun.scene.paths import plain
 from cqrun.scene.plugin_files import findings_of_plugins
@@ -25,16 +25,16 @@ def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = (
 
     Args:
         source: a file's path, YAML text (a str with a line break), or plain data.
-        overrides: `key.path=value` each, the value in YAML; a later one wins, and null removes a named part or a
-            section.
-        base: folder of the files that the scene names, where a run keeps the scene; its plug-ins it keeps too, in
-            `plugins/` beside it. Without, the folder of the scene's own file.
+        overrides: texts `key.path=value`, with the value in YAML; a later one overrides an earlier one, and null
+            removes a named part or a section.
+        base: folder of the files that the scene names, for a scene in a run directory; its plug-ins are in `plugins/`
+            beside the scene. If None, files and plug-ins are in the folder of the scene's file.
 
-    Plug-in files that the scene names are run, inside `plugins_allowed()` only (scene/plugin_files.py).
+    Plug-in files that the scene names are run, but only inside `plugins_allowed()` (scene/plugin_files.py).
 
     Raises:
-        SceneError: every problem that was found: `file:line:column: key.path: what is wrong`, sorted by line,
-            then `-o key=value: key.path: what is wrong`.
+        SceneError: with every problem: `file:line:column: key.path: what is wrong`, sorted by line, then
+            `-o key=value: key.path: what is wrong`.
     """
     document, path, text = _document(source)
     data, applied = _overridden(document.data, overrides)
@@ -47,18 +47,18 @@ def load_scene(source: Path | str | dict[str, Any], overrides: Sequence[str] = (
             raise complaint("Scene", findings)
     except ValidationError as error:
         raise SceneError(origin.problems(error)) from None
-    scene.came_from(origin)
+    scene.set_origin(origin)
     return scene
 
 
 def resolve(scene: Scene) -> dict[str, Any]:
-    """Return plain data with every default visible; what is absent (None) is left out."""
+    """Return plain data with every default; values that are None are omitted."""
     data: dict[str, Any] = plain(scene.model_dump(exclude_none=True))
     return data
 
 
 def dump(data: dict[str, Any]) -> str:
-    """Return YAML text of plain data; it loads back to the same bits."""
+    """Return YAML text of plain data; it loads as bit-for-bit identical data."""
     return write(data)
 
 
@@ -77,7 +77,7 @@ def _document(source: Path | str | dict[str, Any]) -> tuple[Document, Path | Non
 
 
 def _why_unread(path: Path, error: OSError | UnicodeDecodeError) -> str:
-    """Return why a file cannot be read, and of a directory what would be right."""
+    """Return why a file cannot be read and, for a directory, what would be right."""
     if isinstance(error, UnicodeDecodeError):
         return "it is not UTF-8 text"
     if not isinstance(error, IsADirectoryError):
@@ -85,13 +85,13 @@ def _why_unread(path: Path, error: OSError | UnicodeDecodeError) -> str:
     if not (path / "run.json").is_file():
         return "it is a directory; a scene is a YAML file"
     return (
-        "it is the directory of a run; give the file of the scene that was run, or `cqrun resume RUN` goes on with the "
-        "run, and `cqrun simulate RUN` replays it"
+        "it is the directory of a run; give the file of the scene that was run, or use `cqrun resume RUN` to continue "
+        "the run, or `cqrun simulate RUN` to replay it"
     )
 
 
 def _overridden(data: Any, overrides: Sequence[str]) -> tuple[Any, list[Override]]:
-    """Return the merged data and what was merged into it."""
+    """Return data with the overrides merged in, and the overrides that were applied."""
     applied: list[Override] = []
     problems: list[Problem] = []
     for text in overrides:
@@ -117,11 +117,11 @@ def _overridden(data: Any, overrides: Sequence[str]) -> tuple[Any, list[Override
 
 
 def _with_vector(data: Any, path: str) -> Any:
-    """Return scene data with the vector that a path counts in, if the scene leaves it to its default: `velocity.0`."""
+    """Return data with a missing vector set to its default, if the path is an entry of one (`velocity.0`)."""
     parent, _, last = path.rpartition(".")
     if not last.isdigit():
         return data
     filled = with_defaults(data)
     loc = locate(filled, parent)
-    vector = found(filled, loc)
-    return replaced(data, loc, vector) if isinstance(vector, list) and found(data, loc) is None else data
+    vector = value_at(filled, loc)
+    return replaced(data, loc, vector) if isinstance(vector, list) and value_at(data, loc) is None else data

@@ -1,4 +1,4 @@
-"""A body's material: a density, an elastic law, and further terms by their plug-ins' names."""
+"""The material of a body: a density, an elastic law, and further terms by the names of their plug-ins."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cqrun.plugin.contract import Plugin, quantity
 from cqrun.scene.plugin_keys import PluginKeys
 
 TERMS = "material_term"
-"""Kind of the plug-ins whose names are keys of a material."""
+"""The kind of plug-ins whose names are keys of a material."""
 
 
 class Terms(PluginKeys):
-    """Something whose further keys are the names of material terms, such as `viscosity`."""
+    """A part whose further keys are the names of material terms, such as `viscosity`."""
 
     keys_of: ClassVar[str] = TERMS
 
@@ -28,14 +28,17 @@ class Terms(PluginKeys):
 
 
 class Material(Terms):
-    """A sum of terms: `elastic` is chosen; every other key is the name of a term, such as `viscosity`."""
+    """A sum of terms: `elastic` is required; every other key is the name of a term, such as `viscosity`."""
 
     density: float = quantity("kg/m^3", "Density at rest", differentiable=True, gt=0)
     elastic: Annotated[Chosen[Plugin], Choice("elastic")] = Field(description="Elastic law")
 
 
-class OtherMaterial(Terms):
-    """A body's material in one of its regions: density, and terms with all their values; what is not named stays."""
+class RegionMaterial(Terms):
+    """The material in one region of a body: a density, and terms with all their values.
+
+    Values that are not given are those of the body.
+    """
 
     density: float | None = quantity("kg/m^3", "Density at rest", differentiable=True, gt=0, default=None)
     elastic: Annotated[Chosen[Plugin], Choice("elastic")] | None = Field(
@@ -43,21 +46,23 @@ class OtherMaterial(Terms):
     )
 
     def problems(self, material: Material) -> Iterator[tuple[Loc, str]]:
-        """Yield what cannot differ from a body's material inside one body, with its place."""
-        own, other = material.elastic, self.elastic
-        if other is not None and other.name != own.name:
-            yield ("elastic",), f"is another law than the body's {own.name}: make this region a body of its own"
-        elif other is not None:
-            yield from _fixed(("elastic", own.name), own.value, other.value)
+        """Yield (place, message) for each part that must not differ from the material of the body."""
+        law, here = material.elastic, self.elastic
+        if here is not None and here.name != law.name:
+            yield ("elastic",), f"is another law than the body's {law.name}: make this region a separate body"
+        elif here is not None:
+            yield from _fixed(("elastic", law.name), law.value, here.value)
         for name, term in self.terms.items():
             if name not in material.terms:
-                message = "is no term of the body's material: give it to the whole body, with values of no effect"
+                message = (
+                    "is not a term of the body's material: give it to the whole body, with values that have no effect"
+                )
                 yield (name,), message
             else:
                 yield from _fixed((name,), material.terms[name], term)
 
     def value(self, suffix: str) -> float | None:
-        """Return the value of a path inside a material, such as `viscosity.shear`; None where it stays."""
+        """Return the value of a path inside a material, such as `viscosity.shear`; None if it is not given."""
         *place, name = suffix.split(".")
         node: Any = self if not place else self.terms.get(place[0])
         if place and place[0] == "elastic":
@@ -65,9 +70,9 @@ class OtherMaterial(Terms):
         return getattr(node, name, None)
 
 
-def _fixed(place: Loc, own: Any, other: Any) -> Iterator[tuple[Loc, str]]:
-    """Yield what a region cannot have of its own: what is no parameter of its term, one a particle."""
-    for name in type(own).model_fields:
-        if name not in own.parameters and getattr(own, name) != getattr(other, name):
-            message = f"must be {getattr(own, name)} as in the whole body, is {getattr(other, name)}"
-            yield (*place, name), f"{message}; with another make this region a body of its own"
+def _fixed(place: Loc, whole: Any, here: Any) -> Iterator[tuple[Loc, str]]:
+    """Yield (place, message) for fields of a term that differ in a region, but are no parameters per particle."""
+    for name in type(whole).model_fields:
+        if name not in whole.parameters and getattr(whole, name) != getattr(here, name):
+            message = f"must be {getattr(whole, name)} as in the whole body, is {getattr(here, name)}"
+            yield (*place, name), f"{message}; for another value make this region a separate body"

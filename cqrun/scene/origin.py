@@ -1,4 +1,4 @@
-"""Where each value of a scene came from: a place in a file, or an override."""
+"""Where each value of a scene comes from: a place in a file, or an override."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from cqrun.scene.document import Document
 from cqrun.scene.keypath import joined, locate
 
 PLUGINS = "plugins"
-"""Where a run keeps copies of its plug-in files."""
+"""Folder of a run with copies of its plug-in files."""
 
 _AFTER_THE_FILE = 10**9
-"""A line behind every line."""
+"""A line number larger than any in a file."""
 
 
 @dataclass(frozen=True)
 class Override:
-    """One `-o key=value`, as typed."""
+    """One `-o key=value` as typed."""
 
     text: str
     path: str
 
     @property
     def where(self) -> str:
-        """How messages name it: a whole section would hide what they say."""
+        """Its name in messages; a long value is cut, because it would hide the message."""
         path, equals, value = self.text.partition("=")
         return f"-o {path}{equals}{cut(value)}"
 
     def covers(self, path: str) -> bool:
-        """Say whether it set the path or something around it."""
+        """Return whether it set the path or a part that contains it."""
         return path == self.path or path.startswith(f"{self.path}.")
 
 
 @dataclass(frozen=True)
 class Origin:
-    """A scene's text, its file and what was overridden; `base` is where files that it names are looked for."""
+    """The text of a scene, its file and its overrides; `base` is the folder of the files that it names."""
 
     document: Document = field(default_factory=lambda: Document({}))
     overrides: tuple[Override, ...] = ()
@@ -49,7 +49,7 @@ class Origin:
     base: Path | None = None
 
     def where_path(self, path: str) -> str:
-        """Return where a key path was set."""
+        """Return the place where a key path was set."""
         loc = locate(self.document.data, path)
         override = self._cause([loc])
         return override.where if override is not None else self.document.where(loc)
@@ -59,14 +59,14 @@ class Origin:
         return (self.base or (self.source.parent if self.source else Path())) / file
 
     def plugin_paths(self, names: Iterable[str]) -> list[Path]:
-        """Return the paths of plug-in files: a run's own copies, or those that the scene names."""
+        """Return the paths of plug-in files: the copies in a run directory, or the files that the scene names."""
         if self.base is not None and self.source is not None:
             return [self.source.parent / PLUGINS / Path(name).name for name in names]
         return [self.path_of(name) for name in names]
 
     def problems(self, error: ValidationError) -> list[Problem]:
-        """Return a validation's findings with their places: the file's by line, then the overrides'."""
-        found: list[tuple[tuple[int, int], Problem]] = []
+        """Return a validation's findings with their places: those in the file by line, then those of overrides."""
+        problems: list[tuple[tuple[int, int], Problem]] = []
         for details in error.errors(include_url=False):
             loc, at_key = details["loc"], details["type"] == KEY
             context = details["ctx"]
@@ -79,14 +79,14 @@ class Origin:
                 )
             else:
                 order, where = (_AFTER_THE_FILE, self.overrides.index(override)), override.where
-            found.append((order, Problem(where, joined(loc), context["message"])))
-        return [problem for _, problem in sorted(found, key=lambda item: item[0])]
+            problems.append((order, Problem(where, joined(loc), context["message"])))
+        return [problem for _, problem in sorted(problems, key=lambda item: item[0])]
 
     def _cause(self, places: Iterable[Loc]) -> Override | None:
-        """Return the last override that set one of the places, or made a mapping of it on its way."""
+        """Return the last override that set one of the places, or that created a mapping there on its way."""
         for override in reversed(self.overrides):
             for place in places:
-                on_its_way = override.path.startswith(f"{joined(place)}.")
-                if override.covers(joined(place)) or (on_its_way and not self.document.leads_on(place)):
+                passes = override.path.startswith(f"{joined(place)}.")
+                if override.covers(joined(place)) or (passes and not self.document.has_part_at(place)):
                     return override
         return None

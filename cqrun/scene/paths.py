@@ -1,6 +1,6 @@
-"""One string for a value everywhere: read it, replace it, ask what it is.
+"""Key paths of a scene: read, replace and describe the value at a path.
 
-The same path serves `-o`, unknowns, error messages and results.
+Overrides (`-o`), unknowns, error messages and results use the same paths.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from cqrun.scene.walk import children
 
 @dataclass(frozen=True)
 class LeafInfo:
-    """What a number in a scene is.
+    """A number in a scene, with its unit and range.
 
-    `minimum` and `maximum` are the field's own range, None where it has no end; whether an end itself is
-    legal only validation says (`poissons_ratio` is less than 0.5).
+    `minimum` and `maximum` are the ends of the field's range, or None. Only validation checks whether an end itself is
+    legal: `poissons_ratio` must be less than 0.5.
     """
 
     path: str
@@ -41,30 +41,30 @@ class LeafInfo:
 
 
 def get(scene: Scene, path: str) -> Any:
-    """Return the value at a path: a number, text, list, mapping or part; SceneError if nothing is there."""
+    """Return the value at a path: a number, text, list, mapping or part; raise a SceneError if there is nothing."""
     return _find(scene, path)[-1]
 
 
 def canonical(scene: Scene, path: str) -> str:
-    """Return the long spelling of a path (`union.0` is `union.shapes.0`); SceneError if nothing is there."""
+    """Return the long form of a path (`union.0` is `union.shapes.0`); raise a SceneError if there is nothing."""
     return joined(_find(scene, path)[0])
 
 
 def leaf(scene: Scene, path: str) -> LeafInfo:
-    """Return what the number at a path is; SceneError if there is none."""
+    """Describe the number at a path; raise a SceneError if there is none."""
     loc, owner, name, value = _find(scene, path)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise SceneError([Problem(scene.where(path), path, _no_number(path, value))])
+        raise SceneError([Problem(scene.where(path), path, _not_a_number(path, value))])
     low, high = _range(owner, name)
     unit = field_unit(owner, name) or "1"
     return LeafInfo(joined(loc), value, unit, _reached(owner, name, loc), low, high)
 
 
 def shapes_a_body(path: str) -> bool:
-    """Say whether a path, in its long spelling, is of what shapes or places a body: its particles follow the numbers.
+    """Return whether a path, in its long form, belongs to the shape or place of a body, so that particles follow it.
 
-    They follow the first shape of a difference or intersection, and so do its holes, which move and stretch with it;
-    numbers of what cuts it move nothing.
+    Particles follow the first shape of a difference or intersection. Its holes move and stretch with it, and the
+    numbers of the other shapes, which cut it, move nothing.
     """
     keys = path.split(".")
     if len(keys) < 4 or keys[0] != "bodies" or keys[2] not in ("shape", "parts", "place"):
@@ -73,33 +73,33 @@ def shapes_a_body(path: str) -> bool:
 
 
 def cuts(path: str) -> list[tuple[str, str]]:
-    """Return the differences and intersections that a path, in its long spelling, goes through: (name, index) each."""
+    """Return (name, index) of the differences and intersections that a path, in its long form, goes through."""
     keys = path.split(".")
     pairs = zip(keys, keys[1:], keys[2:], strict=False)
     return [(name, index) for name, of, index in pairs if name in ("difference", "intersection") and of == "shapes"]
 
 
 def _reached(owner: type[BaseModel], name: str, loc: Sequence[int | str]) -> bool:
-    """Say whether gradients reach a field at a place."""
+    """Return whether gradients reach a field at a place."""
     if name not in owner.model_fields:
         return False
     return is_differentiable(owner, name) or (is_geometric(owner, name) and shapes_a_body(joined(loc)))
 
 
 def leaves(scene: Scene, *, differentiable: bool = False) -> Iterator[str]:
-    """Yield the path of every number in a scene, or of those that gradients reach."""
+    """Yield the path of every number in a scene, or only of those that gradients reach."""
     yield from _leaves(scene, (), False, not differentiable)
 
 
 def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
-    """Return a scene with values replaced by path, validated as a whole; the given scene stays as it is.
+    """Return a new scene with values replaced by path, validated as a whole.
 
     Args:
         scene: any scene.
         values: key path -> number, text, list or mapping, in plain Python or NumPy.
 
     Raises:
-        SceneError: a path that does not exist, or a value that its field refuses.
+        SceneError: a path does not exist, or its field refuses the value.
     """
     data: Any = scene.model_dump(exclude_none=True)
     problems = []
@@ -114,12 +114,12 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
         changed = Scene.model_validate(data)
     except ValidationError as error:
         raise SceneError(scene._origin.problems(error)) from None
-    changed.came_from(scene._origin)
+    changed.set_origin(scene._origin)
     return changed
 
 
 def plain(value: Any) -> Any:
-    """Return NumPy numbers and arrays inside a value as Python's own."""
+    """Return a value with NumPy numbers and arrays converted to Python's numbers and lists."""
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -130,7 +130,7 @@ def plain(value: Any) -> Any:
 
 
 def _find(scene: Scene, path: str) -> tuple[Loc, type[BaseModel], str, Any]:
-    """Return place, the model and field that hold it, and the value at a path."""
+    """Return the place of a path, the model and field that contain it, and its value."""
     loc: list[int | str] = []
     node: Any = scene
     owner: type[Spec] = type(scene)
@@ -159,20 +159,20 @@ def _missing(scene: Scene, path: str, loc: list[int | str], rest: str, node: Any
         return f"{place} has no '{key}': write the term there first, with a value to start from"
     if node is None and loc:
         return f"{place} is not set in this scene: write it there first, with a value of '{rest}' to start from"
-    beside = suggest(key, map(str, inside))
+    sibling = suggest(key, map(str, inside))
     known = (leaf for leaf in leaves(scene) if not leaf.startswith(("unknowns.", "data.synthetic.truth.")))
-    near = beside if key == rest else suggest(path, known) or beside
-    there = f"; there are: {listed(map(str, inside))}" if inside else ""
-    return f"{place} has no '{key}'{near}{there}"
+    near = sibling if key == rest else suggest(path, known) or sibling
+    existing = f"; there are: {listed(map(str, inside))}" if inside else ""
+    return f"{place} has no '{key}'{near}{existing}"
 
 
-def _no_number(path: str, value: Any) -> str:
+def _not_a_number(path: str, value: Any) -> str:
     if value is None:
         return "is not set in this scene: give it a value"
     if isinstance(value, (list, dict, Chosen, Spec)):
         inside = [f"{path}.{key}" for key in children(value)]
-        return f"is no number but holds others: name one of {listed(inside, 4)}"
-    return f"is no number, is {value!r}"
+        return f"is not a number but contains others: name one of {listed(inside, 4)}"
+    return f"must be a number, is {value!r}"
 
 
 def _range(owner: type[BaseModel], name: str) -> tuple[float | None, float | None]:
@@ -186,12 +186,12 @@ def _range(owner: type[BaseModel], name: str) -> tuple[float | None, float | Non
     return low, high  # type: ignore[return-value]  # annotated_types knows only that they compare
 
 
-def _leaves(node: Any, loc: Loc, reached: bool, everything: bool) -> Iterator[str]:
+def _leaves(node: Any, loc: Loc, reached: bool, all_leaves: bool) -> Iterator[str]:
     if isinstance(node, (int, float)) and not isinstance(node, bool):
-        if reached or everything:
+        if reached or all_leaves:
             yield joined(loc)
         return
     for key, child in children(node).items():
         if isinstance(node, Spec):
             reached = _reached(type(node), str(key), (*loc, key))
-        yield from _leaves(child, (*loc, key), reached, everything)
+        yield from _leaves(child, (*loc, key), reached, all_leaves)

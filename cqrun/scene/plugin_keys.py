@@ -8,7 +8,7 @@ from pydantic import ConfigDict, GetJsonSchemaHandler, ModelWrapValidatorHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails
 
-from cqrun.explain import KEY, complaint, finding, listed, retold, suggest
+from cqrun.explain import KEY, complaint, finding, listed, reworded, suggest
 from cqrun.plugin.contract import Plugin, Spec
 from cqrun.plugin.registry import plugins
 
@@ -37,7 +37,7 @@ class PluginKeys(Spec):
         try:
             part = handler(built)
         except ValidationError as error:
-            findings += [retold(e) for e in error.errors(include_url=False)]
+            findings += [reworded(e) for e in error.errors(include_url=False)]
         if findings:
             raise complaint(cls.__name__, findings)
         return part
@@ -54,7 +54,7 @@ class PluginKeys(Spec):
         try:
             plugin: Plugin = legal[name].model_validate(value)
         except ValidationError as error:
-            findings += [retold(e, (name,)) for e in error.errors(include_url=False)]
+            findings += [reworded(e, (name,)) for e in error.errors(include_url=False)]
             return None
         return plugin
 

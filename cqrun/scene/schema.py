@@ -1,4 +1,4 @@
-"""Scene version 1: its sections, checked against each other, and where each value came from."""
+"""Scene version 1: its sections, checked against each other, and the origin of each value."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from cqrun.scene.walk import marked
 
 
 class Scene(Sections):
-    """A world, its bodies, what acts on them, for how long, and what a job looks for."""
+    """A scene: a world, its bodies, what acts on them and for how long, and what a job computes."""
 
     _origin: Origin = PrivateAttr(default_factory=Origin)
 
-    def came_from(self, origin: Origin) -> None:
+    def set_origin(self, origin: Origin) -> None:
         """Take up where the scene came from; files that its parts name start from there."""
         self._origin = origin
         for found in marked(self, NamesFile):
@@ -31,12 +31,12 @@ class Scene(Sections):
 
     @property
     def source(self) -> Path | None:
-        """The file the scene was read from; files it names are relative to it."""
+        """The file from which the scene was read; files that it names are relative to it."""
         return self._origin.source
 
     @property
     def text(self) -> str:
-        """The text the scene was read from; empty for a scene made of data."""
+        """The text from which the scene was read; empty for a scene made from data."""
         return self._origin.text
 
     def where(self, path: str) -> str:
@@ -48,13 +48,13 @@ class Scene(Sections):
         return self._origin.path_of(file)
 
     def plugin_paths(self) -> dict[str, Path]:
-        """Return the paths of the scene's plug-in files, by the names it uses."""
+        """Return the paths of the scene's plug-in files, by the names in the scene."""
         return dict(zip(self.plugins, self._origin.plugin_paths(self.plugins), strict=True))
 
     def with_plugin(self, key: str, plugin: Plugin) -> Scene:
         """Return this scene with another optimizer or controller."""
         changed = self.model_copy(update={key: Chosen(plugin.name, plugin)})
-        changed.came_from(self._origin)
+        changed.set_origin(self._origin)
         return changed
 
     @model_validator(mode="before")

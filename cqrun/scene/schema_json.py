@@ -1,4 +1,4 @@
-"""JSON Schema of scenes, for editors: every plug-in spelt out where it can be chosen."""
+"""The JSON Schema of scenes, for editors: it lists every plug-in wherever one can be chosen."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ _REF = "#/$defs/{model}"
 
 
 def scene_json_schema() -> dict[str, Any]:
-    """Return the schema of scene files: valid as draft-07, which older editors know, and as 2020-12."""
+    """Return the schema of scene files; it is valid as draft-07, for older editors, and as 2020-12."""
     schema = Scene.model_json_schema(ref_template=_REF)
     definitions: dict[str, Any] = schema.pop("$defs")
     waiting: set[str] = set()
-    body = _spelt_out(schema, waiting)
-    done = {name: _spelt_out(part, waiting) for name, part in definitions.items()}
+    body = _expanded(schema, waiting)
+    done = {name: _expanded(part, waiting) for name, part in definitions.items()}
     while waiting:
         key = waiting.pop()
         if key not in done:
-            done[key] = {}  # a shape holds shapes: known before its parts are looked at
+            done[key] = {}  # shapes contain shapes: the entry must exist before its parts are expanded
             done[key] = _definition(key, waiting, done)
     head = {"$schema": "http://json-schema.org/draft-07/schema#", "title": "cqrun scene"}
     return {**body, **head, "$defs": dict(sorted(done.items()))}
 
 
 def _definition(key: str, waiting: set[str], done: dict[str, Any]) -> dict[str, Any]:
-    """Return what `kind` (a choice) or `kind.name` (a plug-in) stands for."""
+    """Return the schema of `kind` (a choice) or `kind.name` (a plug-in)."""
     kind, _, name = key.partition(".")
     if not name:
         known = plugins(kind)
@@ -47,8 +47,8 @@ def _definition(key: str, waiting: set[str], done: dict[str, Any]) -> dict[str, 
     cls = plugins(kind)[name]
     schema = cls.model_json_schema(ref_template=_REF)
     for inner, part in schema.pop("$defs", {}).items():
-        done.setdefault(inner, _spelt_out(part, waiting))
-    schema = _spelt_out(schema, waiting)
+        done.setdefault(inner, _expanded(part, waiting))
+    schema = _expanded(schema, waiting)
     if cls.shorthand:
         return {"anyOf": [schema, schema["properties"][cls.shorthand]]}
     return schema
@@ -59,15 +59,15 @@ def _reference(key: str, waiting: set[str]) -> dict[str, str]:
     return {"$ref": _REF.format(model=key)}
 
 
-def _spelt_out(node: Any, waiting: set[str]) -> Any:
-    """Return a schema with its marks replaced by what they stand for."""
+def _expanded(node: Any, waiting: set[str]) -> Any:
+    """Return a schema with its marks replaced by references to plug-ins."""
     if isinstance(node, list):
-        return [_spelt_out(item, waiting) for item in node]
+        return [_expanded(item, waiting) for item in node]
     if not isinstance(node, dict):
         return node
-    result = {k: _spelt_out(v, waiting) for k, v in node.items() if k not in MARKS}
+    result = {k: _expanded(v, waiting) for k, v in node.items() if k not in MARKS}
     if CHOICE_MARK in node:
-        result["allOf"] = [_reference(node[CHOICE_MARK], waiting)]  # draft-07 ignores what stands beside $ref
+        result["allOf"] = [_reference(node[CHOICE_MARK], waiting)]  # draft-07 ignores keys beside $ref
     if KEYS_MARK in node:
         kind = node[KEYS_MARK]
         named = {name: _reference(f"{kind}.{name}", waiting) for name in plugins(kind)}
@@ -75,5 +75,5 @@ def _spelt_out(node: Any, waiting: set[str]) -> Any:
     if isinstance(node.get("required"), list):
         result["required"] = [name for name in node["required"] if FILLED_MARK not in node["properties"][name]]
     if "patternProperties" in result:
-        result["additionalProperties"] = False  # pydantic says which names are legal, not that others are not
+        result["additionalProperties"] = False  # pydantic gives the legal names, but does not forbid others
     return result

@@ -1,4 +1,4 @@
-"""The sections of a scene: what a user may write, with units, ranges and defaults."""
+"""The sections of a scene: everything that a user may write, with units, ranges and defaults."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ if TYPE_CHECKING:
 
 
 class Sections(Spec):
-    """The sections of a scene, each valid by itself."""
+    """The sections of a scene, each validated alone."""
 
     cqrun: Literal[1] = Field(description="Version of the scene format")
-    title: str = Field(description="One line about the scene", default="")
+    title: str = Field(description="One line that describes the scene", default="")
     job: Literal["simulate", "sysid", "control", "codesign", "gradcheck"] | None = Field(
         description="Command that the scene is made for", default=None
     )
     plugins: list[str] = Field(
-        description="Python files with plug-ins of your own, beside the scene; run only with --allow-plugins",
+        description="Python files with your own plug-ins, beside the scene; run only with --allow-plugins",
         default_factory=list,
     )
     world: World = Field(description="Box and grid")
-    precision: Literal["float64", "float32"] = Field(description="Of the engine", default="float64")
+    precision: Literal["float64", "float32"] = Field(description="Precision of the engine", default="float64")
     memory: Memory = Field(
-        description="Budget for states kept for gradients: bytes, or with a unit, such as 8GiB", default=2 * 2**30
+        description="Memory for the states that gradients keep: bytes, or with a unit, such as 8GiB", default=2 * 2**30
     )
-    seed: Seed = Field(description="Seed of whatever names none of its own", default=0)
+    seed: Seed = Field(description="Seed of everything that gives no seed itself", default=0)
     bodies: dict[Name, Body] = Field(description="Name -> body", min_length=1)
     regions: dict[Name, ChosenRegion] = Field(
-        description="Name -> region of the world at the start; wherever a region is asked for, its name will do",
+        description="Name -> region of the world at the start; use the name wherever a region is needed",
         default_factory=dict,
     )
     boundaries: dict[Name, Annotated[Chosen[Plugin], Choice("boundary")]] = Field(
-        description="Name -> boundary; where several hold a node they act in this order", default_factory=dict
+        description="Name -> boundary; if several hold a node, they act in this order", default_factory=dict
     )
     loads: dict[Name, Annotated[Chosen[Plugin], Choice("load")]] = Field(
         description="Name -> load", default_factory=dict
@@ -59,24 +59,26 @@ class Sections(Spec):
     )
     activation: Activation | None = Field(description="Open-loop signals", default=None)
     observers: dict[Name, Annotated[Chosen[Plugin], Choice("observer")]] = Field(
-        description="Name -> what a controller sees", default_factory=dict
+        description="Name -> observer: what a controller sees", default_factory=dict
     )
     controller: Annotated[Chosen[Plugin], Choice("controller")] | None = Field(
-        description="What drives the actuators, learned by `cqrun control`", default=None
+        description="What drives the actuators; `cqrun control` learns it", default=None
     )
-    goals: dict[Name, Goal] = Field(description="Name -> what an episode is about", default_factory=dict)
-    episodes: Episodes = Field(description="Rollouts of an iteration", default_factory=Episodes)
+    goals: dict[Name, Goal] = Field(description="Name -> goal of an episode", default_factory=dict)
+    episodes: Episodes = Field(description="Rollouts in an iteration", default_factory=Episodes)
     objective: dict[Name, Annotated[Chosen[Plugin], Choice("objective")]] = Field(
-        description="Name -> term of what is made small", default_factory=dict
+        description="Name -> term of the objective, which is minimised", default_factory=dict
     )
     constraints: dict[Name, Constraint] = Field(
-        description="Name -> what must hold, for an optimizer that honours constraints", default_factory=dict
+        description="Name -> constraint, for an optimizer that handles constraints", default_factory=dict
     )
     time: Time = Field(description="Duration and steps")
-    data: Data | None = Field(description="What the run is fitted to", default=None)
-    unknowns: dict[str, Unknown] = Field(description="Key path -> what may change", default_factory=dict)
+    data: Data | None = Field(description="Data that the run is fitted to", default=None)
+    unknowns: dict[str, Unknown] = Field(
+        description="Key path -> unknown, a value that may change", default_factory=dict
+    )
     optimizer: Annotated[Chosen[Plugin], Choice("optimizer")] | None = Field(
-        description="How unknowns are found", default=None
+        description="Method that finds the unknowns", default=None
     )
 
     @property
@@ -86,12 +88,12 @@ class Sections(Spec):
 
     @property
     def recordings(self) -> dict[str, Recording]:
-        """The recordings it is fitted to, by name."""
+        """The recordings that the scene is fitted to, by name."""
         return (self.data.recordings if self.data is not None else None) or {}
 
     @property
     def synthetic(self) -> Synthetic | None:
-        """The data that it makes itself, if it does."""
+        """The synthetic data of the scene, if any."""
         return self.data.synthetic if self.data is not None else None
 
     @property
@@ -107,6 +109,6 @@ class Sections(Spec):
 
     @property
     def sequences(self) -> int:
-        """How many random sequences of activations synthetic data has; 1 where they are not random."""
+        """The number of random activation sequences in synthetic data; 1 if the activation is not random."""
         random = self.activation.random if self.activation is not None else None
         return 1 if random is None else random.sequences

@@ -1,4 +1,4 @@
-"""Paths that a scene's job names: unknowns that can be found, truths and overrides that can be set."""
+"""Check the key paths of unknowns, of synthetic truths and of the recordings' overrides, and look up their values."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from cqrun.scene.schema import Scene
 
 
 def start(scene: Scene, path: str) -> float:
-    """Return where an unknown starts: its `initial`, else the scene's own value."""
+    """Return the start value of an unknown: its `initial`, or else the scene's value."""
     initial = scene.unknowns[path].initial
     return float(leaf(scene, path).value if initial is None else initial)
 
 
 def tied(scene: Scene, path: str, value: float) -> dict[str, float]:
-    """Return the values of an unknown and of what follows it, by path in its long spelling."""
+    """Return the values of an unknown and of the values tied to it, by path in its long form."""
     others = {canonical(scene, other): tie for other, tie in scene.unknowns[path].also.items()}
     return {canonical(scene, path): value, **{p: tie.factor * value + tie.offset for p, tie in others.items()}}
 
 
 def starts(scene: Scene) -> dict[str, float]:
-    """Return where every unknown, and what follows it, starts, by path in its long spelling."""
+    """Return the start values of all unknowns and of the values tied to them, by path in its long form."""
     return {p: value for path in scene.unknowns for p, value in tied(scene, path, start(scene, path)).items()}
 
 
 def truths(scene: Scene) -> dict[str, float]:
-    """Return the values that synthetic data are made with, by path in its long spelling.
+    """Return the true values with which synthetic data are made, by path in its long form.
 
-    What follows an unknown follows its true value, unless it has one itself.
+    A value that is tied to an unknown follows the true value of the unknown, unless it has a true value itself.
     """
-    made = scene.synthetic
-    own = {} if made is None else {canonical(scene, path): value for path, value in made.truth.items()}
+    synthetic = scene.synthetic
+    given = {} if synthetic is None else {canonical(scene, path): value for path, value in synthetic.truth.items()}
     names = {path: canonical(scene, path) for path in scene.unknowns}
-    followed = [tied(scene, path, own[name]) for path, name in names.items() if name in own]
-    return {p: value for each in [*followed, own] for p, value in each.items()}
+    followed = [tied(scene, path, given[name]) for path, name in names.items() if name in given]
+    return {p: value for each in [*followed, given] for p, value in each.items()}
 
 
 def bounds_of(scene: Scene, path: str) -> tuple[float, float] | None:
-    """Return the bounds of a value that is an unknown, or follows one; None if it does neither."""
+    """Return the bounds of a value that is an unknown or is tied to one, or else None."""
     name = canonical(scene, path)
     for unknown, spec in scene.unknowns.items():
         ends = [tied(scene, unknown, bound) for bound in spec.bounds]
@@ -55,7 +55,7 @@ def bounds_of(scene: Scene, path: str) -> tuple[float, float] | None:
 
 
 def body_of(scene: Scene, name: str) -> str:
-    """Return the body whose particles a value at a path, in its long spelling, belongs to; empty if there is none."""
+    """Return the name of the body that a path, in its long form, belongs to; empty if there is none."""
     keys = name.split(".")
     if keys[0] == "actuators":
         return named_body(scene.actuators[keys[1]].value) or ""
@@ -63,15 +63,15 @@ def body_of(scene: Scene, name: str) -> str:
 
 
 def groups_of(scene: Scene, path: str) -> tuple[str, ...]:
-    """Return the names of the groups of the body that a value at a path belongs to."""
+    """Return the names of the groups of the body that a path belongs to."""
     body = body_of(scene, canonical(scene, path))
     return scene.bodies[body].group_names if body else ()
 
 
 def findings_of_paths(scene: Scene) -> list[InitErrorDetails]:
     """Return what is wrong with the unknowns, the synthetic truth and the recordings' overrides."""
-    found = [item for path, unknown in scene.unknowns.items() for item in _unknown(scene, path, unknown)]
-    return [*found, *_twice(scene), *_held_out(scene), *_truth(scene), *_overrides(scene)]
+    findings = [item for path, unknown in scene.unknowns.items() for item in _unknown(scene, path, unknown)]
+    return [*findings, *_duplicates(scene), *_starts_held_out(scene), *_truth(scene), *_overrides(scene)]
 
 
 def _unknown(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails]:
@@ -92,7 +92,7 @@ def _unknown(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDet
 
 
 def _followers(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails]:
-    """Yield what cannot follow an unknown."""
+    """Yield findings for values that cannot be tied to an unknown."""
     keys = canonical(scene, path).split(".")
     for other in unknown.also:
         place: Loc = ("unknowns", path, "also", other)
@@ -108,7 +108,7 @@ def _followers(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorD
         elif unknown.per != "body" and same[:1] + same[2:] != keys[:1] + keys[2:]:
             message = f"`per: {unknown.per}` can be tied to the same value of another body only"
             yield finding(message, place, kind=KEY)
-        elif unknown.per != "body" and (message := _held_by_parts(scene, same)):
+        elif unknown.per != "body" and (message := _set_by_regions(scene, same)):
             yield finding(message, place, kind=KEY)
 
 
@@ -147,25 +147,25 @@ def _per(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails
         advice = "use `per: body`"
         if keys[0] == "actuators":
             weight = ".".join([*keys[:-1], "weight"])
-            advice += f", or the unknown '{weight}', the share of its strength that each particle has"
+            advice += f", or the unknown '{weight}', the share of the strength for each particle"
         yield finding(f"only a body's material, and an actuator's `weight`, can {how}; {advice}", place)
     elif unknown.per == "group" and not scene.bodies[body].group_names:
         yield finding(f"the body '{body}' has no groups; name some or use `per: body`", place)
-    elif not is_weight and (message := _held_by_parts(scene, keys)):
+    elif not is_weight and (message := _set_by_regions(scene, keys)):
         yield finding(message, place)
 
 
-def _held_by_parts(scene: Scene, keys: Sequence[str]) -> str:
-    """Return what is wrong with values a particle of a body's material where parts have their own, or nothing."""
+def _set_by_regions(scene: Scene, keys: Sequence[str]) -> str:
+    """Return the problem if `material_of` sets a value that is to differ within the body, or an empty text."""
     if keys[0] != "bodies" or keys[2:3] != ["material"]:
         return ""
     others = scene.bodies[keys[1]].material_of
-    own = [name for name, other in others.items() if other.value(".".join(keys[3:])) is not None]
-    return f"by material_of, {listed(own)} have a value of their own: remove it, or use `per: body`" if own else ""
+    names = [name for name, other in others.items() if other.value(".".join(keys[3:])) is not None]
+    return f"material_of sets a separate value for {listed(names)}: remove it, or use `per: body`" if names else ""
 
 
-def _twice(scene: Scene) -> Iterator[InitErrorDetails]:
-    """Yield unknowns that are another one in another spelling, or follow one; equal spellings are duplicate keys."""
+def _duplicates(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield findings for unknowns and tied values that are the same value, spelt differently."""
     first: dict[str, str] = {}
     named: list[tuple[Loc, str]] = [(("unknowns", path), path) for path in scene.unknowns]
     for path, unknown in scene.unknowns.items():
@@ -174,17 +174,17 @@ def _twice(scene: Scene) -> Iterator[InitErrorDetails]:
         try:
             name = canonical(scene, path)
         except SceneError:
-            continue  # no such path: told above
+            continue  # there is no such path: reported above
         if name in first:
             yield finding(f"is the same value as the unknown '{first[name]}': name it once", place, kind=KEY)
         first.setdefault(name, path)
 
 
-def _held_out(scene: Scene) -> Iterator[InitErrorDetails]:
-    """Yield unknown starts of recordings that nothing is fitted to."""
+def _starts_held_out(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield findings for unknown starts of held-out recordings."""
     for name, recording in scene.recordings.items():
         path = f"data.recordings.{name}.start"
-        message = f"the recording '{name}' is held out, so nothing tells its start: remove this unknown"
+        message = f"the recording '{name}' is held out, so nothing determines its start: remove this unknown"
         for unknown, spec in scene.unknowns.items() if recording.holdout else ():
             if unknown == path:
                 yield finding(message, ("unknowns", path), kind=KEY)
@@ -201,7 +201,11 @@ def _truth(scene: Scene) -> Iterator[InitErrorDetails]:
             yield finding(error.problems[0].message, place, kind=KEY)
             continue
         if not info.differentiable or path.startswith("data."):
-            yield finding("a truth can only be what can be an unknown: set it in the scene itself", place, kind=KEY)
+            yield finding(
+                "only a value that can be an unknown can have a truth: set this one in the scene itself",
+                place,
+                kind=KEY,
+            )
             continue
         try:
             with_values(scene, {info.path: value})
@@ -210,7 +214,7 @@ def _truth(scene: Scene) -> Iterator[InitErrorDetails]:
 
 
 def _overrides(scene: Scene) -> Iterator[InitErrorDetails]:
-    """Yield overrides of recordings that their scene refuses, each tried alone, then all together."""
+    """Yield findings for overrides of recordings that the scene refuses, each tried alone, then all together."""
     for name, recording in scene.recordings.items():
         place: Loc = ("data", "recordings", name, "overrides")
         useless = list(_without_effect(scene, place, list(recording.overrides)))
@@ -224,31 +228,31 @@ def _overrides(scene: Scene) -> Iterator[InitErrorDetails]:
 
 
 FIXED = ("data", "unknowns", "optimizer", "time", "job", "title", "seed", "memory", "precision", "cqrun")
-"""What all recordings of a scene share: no recording can have its own."""
+"""Sections that all recordings of a scene share, so that no recording can override them."""
 
 
 def _without_effect(scene: Scene, place: Loc, paths: list[str]) -> Iterator[InitErrorDetails]:
-    """Yield overrides that would do nothing: of what all recordings share, and of what is fitted."""
+    """Yield findings for overrides without effect: of shared sections, and of values that are fitted."""
     for path in paths:
         head = path.split(".")[0]
         named = {name: [name, *spec.also] for name, spec in scene.unknowns.items()}
-        fitted = [name for name, others in named.items() if any(_holds(scene, path, other) for other in others)]
+        fitted = [name for name, others in named.items() if any(_contains(scene, path, other) for other in others)]
         if head in FIXED:
             message = f"all recordings share `{head}`: an override can change bodies, loads, the world ..."
             yield finding(message, (*place, path))
         elif fitted:
-            how = "is fitted, as" if _holds(scene, path, fitted[0]) else "follows"
+            how = "is fitted, as" if _contains(scene, path, fitted[0]) else "follows"
             message = f"{how} the unknown '{fitted[0]}': a recording cannot have its own value"
             yield finding(message, (*place, path))
 
 
-def _holds(scene: Scene, path: str, name: str) -> bool:
-    """Say whether a path is a number, or a part of the scene that has it, in whichever spelling."""
+def _contains(scene: Scene, path: str, name: str) -> bool:
+    """Return whether a path is the same number as `name`, or a part of the scene that contains it, in any spelling."""
     try:
         full = canonical(scene, name)
     except SceneError:
-        return False  # told where it is named
-    with contextlib.suppress(SceneError):  # of a part, which is no number
+        return False  # reported where it is named
+    with contextlib.suppress(SceneError):  # the path may be a part of the scene
         path = canonical(scene, path)
     return any(other == path or other.startswith(f"{path}.") for other in (name, full))
 
@@ -259,5 +263,5 @@ def _refused(scene: Scene, place: Loc, trials: dict[str, dict[str, object]]) -> 
             with_values(scene, values)
         except SceneError as error:
             for problem in error.problems:
-                told = problem.message if problem.path == key else f"{problem.path}: {problem.message}"
-                yield finding(told, (*place, key) if key else place)
+                message = problem.message if problem.path == key else f"{problem.path}: {problem.message}"
+                yield finding(message, (*place, key) if key else place)

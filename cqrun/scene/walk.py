@@ -14,7 +14,7 @@ M = TypeVar("M")
 
 
 def children(node: Any) -> dict[int | str, Any]:
-    """Return what a node of a scene holds, by the key that a path uses for it."""
+    """Return the children of a node of a scene, by the key that a path uses for each."""
     if isinstance(node, Spec):
         found: dict[int | str, Any] = {name: getattr(node, name) for name in type(node).model_fields}
         return found | dict(node.model_extra or {})
@@ -28,7 +28,7 @@ def children(node: Any) -> dict[int | str, Any]:
 
 
 def parts(node: Any, loc: Loc = ()) -> Iterator[tuple[Loc, Spec]]:
-    """Yield every part (a `Spec`) at and below a node, with its place."""
+    """Yield (place, part) for every part (a `Spec`) at and below a node."""
     if isinstance(node, Spec):
         yield loc, node
     for key, child in children(node).items():

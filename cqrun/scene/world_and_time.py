@@ -1,4 +1,4 @@
-"""The box that holds everything, and how long a run lasts, in which steps."""
+"""Sections `world` and `time`: the box of the simulation and its grid, the duration of a run and its steps."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from cqrun.plugin.reference import FilledIn
 from cqrun.scene.fields import Substeps
 
 ON_CONTROL_STEP = 1e-9
-"""How far, relative, a duration may be from a whole number of control steps."""
+"""Largest relative difference between a duration and a whole number of control steps."""
 
 
 class World(Spec):
-    """The box that holds everything, lower corner at the origin, and its grid."""
+    """The box that contains everything, with its lower corner at the origin, and its grid."""
 
-    size: list[Annotated[float, Field(gt=0)]] = vector("m", "Edge lengths; their number is the dimension")
+    size: list[Annotated[float, Field(gt=0)]] = vector("m", "Edge lengths; their number is the dimension of the world")
     dx: float = quantity("m", "Edge of a grid cell", gt=0)
     gravity: Annotated[list[float], FilledIn("zero vector")] = vector(
         "m/s^2", "Gravity; zero if absent", differentiable=True
@@ -26,15 +26,15 @@ class World(Spec):
 
 
 class Time(Spec):
-    """How long, and in which steps."""
+    """The duration of the run, and its steps."""
 
-    duration: float = quantity("s", "Length of the run, a multiple of the control step", gt=0)
-    control_step: float = quantity("s", "Time between two frames, and two values of a signal", gt=0)
-    substeps: Substeps = Field(description="Steps of the engine in a control step, or auto", default="auto")
+    duration: float = quantity("s", "Duration of the run, a multiple of the control step", gt=0)
+    control_step: float = quantity("s", "Time between two frames, and between two values of a signal", gt=0)
+    substeps: Substeps = Field(description="Engine steps per control step, or auto", default="auto")
 
     @property
     def control_steps(self) -> int:
-        """How many control steps the run has."""
+        """The number of control steps in the run."""
         return round(self.duration / self.control_step)
 
     @model_validator(mode="after")
@@ -42,7 +42,7 @@ class Time(Spec):
         step, count = self.control_step, max(1, self.control_steps)
         if abs(count * step - self.duration) > ON_CONTROL_STEP * self.duration:
             message = (
-                f"{self.duration:.10g} s is no multiple of the control step {step:.10g} s; "
+                f"{self.duration:.10g} s is not a multiple of the control step {step:.10g} s; "
                 f"the nearest is {count * step:.10g} s"
             )
             raise complaint("Time", [finding(message, ("duration",), involves=("control_step",))])

@@ -1,4 +1,4 @@
-"""Files that are either there whole or not at all, and disk trouble told in words."""
+"""Write files atomically (complete or not at all), and turn disk errors into clear messages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MISPLACED = {errno.ENOTDIR, errno.EEXIST, errno.EISDIR, errno.ENOENT, errno.ENAM
 
 
 def disk_error(error: OSError, path: Path) -> CqrunError:
-    """Return the error that tells a person what `error` on `path` means and what to do."""
+    """Return the error that explains `error` on `path`, and what to do about it."""
     if error.errno in FULL:
         return RunError(
             f"{path}: the disk is full; nothing written before is lost. "
@@ -35,7 +35,7 @@ def disk_error(error: OSError, path: Path) -> CqrunError:
 
 @contextlib.contextmanager
 def disk_errors(path: Path) -> Iterator[None]:
-    """Turn an OSError inside the block into cqrun's own error about `path`."""
+    """Turn an OSError inside the block into one of cqrun's errors about `path`."""
     try:
         yield
     except OSError as error:
@@ -43,7 +43,7 @@ def disk_errors(path: Path) -> Iterator[None]:
 
 
 def make_directory(path: Path) -> None:
-    """Make a directory and its parents; one that exists is fine.
+    """Make a directory and its parents, unless they exist.
 
     Raises:
         UsageError: it cannot be made there.
@@ -54,10 +54,10 @@ def make_directory(path: Path) -> None:
 
 
 def require_room(path: Path, size: int) -> None:
-    """Refuse to begin a file of `size` bytes at `path` where the disk has no room for it.
+    """Raise an error if the disk has no space for a file of `size` bytes at `path`.
 
-    For files that a library writes which cannot cope with a full disk: HDF5 crashes the process. Where the system
-    cannot reserve room (macOS), nothing is checked.
+    Needed for libraries that cannot handle a full disk: HDF5 crashes the process. On systems that cannot reserve space
+    (macOS) nothing is checked.
 
     Raises:
         UsageError: the directory cannot be written to.
@@ -76,9 +76,10 @@ def require_room(path: Path, size: int) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield the name to write a file under; what is there takes the place of `path` when the block ends well.
+    """Yield a temporary path to write to; when the block ends without an error, its file replaces `path`.
 
-    A reader sees the old file or the new one, whole, also after a crash; a block that fails leaves nothing.
+    A reader sees either the complete old file or the complete new one, even after a crash. A block that fails leaves no
+    file.
 
     Raises:
         UsageError: the directory cannot be written to.
@@ -98,25 +99,25 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Put `data` at `path`, whole or not at all; see `replacing`."""
+    """Write `data` to `path`, completely or not at all; see `replacing`."""
     with replacing(path) as temporary:
         temporary.write_bytes(data)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Put UTF-8 `text` at `path`; see `write_bytes`."""
+    """Write `text` to `path` as UTF-8; see `write_bytes`."""
     write_bytes(path, text.encode())
 
 
 def write_table(path: Path, rows: Iterable[Iterable[object]]) -> None:
-    """Put rows at `path` as CSV; numbers come back to the bit, None is an empty cell. See `write_bytes`."""
+    """Write rows to `path` as CSV, with exact numbers and None as an empty cell; see `write_bytes`."""
     text = io.StringIO(newline="")
     csv.writer(text, lineterminator="\n").writerows(rows)
     write_text(path, text.getvalue())
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Put `value` at `path` as indented JSON; NaN and infinities are refused, as JSON has none.
+    """Write `value` to `path` as indented JSON; NaN and infinities are refused, because JSON does not have them.
 
     Raises:
         ValueError: a number is not finite.
@@ -125,9 +126,9 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def append_durably(file: io.FileIO, data: bytes) -> None:
-    """Write `data` at the position of an unbuffered file, all of it, and wait until the disk has it.
+    """Write all of `data` at the position of an unbuffered file, and wait until it is on disk.
 
-    Unbuffered, because a buffer that met a full disk would try again when the file is closed.
+    The file must be unbuffered, because after an error on a full disk a buffer would be written again on closing.
     """
     rest = memoryview(data)
     while rest:
@@ -136,7 +137,7 @@ def append_durably(file: io.FileIO, data: bytes) -> None:
 
 
 def sync_directory(directory: Path) -> None:
-    """Make a rename or a new file in `directory` last through a power cut."""
+    """Make a rename or a new file in `directory` durable, even after a power cut."""
     handle = os.open(directory, os.O_RDONLY)
     try:
         os.fsync(handle)

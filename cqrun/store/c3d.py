@@ -1,7 +1,7 @@
-"""C3D: the motion-capture format, read by ezc3d.
+"""Read C3D files, the motion-capture format, with ezc3d.
 
-ezc3d shortens a truncated file without a word, and never returns from one that ends inside its
-parameters, so the header is held against the file's size here first.
+ezc3d silently shortens a truncated file and never returns from one that ends inside its parameters. Therefore the
+header is compared with the size of the file first.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ _LONG = 0xFFFF
 
 
 def read_c3d(path: Path, units: str | None, source: str) -> Recording:
-    """Read the markers of a C3D file; time counts from its first frame.
+    """Read the markers of a C3D file; the time of its first frame is 0.
 
     A marker with a negative residual or a NaN coordinate was not seen. `units` overrides POINT:UNITS.
 
     Raises:
-        DataError: not C3D, truncated, without markers, frame rate or known units.
+        DataError: the file is not C3D, is truncated, or has no markers, frame rate or known units.
     """
     promised = _promised_frames(path.read_bytes(), source)
     import ezc3d
@@ -37,7 +37,7 @@ def read_c3d(path: Path, units: str | None, source: str) -> Recording:
     try:
         content: Any = ezc3d.c3d(str(path))
     except (OSError, RuntimeError, ValueError, IndexError) as error:
-        raise DataError(f"{source}: not a C3D file that can be read ({error})") from error
+        raise DataError(f"{source}: cannot be read as a C3D file ({error})") from error
     point = content["parameters"]["POINT"]
     points = np.asarray(content["data"]["points"], dtype=float)
     promised = max(promised, int(_first(point, "LONG_FRAMES", 0)))
@@ -47,7 +47,7 @@ def read_c3d(path: Path, units: str | None, source: str) -> Recording:
             f"{points.shape[2]} are there; copy or export it again"
         )
     if points.shape[1] == 0:
-        raise DataError(f"{source}: holds no markers")
+        raise DataError(f"{source}: has no markers")
     rate = float(_first(point, "RATE", 0.0))
     if not rate > 0:
         raise DataError(f"{source}: its frame rate (POINT:RATE) is {rate:g}; it must be positive")
@@ -58,7 +58,7 @@ def read_c3d(path: Path, units: str | None, source: str) -> Recording:
 
 
 def _promised_frames(data: bytes, source: str) -> int:
-    """Return the number of frames in the header; refuse what is no C3D file or ends before its data."""
+    """Return the number of frames in the header; refuse a file that is not C3D or ends before its data."""
     first = data[0] if data else 0
     if len(data) < 2 or data[1] != _MAGIC or first < 2:
         raise DataError(f"{source}: not a C3D file (its second byte is not 0x50)")
@@ -71,7 +71,7 @@ def _promised_frames(data: bytes, source: str) -> int:
     if len(data) < start + blocks * BLOCK:
         raise DataError(f"{source}: truncated: the file ends inside its parameters; copy or export it again")
     first_frame, last_frame = struct.unpack(_BYTE_ORDER[processor] + "HH", data[6:10])
-    # Beyond 65,534 frames the header cannot count; POINT:LONG_FRAMES is held against the data instead.
+    # The header cannot count more than 65,534 frames; then POINT:LONG_FRAMES is compared with the data instead.
     return 0 if last_frame == _LONG else max(last_frame - first_frame + 1, 0)
 
 
@@ -84,19 +84,19 @@ def _positions(points: Array, residuals: Array) -> Array:
 
 
 def _file_unit(point: dict[str, Any], source: str) -> str:
-    """Return what POINT:UNITS says."""
-    said = str(_first(point, "UNITS", ""))
-    unit = unit_of(said)
+    """Return the unit in POINT:UNITS."""
+    text = str(_first(point, "UNITS", ""))
+    unit = unit_of(text)
     if unit is None:
         raise DataError(
-            f"{source}: the file's own units (POINT:UNITS) are '{said}'; "
-            f"say which they are with `units: {' | '.join(METRES)}`"
+            f"{source}: the units in the file (POINT:UNITS) are '{text}', which is not known; "
+            f"give them with `units: {' | '.join(METRES)}`"
         )
     return unit
 
 
 def _labels(point: dict[str, Any], count: int) -> tuple[str, ...]:
-    """Return the labels of all markers; files with more than 255 go on in LABELS2, LABELS3, ..."""
+    """Return the labels of all markers; files with more than 255 continue in LABELS2, LABELS3, ..."""
     labels: list[str] = []
     for suffix in ("", *(str(i) for i in range(2, 2 + count // 255 + 1))):
         labels += [str(label).strip() for label in point.get(f"LABELS{suffix}", {}).get("value", [])]
@@ -105,6 +105,6 @@ def _labels(point: dict[str, Any], count: int) -> tuple[str, ...]:
 
 
 def _first(point: dict[str, Any], key: str, default: Any) -> Any:
-    """Return the first value of a parameter, or `default` where it is absent or empty."""
+    """Return the first value of a parameter, or `default` if it is absent or empty."""
     value = point.get(key, {}).get("value", [])
     return value[0] if len(value) else default

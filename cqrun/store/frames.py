@@ -1,4 +1,4 @@
-"""A trajectory read frame by frame, however long it is; see store/trajectory.py for the file."""
+"""Read a trajectory of any length frame by frame; store/trajectory.py describes the file."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from cqrun.plugin.contract import Array
 
 
 def part_path(path: Path) -> Path:
-    """Return the name a trajectory has while it is written."""
+    """Return the name of a trajectory while it is being written."""
     return path.with_name(path.name + ".part")
 
 
 class Frames:
-    """An open trajectory, also one that another process is writing or that was cut off; a context manager.
+    """An open trajectory, perhaps incomplete or still being written by another process; a context manager.
 
     Attributes:
-        path: the file that is read: the final name, or that of its `.part` where there is no other.
-        time: of the frames that were written (T,) [s].
-        step: number of the substep or control step of each (T,).
-        bodies: where each body's particles stand.
-        fields: what there is of every particle, x among them.
-        provenance: what the writer was given.
-        complete: every frame was written and the file closed.
+        path: the file that is read: the final name, or the `.part` if only that exists.
+        time: times of the written frames (T,) [s].
+        step: number of the substep or control step of each frame (T,).
+        bodies: slice of each body's particles.
+        fields: names of the fields of every particle, including x.
+        provenance: the attributes given to the writer.
+        complete: whether every frame was written and the file closed.
 
     Raises:
-        UsageError: there is none, or it cannot be read.
+        UsageError: there is no trajectory, or it cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -65,12 +65,12 @@ class Frames:
         return len(self.time)
 
     def read(self, field: str, frame: int) -> Array:
-        """Return a field of every particle in one frame (N, ...); UsageError if it cannot be read."""
+        """Return a field of every particle in one frame (N, ...); raise a UsageError if it cannot be read."""
         with self._reading():
             return np.asarray(self._file["particles"][field][frame])
 
     def read_all(self, field: str) -> Array:
-        """Return a field in every frame (T, N, ...); UsageError if it cannot be read."""
+        """Return a field in every frame (T, N, ...); raise a UsageError if it cannot be read."""
         with self._reading():
             return np.asarray(self._file["particles"][field][: len(self)])
 
@@ -91,4 +91,4 @@ class Frames:
         try:
             yield
         except (OSError, KeyError, ValueError) as error:
-            raise UsageError(f"{self.path}: no trajectory of cqrun, or truncated ({error})") from error
+            raise UsageError(f"{self.path}: not a cqrun trajectory, or truncated ({error})") from error

@@ -1,4 +1,4 @@
-"""history.csv: one row an iteration, readable while the run goes on."""
+"""Write history.csv: one row per iteration; it can be read during the run."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ ITERATION, SECONDS = "iteration", "seconds"
 
 
 class History:
-    """The rows of one run, numbered from 0 without a gap.
+    """The rows of a run, numbered from 0 without gaps.
 
-    A row that is recorded again with the same numbers stays as it is, with the seconds it took then: so a
-    resumed optimizer can repeat what it did. One that differs replaces it and drops all that came after.
+    If a row is recorded again with the same numbers, the old row is kept with its seconds, so that a resumed optimizer
+    can repeat its steps. A row with other numbers replaces the old one and drops all rows after it.
 
     Args:
-        path: the file; made with its header if it does not exist, else a torn last row is dropped.
-        columns: names between `iteration` and `seconds`, fixed for the life of the run.
+        path: the file; if it does not exist, it is made with its header, otherwise an incomplete last row is dropped.
+        columns: names of the columns between `iteration` and `seconds`; they never change during a run.
 
     Raises:
         UsageError: the file has other columns.
@@ -48,23 +48,23 @@ class History:
 
     @property
     def seconds(self) -> float:
-        """Return the seconds of the last row, 0 without one."""
+        """The seconds of the last row; 0 if there are no rows."""
         return float(self._rows[-1].rsplit(b",", 1)[1]) if self._rows else 0.0
 
     def record(self, iteration: int, values: Mapping[str, float], seconds: float) -> None:
-        """Put down a row.
+        """Record a row.
 
         Args:
             iteration: at most the number of rows so far.
             values: a number for each column.
-            seconds: since the run began, earlier processes included [s].
+            seconds: time since the run began, including earlier processes [s].
 
         Raises:
-            ValueError: an iteration was left out, or a column is missing.
+            ValueError: an iteration was skipped, or a column is missing.
             UsageError, RunError: the row cannot be written.
         """
         if iteration > len(self):
-            raise ValueError(f"iteration {iteration} after {len(self) - 1}: one was left out")
+            raise ValueError(f"iteration {iteration} after {len(self) - 1}: one was skipped")
         numbers = [float(values[name]) for name in self.columns[1:-1]]
         start = ",".join([str(iteration), *(repr(number) for number in numbers)]).encode()
         if iteration < len(self) and self._rows[iteration].rsplit(b",", 1)[0] == start:
@@ -74,7 +74,7 @@ class History:
             self._append(start + f",{seconds:.3f}\n".encode())
 
     def truncate(self, rows: int) -> None:
-        """Drop every row from number `rows` on, and whatever is torn behind them."""
+        """Drop every row from number `rows` on, and any incomplete row after them."""
         del self._rows[rows:]
         del self._ends[rows + 1 :]
         with disk_errors(self.path):
@@ -108,7 +108,7 @@ def _quoted(name: str) -> str:
 
 
 def read_history(path: Path) -> dict[str, list[float]]:
-    """Return the columns of a history, also of a run that goes on; a torn last row is left out."""
+    """Return the columns of a history, also during a run; an incomplete last row is skipped."""
     import csv
 
     with disk_errors(path):

@@ -1,4 +1,4 @@
-"""One process at a time holds a run directory."""
+"""Locks on run directories: only one process at a time works on a run."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from cqrun.errors import UsageError
 from cqrun.store.atomic import disk_errors
 
 
-def held(directory: Path) -> bool:
-    """Say whether a process holds a run directory at this moment."""
+def is_locked(directory: Path) -> bool:
+    """Return whether a process holds the lock of a run directory at this moment."""
     try:
         handle = os.open(directory / "lock", os.O_RDONLY)
     except OSError:
-        return False  # there is nothing to hold
+        return False  # no run here yet
     try:
         fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -27,15 +27,15 @@ def held(directory: Path) -> bool:
 
 
 class DirectoryLock:
-    """An advisory lock (flock) on the file `lock`; it ends with the process, however that ends.
+    """An advisory lock (flock) on the file `lock`; it ends when the process ends, for whatever reason.
 
-    The file stays behind: to remove it would let two processes lock two files of one name.
+    The file is not removed: otherwise two processes could lock two different files of the same name.
 
     Args:
-        directory: the run directory, which exists.
+        directory: the run directory; it must exist.
 
     Raises:
-        UsageError: another process holds it; the message names its pid.
+        UsageError: another process holds the lock; the message names its pid.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -62,7 +62,7 @@ class DirectoryLock:
             os.pwrite(self._handle, f"{os.getpid()} on {socket.gethostname()}\n".encode(), 0)
 
     def release(self) -> None:
-        """Let go; a second call does nothing."""
+        """Release the lock; a second call does nothing."""
         if self._handle >= 0:
             os.close(self._handle)
             self._handle = -1

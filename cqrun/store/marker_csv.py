@@ -1,6 +1,6 @@
-"""Marker recordings as text: one line a marker and frame, `time,marker,x,y,z` (no `z` in 2D).
+"""Marker recordings as text: one line per marker and frame, `time,marker,x,y,z` (without `z` in 2D).
 
-Numbers are written by `repr`, so that a recording read back is the recording written, bit for bit.
+Numbers are written with `repr`, so that a written recording is read back bit for bit.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ COLUMNS = ("time", "marker", "x", "y", "z")
 
 
 def read_csv(path: Path, units: str | None, source: str) -> Recording:
-    """Read a CSV recording; a marker without a line at some time, or with nan there, was not seen.
+    """Read a CSV recording; a marker that has no line at some time, or nan, was not seen then.
 
     Lines may be sorted by time or by marker. Empty lines, and lines that begin with `#`, are skipped.
 
     Raises:
-        DataError: names the line that is wrong, and how.
+        DataError: a line is wrong; the message names the line and what is wrong with it.
     """
     tracks: dict[str, dict[float, list[float]]] = {}
     try:
@@ -38,7 +38,7 @@ def read_csv(path: Path, units: str | None, source: str) -> Recording:
     except (UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"{source}: not a CSV text file ({error})") from error
     if not tracks:
-        raise DataError(f"{source}: holds a header and no data")
+        raise DataError(f"{source}: has a header but no data")
     times = sorted(set().union(*tracks.values()))
     frame = {time: i for i, time in enumerate(times)}
     positions = np.full((len(times), len(tracks), dim), np.nan)
@@ -48,7 +48,7 @@ def read_csv(path: Path, units: str | None, source: str) -> Recording:
 
 
 def write_csv(recording: Recording, path: Path) -> None:
-    """Write a recording in metres and seconds; markers that were not seen are left out."""
+    """Write a recording in metres and seconds; markers that were not seen are omitted."""
     time = recording.time.tolist()
     with path.open("w", newline="", encoding="utf-8") as lines:
         rows = csv.writer(lines, lineterminator="\n")
@@ -63,7 +63,7 @@ def _blank(row: list[str]) -> bool:
 
 
 def _header(row: list[str], source: str) -> int:
-    """Return the dimension that the header line announces."""
+    """Return the dimension given by the header line."""
     names = tuple(cell.strip().lower() for cell in row)
     if names not in (COLUMNS, COLUMNS[:4]):
         raise DataError(
@@ -75,13 +75,13 @@ def _header(row: list[str], source: str) -> int:
 def _row(row: list[str], dim: int, at: str) -> tuple[float, str, list[float]]:
     """Return time, marker and position of one line."""
     if len(row) != dim + 2:
-        raise DataError(f"{at}: {len(row)} columns where {dim + 2} belong; is the file truncated?")
+        raise DataError(f"{at}: {len(row)} columns instead of {dim + 2}; is the file truncated?")
     numbers = []
     for name, cell in zip((*COLUMNS[:1], *COLUMNS[2:]), (row[0], *row[2:]), strict=False):
         try:
             numbers.append(float(cell) if cell.strip() or name == "time" else np.nan)
         except ValueError:
-            raise DataError(f"{at}: {name} is '{cell}', which is no number") from None
+            raise DataError(f"{at}: {name} is '{cell}', which is not a number") from None
     time, position = numbers[0], numbers[1:]
     if not np.isfinite(time):
         raise DataError(f"{at}: the time is {time}; every line needs a time")
@@ -89,17 +89,17 @@ def _row(row: list[str], dim: int, at: str) -> tuple[float, str, list[float]]:
     if any(missing) and not all(missing):
         raise DataError(
             f"{at}: some coordinates of marker '{row[1].strip()}' are nan and some are not; "
-            "a marker that was not seen has none"
+            "a marker that was not seen has no coordinates"
         )
     return time, row[1].strip(), position
 
 
 def _append(track: dict[float, list[float]], time: float, position: list[float], name: str, at: str) -> None:
-    """Add a line to its marker's track, which must go forward in time."""
+    """Add a line to the track of its marker, in which time must increase."""
     if track:
         last = next(reversed(track))
         if time == last or time in track:
-            raise DataError(f"{at}: marker '{name}' is there twice at time {time:.9g} s; remove one line")
+            raise DataError(f"{at}: marker '{name}' appears twice at time {time:.9g} s; remove one line")
         if time < last:
             raise DataError(
                 f"{at}: time does not increase: marker '{name}' goes from {last:.9g} s back to {time:.9g} s"

@@ -1,4 +1,4 @@
-"""Where a result comes from: versions, commit, engine."""
+"""The provenance of a result: versions of the software and the git commit."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ def versions() -> dict[str, str]:
 
 
 def git_state(package: Path = Path(__file__).parents[1]) -> dict[str, Any] | None:
-    """Return the commit of the checkout that `package` lies in, and whether it was changed since.
+    """Return the commit of the checkout that contains `package`, and whether files have changed since.
 
     Returns:
-        {"commit": 40 hex, "dirty": bool}, or None where there is no checkout or no git.
+        {"commit": 40 hex digits, "dirty": bool}, or None if there is no checkout or no git.
     """
     if not (package.parent / ".git").exists():
         return None
     try:
         commit = _git(package, "rev-parse", "HEAD")
         changes = _git(package, "status", "--porcelain", "--untracked-files=no")
-    except (OSError, subprocess.SubprocessError):  # no git, or not a repository it trusts
+    except (OSError, subprocess.SubprocessError):  # no git, or a repository that git does not trust
         return None
     return {"commit": commit, "dirty": bool(changes)}
 

@@ -1,4 +1,4 @@
-"""A trajectory of cqrun's own, taken as a recording: every particle is a marker, named by its index."""
+"""Read a trajectory of cqrun as a recording: every particle is a marker, named by its index."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ def read_trajectory(path: Path, units: str | None, source: str) -> Recording:
     """Read `/time` (T,) and `/particles/x` (T, N, D) of a trajectory file.
 
     Raises:
-        DataError: not an HDF5 file, truncated, or without those two, or with positions that are not finite.
+        DataError: the file is not HDF5, is truncated, lacks one of the two datasets, or has positions that are not
+            finite.
     """
     import h5py
 

@@ -1,7 +1,7 @@
-"""Reading recordings: what a camera system, another program or cqrun itself saw, in metres and seconds.
+"""Read recordings of a camera system, of another program or of cqrun itself, in metres and seconds.
 
-`read_recording` tells the formats apart by the file's ending: C3D, CSV (`time,marker,x,y,z`) and
-cqrun's own trajectories (HDF5). Whatever cannot be used is refused with a `DataError` that says what to do.
+`read_recording` selects the format by the file's ending: C3D, CSV (`time,marker,x,y,z`) or a trajectory of cqrun
+(HDF5). A file that cannot be used is refused with a `DataError` that says what to do.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from cqrun.units import METRES
 
 
 def read_recording(path: Path, *, units: str | None = None, where: str = "") -> Recording:
-    """Read a recording, whatever its format.
+    """Read a recording in any of the formats.
 
     Args:
         path: a `.c3d`, `.csv` or `.h5` file.
-        units: `m`, `cm` or `mm`; None takes what a C3D file says of itself, and metres otherwise.
-        where: key path of the recording in the scene, put in front of every message.
+        units: `m`, `cm` or `mm`; None means the units given in a C3D file, and metres otherwise.
+        where: key path of the recording in the scene; every message begins with it.
 
     Raises:
-        DataError: the file is missing, empty, truncated, of another format, or holds what no
-            recording can (times that do not increase, infinite or half-missing positions).
+        DataError: the file is missing, empty, truncated or of another format, or its content is not valid (times that
+            do not increase, infinite or half-missing positions).
     """
     path = Path(path)
     source = f"{where}: {path}" if where else str(path)
     readers = {".c3d": read_c3d, ".csv": read_csv, ".h5": read_trajectory}
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise DataError(f"{source}: a recording ends in {', '.join(readers)}, not in '{path.suffix}'")
+        raise DataError(f"{source}: the name of a recording ends in {', '.join(readers)}, not in '{path.suffix}'")
     if units is not None and units not in METRES:
         raise DataError(f"{source}: units '{units}' are not known; use {', '.join(METRES)}")
     if not path.is_file():
@@ -49,7 +49,7 @@ def read_recording(path: Path, *, units: str | None = None, where: str = "") -> 
 
 
 def marker_path(path: Path, units: str | None, marker: str) -> tuple[Array, Array]:
-    """Return the times (T,) [s] at which a marker was seen, and where it was (T, D) [m]; errors as `read_recording`."""
+    """Return the times (T,) [s] and positions (T, D) [m] at which a marker was seen; raises as `read_recording`."""
     recording = read_recording(path, units=units).select([marker])
     seen = recording.seen()[:, 0]
     return recording.time[seen], recording.positions[seen, 0]

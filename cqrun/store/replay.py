@@ -1,8 +1,9 @@
-"""The replay log: every evaluation of an optimizer that cannot save its own state.
+"""The replay log: every evaluation of an optimizer that cannot save its state.
 
-A file of records, each appended with fsync and guarded by a CRC-32. A resumed run asks the same questions in
-the same order and is answered from the file while the question matches: bit for bit on one machine, to within
-round-off on another, whose linear algebra may add up in another order. Then it computes again.
+The file is a list of records; each is appended with fsync and has a CRC-32 checksum. A resumed optimizer requests the
+same evaluations in the same order. The log answers as long as the requested point matches the logged one: bit for bit
+on the same machine, and within round-off on another one, whose linear algebra may sum in another order. After that,
+evaluations are computed again.
 
     file     "CQREPLAY" version:u4 record*
     record   length:u4 crc32:u4 payload
@@ -34,23 +35,26 @@ OK, FAILED = 0, 1
 QUESTION = "x"
 
 ROUND_OFF = 1e-9
-"""Distance from a logged point, of 1 + its size, that counts as another machine's round-off: 1e-16 in a solver's first
-evaluations, more after many. Two trials that a solver means to tell apart are farther from each other."""
+"""Largest distance from a logged point, divided by 1 + its size, that counts as round-off of another machine.
+
+Round-off is about 1e-16 in the first evaluations of a solver, and more after many. Two trials that a solver
+distinguishes are farther apart.
+"""
 
 
 class ReplayLog:
-    """Answers evaluations from a file, and appends those that it does not know.
+    """Answers evaluations from a file, and appends new ones.
 
     Args:
-        path: the file; made if it does not exist.
-        note: called with a sentence where the log is cut.
+        path: the file; it is made if it does not exist.
+        note: called with a sentence when the log is cut.
 
     Attributes:
-        replayed: evaluations answered from the file since it was opened.
-        computed: evaluations computed and appended.
+        replayed: number of evaluations answered from the file since it was opened.
+        computed: number of evaluations that were computed and appended.
 
     Raises:
-        UsageError: the file exists and is no replay log.
+        UsageError: the file exists and is not a replay log.
     """
 
     def __init__(self, path: Path, note: Callable[[str], None] = lambda text: None) -> None:
@@ -75,12 +79,12 @@ class ReplayLog:
         self._rounded = False
 
     def evaluate(self, kind: str, x: Array, compute: Callable[[], dict[str, Array]]) -> dict[str, Array]:
-        """Return float64 arrays by name: from the log if its next record is this question, else computed.
+        """Return float64 arrays by name, from the log if its next record is this evaluation, or else computed.
 
         Args:
-            kind: what is asked at x, at most 16 characters.
-            x: where (n,).
-            compute: what answers it; it may raise TrialFailed, which is logged and replayed.
+            kind: name of the evaluation, at most 16 characters.
+            x: point of the evaluation (n,).
+            compute: computes the answer; it may raise TrialFailed, which is logged and replayed.
 
         Raises:
             TrialFailed: the trial failed, now or when it was logged.
@@ -88,11 +92,11 @@ class ReplayLog:
         """
         if not self._live:
             payload = self._next_payload()
-            off = np.inf if payload is None else _distance(payload, kind, x)
-            if payload is not None and off <= ROUND_OFF:
+            distance = np.inf if payload is None else _distance(payload, kind, x)
+            if payload is not None and distance <= ROUND_OFF:
                 self._end = self._file.tell()
                 self.replayed += 1
-                self._tell_of_rounding(off)
+                self._note_rounding(distance)
                 return _answer(payload)
             if payload is not None:
                 self._note(
@@ -102,16 +106,17 @@ class ReplayLog:
             self._go_live()
         return self._compute(kind, x, compute)
 
-    def _tell_of_rounding(self, off: float) -> None:
-        if off > 0.0 and not self._rounded:
+    def _note_rounding(self, distance: float) -> None:
+        if distance > 0.0 and not self._rounded:
             self._rounded = True
             self._note(
-                f"{self.path.name}: evaluation {self.replayed} is {off:.1g} from the logged point: the log was "
-                "written where numbers are rounded differently; it answers, and last digits may differ from here on"
+                f"{self.path.name}: evaluation {self.replayed} is {distance:.1g} from the logged point: the log was "
+                "written on a machine that rounds differently; its answers are used, and last digits may differ from "
+                "here on"
             )
 
     def close(self) -> None:
-        """Close the file; what is logged stays."""
+        """Close the file; the log remains."""
         self._file.close()
 
     def _compute(self, kind: str, x: Array, compute: Callable[[], dict[str, Array]]) -> dict[str, Array]:
@@ -125,7 +130,7 @@ class ReplayLog:
         return answer
 
     def _next_payload(self) -> bytes | None:
-        """Return the record at the cursor, or None at the end or where the file is torn."""
+        """Return the record at the cursor, or None at the end of the file or if the record is incomplete or damaged."""
         self._file.seek(self._end)
         frame = self._file.read(FRAME.size)
         if not frame:
@@ -187,14 +192,14 @@ def _unpack(payload: bytes) -> tuple[str, int, str, dict[str, Array]]:
 
 
 def _distance(payload: bytes, kind: str, x: Array) -> float:
-    """Return the largest |x - logged| / (1 + |logged|): 0 for the same bits, infinity for another question."""
+    """Return the largest |x - logged| / (1 + |logged|): 0 if bit-for-bit equal, infinity for another kind or shape."""
     logged_kind, _, _, arrays = _unpack(payload)
     logged, asked = arrays[QUESTION], np.asarray(x, np.float64)
     if logged_kind != kind or logged.shape != asked.shape:
         return np.inf
     if logged.tobytes() == asked.tobytes():
         return 0.0
-    # -0 instead of 0 is other bits at no distance
+    # -0 and 0 are different bits at distance 0
     return max(float(np.max(np.abs(asked - logged) / (1.0 + np.abs(logged)))), float(np.finfo(float).tiny))
 
 

@@ -1,13 +1,13 @@
-"""The run directory: everything that is known of one run, under a name that its inputs determine.
+"""The run directory: everything about one run, in a folder whose name is determined by the run's inputs.
 
 results/<scene's stem>/<12 hex>/
   scene.yaml            resolved, complete       evals.*        what a resumed optimizer needs
   scene.original.yaml   as typed                 history.csv    one row an iteration
-  run.json              status, provenance       result.json    what was found
-  log.txt               what happened, by phase  figures/       lock
+  run.json              status, provenance       result.json    the result
+  log.txt               events by phase          figures/       lock
   plugins/              copies of plug-in files  trajectory.h5  the motion
-and what jobs add: controller.npz, activation.csv, observables.csv (learned.py, simulate.py), tracks.csv
-(findings.py), design/ (export.py).
+Jobs add controller.npz, activation.csv, observables.csv (learned.py, simulate.py), tracks.csv (findings.py) and design/
+(export.py).
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ RECORD = "run.json"
 
 @dataclass(frozen=True)
 class RunScene:
-    """The inputs that name a run.
+    """The inputs of a run, which determine its name.
 
     Args:
-        stem: the scene file's name without suffix.
+        stem: name of the scene file without its suffix.
         resolved: the resolved scene as YAML text.
         original: the scene as typed.
-        files: every file that the scene names, by the name it uses.
-        base: folder those names start from; where a resumed run looks for them.
-        job: what is run, such as `sysid`: one scene has a run of each.
-        plugins: its plug-in files, by the name it uses; the run keeps copies.
+        files: every file that the scene names, by the name in the scene.
+        base: folder to which these names are relative; a resumed run looks for them there.
+        job: the job, such as `sysid`; a scene has a separate run for each job.
+        plugins: the plug-in files of the scene, by the name in the scene; the run keeps copies.
     """
 
     stem: str
@@ -73,24 +73,24 @@ class RunScene:
         Raises:
             UsageError: a file cannot be read.
         """
-        found = {}
+        hashes = {}
         for name, path in sorted({**self.files, **self.plugins}.items()):
             try:
-                found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+                hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
             except OSError as error:
                 raise UsageError(f"{path}: cannot be read ({error.strerror}); the scene names it") from error
-        return found
+        return hashes
 
 
 class RunDirectory:
-    """A run that this process holds; a context manager that lets go of it.
+    """A run directory that this process has locked; a context manager that releases it.
 
-    Made by `open` (a scene) or `resume` (a directory). Leaving the context with an error, before `finish`,
-    marks the run as stopped: it can be resumed.
+    Use `open` (with a scene) or `resume` (with a directory) to get one. If the context ends with an error before
+    `finish`, the run is marked as stopped and can be resumed.
 
     Attributes:
         path: the directory.
-        record: what run.json holds.
+        record: the content of run.json.
     """
 
     def __init__(self, path: Path, lock: DirectoryLock) -> None:
@@ -110,18 +110,18 @@ class RunDirectory:
         threads: int,
         fresh: bool = False,
     ) -> RunDirectory:
-        """Make the run of `scene` below `out`, or take up the one that is there.
+        """Make the run of `scene` below `out`, or open it if it exists.
 
         Args:
-            scene: its inputs.
+            scene: the inputs of the run.
             out: directory of all results.
             argv: the command line, for the record.
-            seed: the run's.
+            seed: seed of the run.
             threads: number of threads, for the record.
-            fresh: throw away what is there and start over.
+            fresh: delete an existing run and start over.
 
         Raises:
-            UsageError: another process holds it, another engine made it, or it cannot be written.
+            UsageError: another process has locked the run, another engine made it, or it cannot be written.
             RunError: the disk is full.
         """
         path = out / scene.stem / scene.digest()
@@ -139,10 +139,10 @@ class RunDirectory:
 
     @classmethod
     def resume(cls, path: Path) -> RunDirectory:
-        """Take up the run in `path`.
+        """Open the run in `path` to continue it.
 
         Raises:
-            UsageError: it is no run, another process holds it, or another engine made it.
+            UsageError: it is not a run, another process has locked it, or another engine made it.
         """
         read_record(path)
         run = cls(path, DirectoryLock(path))
@@ -155,51 +155,51 @@ class RunDirectory:
 
     @property
     def status(self) -> str:
-        """Return new, running (also after a kill), stopped, or one of FINISHED."""
+        """The status: new, running (also after a kill), stopped, or one of FINISHED."""
         return str(self.record["status"])
 
     @property
     def finished(self) -> bool:
-        """Say whether there is nothing left to do, unless the scene is extended."""
+        """Whether nothing is left to do, unless the scene is extended."""
         return self.status in FINISHED
 
     @property
     def resolved(self) -> str:
-        """Return the resolved scene's text."""
+        """The text of the resolved scene."""
         return (self.path / "scene.yaml").read_text()
 
     def elapsed(self) -> float:
-        """Return the seconds spent on this run, earlier processes included."""
+        """Return the time spent on this run, including earlier processes [s]."""
         return float(self.record["seconds"]) + time.monotonic() - self._began
 
     def begin(self, threads: int | None = None) -> None:
-        """Mark the run as running: its time begins now, after kernels were compiled."""
+        """Mark the run as running; its time starts now, after kernels were compiled."""
         self._began = time.monotonic()
         self._write({"status": RUNNING, "reason": None} | ({} if threads is None else {"threads": threads}))
 
     def finish(self, status: str, reason: str) -> None:
-        """Mark the run as ended: `stopped` (to be resumed) or one of FINISHED."""
+        """Mark the run as ended, with the status `stopped` (it can be resumed) or one of FINISHED."""
         if status not in (STOPPED, *FINISHED):
-            raise ValueError(f"'{status}' is no way for a run to end")
+            raise ValueError(f"'{status}' is not a status with which a run can end")
         self.log(f"{status}: {reason}")
-        self._spend()
+        self._add_time()
         self._write({"status": status, "reason": reason})
 
     def add_facts(self, **facts: Any) -> None:
-        """Put facts into run.json that are not part of the result: they may differ between equal runs."""
+        """Add facts to run.json that are not part of the result, because they may differ between equal runs."""
         self._write(facts)
 
     def extend(self, resolved: str, overrides: Sequence[str]) -> None:
-        """Go on with another resolved scene, say with more iterations; the run keeps its name."""
+        """Continue with a changed scene, for example with more iterations; the run keeps its name."""
         self.record["extended"] = [*self.record.get("extended", []), list(overrides)]
-        # killed between here and the last line, the run has one or the other
+        # if the process is killed before the last line, the run has one of these two scenes
         self.record["scenes"] = [_hash_of(text) for text in (self.resolved, resolved)]
         self.log("extended: " + " ".join(overrides))
-        self.begin()  # first: a run that is killed here goes on with the scene it had
+        self.begin()  # first: a run that is killed here continues with its old scene
         write_text(self.path / "scene.yaml", resolved)
 
     def is_as_begun(self) -> bool:
-        """Say whether scene.yaml is still what the run began with, which names its folder, or what `extend` wrote."""
+        """Return whether scene.yaml is unchanged: the scene that named the folder, or the one that `extend` wrote."""
         if self.record.get("extended"):
             return _hash_of(self.resolved) in self.record["scenes"]
         return _digest(self.record["job"], self.resolved, self.record["files"]) == self.path.name
@@ -215,29 +215,29 @@ class RunDirectory:
             file.write(f"[{self.elapsed():10.3f} s] {text}\n")
 
     def history(self, columns: Sequence[str]) -> History:
-        """Open history.csv; `elapsed` goes on from its last row, also after a kill."""
+        """Open history.csv; `elapsed` continues from its last row, also after a kill."""
         history = History(self.path / "history.csv", columns)
         self._files.append(history)
         self.record["seconds"] = max(self.record["seconds"], history.seconds)
         return history
 
     def replay_log(self) -> ReplayLog:
-        """Open the log of evaluations, for an optimizer that cannot save its state."""
+        """Open the log of evaluations for an optimizer that cannot save its state."""
         log = ReplayLog(self.path / "evals.log", self.log)
         self._files.append(log)
         return log
 
     def snapshots(self) -> Snapshots:
-        """Return the state files, for an optimizer that saves its own state."""
+        """Return the state files for an optimizer that saves its state."""
         return Snapshots(self.path / "evals", self.log)
 
     def figures(self) -> Path:
-        """Return the directory of figures, which exists."""
+        """Return the directory of figures, and make it if necessary."""
         make_directory(self.path / "figures")
         return self.path / "figures"
 
     def close(self) -> None:
-        """Let go of the run; a second call does nothing."""
+        """Release the run; a second call does nothing."""
         for file in self._files:
             file.close()
         self._files.clear()
@@ -262,10 +262,10 @@ class RunDirectory:
         self._clear()
         write_text(self.path / "scene.yaml", scene.resolved)
         write_text(self.path / "scene.original.yaml", scene.original)
-        kept = {path.name: path.read_bytes() for path in scene.plugins.values()}
-        if kept:
+        copies = {path.name: path.read_bytes() for path in scene.plugins.values()}
+        if copies:
             make_directory(self.path / PLUGINS)
-        for name, content in kept.items():
+        for name, content in copies.items():
             write_bytes(self.path / PLUGINS / name, content)
         self._write(
             {
@@ -274,14 +274,14 @@ class RunDirectory:
                 **facts,
                 "base": scene.base,
                 "files": scene.contents(),
-                "plugins": {name: hashlib.sha256(content).hexdigest() for name, content in kept.items()},
+                "plugins": {name: hashlib.sha256(content).hexdigest() for name, content in copies.items()},
                 "engine": engine_hash(),
             }
             | {"versions": versions(), "git": git_state(), "seconds": 0.0}
-        )  # last: where it is, the rest is complete
+        )  # last: if run.json exists, the rest is complete
 
     def _clear(self) -> None:
-        """Remove all but the lock, run.json first: without it the rest counts for nothing."""
+        """Remove everything but the lock; run.json first, because without it the rest is ignored."""
         with disk_errors(self.path):
             (self.path / RECORD).unlink(missing_ok=True)
             for entry in self.path.iterdir():
@@ -291,7 +291,7 @@ class RunDirectory:
                     entry.unlink()
 
     def _load(self) -> None:
-        for orphan in self.path.glob(".*.tmp"):  # of a process that was killed while it wrote; the lock is ours
+        for orphan in self.path.glob(".*.tmp"):  # from a killed process; this process has the lock
             orphan.unlink(missing_ok=True)
         self.record = read_record(self.path)
         made_by, here = self.record.get("engine"), engine_hash()
@@ -299,19 +299,19 @@ class RunDirectory:
             version = self.record.get("versions", {}).get("cqrun", "unknown")
             raise UsageError(
                 f"{self.path}: made by another engine (cqrun {version}, engine {made_by}; this is {here}), "
-                "so it cannot go on with the same bits; run the scene again with --fresh to start over, or "
-                "with --out DIR to keep both, or go on with the cqrun and libraries that run.json names"
+                "so its results would not be bit-for-bit identical; run the scene again with --fresh to start over, or "
+                "with --out DIR to keep both, or continue it with the cqrun and libraries that run.json names"
             )
         self._require_same_plugins()
 
     def _require_same_plugins(self) -> None:
-        """Refuse copies of plug-in files that are not what the run began with: they would be run."""
+        """Refuse to run copies of plug-in files that have changed since the run began."""
         for name, digest in self.record.get("plugins", {}).items():
             path = self.path / PLUGINS / name
             if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
                 raise UsageError(f"{path}: this copy of a plug-in has changed since the run began; run the scene again")
 
-    def _spend(self) -> None:
+    def _add_time(self) -> None:
         self.record["seconds"] = round(self.elapsed(), 3)
         self._began = time.monotonic()
 
@@ -321,7 +321,7 @@ class RunDirectory:
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Return run.json of the run in `path`, without taking hold of it.
+    """Return run.json of the run in `path`, without locking the run.
 
     Raises:
         UsageError: there is no run, or its record cannot be read.
@@ -343,7 +343,7 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def _digest(job: str, resolved: str, contents: Mapping[str, str]) -> str:
-    """Return 12 hex digits over a job, a resolved scene and the sha256 of every file that it names."""
+    """Return 12 hex digits: the hash of a job, a resolved scene and the sha256 of every file that it names."""
     digest = hashlib.sha256(f"{job}\0{resolved}".encode())
     for name, content in contents.items():
         digest.update(name.encode() + b"\0" + bytes.fromhex(content))

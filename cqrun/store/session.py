@@ -1,4 +1,4 @@
-"""What an optimizer sees of its run directory."""
+"""The session of an optimizer: its log, state files and history in the run directory."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from cqrun.plugin.contract import Array
 from cqrun.store.replay import ReplayLog
 from cqrun.store.run import RunDirectory
 
-SHOWN = 16
-"""Blocks with more numbers than this have only the norm of their gradient in the history."""
+MOST_VALUES = 16
+"""For blocks with more numbers than this, the history has only the norm of the gradient."""
 
 
 class RunSession:
     """The `Session` (optimizers/base.py) of a run: log, state files and history on disk.
 
-    The history's columns: `loss`, the terms, `grad:<block>` (Euclidean norm, scaled coordinates), and
-    `value:<block>` (physical units; with `[i]` behind it where the block has several numbers).
+    The columns of the history are `loss`, the terms, `grad:<block>` (Euclidean norm in scaled coordinates), and
+    `value:<block>` (in physical units; followed by `[i]` if the block has several numbers).
 
     Args:
-        run: the directory, held by this process.
-        seed: of the run.
-        blocks: where each unknown stands in x, by its key path.
-        physical: from scaled x (n,) to values in SI units (n,).
+        run: the run directory, locked by this process.
+        seed: seed of the run.
+        blocks: slice of each unknown in x, by its key path.
+        physical: maps scaled x (n,) to values in SI units (n,).
         term_names: terms of the loss.
-        loss_unit: what the optimizer's loss of 1 is in the history's unit.
-        stop: whether the run was asked to stop.
-        progress: called with (iteration, x, loss, terms) at each new or repeated row.
+        loss_unit: the optimizer's loss of 1, in the unit of the history.
+        stop: returns whether the run was asked to stop.
+        progress: called with (iteration, x, loss, terms) for each new or repeated row.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class RunSession:
         term_names: Sequence[str] = (),
         loss_unit: float = 1.0,
         stop: Callable[[], bool] = lambda: False,
-        progress: Callable[[int, Array, float, Mapping[str, float]], None] = lambda *told: None,
+        progress: Callable[[int, Array, float, Mapping[str, float]], None] = lambda *_: None,
     ) -> None:
         self.seed = seed
         self._run, self._blocks, self._physical = run, dict(blocks), physical
@@ -58,16 +58,16 @@ class RunSession:
 
     @property
     def replayed(self) -> int:
-        """Return how many evaluations the log has answered."""
+        """The number of evaluations that the log has answered."""
         return 0 if self._log is None else self._log.replayed
 
     @property
     def computed(self) -> int:
-        """Return how many evaluations were computed and logged."""
+        """The number of evaluations that were computed and logged."""
         return 0 if self._log is None else self._log.computed
 
     def evaluate(self, kind: str, x: Array, compute: Callable[[], dict[str, Array]]) -> dict[str, Array]:
-        """Return `compute()`, from the log where it is known; see `ReplayLog.evaluate`."""
+        """Return `compute()`, from the log if it is there; see `ReplayLog.evaluate`."""
         if self._log is None:
             self._log = self._run.replay_log()
         before = self._log.computed
@@ -79,17 +79,17 @@ class RunSession:
             raise
 
     def restore(self) -> dict[str, Array] | None:
-        """Return the last saved state and drop the history's rows behind it."""
+        """Return the last saved state, and drop the rows of the history after it."""
         state = self._snapshots.load()
         self._history.truncate(0 if state is None else int(state["iteration"]) + 1)
         return state
 
     def save(self, state: dict[str, Array]) -> None:
-        """Keep `state`, atomically, in place of the last but one."""
+        """Save `state` atomically in place of the last but one."""
         self._snapshots.save(state)
 
     def report(self, iteration: int, x: Array, loss: float, grad: Array, terms: Mapping[str, float]) -> None:
-        """Record a row of history.csv; one that is there already stays as it is."""
+        """Record a row of history.csv; a row that exists already is kept."""
         row = {"loss": self._unit * loss, **{name: self._unit * term for name, term in terms.items()}}
         values = self._physical(x)
         for name, part in self._blocks.items():
@@ -104,12 +104,12 @@ class RunSession:
         self._run.log(text)
 
     def should_stop(self) -> bool:
-        """Say whether the run was asked to stop."""
+        """Return whether the run was asked to stop."""
         return self._stop()
 
 
 def _labels(name: str, part: slice) -> list[str]:
     count = part.stop - part.start
-    if count > SHOWN:
+    if count > MOST_VALUES:
         return []
     return [f"value:{name}"] if count == 1 else [f"value:{name}[{i}]" for i in range(count)]

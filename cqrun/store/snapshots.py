@@ -1,4 +1,4 @@
-"""Two generations of a small state file: one is whole whatever happens to the other."""
+"""Keep two generations of a small state file, so that one is always intact."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ GENERATION = "generation"
 
 
 class Snapshots:
-    """Keeps the last two states of an optimizer as `<stem>.0.npz` and `<stem>.1.npz`, written in turn.
+    """Keeps the last two states of an optimizer in `<stem>.0.npz` and `<stem>.1.npz`, written alternately.
 
     Args:
         stem: path without the generation and suffix.
-        note: called with a sentence where a damaged file is passed over.
+        note: called with a sentence when a damaged file is skipped.
     """
 
     def __init__(self, stem: Path, note: Callable[[str], None] = lambda text: None) -> None:
@@ -30,10 +30,10 @@ class Snapshots:
         self._generation: int | None = None
 
     def save(self, state: dict[str, Array]) -> None:
-        """Put `state` in the place of the older generation, atomically.
+        """Replace the older generation by `state`, atomically.
 
         Raises:
-            UsageError, RunError: it cannot be written.
+            UsageError, RunError: the state cannot be written.
         """
         if self._generation is None:
             self.load()
@@ -44,10 +44,10 @@ class Snapshots:
         self._generation = generation
 
     def load(self) -> dict[str, Array] | None:
-        """Return the newest intact state, or None when nothing was saved.
+        """Return the newest intact state, or None if nothing was saved.
 
         Raises:
-            UsageError: files are there and none is intact.
+            UsageError: there are files, but none is intact.
         """
         present = [path for path in self.paths if path.exists()]
         intact = [state for path in present if (state := self._read(path)) is not None]
@@ -65,7 +65,7 @@ class Snapshots:
     def _read(self, path: Path) -> dict[str, Array] | None:
         try:
             data = path.read_bytes()
-            with zipfile.ZipFile(io.BytesIO(data)) as archive:  # numpy would not reach every CRC
+            with zipfile.ZipFile(io.BytesIO(data)) as archive:  # numpy does not check every CRC
                 damaged = archive.testzip()
             if damaged is None:
                 with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
@@ -73,5 +73,5 @@ class Snapshots:
             reason = f"checksum of {damaged} is wrong"
         except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
             reason = str(error)
-        self._note(f"{path.name}: unreadable ({reason}); passed over for the generation before it")
+        self._note(f"{path.name}: unreadable ({reason}); the generation before it is used instead")
         return None

@@ -1,4 +1,4 @@
-"""Data that cqrun makes for itself: marker tracks of a known truth, with noise."""
+"""Synthetic data: marker tracks of a known truth with added noise."""
 
 from __future__ import annotations
 
@@ -20,14 +20,19 @@ def make_synthetic(
     rng: np.random.Generator,
     source: str = "synthetic",
 ) -> list[Recording]:
-    """Return `copies` recordings of the same motion, each with its own noise.
+    """Return `copies` recordings of the same motion, each with different noise.
 
     Args:
-        time: (T,) [s].
-        names: M markers.
-        positions: (T, M, D) of the truth, in the scene's frame [m].
+        time: times (T,) [s].
+        names: names of the M markers.
+        positions: true positions in the scene's frame (T, M, D) [m].
         noise: standard deviation of the white Gaussian noise on every coordinate [m].
-        rng: where the noise comes from; the copies are drawn one after the other.
+        copies: number of recordings.
+        rng: random generator of the noise; the copies are drawn one after another.
+        source: name of the recordings in error messages.
+
+    Raises:
+        ValueError: the noise is negative, there are no copies, or the shapes do not fit.
     """
     if noise < 0 or copies < 1:
         raise ValueError(f"noise {noise:g} must not be negative and copies {copies} must be 1 or more")

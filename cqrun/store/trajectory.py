@@ -1,13 +1,14 @@
-"""Trajectories: one HDF5 file that h5py, MATLAB and ParaView read.
+"""Trajectories: HDF5 files that h5py, MATLAB and ParaView can read.
 
-    /time (T) f8   /step (T) i8   /frames () i8: how many are written
+    /time (T) f8   /step (T) i8   /frames () i8: number of written frames
     /particles/x (T, N, D) f8   v (T, N, D) f4   further fields (T, N, ...)   body (N) i4
-    /particles attributes: body names and where each begins and ends       / attributes: provenance
-    /VTKHDF: the same data as ParaView wants it, virtual datasets without a copy (vtkhdf.py)
+    /particles attributes: names of the bodies, and first and last particle of each       / attributes: provenance
+    /VTKHDF: the same data in ParaView's format, as virtual datasets without a copy (vtkhdf.py)
 
-While it is written it is `<name>.part`: contiguous datasets of full size, made and flushed first; a frame
-is written in place, flushed, and counted last. So a kill at any moment loses at most that frame. On closing
-it is packed (gzip, shuffle) into its final name. `libver` keeps the format where VTK's own HDF5 reads it.
+While a trajectory is written, its name is `<name>.part`. It has contiguous datasets of full size, which are made and
+flushed first. Each frame is written in place and flushed, and counted last. So a kill at any moment loses at most that
+frame. On closing, the file is packed (gzip, shuffle) into its final name. `libver` keeps the format readable for VTK's
+own HDF5.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ LIBVER = ("earliest", "v110")
 POSITION, POSITION_TYPE, FIELD_TYPE = "x", "f8", "f4"
 CHUNK = 16384
 SPARE = 1 << 15
-"""Bytes that a file takes besides its data, at the most."""
+"""Largest size of a file besides its data [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +42,12 @@ class Trajectory:
     """A trajectory in memory.
 
     Args:
-        time: of the frames that were written (T,) [s].
-        step: number of the substep or control step of each (T,).
-        fields: x (T, N, D) [m] and the others, (T, N, ...).
-        bodies: where each body's particles stand.
-        provenance: what the writer was given.
-        complete: every frame was written and the file closed.
+        time: times of the written frames (T,) [s].
+        step: number of the substep or control step of each frame (T,).
+        fields: x (T, N, D) [m] and the other fields, (T, N, ...).
+        bodies: slice of each body's particles.
+        provenance: the attributes given to the writer.
+        complete: whether every frame was written and the file closed.
     """
 
     time: Array
@@ -58,15 +59,15 @@ class Trajectory:
 
 
 class TrajectoryWriter:
-    """Writes frames one after another; a context manager that closes when all went well.
+    """Writes frames one after another; a context manager that closes the file if there was no error.
 
     Args:
-        path: final name; what is there stays until `close`.
-        n_frames: how many frames there will be.
-        bodies: slice of the particles of each body, together 0 to N.
+        path: final name; an existing file is kept until `close`.
+        n_frames: number of frames that will be written.
+        bodies: slice of the particles of each body; together they cover 0 to N.
         dim: 2 or 3.
-        fields: shape of each further field behind (T, N), such as {"v": (dim,), "activation": ()}.
-        provenance: attributes of the file: strings, numbers, or what JSON can hold.
+        fields: shape of each further field after (T, N), such as {"v": (dim,), "activation": ()}.
+        provenance: attributes of the file: strings, numbers, or values that JSON can represent.
 
     Raises:
         UsageError, RunError: the file cannot be written.
@@ -87,7 +88,7 @@ class TrajectoryWriter:
         make_directory(path.parent)
         self._raw = self._count_bytes(dict(bodies)) + 3 * len(json.dumps(dict(provenance))) + SPARE
         require_room(self.part, self._raw)
-        beginning = path.with_name(path.name + ".new")  # renamed when readable: a `.part` always is
+        beginning = path.with_name(path.name + ".new")  # renamed once it is readable, because every `.part` must be
         with disk_errors(self.part):
             with _open_for_writing(beginning, "w") as file:
                 self._lay_out(file, dict(bodies), dict(provenance))
@@ -95,16 +96,16 @@ class TrajectoryWriter:
             self._file = _open_for_writing(self.part, "r+")
 
     def write(self, frame_index: int, time: float, **arrays: Array) -> None:
-        """Write a frame and count it; it is on disk, for a killed process, when this returns.
+        """Write a frame and count it; after that the frame survives a kill of the process.
 
         Args:
-            frame_index: the next frame, from 0 (a resumed rollout begins with 0 again).
-            time: [s].
-            arrays: every field (N, ...) by name, x included; `step` (an int) if it is not the frame.
+            frame_index: the next frame, from 0 (a resumed rollout starts with 0 again).
+            time: time of the frame [s].
+            arrays: every field (N, ...) by name, including x; also `step` (an int) if it is not the frame's number.
 
         Raises:
-            ValueError: a frame out of order, or fields missing or unknown.
-            UsageError, RunError: it cannot be written.
+            ValueError: a frame out of order, or missing or unknown fields.
+            UsageError, RunError: the frame cannot be written.
         """
         step = arrays.pop("step", frame_index)
         if frame_index != self.written or frame_index >= self.n_frames:
@@ -122,15 +123,15 @@ class TrajectoryWriter:
         self.written += 1
 
     def close(self) -> None:
-        """Pack the file into its final name, with the view for ParaView; a second call does nothing.
+        """Pack the file into its final name, and add the view for ParaView; a second call does nothing.
 
         Raises:
-            UsageError, RunError: it cannot be written; the `.part` stays.
+            UsageError, RunError: the file cannot be written; the `.part` remains.
         """
         if not self._file:
             return
         packed = self.path.with_name(self.path.name + ".packing")
-        require_room(packed, self._raw + self._raw // 50 + SPARE)  # should nothing be compressible
+        require_room(packed, self._raw + self._raw // 50 + SPARE)  # in case nothing can be compressed
         with disk_errors(self.path):
             with _open_for_writing(packed, "w") as target:
                 _pack(self._file, target, self.written)
@@ -140,7 +141,7 @@ class TrajectoryWriter:
             sync_directory(self.path.parent)
 
     def abandon(self) -> None:
-        """Close the file and leave the `.part` as it is, readable."""
+        """Close the file and keep the readable `.part`."""
         self._file.close()
 
     def __enter__(self) -> TrajectoryWriter:
@@ -155,7 +156,7 @@ class TrajectoryWriter:
             self.abandon()
 
     def _count_bytes(self, bodies: dict[str, slice]) -> int:
-        """Return the bytes of all datasets, those of the view for ParaView included."""
+        """Return the size of all datasets [bytes], including the view for ParaView."""
         count = max(part.stop for part in bodies.values())
         a_particle = sum(
             np.dtype(POSITION_TYPE if name == POSITION else FIELD_TYPE).itemsize * int(np.prod(shape, dtype=int))
@@ -189,13 +190,13 @@ def _open_for_writing(path: Path, mode: str) -> h5py.File:
 
 
 def _make_contiguous(file: h5py.File, name: str, shape: tuple[int, ...], kind: str) -> None:
-    """Make a dataset whose place on disk is taken now, so that writing it later moves no metadata."""
+    """Make a dataset whose disk space is allocated now, so that later writes do not change metadata."""
     import h5py
 
     layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     layout.set_layout(h5py.h5d.CONTIGUOUS)
     layout.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-    layout.set_fill_time(h5py.h5d.FILL_TIME_ALLOC)  # a disk too small is found out here
+    layout.set_fill_time(h5py.h5d.FILL_TIME_ALLOC)  # a disk that is too small fails here
     space = h5py.h5s.create_simple(shape) if shape else h5py.h5s.create(h5py.h5s.SCALAR)
     parent, _, leaf = name.rpartition("/")
     group = file.require_group(parent) if parent else file
@@ -203,7 +204,7 @@ def _make_contiguous(file: h5py.File, name: str, shape: tuple[int, ...], kind: s
 
 
 def _pack(source: h5py.File, target: h5py.File, frames: int) -> None:
-    """Copy the frames that were written, compressed, and add the view for ParaView."""
+    """Copy and compress the written frames, and add the view for ParaView."""
     target.attrs.update(source.attrs)
     for name in ("time", "step"):
         target[name] = source[name][:frames]
@@ -230,13 +231,13 @@ def _pack(source: h5py.File, target: h5py.File, frames: int) -> None:
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Read a trajectory; one that another process is writing, or that was cut off, as far as it goes.
+    """Read all written frames of a trajectory, also if another process is writing it or it is incomplete.
 
     Args:
-        path: its final name, or that of its `.part`; where only the `.part` is there, that is read.
+        path: the final name or that of the `.part`; if only the `.part` exists, it is read.
 
     Raises:
-        UsageError: there is none, or it cannot be read.
+        UsageError: there is no trajectory, or it cannot be read.
     """
     with Frames(path) as frames:
         return Trajectory(

@@ -1,6 +1,6 @@
-"""The view of a trajectory that ParaView opens: VTKHDF 2.0, temporal PolyData, one vertex a particle.
+"""The view of a trajectory for ParaView: VTKHDF 2.0, temporal PolyData, one vertex per particle.
 
-Points and fields are virtual datasets over /particles, so nothing is stored twice; in 2D, z is filled with 0.
+Points and fields are virtual datasets over /particles, so that nothing is stored twice. In 2D, z is 0.
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/vtkhdf_specifications.html
 """
 
@@ -22,7 +22,7 @@ CELLS = ("Vertices", "Lines", "Polygons", "Strips")
 
 
 def add_vtk_view(file: h5py.File) -> None:
-    """Add /VTKHDF to a packed trajectory of at least one frame."""
+    """Add /VTKHDF to a packed trajectory with at least one frame."""
     frames, count, _ = file["particles/x"].shape
     group = file.create_group("VTKHDF", track_order=True)
     group.attrs["Version"] = np.array([2, 0], "i8")
@@ -53,7 +53,7 @@ def add_vtk_view(file: h5py.File) -> None:
 
 
 def write_points(path: Path, x: Array, columns: Mapping[str, Array]) -> None:
-    """Write particles at x (N, 2 or 3) with a number each (N,) by name, as PolyData that stands still.
+    """Write particles at x (N, 2 or 3) with columns of numbers (N,) by name, as PolyData without time steps.
 
     Raises:
         RunError: the disk is full.
@@ -70,7 +70,7 @@ def write_points(path: Path, x: Array, columns: Mapping[str, Array]) -> None:
             _add_cells(group.create_group(name), len(x) if name == "Vertices" else 0)
         data = group.create_group("PointData", track_order=True)
         for name, column in columns.items():
-            data[name.replace("/", " per ")] = column  # a slash would make a group
+            data[name.replace("/", " per ")] = column  # a slash would create a group
 
 
 def _add_cells(group: h5py.Group, count: int) -> None:
@@ -81,7 +81,7 @@ def _add_cells(group: h5py.Group, count: int) -> None:
 
 
 def _add_view(group: h5py.Group, name: str, source: h5py.Dataset) -> None:
-    """Add (T, N, ...) as (T N,) or (T N, components); vectors of two components get a zero third."""
+    """Add (T, N, ...) as (T N,) or (T N, components); vectors with two components get a third one of 0."""
     import h5py
 
     frames, count, *suffix = source.shape
@@ -94,6 +94,6 @@ def _add_view(group: h5py.Group, name: str, source: h5py.Dataset) -> None:
     layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     layout.set_virtual(space, b".", source.name.encode(), whole)
     layout.set_fill_value(np.zeros((), source.dtype))
-    layout.set_obj_track_times(False)  # h5py's own way notes the time, and equal runs would differ
+    layout.set_obj_track_times(False)  # h5py would store the time, so that equal runs would differ
     kind = h5py.h5t.py_create(source.dtype)
     h5py.h5d.create(group.id, name.encode(), kind, h5py.h5s.create_simple(shape), dcpl=layout)

@@ -1,4 +1,4 @@
-"""From every number of a scene that gradients reach to the engine's inputs, and back."""
+"""Map every differentiable number of a scene to the engine's inputs, and gradients back."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf, leaves
 
 STEP = 1e-3
-"""Of a fourth-order difference, relative: the map is linear, or smooth, in each number."""
+"""Relative step of a fourth-order difference; the map is linear or smooth in each number."""
 
 
 def everything(dim: int) -> dict[str, Any]:
-    """Return a scene with every load, a wall that rubs, terms of every kind, actuators of every kind and signals."""
+    """Return a scene with all kinds of loads, a wall with friction, and all kinds of terms, actuators and signals."""
     ends = [0.0] * (dim - 1)
     tip = {"box": {"corner": [0.35, *[0.2] * (dim - 1)], "size": [0.1, *[0.2] * (dim - 1)]}}
     body = {
@@ -62,12 +62,12 @@ def everything(dim: int) -> dict[str, Any]:
 
 @pytest.fixture(scope="module", params=[2, 3], ids=["2D", "3D"])
 def built(request) -> Built:
-    """Return the scene, built."""
+    """Return the built scene."""
     return build(load_scene(everything(request.param)))
 
 
 def flat(inputs: Inputs) -> np.ndarray:
-    """Return all of the inputs as one vector."""
+    """Return all inputs as one vector."""
     s, f = inputs.state, inputs.fields
     parts = [s.x, s.v, s.C, s.F, f.mass, f.volume, f.damping, f.force, inputs.activation, inputs.strength,
              inputs.coefficients, inputs.weights, *(theta for group in inputs.terms for theta in group)]  # fmt: skip
@@ -75,7 +75,7 @@ def flat(inputs: Inputs) -> np.ndarray:
 
 
 def random_bar(inputs: Inputs, rng: np.random.Generator) -> Inputs:
-    """Return a random cotangent of inputs, each part in units of its own size."""
+    """Return a random cotangent of the inputs; each part is divided by its own size."""
     bar = Inputs.zeros_like(inputs)
     for whole, like in ((bar.state, inputs.state), (bar.fields, inputs.fields)):
         for name in vars(whole):
@@ -89,7 +89,7 @@ def random_bar(inputs: Inputs, rng: np.random.Generator) -> Inputs:
 
 
 def test_dot_product_of_every_number(built, rng):
-    """A path that reaches nothing, or whose gradient is not the derivative of what it reaches, is named."""
+    """The message names a path that has no effect, or whose gradient is wrong."""
     assembly, scene = built.assembly, built.scene
     paths = [path for path in leaves(scene, differentiable=True) if assembly.reaches(path)]
     wanted = (
@@ -111,40 +111,40 @@ def test_dot_product_of_every_number(built, rng):
         assert abs(float(gradient[path]) - slope) <= 1e-9 * abs(slope) + rounding, path
 
 
-def test_a_load_that_forgets_a_cotangent_is_named(built, monkeypatch):
-    """Where it is wanted: a gradient of 0 would look like one."""
+def test_the_error_names_a_load_that_returns_no_cotangent(built, monkeypatch):
+    """Only if its gradient is requested, which would otherwise silently be 0."""
     monkeypatch.setattr(PointForce, "apply_vjp", lambda self, fields, fields_bar, chosen: {"size": 0.0})
     assembly, path = built.assembly, "loads.pull.point_force.force.1"
     bar = Inputs.zeros_like(assembly.inputs({}))
     assembly.gradient({"loads.air.damping.rate": np.array(1.0)}, bar)
-    told = "the load 'point_force' declares `force` differentiable, and its apply_vjp returns no cotangent of it"
-    with pytest.raises(UsageError, match=told):
+    message = "the load 'point_force' declares `force` differentiable, but its apply_vjp returns no cotangent of it"
+    with pytest.raises(UsageError, match=message):
         assembly.gradient({path: np.array(1.0)}, bar)
 
 
 @pytest.mark.parametrize("name", ["muscle.muscle", "air.pneumatic"])
 def test_weights_of_an_actuators_particles(built, name, rng):
-    """One a particle of the body; those that the actuator does not hold have none of it."""
+    """A weight for each particle of the body; particles outside the actuator have no effect."""
     assembly, path = built.assembly, f"actuators.{name}.weight"
     count = len(built.particles.points["a"].x)
     values = {path: rng.uniform(0.2, 1.0, count)}
     inputs = assembly.inputs(values)
     actuator = next(k for k, part in enumerate(assembly.actuation.parts) if part.path == f"actuators.{name}")
-    held = assembly.actuation.parts[actuator].model.particles
-    own = built.model.weight_slices[actuator]
-    np.testing.assert_array_equal(inputs.weights[own], values[path][held])
-    assert set(np.delete(inputs.weights, np.r_[own])) == {1.0}
+    particles = assembly.actuation.parts[actuator].model.particles
+    part = built.model.weight_slices[actuator]
+    np.testing.assert_array_equal(inputs.weights[part], values[path][particles])
+    assert set(np.delete(inputs.weights, np.r_[part])) == {1.0}
     bar = random_bar(inputs, rng)
     gradient = assembly.gradient(values, bar)[path]
-    np.testing.assert_array_equal(gradient[held], bar.weights[own])
-    assert not np.delete(gradient, held).any()
+    np.testing.assert_array_equal(gradient[particles], bar.weights[part])
+    assert not np.delete(gradient, particles).any()
     assert not len(assembly.inputs({}).weights)
-    stress = assembly.actuation.greatest_stress(values) / assembly.actuation.greatest_stress({}).max()
+    stress = assembly.actuation.largest_stress(values) / assembly.actuation.largest_stress({}).max()
     assert stress.max() < 1.0
 
 
-def test_where_a_muscle_lies_can_be_a_field():
-    """An unknown of its weight: a smooth field over the body it lies in."""
+def test_the_placement_of_a_muscle_can_be_a_field():
+    """Its weight can be an unknown: a smooth field over the body."""
     path = "actuators.muscle.muscle.weight"
     scene = everything(2) | {"unknowns": {path: {"bounds": [0, 1], "per": "field", "resolution": 2, "initial": 0.5}}}
     built = build(load_scene(scene))
@@ -153,28 +153,28 @@ def test_where_a_muscle_lies_can_be_a_field():
 
 
 def test_a_muscle_can_be_stronger_in_one_group(built, rng):
-    """One weight a group of the body; a particle of none keeps the actuator's own."""
+    """One weight per group of the body; particles without a group keep the weight of the actuator."""
     assembly, path = built.assembly, "actuators.muscle.muscle.weight"
     values = {path: np.array([0.25])}
     (slot,) = (k for k, part in enumerate(assembly.actuation.parts) if part.name == "muscle")
-    held = assembly.actuation.parts[slot].model.particles
-    tip = np.isin(held, built.particles.groups("a")["tip"])
+    particles = assembly.actuation.parts[slot].model.particles
+    tip = np.isin(particles, built.particles.groups("a")["tip"])
     assert 0 < tip.sum() < len(tip)
     inputs = assembly.inputs(values)
-    own = built.model.weight_slices[slot]
-    np.testing.assert_array_equal(inputs.weights[own], np.where(tip, 0.25, 1.0))
+    part = built.model.weight_slices[slot]
+    np.testing.assert_array_equal(inputs.weights[part], np.where(tip, 0.25, 1.0))
     bar = random_bar(inputs, rng)
-    assert assembly.gradient(values, bar)[path] == pytest.approx([bar.weights[own][tip].sum()], rel=1e-14)
+    assert assembly.gradient(values, bar)[path] == pytest.approx([bar.weights[part][tip].sum()], rel=1e-14)
 
 
 @pytest.mark.parametrize(
     ("unknown", "advice"),
     [
-        ("actuators.muscle.muscle.strength", ", or the unknown 'actuators.muscle.muscle.weight', the share of its "),
+        ("actuators.muscle.muscle.strength", ", or the unknown 'actuators.muscle.muscle.weight', the share of the "),
         ("bodies.a.velocity.0", "$"),
     ],
 )
-def test_what_cannot_differ_by_group_says_what_can(unknown, advice):
-    told = f"only a body's material, and an actuator's `weight`, can differ by group; use `per: body`{advice}"
-    with pytest.raises(SceneError, match=told):
+def test_the_error_names_the_values_that_can_differ_by_group(unknown, advice):
+    message = f"only a body's material, and an actuator's `weight`, can differ by group; use `per: body`{advice}"
+    with pytest.raises(SceneError, match=message):
         load_scene(everything(2), [f"unknowns={{{unknown}: {{bounds: [0, 100], per: group}}}}"])

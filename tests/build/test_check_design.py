@@ -1,4 +1,4 @@
-"""Unknowns of a design: bounds at which a body is where it cannot be, and what can follow an unknown."""
+"""Unknowns of a design: bounds at which a body is not valid, and values that are tied to an unknown."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ MATERIAL = {"density": 1.0, "elastic": {"neo_hookean": {"youngs_modulus": 10.0, 
 
 
 def box(x: float, y: float = 0.25, per_cell: int = 4) -> dict[str, Any]:
-    """Return a body, .25 by .5 large, of 8 by 16 particles or more."""
+    """Return a body of size 0.25 by 0.5, with 8 by 16 particles or more."""
     shape = {"box": {"corner": [x, y], "size": [0.25, 0.5]}}
     return {"shape": shape, "particles_per_cell": per_cell, "material": MATERIAL}
 
 
 def data(unknowns: dict[str, Any], **more: Any) -> dict[str, Any]:
-    """Return a scene of two bodies beside each other."""
+    """Return a scene with two bodies next to each other."""
     return {
         "cqrun": 1,
         "world": {"size": [1, 1], "dx": 0.0625, "gravity": [0, -1]},
@@ -41,7 +41,7 @@ def data(unknowns: dict[str, Any], **more: Any) -> dict[str, Any]:
 
 
 def denser(body: str) -> dict[str, Any]:
-    """Return the rest of a scene whose data are of a denser body, for .08 s."""
+    """Return the rest of a scene whose data, over 0.08 s, come from a denser body."""
     truth = {f"bodies.{body}.material.density": 1.4}
     return {
         "data": {"synthetic": {"truth": truth, "body": body, "tracked": 10, "key_frames": 5}},
@@ -71,7 +71,7 @@ BAD = {
     ),
     "sparse": (
         {"bodies.a.shape.box.size.1": {"bounds": [0.3, 0.6]}},
-        "at 0.6 bodies.a has particles 0.0375 m apart, fewer than two in a cell's 0.0625 m",
+        "at 0.6 bodies.a has particles 0.0375 m apart, fewer than two in a cell of 0.0625 m",
     ),
     "of another kind": (
         {f"bodies.a.{E}": {"bounds": [5, 20], "per": "particle", "also": ["bodies.b.material.density"]}},
@@ -129,17 +129,17 @@ BAD_TOGETHER = {
     ),
     "next to nothing": (
         {SIZE: [1e-9, 0.3]},
-        "at 1e-09 a part of a body has less than 0.0001 of the volume that it has at the start",
+        "at 1e-09 a part of a body has less than 0.0001 times its volume at the start",
     ),
     "sparse from the start": (
         {SIZE: [0.2, 0.3]},
-        "at 0.3 bodies.a has particles 0.0433 m apart, fewer than two in a cell's 0.0625 m",
+        "at 0.3 bodies.a has particles 0.0433 m apart, fewer than two in a cell of 0.0625 m",
     ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", BAD_TOGETHER)
-def test_bounds_that_only_together_or_between_them_cannot_be(name):
+def test_combinations_of_bounds_and_values_between_them_are_checked(name):
     bounds, message = BAD_TOGETHER[name]
     bodies = {"a": box(0.125, per_cell=3 if "sparse" in name else 16), "b": box(0.625)}
     if "angle" in name:
@@ -153,7 +153,7 @@ def test_bounds_that_only_together_or_between_them_cannot_be(name):
         build(load_scene(data({path: {"bounds": ends} for path, ends in bounds.items()}, bodies=bodies)))
 
 
-def test_a_polygon_that_crosses_itself_is_told_where_its_corners_are_unknowns():
+def test_a_polygon_that_crosses_itself_is_refused_if_its_corners_are_unknowns():
     corner = "bodies.a.shape.polygon.points.2.0"
     scene = data({corner: {"bounds": [0.1, 0.2]}})
     scene["bodies"]["a"]["shape"] = {"polygon": {"points": [[0.1, 0.25], [0.4, 0.75], [0.15, 0.75], [0.4, 0.25]]}}
@@ -161,7 +161,7 @@ def test_a_polygon_that_crosses_itself_is_told_where_its_corners_are_unknowns():
         build(load_scene(scene))
 
 
-def test_what_cuts_an_unknown_shape_is_told_to_follow_it():
+def test_a_warning_says_that_a_cutting_shape_follows_the_unknown_shape():
     body = box(0.125, per_cell=9)
     hole = {"box": {"corner": [0.1875, 0.4375], "size": [0.125, 0.125]}}
     body["shape"] = {"difference": [body["shape"], hole]}
@@ -169,22 +169,23 @@ def test_what_cuts_an_unknown_shape_is_told_to_follow_it():
     def warned(path: str) -> list[str]:
         scene = data({path: {"bounds": [0.2, 0.25]}}, data={"target": {"body": "a", "position": [0.5, 0.5]}})
         scene["bodies"]["a"] = body
-        return [str(problem) for problem in build(load_scene(scene)).warnings if "what cuts it" in str(problem)]
+        return [str(problem) for problem in build(load_scene(scene)).warnings if "that cut it" in str(problem)]
 
     first = "bodies.a.shape.difference.0.box.size.0"
-    (told,) = warned(first)
-    assert f"unknowns.{first}: changes the first shape of a difference: what cuts it moves and stretches with" in told
+    (warning,) = warned(first)
+    message = "changes the first shape of a difference: the shapes that cut it move and stretch with it"
+    assert f"unknowns.{first}: {message}" in warning
     assert not warned("bodies.b.shape.box.size.0")
 
 
-def test_a_mirrored_field_of_a_lopsided_body_is_told():
+def test_a_mirrored_field_of_an_asymmetric_body_is_a_warning():
     scene = data({f"bodies.a.{E}": {"bounds": [5, 20], "per": "field", "mirror": "x"}})
     assert not [problem for problem in build(load_scene(scene)).warnings if "mirror" in str(problem)]
     foot = {"box": {"corner": [0.125, 0.125], "size": [0.125, 0.125]}}
     scene["bodies"]["a"] = {**scene["bodies"]["a"], "parts": {"body": box(0.125)["shape"], "foot": foot}}
     del scene["bodies"]["a"]["shape"]
-    (told,) = [str(problem) for problem in build(load_scene(scene)).warnings if "mirror" in str(problem)]
-    assert "'a' is not its own mirror image across x, in 11% of its particles" in told
+    (warning,) = [str(problem) for problem in build(load_scene(scene)).warnings if "mirror" in str(problem)]
+    assert "'a' is not its own mirror image across x: the mirror images of 11% of its particles lie" in warning
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -195,8 +196,8 @@ def test_bad_unknowns(name):
 
 
 @pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
-def test_a_cable_is_as_long_as_the_body_that_it_is_made_for(dim, tmp_path):
-    """A taut, bent cable and a slack one, on a bar that is stretched, turned and made denser: against differences."""
+def test_the_length_of_a_cable_follows_its_body(dim, tmp_path):
+    """Compare gradients with differences for a taut, bent cable and a slack one on a bar of variable shape and density."""
     ends = [0.2] * (dim - 2)
 
     def cable(*route: list[float]) -> dict[str, Any]:
@@ -228,8 +229,8 @@ def test_a_cable_is_as_long_as_the_body_that_it_is_made_for(dim, tmp_path):
     assert_gradients_agree(scene, tmp_path)
 
 
-def test_bodies_that_do_not_match():
-    """A value a particle needs bodies of the same particles, one a group those of the same groups."""
+def test_tied_values_of_bodies_that_do_not_match_are_refused():
+    """Values per particle need bodies with the same particles, values per group need the same groups."""
     scene = data({f"bodies.a.{E}": {"bounds": [5, 20], "per": "particle", "also": [f"bodies.b.{E}"]}})
     assert make_params(build(load_scene(scene))).blocks[0].followers[0].order is not None
     scene["bodies"]["b"]["shape"]["box"]["size"] = [0.25, 0.45]
@@ -244,7 +245,7 @@ def test_bodies_that_do_not_match():
 
 @pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
 def test_gradients_by_geometry_through_a_rollout(dim, tmp_path):
-    """Two spinning bodies that fall, one placed and turned: every number of their shapes, against differences."""
+    """Compare with differences for every number in the shapes of two falling and spinning bodies, one of them placed."""
     ends = [0.2] * (dim - 2)
     place = {"offset": [0.45, 0.5, *[0.3] * (dim - 2)], **({"angle": 20} if dim == 2 else {"rotation": [10, 0, 20]})}
     ball = {"ball": {"center": [0.0] * dim, "radius": 0.12}}
@@ -276,7 +277,7 @@ def test_gradients_by_geometry_through_a_rollout(dim, tmp_path):
     assert_gradients_agree(scene, tmp_path)
 
 
-def test_a_body_starts_where_its_unknowns_do():
+def test_a_body_starts_at_the_start_values_of_its_unknowns():
     unknowns = {"bodies.a.shape.box.size.1": {"bounds": [0.3, 0.5], "initial": 0.4}}
     built = build(load_scene(data(unknowns)))
     params = make_params(built)
@@ -285,7 +286,7 @@ def test_a_body_starts_where_its_unknowns_do():
 
 
 def test_the_short_spelling_of_a_path_in_a_union():
-    """`union.0` is `union.shapes.0`, in an unknown, in what follows one and in a truth."""
+    """`union.0` is `union.shapes.0`, in an unknown, in a tied value and in a truth."""
     ties = ["bodies.b.shape.union.0.box.size.1"]
     scene = data({"bodies.a.shape.union.0.box.size.1": {"bounds": [0.4, 0.5], "also": ties}})
     for body in scene["bodies"].values():

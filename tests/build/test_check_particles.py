@@ -1,4 +1,4 @@
-"""Placement: bodies in the world, apart from each other, and regions that hold particles."""
+"""Placement: bodies are inside the world and apart from each other, and regions hold particles."""
 
 from __future__ import annotations
 
@@ -43,28 +43,28 @@ def sampled(scene: Scene) -> tuple[dict[str, BodyPoints], dict[str, np.ndarray]]
     return points, volumes
 
 
-def told(scene: Scene, margin: float = 0.0) -> list[str]:
+def problems(scene: Scene, margin: float = 0.0) -> list[str]:
     return [str(p) for p in check.geometry_problems(scene, sampled(scene)[0], margin)]
 
 
-def test_a_good_placement_has_no_problems() -> None:
+def test_a_valid_placement_has_no_problems() -> None:
     scene = two_balls()
-    assert told(scene) == []
+    assert problems(scene) == []
     assert check.sparse_bodies(scene, sampled(scene)[1]) == []
 
 
-def test_a_body_outside_the_world_says_where_and_how_far() -> None:
-    (message,) = told(two_balls(shape={"ball": {"center": [0.95, 0.5], "radius": 0.1}}))
+def test_the_error_of_a_body_outside_the_world_says_where_and_how_far() -> None:
+    (message,) = problems(two_balls(shape={"ball": {"center": [0.95, 0.5], "radius": 0.1}}))
     assert message.startswith("scene: bodies.right.shape: reaches x = 1.045 m, above 1 m: the world holds")
     inside = two_balls(shape={"ball": {"center": [0.89, 0.5], "radius": 0.1}})
-    assert told(inside) == []
-    assert "above 0.96 m: the world holds particles from 0.04 to 0.96 m" in told(inside, margin=0.04)[0]
-    both = told(two_balls(shape={"ball": {"center": [0.02, 0.02], "radius": 0.1}}))
+    assert problems(inside) == []
+    assert "above 0.96 m: the world holds particles from 0.04 to 0.96 m" in problems(inside, margin=0.04)[0]
+    both = problems(two_balls(shape={"ball": {"center": [0.02, 0.02], "radius": 0.1}}))
     assert ["reaches x" in both[0], "reaches y" in both[1], len(both)] == [True, True, 2]
 
 
-def test_overlapping_bodies_say_where() -> None:
-    (message,) = told(two_balls(shape={"ball": {"center": [0.45, 0.5], "radius": 0.1}}))
+def test_the_error_of_overlapping_bodies_says_where() -> None:
+    (message,) = problems(two_balls(shape={"ball": {"center": [0.45, 0.5], "radius": 0.1}}))
     assert message.startswith("scene: bodies.right.shape: overlaps the body 'left' in ")
     assert "such as at (0." in message
 
@@ -72,45 +72,45 @@ def test_overlapping_bodies_say_where() -> None:
 def test_bodies_may_touch() -> None:
     box = {"box": {"corner": [0.4, 0.45], "size": [0.1, 0.1]}}
     scene = two_balls(shape=box)
-    assert told(scene) == []
+    assert problems(scene) == []
 
 
 @pytest.mark.parametrize(("gap", "warned"), [(0.0, True), (1.4, True), (1.6, False)])
-def test_bodies_that_start_near_each_other_are_told_that_they_hold_on(gap: float, warned: bool) -> None:
-    # balls of radius .1 with their outermost particles on the line between them
+def test_bodies_that_start_close_to_each_other_get_a_warning(gap: float, warned: bool) -> None:
+    # balls of radius 0.1 with their outermost particles on the line between them
     scene = two_balls(shape={"ball": {"center": [0.5 + gap * 0.02, 0.5], "radius": 0.1}})
-    warnings = [str(p) for p in check.bodies_that_hold_on(scene, *sampled(scene))]
+    warnings = [str(p) for p in check.bodies_too_close(scene, *sampled(scene))]
     assert bool(warnings) == warned
     if warned:
-        told = r"bodies.right.shape: starts [\d.]+ cells from the body 'left': .* leave 0.03 m between them"
-        assert re.search(told, warnings[0])
+        message = r"bodies.right.shape: starts [\d.]+ cells from the body 'left': .* leave 0.03 m between them"
+        assert re.search(message, warnings[0])
 
 
-def test_a_small_body_inside_another_is_found_both_ways() -> None:
+def test_a_small_body_inside_another_is_refused_once() -> None:
     small = {"ball": {"center": [0.3, 0.5], "radius": 0.02}}
-    assert len(told(two_balls(shape=small))) == 1
+    assert len(problems(two_balls(shape=small))) == 1
 
 
-def test_a_body_thinner_than_its_spacing_holds_nothing() -> None:
+def test_a_body_thinner_than_its_spacing_has_no_particles() -> None:
     thin = {"polygon": {"points": [[0.6, 0.5], [0.7, 0.5], [0.7, 0.5001]]}}
-    (message,) = told(two_balls(shape=thin))
+    (message,) = problems(two_balls(shape=thin))
     assert message.startswith("scene: bodies.right.shape: holds no particle")
 
 
-def test_groups_without_particles_are_named_with_where_the_body_is() -> None:
+def test_the_error_of_an_empty_group_says_where_the_body_is() -> None:
     groups = {
         "in": {"half_space": {"point": [0.6, 0.5], "normal": [1, 0]}},
         "out": {"half_space": {"point": [0.2, 0.5], "normal": [1, 0]}},
     }
-    (message,) = told(two_balls(groups=groups))
+    (message,) = problems(two_balls(groups=groups))
     assert message.startswith("scene: bodies.right.groups.out: holds no particle: 'right' lies within (0.505, ")
-    (placed,) = told(two_balls(groups=groups, place={"offset": [0.1, 0.0]}))  # groups are in the shape's coordinates
+    (placed,) = problems(two_balls(groups=groups, place={"offset": [0.1, 0.0]}))  # groups are in the shape's coordinates
     assert "'right' lies within (0.505, " in placed
     assert placed.endswith("m before it is placed")
 
 
 @pytest.mark.parametrize(("per_cell", "warned"), [(4, False), (9, False), (3.9, True), (1, True)])
-def test_few_particles_a_cell_are_warned_about(per_cell: float, warned: bool) -> None:
+def test_few_particles_per_cell_are_a_warning(per_cell: float, warned: bool) -> None:
     scene = two_balls(particles_per_cell=per_cell)
     warnings = [str(p) for p in check.sparse_bodies(scene, sampled(scene)[1])]
     assert bool(warnings) == warned
@@ -118,31 +118,31 @@ def test_few_particles_a_cell_are_warned_about(per_cell: float, warned: bool) ->
         assert warnings[0].startswith(f"scene: bodies.right.particles_per_cell: {per_cell:.3g} particles in a cell")
 
 
-def misfit(**body: Any) -> list[str]:
+def volume_warnings(**body: Any) -> list[str]:
     scene = two_balls(**{"particles_per_cell": None, "spacing": 0.01, **body})
-    return [str(p) for p in check.misfits(scene, *sampled(scene))]
+    return [str(p) for p in check.volume_errors(scene, *sampled(scene))]
 
 
-def test_particles_that_make_up_another_volume_than_their_shape_are_told() -> None:
+def test_particles_with_another_volume_than_their_shape_are_a_warning() -> None:
     thin = {"box": {"corner": [0.5, 0.45], "size": [0.2, 0.025]}}  # 20 x 3 particles
-    (message,) = misfit(shape=thin)
-    assert message.startswith("scene: bodies.right.shape: its particles make up 0.006 m^2, +20.0% beside the 0.005 m^2")
-    assert "0.025 m along y is no multiple of the spacing of 0.01 m; give a size that is one, another" in message
+    (message,) = volume_warnings(shape=thin)
+    assert "bodies.right.shape: its particles have a volume of 0.006 m^2, which differs by +20.0% from the 0.005" in message
+    assert "0.025 m along y is not a multiple of the spacing of 0.01 m; give a size that is one, another" in message
     small = {"corner": [0, 0], "size": [0.4, 0.05]}
-    assert "+20.0%" in misfit(shape={"box": small}, place={"scale": 0.5, "offset": [0.5, 0.45]})[0]
-    assert misfit(shape=thin, unit_mass=True) == []
+    assert "+20.0%" in volume_warnings(shape={"box": small}, place={"scale": 0.5, "offset": [0.5, 0.45]})[0]
+    assert volume_warnings(shape=thin, unit_mass=True) == []
     for sampling in ({"random": {"count": 60}}, {"lattice": {"count": 9}}):
-        assert misfit(shape=thin, spacing=None, sampling=sampling) == []
-    assert misfit(shape=thin, sampling={"poisson_disk": {}}) == []
-    assert misfit(shape={"box": {"corner": [0.5, 0.45], "size": [0.2, 0.03]}}) == []
+        assert volume_warnings(shape=thin, spacing=None, sampling=sampling) == []
+    assert volume_warnings(shape=thin, sampling={"poisson_disk": {}}) == []
+    assert volume_warnings(shape={"box": {"corner": [0.5, 0.45], "size": [0.2, 0.03]}}) == []
 
 
-def test_small_round_bodies_are_not_told_of_what_a_lattice_cannot_do_better(rng: np.random.Generator) -> None:
+def test_unavoidable_volume_errors_of_small_round_bodies_are_no_warning(rng: np.random.Generator) -> None:
     rows = rng.uniform(2, 20, 100)
     ball = {"ball": {"center": [0.6, 0.5], "radius": 0.1}}
-    assert sum(bool(misfit(shape=ball, spacing=0.1 / n)) for n in rows) <= 2
+    assert sum(bool(volume_warnings(shape=ball, spacing=0.1 / n)) for n in rows) <= 2
     sharp = {"polygon": {"points": [[0.5, 0.45], [0.7, 0.45], [0.7, 0.474], [0.501, 0.474]]}}
-    assert "wrong by as much" in misfit(shape=sharp)[0]  # not round: two rows for 2.4
+    assert "and so does its mass" in volume_warnings(shape=sharp)[0]  # not round: two rows for 2.4
 
 
 @pytest.mark.parametrize(
@@ -155,40 +155,40 @@ def test_small_round_bodies_are_not_told_of_what_a_lattice_cannot_do_better(rng:
         (0.1 / 3, {"face": "all"}, []),
     ],
 )
-def test_walls_that_stand_outside_the_world_are_told(dx: float, boundary: dict[str, Any], warned: list[int]) -> None:
+def test_walls_outside_the_world_are_a_warning(dx: float, boundary: dict[str, Any], warned: list[int]) -> None:
     data = two_balls().model_dump(exclude_none=True)
     data["world"]["dx"], data["boundaries"] = dx, {"wall": {"sticky": boundary}}
     messages = [str(p) for p in check.walls_outside(load_scene(data))]
     assert [re.sub(r"scene: world\.size\.(\d): .*", r"\1", message) for message in messages] == list(map(str, warned))
     for message in messages:
-        assert "is no multiple of dx = 0.03 m, so 'wall' holds what is beyond 1.02 m, 0.02 m outside" in message
+        assert "is not a multiple of dx = 0.03 m, so the wall 'wall' begins at 1.02 m, 0.02 m outside" in message
         assert message.endswith("give dx = 0.030303 m, or a size of 0.99 m")
 
 
 @pytest.mark.parametrize(
-    ("plane", "named", "told"),
+    ("plane", "named", "words"),
     [
-        ({"point": [0, 0.199], "normal": [0, 1]}, False, "y = 0.199 m .* begins at 0.18 m, 0.019 m .* 0.18 or 0.21 m"),
-        ({"point": [0.95, 0], "normal": [-2, 0]}, False, "x = 0.95 m .* begins at 0.96 m, 0.01 m .* 0.96 or 0.93 m"),
-        ({"point": [0, 0.01], "normal": [0, 1]}, True, "y = 0.01 m .* begins at 0 m, 0.01 m .* 0 or 0.03 m"),
+        ({"point": [0, 0.199], "normal": [0, 1]}, False, "y = 0.199 m .* begin at 0.18 m, 0.019 m .* 0.18 or 0.21 m"),
+        ({"point": [0.95, 0], "normal": [-2, 0]}, False, "x = 0.95 m .* begin at 0.96 m, 0.01 m .* 0.96 or 0.93 m"),
+        ({"point": [0, 0.01], "normal": [0, 1]}, True, "y = 0.01 m .* begin at 0 m, 0.01 m .* 0 or 0.03 m"),
         ({"point": [0, 0.21], "normal": [0, 1]}, False, None),
         ({"point": [0.93, 0], "normal": [-1, 0]}, True, None),
-        ({"point": [0, 0.199], "normal": [0.6, 0.8]}, False, None),  # a slope: nodes are where they are
+        ({"point": [0, 0.199], "normal": [0.6, 0.8]}, False, None),  # a slope cannot lie on rows of nodes
     ],
 )
-def test_planes_between_nodes_are_told(plane: dict[str, Any], named: bool, told: str | None) -> None:
+def test_planes_between_nodes_are_a_warning(plane: dict[str, Any], named: bool, words: str | None) -> None:
     data = two_balls().model_dump(exclude_none=True)
     ground: Any = {"half_space": plane}
     data["world"]["dx"], data["regions"] = 0.03, {"ground": ground}
     data["boundaries"] = {"floor": {"slip": {"region": "ground" if named else ground}}}
     messages = [str(p) for p in check.planes_between_nodes(load_scene(data))]
-    assert len(messages) == (told is not None)
+    assert len(messages) == (words is not None)
     for message in messages:
-        assert re.fullmatch(rf"scene: boundaries\.floor\.slip\.region: its plane at {told}, or give a dx .*", message)
+        assert re.fullmatch(rf"scene: boundaries\.floor\.slip\.region: its plane at {words}, or give a dx .*", message)
 
 
 class Pull(Plugin):
-    """A load of this test's own."""
+    """A load for this test only."""
 
     kind: ClassVar[str] = "load"
     name: ClassVar[str] = "pull"
@@ -196,19 +196,19 @@ class Pull(Plugin):
     region: ChosenShape
 
 
-def test_regions_of_loads_without_particles_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_names_a_load_region_without_particles(monkeypatch: pytest.MonkeyPatch) -> None:
     real = registry.plugins
     monkeypatch.setattr(registry, "plugins", lambda kind: {"pull": Pull} if kind == "load" else real(kind))
     away = {"ball": {"center": [0.9, 0.9], "radius": 0.01}}
     scene = with_values(two_balls(), {"loads.up": {"pull": {"body": "left", "region": away}}})
-    (message,) = told(scene)
+    (message,) = problems(scene)
     assert message.startswith("scene: loads.up.pull.region: holds no particle: 'left' lies within (0.205,")
-    assert told(with_values(scene, {"loads.up.pull.region.ball.center": [0.3, 0.5]})) == []
-    # without a body, any body's particle will do
+    assert problems(with_values(scene, {"loads.up.pull.region.ball.center": [0.3, 0.5]})) == []
+    # without a body, particles of any body count
     anywhere = with_values(scene, {"loads.up.pull": {"region": away}})
-    assert "'left' lies within" in told(anywhere)[0]
-    assert "'right' lies within" in told(anywhere)[0]
-    assert told(with_values(anywhere, {"loads.up.pull.region.ball.center": [0.6, 0.5]})) == []
+    assert "'left' lies within" in problems(anywhere)[0]
+    assert "'right' lies within" in problems(anywhere)[0]
+    assert problems(with_values(anywhere, {"loads.up.pull.region.ball.center": [0.6, 0.5]})) == []
     with pytest.raises(SceneError) as info:
         with_values(scene, {"loads.up.pull.body": "lft"})
     expected = "loads.up.pull.body: there is no body 'lft' (did you mean 'left'?); there are: left, right"

@@ -1,4 +1,4 @@
-"""Regions by name: of loads, groups and boundaries; what a name may mean where; what is refused."""
+"""Named regions of loads, groups and boundaries: what a name means in each place, and what is refused."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PARTS = {
 
 
 def scene(**more: Any) -> Scene:
-    """Return a scene with a body of a leg (16 particles) and an arm (32), changed by its top-level parts."""
+    """Return a scene with a body of a leg (16 particles) and an arm (32); `more` replaces its sections."""
     data = {
         "cqrun": 1,
         "world": {"size": [1.0, 1.0], "dx": 0.1},
@@ -37,7 +37,7 @@ def scene(**more: Any) -> Scene:
 
 @pytest.mark.parametrize("kind", ["separate", "slip"])
 def test_a_named_half_space_has_its_normal(kind):
-    """As the same region written where it is asked for."""
+    """It gives the same boundary as a region without a name."""
     inline = build(scene(boundaries={"low": {kind: {"region": LOW}}})).model.conditions
     for regions in ({"ground": LOW}, {"ground": "below", "below": LOW}):
         named = build(scene(regions=regions, boundaries={"low": {kind: {"region": "ground"}}})).model.conditions
@@ -52,7 +52,7 @@ def body(**more: Any) -> dict[str, Any]:
     return {"bodies": {"b": {"parts": PARTS, "spacing": 0.05, "material": MATERIAL, **more}}}
 
 
-def told(**more: Any) -> str:
+def error_of(**more: Any) -> str:
     with pytest.raises(SceneError) as info:
         sample(scene(**more))
     return str(info.value)
@@ -74,17 +74,17 @@ def mass(region: Any) -> dict[str, Any]:
         (LEFT, 32),
     ],
 )
-def test_a_load_takes_a_name_or_a_shape_or_what_is_made_of_both(region: Any, count: int | None) -> None:
+def test_a_load_takes_a_name_a_shape_or_a_combination(region: Any, count: int | None) -> None:
     regions = {"left": LEFT, "low_left": {"intersection": ["left", "leg"]}}
     loaded = scene(regions=regions, loads=mass(region))
     particles = sample(loaded)
-    held = particles.inside("b", loaded.loads["extra"].value.region)  # type: ignore[attr-defined]
-    assert 0 < len(held) < 48
-    assert count is None or len(held) == count
-    # what is resolved is written down, and means the same
+    inside = particles.inside("b", loaded.loads["extra"].value.region)  # type: ignore[attr-defined]
+    assert 0 < len(inside) < 48
+    assert count is None or len(inside) == count
+    # the resolved scene has the same region
     again = load_scene(dump(resolve(loaded)))
     assert resolve(again) == resolve(loaded)
-    assert np.array_equal(sample(again).inside("b", again.loads["extra"].value.region), held)  # type: ignore[attr-defined]
+    assert np.array_equal(sample(again).inside("b", again.loads["extra"].value.region), inside)  # type: ignore[attr-defined]
 
 
 def test_a_name_alone_picks_particles_too() -> None:
@@ -94,27 +94,26 @@ def test_a_name_alone_picks_particles_too() -> None:
     assert len(particles.inside("b", None)) == len(particles.inside(None, None)) == 48
 
 
-def test_groups_are_made_of_parts_and_of_each_other_in_the_bodys_own_coordinates() -> None:
+def test_groups_combine_parts_and_groups_in_the_coordinates_of_the_body() -> None:
     below = {"half_space": {"point": [0, 0.2], "normal": [0, 1]}}
     groups = {"lower": below, "foot": {"intersection": ["lower", "leg"]}}
     particles = sample(scene(**body(groups=groups, place={"offset": [0.2, 0.3], "angle": 10}), regions={"left": LEFT}))
-    assert {name: len(held) for name, held in particles.groups("b").items()} == {
+    assert {name: len(indices) for name, indices in particles.groups("b").items()} == {
         "leg": 16, "arm": 32, "lower": 8, "foot": 8,
     }  # fmt: skip
 
 
-def test_a_region_of_the_scene_is_of_the_world_where_a_placed_body_is() -> None:
+def test_a_region_of_the_scene_is_in_world_coordinates() -> None:
     moved = sample(scene(**body(place={"offset": [0.2, 0.0]}), regions={"left": LEFT}))
     assert len(moved.inside("b", "left")) == 0
 
 
-def test_a_group_of_several_bodies_means_each_ones_own() -> None:
+def test_a_group_name_selects_the_group_of_each_body() -> None:
     data = body()["bodies"]
     data["c"] = {**data["b"], "place": {"offset": [0.5, 0.0]}}
     loaded = scene(bodies=data, loads={"w": {"attached_mass": {"mass": 1.0, "region": "leg"}}})
     particles = sample(loaded)
-    held = particles.inside(None, "leg")
-    assert len(held) == 32
+    assert len(particles.inside(None, "leg")) == 32
     assert len(particles.inside("c", "leg")) == 16
 
 
@@ -190,5 +189,5 @@ def test_terrain_is_a_boundary_or_a_body() -> None:
         ),
     ],
 )
-def test_what_cannot_be_is_told_with_its_place(more: dict[str, Any], message: str) -> None:
-    assert message in told(**more)
+def test_invalid_regions_are_refused_with_their_place(more: dict[str, Any], message: str) -> None:
+    assert message in error_of(**more)

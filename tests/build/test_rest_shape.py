@@ -1,4 +1,4 @@
-"""Particles that follow their body as the numbers of its shape and place change, and the gradient by these numbers."""
+"""Particles follow the numbers in the shape and place of their body, and gradients by these numbers are right."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SHAPES: dict[str, tuple[int, dict[str, Any]]] = {
 
 
 def scene_of(name: str, **more: Any) -> Scene:
-    """Return a scene with one body, small and in the middle of its world unless it says where it is."""
+    """Return a scene with one body, which is small and in the middle of the world unless it has a place."""
     dim, body = SHAPES[name]
     material = {"density": 900.0, "elastic": {"neo_hookean": {"youngs_modulus": 1.0e4, "poissons_ratio": 0.3}}}
     body = {"place": {"scale": 0.2, "offset": [0.7] * dim}, "spacing": 0.04, "material": material, **body}
@@ -53,18 +53,18 @@ def scene_of(name: str, **more: Any) -> Scene:
 
 
 def numbers_of(scene: Scene) -> dict[str, np.ndarray]:
-    """Return the numbers that particles follow, at their own values."""
+    """Return the numbers that particles follow, at their values in the scene."""
     paths = [path for path in leaves(scene, differentiable=True) if shapes_a_body(path)]
     return {path: np.array(float(leaf(scene, path).value)) for path in paths}
 
 
 @pytest.fixture(scope="module", params=SHAPES)
 def scene(request) -> Scene:
-    """Return each of the scenes."""
+    """Return one scene after another."""
     return scene_of(request.param)
 
 
-def test_nothing_moves_where_nothing_changes(scene):
+def test_unchanged_numbers_move_nothing(scene):
     particles, numbers = sample(scene), numbers_of(scene)
     assert numbers
     x, volume = Geometry(scene, particles).at_rest(numbers)
@@ -73,8 +73,8 @@ def test_nothing_moves_where_nothing_changes(scene):
 
 
 @pytest.mark.parametrize("name", [name for name in SHAPES if name not in ("difference", "intersection")])
-def test_they_fill_the_new_shape(name):
-    """Its measure grows as their volumes do, as far as a lattice can tell."""
+def test_particles_fill_the_new_shape(name):
+    """The volume of the shape grows like the volumes of the particles, to the accuracy of a lattice."""
     scene = scene_of(name)
     particles, numbers = sample(scene), numbers_of(scene)
     measure = scene.bodies["a"].whole().volume()
@@ -84,9 +84,9 @@ def test_they_fill_the_new_shape(name):
         whole = with_values(scene, changed).bodies["a"].whole()
         middle = x.mean(axis=0)
         assert whole.inside(middle + (1 - 1e-9) * (x - middle)).all(), path
-        if name not in ("union", "parts"):  # whose parts overlap: what both hold follows the first
-            wanted = whole.volume() / measure
-            assert volume.sum() / particles.volume.sum() == pytest.approx(wanted, rel=0.03), path
+        if name not in ("union", "parts"):  # their parts overlap: particles in both follow the first part
+            expected = whole.volume() / measure
+            assert volume.sum() / particles.volume.sum() == pytest.approx(expected, rel=0.03), path
 
 
 def test_volumes_grow_by_the_determinant(scene):
@@ -105,12 +105,12 @@ def test_volumes_grow_by_the_determinant(scene):
                 columns.append((ahead - behind) / (2 * step))
             growth = shape.carried(x, shape_to)[1]
             det = np.linalg.det(np.stack(columns, axis=2))
-            seam = np.abs(det / growth - 1) > 1e-6  # the pieces of a map meet there
+            seam = np.abs(det / growth - 1) > 1e-6  # where two pieces of the map meet
             assert seam.mean() < 0.2, path
 
 
 def test_dot_product_of_every_number(scene, rng):
-    """Positions, volumes, masses and the velocities of a spin, against differences of fourth order."""
+    """Compare positions, volumes, masses and spin velocities with differences of fourth order."""
     assembly, numbers = Assembly(scene, sample(scene)), numbers_of(scene)
     base = assembly.inputs({})
     x_bar, v_bar = rng.normal(size=base.state.x.shape), rng.normal(size=base.state.v.shape)
@@ -134,14 +134,14 @@ def test_dot_product_of_every_number(scene, rng):
         assert abs(float(gradient[path]) - slope) <= 1e-9 * max(abs(slope), np.abs(at[1])), path
 
 
-def test_a_number_of_what_cuts_is_none_that_particles_follow():
+def test_particles_do_not_follow_the_numbers_of_a_cutting_shape():
     paths = numbers_of(scene_of("difference"))
     assert any(".shapes.0." in path for path in paths)
     assert not any(".shapes.1." in path for path in paths)
 
 
-def test_a_jittered_particle_beside_a_union_follows_the_part_that_it_came_from():
-    """Outside all parts it would follow the last one, away from its neighbours."""
+def test_a_jittered_particle_outside_a_union_follows_its_own_part():
+    """Otherwise it would follow the last part, away from its neighbours."""
     ball, box = {"ball": {"center": [0.5, 0.5], "radius": 0.2}}, {"box": {"corner": [1.0, 0.3], "size": [0.2, 0.4]}}
     body = {"shape": {"union": [ball, box]}, "sampling": {"jittered": {"amount": 0.5}}}
     loaded = scene_of("union", bodies={"a": {**scene_of("disc").model_dump(exclude_none=True)["bodies"]["a"], **body,
@@ -153,7 +153,7 @@ def test_a_jittered_particle_beside_a_union_follows_the_part_that_it_came_from()
     np.testing.assert_allclose(moved - particles.x, np.outer(of_ball, [0.05, 0.0]), atol=1e-12)
 
 
-def test_a_hole_moves_and_stretches_with_what_it_is_cut_out_of():
+def test_a_hole_moves_and_stretches_with_its_shape():
     loaded = scene_of("difference")
     particles = sample(loaded)
     path = "bodies.a.shape.difference.shapes.0.box.size.0"
@@ -165,8 +165,8 @@ def test_a_hole_moves_and_stretches_with_what_it_is_cut_out_of():
     assert volume.sum() == pytest.approx(1.5 * particles.volume.sum())
 
 
-def test_other_boxes_are_not_reached():
-    """The box of a group, of a region or of a boundary places nothing."""
+def test_particles_do_not_follow_other_boxes():
+    """The box of a group, a region or a boundary does not move particles."""
     floor = {"sticky": {"region": {"box": {"corner": [0, 0], "size": [2, 0.3]}}}}
     reached = list(leaves(scene_of("rectangle", boundaries={"floor": floor}), differentiable=True))
     assert not any("region" in path for path in reached)

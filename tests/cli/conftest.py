@@ -1,4 +1,4 @@
-"""How tests of the command line ask what it answers."""
+"""A fixture that runs the command line and returns its output."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Command = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def cqrun(capsys: pytest.CaptureFixture[str]) -> Command:
-    """Return a function: the words behind `cqrun` -> exit code, standard output, standard error."""
+    """Return a function that runs `cqrun` with some words and returns exit code, standard output and standard error."""
 
     def run(*words: str | Path) -> tuple[int, str, str]:
         with pytest.raises(SystemExit) as ended:

@@ -1,4 +1,4 @@
-"""The command as a user meets it: help, versions, exit codes, errors without a traceback."""
+"""The command for its users: help, versions, exit codes, errors without a traceback."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_bad_usage_ends_with_2(capsys, words):
     assert "Usage: cqrun" in err
 
 
-def test_an_error_is_one_sentence_and_its_exit_code(capsys):
+def test_an_error_is_one_sentence_with_an_exit_code(capsys):
     code, out, err = run(capsys, "describe", "elastik")
     assert (code, out) == (2, "")
     assert err.startswith("error: nothing is called 'elastik' (did you mean 'elastic'?); kinds: shape, ")

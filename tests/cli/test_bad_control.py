@@ -1,6 +1,6 @@
-"""Bad scenes of control, as a user meets them: exit code 2, the place of the mistake, what would be right; no run.
+"""Errors of bad control scenes: exit code 2, the place of the mistake, what would be right; no run directory.
 
-Images of one colour and meshes that are no bodies: tests/geometry/test_image.py and test_mesh.py.
+Images of one colour and meshes that are not closed are in tests/geometry/test_image.py and test_mesh.py.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ CASES = {
     "a colour of a body without an image": (
         "each: [left, right]",
         "region: {colour: red}",
-        ["actuators.muscle.muscle.region: the body 'finger' is made of no image, so its particles have no colour"],
+        ["actuators.muscle.muscle.region: the body 'finger' is not made from an image, so its particles have no"],
     ),
     "a push that throws particles out of their cells": (
         f"{MUSCLE}|substeps: 2",
@@ -265,7 +265,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_it_is_told_where_and_what_and_no_run_is_left(cqrun, tmp_path, case):
+def test_the_error_says_where_and_what_and_no_run_remains(cqrun, tmp_path, case):
     old, new, messages = CASES[case]
     scene = written(tmp_path)
     for a, b in zip(old.split("|"), new.split("|"), strict=True):
@@ -281,7 +281,7 @@ def test_it_is_told_where_and_what_and_no_run_is_left(cqrun, tmp_path, case):
     assert not (tmp_path / "out").exists()
 
 
-def test_an_override_is_blamed(cqrun, tmp_path):
+def test_the_error_names_the_override_that_caused_it(cqrun, tmp_path):
     scene = written(tmp_path)
     for override in ("goals.target.position=[0.6, 2]", "goals.target.spread=[0, 0.5]"):
         code, _, err = cqrun("control", scene, "-o", override, "--out", tmp_path / "out")
@@ -289,7 +289,7 @@ def test_an_override_is_blamed(cqrun, tmp_path):
         assert err.startswith(f"-o {override}: goals.target.position: lies outside the world")
 
 
-def test_no_seeds(cqrun, tmp_path):
+def test_zero_seeds_are_refused(cqrun, tmp_path):
     scene = written(tmp_path)
     code, _, err = cqrun("control", scene, "--seeds", "0", "--out", tmp_path / "out")
     words = "must be at least 1; without it the scene is learned from its own seed"
@@ -297,7 +297,7 @@ def test_no_seeds(cqrun, tmp_path):
     code, _, err = cqrun("codesign", scene, "--ablate", "--seeds", "0", "--out", tmp_path / "out")
     assert (code, err) == (2, f"error: --seeds 0: {words}\n")
     code, _, err = cqrun("control", scene, "--jobs", "2", "--out", tmp_path / "out")
-    assert (code, err) == (2, "error: --jobs 2: says how many of several seeds run at once: add --seeds N\n")
+    assert (code, err) == (2, "error: --jobs 2: is the number of seeds that run at once: add --seeds N\n")
     assert not (tmp_path / "out").exists()
 
 
@@ -320,7 +320,7 @@ def test_a_controller_file_of_another_shape(cqrun, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_small_finger_itself_is_good(cqrun, tmp_path):
+def test_the_unchanged_small_finger_is_valid(cqrun, tmp_path):
     code, out, err = cqrun("validate", written(tmp_path, FINGER))
     assert (code, err) == (0, "")
     assert "controller linear_tanh: 32 parameters (weights 2 x 15, biases 2)\n" in out

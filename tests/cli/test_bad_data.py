@@ -1,4 +1,4 @@
-"""Bad recordings, as a user meets them: exit code 2, which recording, what is wrong, what to do; no run is left."""
+"""Errors of bad recordings: exit code 2, which recording, what is wrong, what to do; no run directory remains."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from small_beam import record, recorded
 
 REST = {"a": [0.11, 0.02, 0.03], "b": [0.11, 0.04, 0.03], "c": [0.05, 0.02, 0.03], "d": [0.05, 0.04, 0.03]}
-"""Markers of the 3D beam below, at rest [m]."""
+"""Rest positions of the markers of the 3D beam below [m]."""
 
 BEAM_3D = """\
 cqrun: 1
@@ -31,7 +31,7 @@ def markers(chosen: dict[str, list[float]]) -> str:
 
 @pytest.fixture
 def positions(rng):
-    """Return (T, M, 3) positions [m] at 100 Hz: at rest for 0.1 s, then falling; in axes of their own."""
+    """Return positions (T, M, 3) [m] at 100 Hz, in the recording's own axes: at rest for 0.1 s, then falling."""
     time = 0.01 * np.arange(31)
     rest = np.array(list(REST.values()))
     fall = np.maximum(time - 0.1, 0.0) ** 2
@@ -61,11 +61,11 @@ def write_csv(path: Path, positions: np.ndarray, names: tuple[str, ...] = tuple(
 
 @pytest.fixture
 def refused(cqrun, tmp_path):
-    """Return a function: a recording and entries of it in the scene -> the message of `cqrun sysid`."""
+    """Return a function that runs `cqrun sysid` on a recording and returns the error message."""
 
     def message(file: Path, rest: dict[str, list[float]] | None = None, **entries: str) -> str:
-        own = {"file": file, "start": "0.1", "still": "[0, 0.09]", "markers": markers(rest or REST), **entries}
-        inside = ", ".join(f"{key}: {value}" for key, value in own.items() if value)
+        spec = {"file": file, "start": "0.1", "still": "[0, 0.09]", "markers": markers(rest or REST), **entries}
+        inside = ", ".join(f"{key}: {value}" for key, value in spec.items() if value)
         data = f"data: {{recordings: {{swing: {{{inside}}}}}}}\n"
         scene = tmp_path / "scene.yaml"
         scene.write_text(BEAM_3D + data + "unknowns: {bodies.beam.material.density: {bounds: [500, 2000]}}\n")
@@ -82,8 +82,8 @@ def refused(cqrun, tmp_path):
     return message
 
 
-def test_the_recording_itself_is_fine(cqrun, tmp_path, positions):
-    """What the tests below spoil would be taken as it is."""
+def test_the_unchanged_recording_is_accepted(cqrun, tmp_path, positions):
+    """The tests below change one thing each in this recording."""
     scene = tmp_path / "scene.yaml"
     file = write_c3d(tmp_path / "swing.c3d", positions)
     own = f"{{file: {file}, start: 0.1, still: [0, 0.09], markers: {markers(REST)}}}"
@@ -94,8 +94,8 @@ def test_the_recording_itself_is_fine(cqrun, tmp_path, positions):
     assert "aligned to the rest positions within 0.00 to 0.0" in out
 
 
-def test_all_bad_recordings_are_told_at_once(cqrun, tmp_path, positions):
-    """A truncated one, and one that is no C3D file: each on a line that begins with its place in the scene."""
+def test_all_bad_recordings_are_reported_at_once(cqrun, tmp_path, positions):
+    """A truncated file and one that is not C3D: one line each, which begins with its place in the scene."""
     cut = write_c3d(tmp_path / "cut.c3d", positions)
     cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
     (tmp_path / "other.c3d").write_text("time,marker,x,y,z\n" * 200)
@@ -112,12 +112,12 @@ def test_all_bad_recordings_are_told_at_once(cqrun, tmp_path, positions):
     assert "not a C3D file" in lines[1]
 
 
-def test_missing(refused, tmp_path):
+def test_a_missing_file(refused, tmp_path):
     assert "there is no file '" in refused(tmp_path / "none.c3d")
 
 
 @pytest.mark.parametrize("suffix", [".c3d", ".csv", ".h5"])
-def test_empty(refused, tmp_path, suffix):
+def test_an_empty_file(refused, tmp_path, suffix):
     (tmp_path / f"empty{suffix}").write_bytes(b"")
     assert "the file is empty" in refused(tmp_path / f"empty{suffix}")
 
@@ -135,7 +135,7 @@ def test_truncated_csv(refused, tmp_path, positions):
     assert "is the file truncated?" in refused(file)
 
 
-def test_not_c3d(refused, tmp_path):
+def test_a_file_that_is_not_c3d(refused, tmp_path):
     (tmp_path / "swing.c3d").write_text("time,marker,x,y,z\n" * 200)
     assert "not a C3D file" in refused(tmp_path / "swing.c3d")
 
@@ -174,16 +174,16 @@ def test_an_unknown_marker(refused, tmp_path, positions):
     assert "no marker 'd'; it has 'a', 'b', 'c', 'tip'" in refused(file)
 
 
-def test_a_doubled_marker(refused, tmp_path, positions):
+def test_a_repeated_marker(refused, tmp_path, positions):
     file = write_c3d(tmp_path / "swing.c3d", positions, names=("a", "b", "c", "c"))
-    assert "marker 'c' is there 2 times" in refused(file, {k: REST[k] for k in "abc"})
+    assert "marker 'c' appears 2 times" in refused(file, {k: REST[k] for k in "abc"})
 
 
 def test_a_marker_twice_at_one_time(refused, tmp_path, positions):
     file = write_csv(tmp_path / "swing.csv", positions)
     lines = file.read_text().splitlines()
     file.write_text("\n".join([*lines[:5], lines[4], *lines[5:]]))
-    assert "marker 'd' is there twice at time 0 s" in refused(file)
+    assert "marker 'd' appears twice at time 0 s" in refused(file)
 
 
 def test_time_that_goes_back(refused, tmp_path, positions):
@@ -207,7 +207,7 @@ def test_still_frames_outside(refused, tmp_path, positions):
 @pytest.mark.parametrize("still", ["[0, 0.15]", "[0.11, 0.2]"])
 def test_still_frames_in_the_motion(refused, tmp_path, positions, still):
     message = refused(write_c3d(tmp_path / "swing.c3d", positions), still=still)
-    assert f"the still frames, {still[1:-1].replace(',', ' to')} s, reach into 0.1 to 0.2 s" in message
+    assert f"the still frames, {still[1:-1].replace(',', ' to')} s, overlap with 0.1 to 0.2 s" in message
     assert "end `still` at 0.1 s at the latest" in message
 
 
@@ -218,9 +218,9 @@ def test_still_frames_after_the_earliest_start(cqrun, tmp_path, positions, earli
     swing = f"{{file: swing.csv, start: 0.1, still: [0, 0.09], markers: {markers(REST)}}}"
     unknowns = f"unknowns: {{data.recordings.swing.start: {{bounds: [{earliest}, 0.11]}}}}\n"
     scene.write_text(f"{BEAM_3D}data: {{recordings: {{swing: {swing}}}}}\n{unknowns}")
-    found, _, err = cqrun("validate", scene)
-    assert found == code
-    assert code == 0 or "end `still` at 0.085 s at the latest, the earliest that `start` may be" in err
+    actual, _, err = cqrun("validate", scene)
+    assert actual == code
+    assert code == 0 or "end `still` at 0.085 s at the latest, the earliest possible `start`" in err
 
 
 def test_fewer_than_three_markers(refused, tmp_path, positions):
@@ -234,7 +234,7 @@ def test_markers_on_one_line(refused, tmp_path, positions):
     assert "the rest positions of the markers lie on one line" in message
 
 
-def test_a_residual_above_what_the_markers_extent_allows(refused, tmp_path, positions):
+def test_a_residual_too_large_for_the_extent_of_the_markers(refused, tmp_path, positions):
     rest = {**REST, "a": [0.11, 0.035, 0.03]}
     message = refused(write_c3d(tmp_path / "swing.c3d", positions), rest)
     assert "mm from its rest position, more than 3.2 mm, 5% of the markers' extent, (all, mm: 'a' " in message
@@ -244,37 +244,38 @@ def test_a_residual_above_what_the_markers_extent_allows(refused, tmp_path, posi
 @pytest.mark.parametrize("named", [None, {}], ids=["absent", "empty"])
 def test_no_markers(refused, tmp_path, positions, named):
     file = write_csv(tmp_path / "swing.csv", positions)
-    told = refused(file, None, markers="" if named is None else "{}", still="")
-    assert "`markers` is missing: name markers of the recording and where each is at rest" in told
-    assert "such as a: [x, y, z]; it has a, b, c, d" in told
+    message = refused(file, None, markers="" if named is None else "{}", still="")
+    assert "`markers` is missing: name markers of the recording and where each is at rest" in message
+    assert "such as a: [x, y, z]; it has a, b, c, d" in message
 
 
 def test_positions_far_from_the_body(refused, tmp_path, positions):
     file = write_csv(tmp_path / "swing.csv", positions)
-    told = refused(file, still="")
-    assert re.search(r"marker 'a' is never nearer than [\d.]+ m to where it is at rest, and the body is", told)
-    assert "without `still` frames positions are in the scene's own frame" in told
+    message = refused(file, still="")
+    assert re.search(r"marker 'a' is never nearer than [\d.]+ m to where it is at rest, and the body is", message)
+    assert "without `still` frames positions are in the scene's own frame" in message
 
 
 def test_positions_in_millimetres(refused, tmp_path):
-    there = np.tile(list(REST.values()), (31, 1, 1))
-    told = refused(write_csv(tmp_path / "swing.csv", 1e3 * there), still="")
-    assert "m across: the file looks as if it is in mm: say `units: mm`" in told
+    rest = np.tile(list(REST.values()), (31, 1, 1))
+    message = refused(write_csv(tmp_path / "swing.csv", 1e3 * rest), still="")
+    assert "m across: the file looks as if it is in mm: say `units: mm`" in message
 
 
 def test_times_that_are_not_in_seconds(refused, tmp_path):
-    there = np.tile(list(REST.values()), (31, 1, 1))
-    file = write_csv(tmp_path / "swing.csv", there)
+    rest = np.tile(list(REST.values()), (31, 1, 1))
+    file = write_csv(tmp_path / "swing.csv", rest)
     lines = [line.split(",", 1) for line in file.read_text().splitlines()]
     file.write_text("\n".join([",".join(lines[0]), *(f"{100 * float(t):.0f},{x}" for t, x in lines[1:])]))
-    told = refused(file, still="", start="0")
-    assert "only one frame lies between 0 and 0.1 s, which are compared; 2 or more must: times are in seconds" in told
-    assert "the recording's run from 0 to 30" in told
+    message = refused(file, still="", start="0")
+    words = "only one frame lies between 0 and 0.1 s, which are compared; 2 or more must: times are in seconds"
+    assert words in message
+    assert "the recording's run from 0 to 30" in message
 
 
 def test_a_length_between_control_steps(refused, tmp_path, positions):
-    told = refused(write_csv(tmp_path / "swing.csv", positions), length="0.033")
-    assert "`length`, 0.033 s, is no multiple of the control step 0.01 s; the nearest is 0.03 s" in told
+    message = refused(write_csv(tmp_path / "swing.csv", positions), length="0.033")
+    assert "`length`, 0.033 s, is no multiple of the control step 0.01 s; the nearest is 0.03 s" in message
 
 
 def test_a_start_that_leaves_nothing_to_compare(cqrun, tmp_path, positions):
@@ -297,7 +298,7 @@ def test_every_recording_held_out(cqrun, tmp_path):
 
 
 def test_a_recording_that_changes_under_a_run(cqrun, tmp_path):
-    """Another recording is another run; the run that was begun with the old one says so."""
+    """A changed recording makes another run, and the old run reports the change."""
     (file,) = record(tmp_path / "fit.yaml", tmp_path / "data")
     scene = recorded(tmp_path / "fit.yaml", {"one": file})
     words = ("-o", "optimizer.least_squares.max_iterations=1", "--out", tmp_path / "out", "--quiet")
@@ -314,7 +315,7 @@ def test_a_recording_that_changes_under_a_run(cqrun, tmp_path):
     assert f"there is no file '{file}'" in err
 
 
-def test_all_recordings_that_are_missing_are_told_at_once(cqrun, tmp_path):
+def test_all_missing_recordings_are_reported_at_once(cqrun, tmp_path):
     scene = recorded(tmp_path / "fit.yaml", {"one": tmp_path / "1.c3d", "two": tmp_path / "2.c3d"})
     code, _, err = cqrun("sysid", scene, "--out", tmp_path)
     assert code == 2
@@ -322,4 +323,4 @@ def test_all_recordings_that_are_missing_are_told_at_once(cqrun, tmp_path):
     assert [line.partition(": ")[2].partition(":")[0] for line in lines] == [
         f"data.recordings.{name}.file" for name in ("one", "two")
     ]
-    assert all("-o data.recordings." in line for line in lines)  # and how to name another
+    assert all("-o data.recordings." in line for line in lines)  # and how to name another file

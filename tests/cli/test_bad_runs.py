@@ -1,4 +1,4 @@
-"""Trouble with run directories and disks, as a user meets it."""
+"""Problems with run directories and disks."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def finished(tmp_path_factory) -> dict[str, Path]:
 
 
 @pytest.fixture(scope="module")
-def apart(finished, tmp_path_factory) -> Path:
-    """Return the same run of least squares by processes of their own, which take compiled kernels from the cache.
+def separate_run(finished, tmp_path_factory) -> Path:
+    """Return the same least-squares run made by separate processes, which load compiled kernels from the cache.
 
-    Numba's code has other last bits in the process that compiles it than in one that loads it.
+    The last bits of Numba's results differ between the process that compiles the code and one that loads it.
     """
-    scene, out = finished["least_squares"].parents[1] / "fit.yaml", tmp_path_factory.mktemp("apart")
+    scene, out = finished["least_squares"].parents[1] / "fit.yaml", tmp_path_factory.mktemp("separate_run")
     for words in (["warmup", scene], ["sysid", scene, "--out", out, "--threads", "1", "--quiet"]):
         subprocess.run([sys.executable, "-m", "cqrun", *map(str, words)], check=True, cwd=ROOT, capture_output=True)
     (run,) = (out / "fit").iterdir()
@@ -45,7 +45,7 @@ def apart(finished, tmp_path_factory) -> Path:
 
 @pytest.fixture
 def run_of(finished, tmp_path):
-    """Return a function: optimizer, whether it was cut off -> a copy of its run."""
+    """Return a function that copies the run of an optimizer and may change its status."""
 
     def copy(name: str, *, status: str | None = None) -> Path:
         run = tmp_path / "fit" / finished[name].name
@@ -65,7 +65,7 @@ def change_record(run: Path, **changes: str) -> None:
 
 
 @pytest.mark.parametrize("command", ["resume", "plot"])
-def test_what_is_no_run(cqrun, tmp_path, run_of, command):
+def test_a_directory_that_is_not_a_run(cqrun, tmp_path, run_of, command):
     code, _, err = cqrun(command, tmp_path / "none")
     assert code == 2
     assert f"{tmp_path / 'none'}: no run (it has no run.json); a run is a directory results/<scene>/<12 hex" in err
@@ -84,7 +84,7 @@ def test_a_record_that_cannot_be_read(cqrun, run_of):
     assert "run the scene again with --fresh" in err
 
 
-def test_another_engines_run(cqrun, run_of, finished, tmp_path):
+def test_a_run_of_another_engine(cqrun, run_of, finished, tmp_path):
     run = run_of("adam")
     change_record(run, engine="0123456789ab")
     scene = finished["adam"].parents[1] / "fit.yaml"
@@ -116,7 +116,7 @@ def test_a_second_process_on_the_same_run(cqrun, run_of, finished, tmp_path, com
     assert code == 2
     assert f"{run}: another process works on this run (pid {os.getpid()} on " in err
     assert "give --out DIR for a run of your own" in err
-    assert cqrun(*words, "--quiet")[0] == 0  # and once the first has let go, it goes on
+    assert cqrun(*words, "--quiet")[0] == 0  # after the first has released it, the run continues
 
 
 @pytest.mark.parametrize("name", ["least_squares", "adam"])
@@ -132,7 +132,7 @@ def test_a_checkpoint_that_cannot_be_read(cqrun, run_of, finished, name):
 
 
 @pytest.mark.parametrize("name", ["least_squares", "adam"])
-def test_a_torn_end_of_a_checkpoint_is_computed_again(cqrun, run_of, finished, name):
+def test_the_incomplete_end_of_a_checkpoint_is_computed_again(cqrun, run_of, finished, name):
     run = run_of(name, status="stopped")
     file = max(run.glob("evals*"), key=lambda path: path.stat().st_mtime_ns)
     file.write_bytes(file.read_bytes()[:-7])
@@ -154,14 +154,14 @@ def test_a_result_that_cannot_be_read(cqrun, run_of):
 
 
 def mounted(script: str, tmp_path: Path, *, options: str) -> subprocess.CompletedProcess[str]:
-    """Run a shell script with a small file system of its own at $DISK; skip where none can be mounted."""
+    """Run a shell script with a small file system mounted at $DISK; skip if none can be mounted."""
     disk = tmp_path / "disk"
     disk.mkdir()
     spaces = ["--mount"] if os.geteuid() == 0 else ["--user", "--map-root-user", "--mount"]
     mount = f"mount -t tmpfs -o {options} tmpfs {disk}"
     unshare = shutil.which("unshare")
     if unshare is None:
-        pytest.skip("there is no `unshare` to mount a small disk with")
+        pytest.skip("there is no `unshare`, so no small disk can be mounted")
     tried = subprocess.run([unshare, *spaces, "sh", "-c", mount], capture_output=True, text=True, check=False)
     if tried.returncode != 0:
         pytest.skip(f"no small disk can be mounted here: {tried.stderr.strip()}")
@@ -173,8 +173,8 @@ def mounted(script: str, tmp_path: Path, *, options: str) -> subprocess.Complete
 
 
 @pytest.mark.parametrize("kib", [12, 48, 96])
-def test_a_full_disk_and_what_it_kept(apart, finished, tmp_path, kib):
-    """The disk fills up at one moment or another; with more room the run goes on to the same bits."""
+def test_a_run_on_a_full_disk_can_be_continued(separate_run, finished, tmp_path, kib):
+    """The disk fills up at different moments; with more space the run gives bit-for-bit identical results."""
     scene = finished["least_squares"].parents[1] / "fit.yaml"
     script = (
         f"$CQRUN sysid {scene} --out $DISK --threads 1 --quiet; echo code $? >&2; "
@@ -187,7 +187,7 @@ def test_a_full_disk_and_what_it_kept(apart, finished, tmp_path, kib):
     assert "Free some space, then `cqrun resume` the run" in done.stderr
     assert "Traceback" not in done.stderr
     assert done.returncode == 0, done.stderr
-    assert_same(tmp_path / "kept", apart)
+    assert_same(tmp_path / "kept", separate_run)
 
 
 def test_a_read_only_disk(finished, tmp_path):
@@ -200,7 +200,7 @@ def test_a_read_only_disk(finished, tmp_path):
 
 def test_a_directory_that_may_not_be_written(cqrun, finished, tmp_path):
     if os.geteuid() == 0:
-        pytest.skip("root may write everywhere; the read-only disk above stands for this")
+        pytest.skip("root may write everywhere; the test of the read-only disk covers this")
     scene, out = finished["adam"].parents[1] / "fit.yaml", tmp_path / "out"
     out.mkdir(mode=0o555)
     code, _, err = cqrun("sysid", scene, "--out", out)
@@ -208,7 +208,7 @@ def test_a_directory_that_may_not_be_written(cqrun, finished, tmp_path):
     assert "cannot be written (Permission denied); choose another place with --out" in err
 
 
-def test_a_file_in_the_way(cqrun, finished, tmp_path):
+def test_a_file_in_place_of_the_output_directory(cqrun, finished, tmp_path):
     scene = finished["adam"].parents[1] / "fit.yaml"
     (tmp_path / "out").write_text("")
     code, _, err = cqrun("sysid", scene, "--out", tmp_path / "out")
@@ -216,7 +216,7 @@ def test_a_file_in_the_way(cqrun, finished, tmp_path):
     assert err.endswith("cannot be made (Not a directory); choose another place with --out\n")
 
 
-def test_results_say_where_they_are(cqrun, run_of):
+def test_results_end_with_the_path_of_the_run(cqrun, run_of):
     run = run_of("least_squares")
     code, out, _ = cqrun("resume", run)
     assert code == 0

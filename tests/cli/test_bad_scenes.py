@@ -1,4 +1,4 @@
-"""Bad scenes, as a user meets them: exit code 2, the place, what is wrong; nothing is run."""
+"""Errors of bad scenes: exit code 2, the place, what is wrong; nothing is run."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CASES = {
         "loads.w.attached_mass.region: holds no particle: 'beam' lies within",
     ),
     "too large a substep": ("substeps: 24", "substeps: 2", "of the largest stable one, "),
-    "a duration between steps": ("duration: 0.1,", "duration: 0.105,", "0.105 s is no multiple of the control step"),
+    "a duration between steps": ("duration: 0.1,", "duration: 0.105,", "0.105 s is not a multiple of the control step"),
     "odd power": ("viscosity: {shear: 3}", "incompressibility: {power: 3}", "incompressibility.power: 3 is odd"),
     "unknown without adjoint": ("unknowns:", "unknowns:\n  world.dx: {bounds: [1, 2]}", "no gradient reaches it"),
     "unknown named twice": ("unknowns:", f"unknowns:\n  {E_PATH}: {{bounds: [1, 2]}}", "this key is here twice"),
@@ -46,7 +46,7 @@ CASES = {
 
 @pytest.mark.parametrize("command", ["validate", "sysid"])
 @pytest.mark.parametrize("name", CASES)
-def test_it_is_refused_with_its_place(cqrun, tmp_path, monkeypatch, name, command):
+def test_a_bad_scene_is_refused_with_its_place(cqrun, tmp_path, monkeypatch, name, command):
     old, new, message = CASES[name]
     text = BEAM + FIT
     assert old in text
@@ -60,13 +60,13 @@ def test_it_is_refused_with_its_place(cqrun, tmp_path, monkeypatch, name, comman
     assert not (tmp_path / "results").exists()
 
 
-def test_a_scene_that_is_not_there(cqrun, tmp_path):
+def test_a_missing_scene(cqrun, tmp_path):
     code, out, err = cqrun("sysid", tmp_path / "none.yaml", "--out", tmp_path)
     assert (code, out) == (2, "")
     assert err == f"{tmp_path / 'none.yaml'}: the scene cannot be read: No such file or directory\n"
 
 
-def test_everything_wrong_is_told_at_once(cqrun, tmp_path):
+def test_all_problems_are_reported_at_once(cqrun, tmp_path):
     (tmp_path / "fit.yaml").write_text(BEAM.replace("dx: 0.01", "dx: 0").replace("shear: 3", "sheer: 3"))
     code, _, err = cqrun("validate", tmp_path / "fit.yaml", "-o", "time.duration=-1")
     assert code == 2

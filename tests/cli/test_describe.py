@@ -1,4 +1,4 @@
-"""`cqrun describe`: lists, pages, aliases and suggestions, for every plug-in there is."""
+"""`cqrun describe`: lists, pages, aliases and suggestions, for every plug-in."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def page(*words: str) -> str:
     return "\n".join(_lines(*words, *[None] * (2 - len(words))))
 
 
-def test_without_words_it_lists_kinds():
+def test_without_arguments_it_lists_kinds():
     text = page()
     assert all(f"\n  {kind} " in text for kind in KINDS)
 
@@ -32,7 +32,7 @@ def test_every_plugin_has_a_page(kind, name):
     assert text.startswith(f"{kind}: {name}\n\n  {cls.__doc__.strip().splitlines()[0]}")
     for field, info in cls.model_fields.items():
         assert f"\n  {field}: " in text
-        assert info.description, f"{field} says nothing of itself"
+        assert info.description, f"{field} has no description"
     assert f"{kind} {name}: " in page(kind)
 
 
@@ -55,17 +55,17 @@ def test_what_may_be_left_out_is_optional():
     assert re.search(r"^  size: .*, required", page("world"), re.M)
 
 
-def test_lists_in_lists_are_told():
+def test_nested_lists_are_shown():
     assert "route: [m], list of list of number, required" in page("actuator", "cable")
     assert re.search(r"markers: \[m\], name -> list of number, optional", page("synthetic"))
     assert "overrides: name -> value, optional" in page("recordings")
 
 
-def test_a_name_alone_is_enough():
+def test_a_name_without_its_kind_is_enough():
     assert page("ball") == page("shape", "ball")
 
 
-def test_a_folder_stands_for_its_kinds():
+def test_a_folder_means_all_its_kinds():
     assert page("geometry", "ball") == page("shape", "ball")
     listing = page("geometry")
     assert "shape ball: " in listing
@@ -81,7 +81,7 @@ def test_a_folder_stands_for_its_kinds():
         (["ball", "box"], "nothing is called 'ball'"),
     ],
 )
-def test_a_slip_is_answered_with_the_nearest_name(words, message):
+def test_a_misspelt_name_gets_a_suggestion(words, message):
     with pytest.raises(UsageError, match=message):
         page(*words)
 
@@ -93,6 +93,6 @@ def test_parts_of_a_scene_have_pages(part):
     assert part in page().splitlines()[-1]
 
 
-def test_a_part_that_is_misspelt():
+def test_a_misspelt_part_gets_a_suggestion():
     with pytest.raises(UsageError, match=r"nothing is called 'recording' .did you mean 'recordings'"):
         page("recording")

@@ -1,4 +1,4 @@
-"""The commands from end to end: what they print, and how they end."""
+"""The commands from end to end: what they print, and their exit codes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def scene(tmp_path, monkeypatch):
     return "fit.yaml"
 
 
-def test_sysid_prints_what_it_found_and_where_it_is(cqrun, scene, tmp_path):
+def test_sysid_prints_its_results_and_the_run(cqrun, scene, tmp_path):
     code, out, err = cqrun("sysid", scene, "--threads", 1)
     assert code == 0, err
     lines = out.splitlines()
@@ -30,7 +30,7 @@ def test_sysid_prints_what_it_found_and_where_it_is(cqrun, scene, tmp_path):
     assert (code, again, err) == (0, out, "")
 
 
-def test_simulate_prints_where_the_bodies_are(cqrun, scene):
+def test_simulate_prints_the_positions_of_the_bodies(cqrun, scene):
     code, out, err = cqrun("simulate", scene, "--threads", 2, "-o", "time.duration=0.02")
     assert code == 0, err
     assert out.startswith("done: 0.02 s simulated\n")
@@ -38,7 +38,7 @@ def test_simulate_prints_where_the_bodies_are(cqrun, scene):
     assert "t = 0 of 0.02 s" in err
 
 
-def test_a_picture_that_cannot_be_drawn_makes_no_run_fail(cqrun, scene, monkeypatch):
+def test_an_error_while_drawing_does_not_make_the_run_fail(cqrun, scene, monkeypatch):
     def broken(run):
         raise ValueError("no such axis")
 
@@ -48,8 +48,8 @@ def test_a_picture_that_cannot_be_drawn_makes_no_run_fail(cqrun, scene, monkeypa
     assert err.startswith("warning: no pictures: ValueError: no such axis; `cqrun plot results")
 
 
-def test_pictures_can_be_left_out(cqrun, scene, monkeypatch, tmp_path):
-    """As of the hundreds of runs that a comparison makes."""
+def test_pictures_can_be_switched_off(cqrun, scene, monkeypatch, tmp_path):
+    """For example for the hundreds of runs of a comparison."""
     monkeypatch.setenv("CQRUN_PICTURES", "0")
     assert cqrun("simulate", scene, "--quiet", "-o", "time.duration=0.02")[0] == 0
     assert not list((tmp_path / "results").rglob("*.png"))
@@ -69,7 +69,7 @@ def test_gradcheck_ends_with_0_or_1(cqrun, scene, monkeypatch):
     assert "adjoint and differences DISAGREE" in out
 
 
-def test_validate_and_warmup_print_a_line_each(cqrun, scene):
+def test_output_of_validate_and_warmup(cqrun, scene):
     code, out, err = cqrun("validate", scene)
     assert (code, err) == (0, "")
     assert out.startswith("fit.yaml: a valid scene: a small cantilever\n")
@@ -78,7 +78,7 @@ def test_validate_and_warmup_print_a_line_each(cqrun, scene):
     assert out.endswith(" s  2D float64, fixed_corotated + viscosity, sticky, forward and backward\n")
 
 
-def test_a_run_that_fails_ends_with_1_and_says_why(cqrun, scene):
+def test_a_failed_run_ends_with_1_and_a_reason(cqrun, scene):
     code, out, err = cqrun("simulate", scene, "-o", "world.gravity=[1000, 0]", "-q")
     assert (code, out) == (1, "")
     assert err.startswith("error: results/fit/")

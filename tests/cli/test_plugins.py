@@ -1,4 +1,4 @@
-"""Plug-in files on the command line: refused, allowed, described, kept."""
+"""Plug-in files on the command line: refused, allowed, described, and kept in the run."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from cqrun.plugin.registry import plugin
 
 @plugin("optimizer", "sign_descent")
 class SignDescent(Descent):
-    """Steps of one length in every coordinate, down the slope."""
+    """Steps of the same length downhill in every coordinate."""
 
-    learning_rate: float = Field(0.01, gt=0, description="the length")
+    learning_rate: float = Field(0.01, gt=0, description="Length of the steps")
 
     def memory_names(self):
         return ()
@@ -35,7 +35,7 @@ class SignDescent(Descent):
     def direction(self, iteration, grad, memory):
         return (grad > 0) * 1.0 - (grad < 0) * 1.0, memory
 '''
-"""An optimizer of a user's own: a plug-in without kernels."""
+"""A user's own optimizer: a plug-in without kernels."""
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +55,7 @@ def scene(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("command", ["sysid", "simulate", "gradcheck", "validate", "warmup"])
-def test_every_command_that_reads_a_scene_asks_first(cqrun, scene, tmp_path, monkeypatch, command):
+def test_every_command_that_reads_a_scene_asks_for_permission(cqrun, scene, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     code, out, err = cqrun(command, scene)
     assert (code, out) == (2, "")
@@ -63,7 +63,7 @@ def test_every_command_that_reads_a_scene_asks_first(cqrun, scene, tmp_path, mon
     assert not (tmp_path / "results").exists()
 
 
-def test_allowed_it_is_a_valid_scene(cqrun, scene):
+def test_with_permission_the_scene_is_valid(cqrun, scene):
     code, out, _ = cqrun("validate", scene, "--allow-plugins")
     assert code == 0
     assert "sign_descent, at most 2 iterations" in out
@@ -72,7 +72,7 @@ def test_allowed_it_is_a_valid_scene(cqrun, scene):
     assert "--allow-plugins" in err
 
 
-def test_a_run_goes_on_from_its_own_copy(cqrun, scene, tmp_path):
+def test_a_run_continues_with_its_own_copy(cqrun, scene, tmp_path):
     code, out, _ = cqrun("sysid", scene, "--allow-plugins", "--quiet", "--threads", "1", "--out", tmp_path / "out")
     assert code == 0
     run = Path(re.search(r"^run: (.*)$", out, re.M).group(1))
@@ -95,14 +95,14 @@ def test_a_run_goes_on_from_its_own_copy(cqrun, scene, tmp_path):
     assert read_record(run)["status"] == "iteration_limit"
 
 
-def test_the_content_of_a_plug_in_is_part_of_the_runs_name(cqrun, scene, tmp_path):
+def test_the_name_of_a_run_depends_on_the_content_of_its_plug_ins(cqrun, scene, tmp_path):
     for text in (RULE, RULE.replace("0.01", "0.02")):
         (tmp_path / "rule.py").write_text(text)
         assert cqrun("simulate", scene, "--allow-plugins", "-q", "--threads", "1", "--out", tmp_path / "out")[0] == 0
     assert len(list((tmp_path / "out").glob("fit/*/run.json"))) == 2
 
 
-def test_pages_and_schema_of_a_file_that_is_named(cqrun, tmp_path):
+def test_describe_and_schema_with_a_plug_in_file(cqrun, tmp_path):
     (tmp_path / "disc.py").write_text(DISC)
     assert cqrun("describe", "disc")[0] == 2
     code, out, _ = cqrun("describe", "disc", "--plugin", tmp_path / "disc.py")
@@ -115,7 +115,7 @@ def test_pages_and_schema_of_a_file_that_is_named(cqrun, tmp_path):
     assert (code, err) == (2, f"error: {tmp_path / 'none.py'}: cannot be read (No such file or directory)\n")
 
 
-def test_from_python_it_is_asked_for_too(scene):
+def test_python_callers_need_permission_too(scene):
     with pytest.raises(SceneError, match="allow_plugins=True"):
         package.load(scene)
     experiment = package.load(scene, allow_plugins=True)
@@ -124,8 +124,8 @@ def test_from_python_it_is_asked_for_too(scene):
         package.load(scene)
 
 
-def test_no_command_that_takes_a_scene_or_a_run_forgets_the_option():
-    takes, reads_no_scene = {}, {"compress"}  # of a run, its trajectory alone
+def test_every_command_that_takes_a_scene_or_a_run_has_the_option():
+    takes, reads_no_scene = {}, {"compress"}  # it reads only the trajectory of a run
     for command in app.registered_commands:
         names = list(command.callback.__annotations__)
         if {"scene", "scenes", "run", "runs"} & set(names) and command.callback.__name__ not in reads_no_scene:

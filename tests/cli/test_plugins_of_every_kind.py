@@ -1,4 +1,4 @@
-"""Actuators, observers, controllers, objectives and optimizers of a user: cqrun's own, under other names, as files."""
+"""A user's actuators, observers, controllers, objectives and optimizers, made by renaming copies of cqrun's."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ def _sandbox() -> Iterator[None]:
         yield
 
 
-def learned(cqrun, scene: Path, *words: str) -> dict[str, np.ndarray]:
+def history_of(cqrun, scene: Path, *words: str) -> dict[str, np.ndarray]:
     """Return the history of a run of the scene."""
     out = scene.parent / "out"
-    code, told, err = cqrun("control", scene, "--quiet", "--threads", "1", "--out", out, *words)
+    code, printed, err = cqrun("control", scene, "--quiet", "--threads", "1", "--out", out, *words)
     assert code == 0, err
-    history = read_history(Path(re.search(r"^run: (.*)$", told, re.M).group(1)) / "history.csv")
+    history = read_history(Path(re.search(r"^run: (.*)$", printed, re.M).group(1)) / "history.csv")
     return {name: np.array(column) for name, column in history.items() if name != "seconds"}
 
 
-def test_they_do_what_cqruns_own_do(cqrun, tmp_path):
+def test_copies_give_the_same_results_as_the_built_in_plug_ins(cqrun, tmp_path):
     (tmp_path / "theirs").mkdir()
-    theirs = learned(cqrun, written(tmp_path / "theirs"))
+    theirs = history_of(cqrun, written(tmp_path / "theirs"))
     scene = written(tmp_path)
     text = scene.read_text()
     for kind, (folder, name) in COPIED.items():
@@ -55,7 +55,7 @@ def test_they_do_what_cqruns_own_do(cqrun, tmp_path):
         assert count == 1
     files = ", ".join(f"own_{name}.py" for _, name in COPIED.values())
     scene.write_text(text.replace("job: control", f"plugins: [{files}]\njob: control"))
-    ours = learned(cqrun, scene, "--allow-plugins")
+    ours = history_of(cqrun, scene, "--allow-plugins")
     assert list(ours) == list(theirs)
     for name, column in theirs.items():
         np.testing.assert_allclose(ours[name], column, rtol=1e-9, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Progress: plain lines for log files, one live line on a terminal, silence on request, and signals."""
+"""Progress: plain lines for log files, one live line on a terminal, quiet mode, and signals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cqrun.errors import Stopped
 
 
 class Terminal(io.StringIO):
-    """A stream that says it is a terminal."""
+    """A stream that claims to be a terminal."""
 
     def isatty(self) -> bool:
         return True
@@ -46,15 +46,15 @@ def test_a_log_file_gets_plain_lines():
     assert warning == "warning: the step is [large]"
 
 
-def test_the_place_of_a_warning_is_told_as_it_is():
-    """Between two colons 100 is the name of an emoji."""
+def test_the_place_of_a_warning_is_printed_unchanged():
+    """`:100:` is the name of an emoji."""
     stream = io.StringIO()
     with Progress(stream=stream) as progress:
         progress.warn("long.yaml:100:53: no such group")
     assert stream.getvalue() == "warning: long.yaml:100:53: no such group\n"
 
 
-def test_a_log_file_is_not_flooded_but_has_the_last_iteration():
+def test_a_log_file_has_few_lines_but_always_the_last_iteration():
     stream = io.StringIO()
     with Progress(stream=stream, plain_every=1e9) as progress:
         for k in range(1, 101):
@@ -63,7 +63,7 @@ def test_a_log_file_is_not_flooded_but_has_the_last_iteration():
     assert [line.split()[1] for line in lines] == ["1", "100"]
 
 
-def test_work_with_a_known_end_says_how_long_it_takes(monkeypatch):
+def test_work_with_a_known_end_shows_the_remaining_time(monkeypatch):
     from cqrun.cli import progress as module
 
     now = iter([0.0, 10.0, 30.0, 30.0])
@@ -95,10 +95,10 @@ def test_quiet_keeps_warnings():
     assert use(Terminal(), quiet=True).count("\n") == 1
 
 
-def test_a_terminal_gets_a_live_line_that_is_gone_at_the_end():
+def test_a_terminal_gets_a_live_line_that_is_erased_at_the_end():
     text = use(Terminal())
     assert "iteration 3/3" in text
-    assert "\x1b[?25l" in text  # the cursor is hidden while the line lives
+    assert "\x1b[?25l" in text  # the cursor is hidden while the line is live
     assert text.rstrip().endswith("\x1b[2K")  # and the line is erased
 
 
@@ -109,14 +109,14 @@ def test_a_terminal_that_cannot_move_its_cursor_gets_plain_lines(monkeypatch):
     assert text.count("iteration") == 3 + 3  # three lines, each with s/iteration
 
 
-def test_no_color_is_honoured(monkeypatch):
+def test_no_color_is_respected(monkeypatch):
     assert "\x1b[33m" in use(Terminal())
     monkeypatch.setenv("NO_COLOR", "1")
     assert "\x1b[33m" not in use(Terminal())
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
-def test_the_first_signal_asks_the_second_aborts(capsys, number, code):
+def test_the_first_signal_asks_to_stop_and_the_second_aborts(capsys, number, code):
     before = signal.getsignal(number)
 
     def job() -> None:

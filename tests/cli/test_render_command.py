@@ -1,4 +1,4 @@
-"""`cqrun render` and `cqrun plot --show`: what the options mean together, and what is said where they do not."""
+"""`cqrun render` and `cqrun plot --show`: combinations of options, and error messages."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def beam_run(tmp_path: Path) -> Path:
         (["stills"], None, "stills"),
     ],
 )
-def test_what_is_drawn_follows_from_option_or_suffix(asked, output, kind):
+def test_the_option_or_the_suffix_selects_what_is_drawn(asked, output, kind):
     assert _kind(asked, Path(output) if output else None) == kind
 
 
@@ -58,7 +58,7 @@ def test_what_is_drawn_follows_from_option_or_suffix(asked, output, kind):
         ([], "a.avi", r"-o a\.avi: must end in \.gif, .*or in \.gif, \.mp4 or \.png"),
     ],
 )
-def test_options_that_do_not_go_together(asked, output, message):
+def test_contradictory_options_are_refused(asked, output, message):
     with pytest.raises(UsageError, match=message):
         _kind(asked, Path(output) if output else None)
 
@@ -71,22 +71,22 @@ def test_the_command_prints_the_files(cqrun, beam_run):
     assert all(path.is_file() for path in paths)
 
 
-def test_a_gif_says_which_pace_it_has(cqrun, beam_run, tmp_path):
+def test_a_warning_gives_the_actual_rate_of_a_gif(cqrun, beam_run, tmp_path):
     code, out, err = cqrun("render", beam_run, "--fps", 30, "-o", tmp_path / "a.gif")
     assert (code, out) == (0, f"{tmp_path / 'a.gif'}\n")
-    assert "warning: pictures of a GIF last whole hundredths of a second: 33.3 a second instead of 30" in err
+    assert "warning: pictures of a GIF last whole hundredths of a second: 33.3 per second instead of 30" in err
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--color", "activation"], "--color activation: the scene of this run has no actuators"),
-        (["--view", "top"], "--view top: the world of this run has two dimensions; it is seen as it is"),
-        (["--trail", "tip"], "--trail tip: no body or group is called so; there are: beam, beam.root, none"),
+        (["--view", "top"], "--view top: the world of this run has two dimensions, so it has only one view"),
+        (["--trail", "tip"], "--trail tip: no body or group has this name; there are: beam, beam.root, none"),
         (["--stills", 9], "--stills 9: the trajectory has only 3 frames"),
     ],
 )
-def test_what_cannot_be_drawn_is_told(cqrun, beam_run, words, message):
+def test_pictures_that_cannot_be_drawn_are_refused(cqrun, beam_run, words, message):
     code, out, err = cqrun("render", beam_run, *words, "-q")
     assert (code, out) == (2, "")
     assert f"error: {message}" in err
@@ -100,14 +100,14 @@ def test_values_out_of_range_are_usage_errors(cqrun, beam_run, words):
     assert "Usage: cqrun render" in err
 
 
-def test_an_absent_extra_is_named(cqrun, beam_run, monkeypatch):
+def test_the_error_names_a_missing_extra(cqrun, beam_run, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     code, _, err = cqrun("render", beam_run, "--mp4")
     assert code == 2
     assert "error: --mp4 needs imageio-ffmpeg, which is not installed: pip install 'cqrun[video]'" in err
 
 
-def test_a_disk_that_is_full_and_one_that_is_read_only(beam_run, tmp_path):
+def test_a_full_disk_and_a_read_only_disk(beam_run, tmp_path):
     disk, unshare = tmp_path / "disk", shutil.which("unshare")
     disk.mkdir()
     spaces = ["--mount"] if os.geteuid() == 0 else ["--user", "--map-root-user", "--mount"]
@@ -132,7 +132,7 @@ def test_a_disk_that_is_full_and_one_that_is_read_only(beam_run, tmp_path):
     assert done.stderr.count(refused) == len(kinds), done.stderr
 
 
-def test_a_term_that_is_none_is_told(cqrun, beam_run):
+def test_an_unknown_term_is_refused(cqrun, beam_run):
     write_text(beam_run / "history.csv", "iteration,loss,seconds\n0,1.0,0.5\n")
     code, _, err = cqrun("plot", beam_run, "--show", "far")
     assert code == 2

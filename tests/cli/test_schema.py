@@ -1,4 +1,4 @@
-"""`cqrun schema` prints JSON Schema, with every plug-in spelt out."""
+"""`cqrun schema` prints a JSON Schema with every plug-in."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Run directories made by hand: their numbers are known, so that pictures can be held to them."""
+"""Artificial run directories with known numbers, for tests of pictures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def body(corner: list[float], **more: object) -> dict:
 
 
 def plane_scene(unknowns: dict, truth: dict | None = None, **more: object) -> dict:
-    """Return a 2D scene of two bodies, `a` with two groups, with synthetic data on `a` of two markers."""
+    """Return a 2D scene of two bodies; `a` has two groups and synthetic data of two markers."""
     groups = {
         "left": {"box": {"corner": [0.02, 0.05], "size": [0.025, 0.02]}},
         "right": {"box": {"corner": [0.045, 0.05], "size": [0.025, 0.02]}},
@@ -51,7 +51,7 @@ def plane_scene(unknowns: dict, truth: dict | None = None, **more: object) -> di
 
 
 def write_run(out: Path, scene: dict, *, name: str = "twin/0123456789ab", job: str = "sysid", status: str) -> Path:
-    """Write the files that every run has; return its directory."""
+    """Write the files that every run has, and return its directory."""
     run = out / name
     run.mkdir(parents=True)
     (run / "scene.yaml").write_text(dump(resolve(load_scene(scene))))
@@ -68,7 +68,7 @@ def write_history(run: Path, columns: dict[str, Array]) -> None:
 
 
 def history(rows: int, unknowns: dict[str, Array | None]) -> dict[str, Array]:
-    """Return a history of falling loss; an unknown is its values (rows, n), or None for its gradient alone."""
+    """Return a history with falling loss; each unknown has values (rows, n), or None for only its gradient."""
     k = np.arange(rows, dtype=float)
     columns = {"iteration": k, "loss": 4e-6 * 0.25**k + 1e-8}
     columns |= {f"grad:{path}": 1e-5 * 0.5**k for path in unknowns}
@@ -100,17 +100,17 @@ def write_tracks(run: Path, recordings: dict[str, tuple[tuple[str, ...], Array, 
 
 
 def write_trajectory(
-    run: Path, x: Array, time: Array, bodies: dict[str, slice] | None = None, told: dict | None = None
+    run: Path, x: Array, time: Array, bodies: dict[str, slice] | None = None, provenance: dict | None = None
 ) -> None:
-    """Write trajectory.h5 of positions (T, N, D), and what it tells of itself."""
-    whole = {"a": slice(0, x.shape[1])}
-    with TrajectoryWriter(run / "trajectory.h5", len(time), bodies or whole, x.shape[2], {}, told or {}) as writer:
+    """Write trajectory.h5 with positions (T, N, D) and attributes."""
+    slices = bodies or {"a": slice(0, x.shape[1])}
+    with TrajectoryWriter(run / "trajectory.h5", len(time), slices, x.shape[2], {}, provenance or {}) as writer:
         for frame, t in enumerate(time):
             writer.write(frame, float(t), x=x[frame])
 
 
 def swing(rng: np.random.Generator, markers: int, dim: int, noise: float = 0.0) -> tuple[Array, Array, Array]:
-    """Return time (T,), data and model (T, M, D) of points that swing along the last axis, one more than the other."""
+    """Return time (T,), data and model (T, M, D) of points that swing along the last axis, each with more amplitude."""
     time = np.arange(0.0, DURATION + 1e-9, 0.01)
     rest = rng.uniform(0.02, 0.07, (markers, dim))
     reach = np.linspace(1e-4, 1e-2, markers)
@@ -120,7 +120,7 @@ def swing(rng: np.random.Generator, markers: int, dim: int, noise: float = 0.0) 
 
 
 def made_twin(out: Path, rng: np.random.Generator, *, name: str = "twin/0123456789ab") -> Path:
-    """Return a run that has converged, with everything that a run can have: one unknown, two markers."""
+    """Return a converged run with all files that a run can have, one unknown and two markers."""
     path = f"bodies.a.{YOUNG}"
     run = write_run(out, plane_scene({path: {"bounds": [1e5, 5e5], "scale": "log"}}), name=name, status="converged")
     values = 3e5 - 1e5 * 0.3 ** np.arange(6)

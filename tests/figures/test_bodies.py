@@ -1,4 +1,4 @@
-"""bodies.png: frames, views, depth, and what holds the body."""
+"""bodies.png: frames, views, depth, and boundaries."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cqrun.errors import UsageError
 from cqrun.figures.bodies import draw_bodies, farthest_frame, plot_body, snapshots
 from cqrun.figures.overview import draw_overview
 from cqrun.figures.run_data import TRAJECTORY, read_run
-from cqrun.figures.scenery import held
+from cqrun.figures.scenery import boundary_section
 from cqrun.figures.style import new_figure, styled
 from cqrun.figures.views import of_equal_width, views, window
 from cqrun.scene.load import load_scene
@@ -31,7 +31,7 @@ def solid_scene(**world):
 
 
 def falling(out: Path, depths: Sequence[int], points: np.ndarray) -> Frames:
-    """Return points (N, D) that have sunk by so many mm in each frame, 0.1 s apart."""
+    """Return frames, 0.1 s apart, of points (N, D) that have sunk by `depths` mm."""
     x = np.repeat(points[None], len(depths), axis=0)
     x[:, :, -1] -= 1e-3 * np.array(depths)[:, None]
     write_trajectory(out, x, 0.1 * np.arange(len(depths)))
@@ -65,13 +65,13 @@ def test_frames_are_read_one_at_a_time(tmp_path, rng, monkeypatch):
         draw_overview(run)
 
 
-def test_a_plane_world_is_seen_as_it_is(rng):
+def test_a_2d_world_has_one_view(rng):
     (view,) = views(load_scene(plane_scene({})), rng.random((5, 2)))
     assert view.names == "xy"
     np.testing.assert_array_equal(view.axes, np.eye(2))
 
 
-def test_up_is_against_gravity_and_the_side_is_the_long_one():
+def test_up_is_opposite_to_gravity_and_the_side_view_shows_the_long_side():
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
     assert views(solid_scene(), corners)[0].names == "yz"
     assert views(solid_scene(gravity=[0, -9.81, 0]), corners)[0].names == "zy"
@@ -100,10 +100,10 @@ def test_near_particles_cover_far_ones(tmp_path):
     assert order[-1] == 0  # the eye is at smaller y, and that particle is nearest to it
 
 
-def test_boundaries_show_where_they_hold():
+def test_boundaries_are_drawn_where_they_act():
     scene = load_scene(plane_scene({}))
     view = views(scene, np.zeros((1, 2)))[0]
-    right, up, inside = held(scene, view, np.array([[-0.01, 0.0], [0.09, 0.1]]), np.zeros(2))
+    right, up, inside = boundary_section(scene, view, np.array([[-0.01, 0.0], [0.09, 0.1]]), np.zeros(2))
     assert inside.shape == (len(up), len(right))
     expected = (right >= 0.0) & (right <= 0.03)
     np.testing.assert_array_equal(inside[len(up) // 2], expected)
@@ -115,7 +115,7 @@ def test_windows_of_equal_width_keep_their_middles():
     np.testing.assert_array_equal(narrow, [[-0.5, 0], [3.5, 5]])
 
 
-def test_the_picture_holds_positions_and_displacements(tmp_path, rng):
+def test_the_picture_shows_positions_and_displacements(tmp_path, rng):
     run = read_run(made_twin(tmp_path, rng))
     with styled():
         figure = draw_bodies(run)
@@ -149,12 +149,12 @@ def test_a_wanted_place_is_marked(tmp_path):
     assert [text.get_text() for text in axes.texts] == ["there"]
 
 
-def test_goals_and_courses_are_inside(tmp_path):
-    """A goal that is drawn from a range stands where it was in this run."""
+def test_goals_and_courses_are_inside_the_window(tmp_path):
+    """A goal that is drawn from a range is shown at its position in this run."""
     scene = plane_scene({}, goals={"far": {"position": [0.1, 0.05], "spread": [0.09, 0.04]}})
     path = write_run(tmp_path, scene, job="simulate", status="done")
-    told = {"goals": {"far": [0.18, 0.02]}, "courses": {"wave": [[0.01, 0.09], [0.1, 0.05]]}}
-    write_trajectory(path, np.array([[[0.05, 0.04], [0.1, 0.06]]]), np.array([0.0]), told=told)
+    provenance = {"goals": {"far": [0.18, 0.02]}, "courses": {"wave": [[0.01, 0.09], [0.1, 0.05]]}}
+    write_trajectory(path, np.array([[[0.05, 0.04], [0.1, 0.06]]]), np.array([0.0]), provenance=provenance)
     with styled():
         axes = draw_bodies(read_run(path)).axes[0]
     marks = {tuple(np.round(place, 9)) for line in axes.lines for place in line.get_xydata()}

@@ -1,4 +1,4 @@
-"""convergence.png shows the history's own numbers, in the units it names."""
+"""convergence.png shows the numbers of the history, in the units of its labels."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_an_unknown_is_shown_in_its_unit_with_interval_and_truth(twin):
     assert curve.truth == pytest.approx(300)
 
 
-def test_without_a_result_there_is_a_way_but_no_end(tmp_path):
+def test_without_a_result_there_are_values_but_no_final_value(tmp_path):
     (curve,) = curves_of(tmp_path, {E: {"bounds": [1e5, 5e5]}}, {E: np.array([2e5, 2.5e5])})
     assert (curve.final, curve.intervals) == (None, ())
 
@@ -72,23 +72,23 @@ def test_groups_have_their_names_and_intervals(tmp_path):
 
 
 def test_groups_that_share_a_mirrored_value_are_named_together(tmp_path):
-    """Of left, right and middle one number is of the first two."""
+    """Left and right share one number, middle has another."""
     scene = plane_scene({E: {"bounds": [1e5, 5e5], "per": "group", "mirror": "x"}})
     middle = {"box": {"corner": [0.04, 0.05], "size": [0.01, 0.02]}}
     scene["bodies"]["a"]["groups"] |= {"middle": middle}
     result = {E: {"initial": [2e5] * 3, "value": [3e5, 3e5, 1.5e5], "interval": None}}
     values = np.array([[2e5, 2e5], [3e5, 1.5e5]])
-    for found, names in ((result, ("left, right", "middle")), (None, ("0", "1"))):
-        run = tmp_path / str(found is None)
+    for final, names in ((result, ("left, right", "middle")), (None, ("0", "1"))):
+        run = tmp_path / str(final is None)
         path = write_run(run, scene, status="iteration_limit")
         write_history(path, history(2, {E: values}))
-        if found is not None:
-            write_result(path, found, None)
+        if final is not None:
+            write_result(path, final, None)
         (curve,) = unknown_curves(read_run(path))
         assert curve.names == names
 
 
-def test_the_loss_of_learning_is_no_distance_though_the_scene_has_data(tmp_path):
+def test_the_loss_of_a_control_run_is_not_a_distance_even_with_data(tmp_path):
     path = write_run(tmp_path, plane_scene({E: {"bounds": [1e5, 5e5]}}), job="control", status="iteration_limit")
     write_history(path, history(2, {E: np.array([2e5, 3e5])}) | {"loss": np.array([-0.1, -0.4])})
     curve = loss_curve(read_run(path))
@@ -96,7 +96,7 @@ def test_the_loss_of_learning_is_no_distance_though_the_scene_has_data(tmp_path)
     np.testing.assert_array_equal(curve.value, [-0.1, -0.4])
 
 
-def test_a_large_block_is_told_by_its_gradient(tmp_path):
+def test_a_large_block_is_shown_by_its_gradient(tmp_path):
     unknowns = {E: {"bounds": [1e5, 5e5]}, DENSITY: {"bounds": [900, 1300], "per": "particle"}}
     result = {
         E: {"initial": 2e5, "value": 3e5, "interval": None},
@@ -109,7 +109,7 @@ def test_a_large_block_is_told_by_its_gradient(tmp_path):
     assert curve.final.size == 30
 
 
-def test_the_view_takes_in_what_happened_and_bounds_that_are_near(tmp_path):
+def test_the_range_contains_all_values_and_near_bounds(tmp_path):
     (far,) = curves_of(tmp_path, {DENSITY: {"bounds": [100, 9000]}}, {DENSITY: np.array([1000.0, 1100.0])})
     low, high = view(far)
     assert 900 < low < 1000
@@ -120,20 +120,20 @@ def test_the_view_takes_in_what_happened_and_bounds_that_are_near(tmp_path):
     assert high > 1150
 
 
-def test_an_unknown_that_stands_still_still_has_a_view(tmp_path):
+def test_a_constant_unknown_has_a_range(tmp_path):
     (curve,) = curves_of(tmp_path, {DENSITY: {"bounds": [900, 1300]}}, {DENSITY: np.array([1000.0, 1000.0])})
     low, high = view(curve)
     assert low < 1000 < high
 
 
 @pytest.mark.parametrize("panels", range(1, 13))
-def test_no_place_is_left_empty(panels):
+def test_no_place_remains_empty(panels):
     rows, columns, first = layout(panels)
     assert first + panels - 1 == rows * columns
     assert 1 <= first <= columns <= 3
 
 
-def test_the_picture_holds_the_numbers(twin):
+def test_the_picture_shows_the_numbers(twin):
     with styled():
         figure = draw_convergence(twin)
     loss, unknown = figure.axes
@@ -141,29 +141,28 @@ def test_the_picture_holds_the_numbers(twin):
     assert loss.get_yscale() == "log"
     np.testing.assert_array_equal(loss.lines[0].get_xydata(), np.c_[np.arange(6), loss_curve(twin).value])
     assert unknown.get_title(loc="left") == "Young's modulus (kPa)"
-    truth, way = unknown.lines
+    truth, curve = unknown.lines
     assert set(truth.get_ydata()) == {300.0}
-    np.testing.assert_array_equal(way.get_ydata(), unknown_curves(twin)[0].values[:, 0])
+    np.testing.assert_array_equal(curve.get_ydata(), unknown_curves(twin)[0].values[:, 0])
     assert [t.get_text() for t in unknown.texts] == ["299.8 (290.0 to 310.0), bounds 100 to 500"]
 
 
-def test_the_point_that_was_kept_is_marked(tmp_path, rng):
-    """The unknowns' titles tell of it; the last iterate is another."""
+def test_the_best_iteration_is_marked(tmp_path, rng):
+    """The titles of the unknowns show the best parameters, which need not be the last ones."""
     path = made_twin(tmp_path, rng)
     loss = read_run(path).history["loss"]
     write_result(path, {E: {"initial": 2e5, "value": 3e5, "interval": None}}, {"r": {"holdout": False}})
     result = json.loads((path / "result.json").read_text())
-    for row, told in ((len(loss) - 1, 1), (2, 2)):
+    for row, marked in ((len(loss) - 1, False), (2, True)):
         (path / "result.json").write_text(json.dumps(result | {"loss": float(loss[row])}))
         with styled():
             axes = draw_convergence(read_run(path)).axes[0]
         (text,) = [t.get_text() for t in axes.texts]
-        assert len(text.split("; ")) == told
-        assert ("kept, after 2; " in text) == (told == 2)
-        assert len([line for line in axes.lines if line.get_marker() == "o" and len(line.get_xdata()) == 1]) == told - 1
+        assert text.startswith("best: ") == (" after 2; last: " in text) == marked
+        assert len([x for x in axes.lines if x.get_marker() == "o" and len(x.get_xdata()) == 1]) == marked
 
 
-def test_the_wall_time_stands_below_the_iterations(twin):
+def test_the_wall_time_is_below_the_iterations(twin):
     with styled():
         figure = draw_convergence(twin)
     loss = figure.axes[0]
@@ -183,7 +182,7 @@ def test_the_interval_is_a_band_inside_the_bounds(tmp_path, rng):
     assert (box.y0, box.y1) == pytest.approx((290, 500))
 
 
-def test_bars_of_several_numbers_are_named_once_and_say_where_they_go_on(tmp_path):
+def test_bars_of_several_numbers_have_one_legend_entry_and_marks_where_they_continue(tmp_path):
     path = write_run(tmp_path, plane_scene({E: {"bounds": [1e5, 5e5], "per": "group"}}), status="iteration_limit")
     write_history(path, history(2, {E: np.array([[2e5, 2e5], [3e5, 1.5e5]])}))
     intervals = [[2e5, 9e5], [1.4e5, 1.6e5]]
@@ -196,7 +195,7 @@ def test_bars_of_several_numbers_are_named_once_and_say_where_they_go_on(tmp_pat
 
 
 @pytest.mark.parametrize("count", [1, 3, 8])
-def test_one_to_eight_unknowns_have_a_panel_each(tmp_path, count):
+def test_each_of_up_to_eight_unknowns_has_a_panel(tmp_path, count):
     leaves = [YOUNG, "material.elastic.neo_hookean.poissons_ratio", "material.density", "material.viscosity.shear"]
     bounds = [[1e5, 5e5], [0.1, 0.45], [900, 1300], [1, 400]]
     paths = [(f"bodies.{b}.{leaf}", span) for leaf, span in zip(leaves, bounds, strict=True) for b in "ab"][:count]
@@ -209,6 +208,6 @@ def test_one_to_eight_unknowns_have_a_panel_each(tmp_path, count):
     assert len(set(titles)) == 1 + count
 
 
-def test_no_rows_is_an_error(tmp_path):
+def test_a_history_without_rows_is_an_error(tmp_path):
     with pytest.raises(UsageError, match=r"history\.csv is missing or has no rows yet"):
         loss_curve(read_run(write_run(tmp_path, plane_scene({}), status="running")))

@@ -1,4 +1,4 @@
-"""design.png: the designed quantities, of particles that differ."""
+"""design.png: quantities that the design varies between particles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cqrun.build.particles import sample
 from cqrun.figures.convergence import unknown_curves
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.draw import draw_run
-from cqrun.figures.render import Wanted, render
+from cqrun.figures.render import RenderOptions, render
 from cqrun.figures.run_data import read_run
 from cqrun.jobs.control import run_control
 from cqrun.running.reporter import Silent
@@ -24,7 +24,7 @@ E, RHO = (f"bodies.finger.material.{name}" for name in ("elastic.fixed_corotated
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Return a run that has designed a stiffness a particle, and one density."""
+    """Return a run that has designed the stiffness of every particle, and one density."""
     path = tmp_path_factory.mktemp("design") / "finger.yaml"
     unknowns = f"unknowns:\n  {E}: {{bounds: [5, 20], per: particle}}\n  {RHO}: {{bounds: [0.5, 2]}}\n"
     path.write_text(FINGER.replace("job: control", "job: codesign") + unknowns)
@@ -32,14 +32,14 @@ def run(tmp_path_factory):
     return run_control(path, [], path.parent / "out", threads=1, job="codesign")
 
 
-def test_what_differs_from_particle_to_particle_is_shown(run):
+def test_quantities_that_vary_between_particles_are_shown(run):
     shown = designed_quantities(read_run(run))
     assert list(shown) == ["stiffness"]  # the density is one number
     np.testing.assert_array_equal(shown["stiffness"], result_of(run)["unknowns"][E]["value"])
 
 
-def test_a_body_that_is_not_designed_takes_no_colour(run, tmp_path):
-    """One of another stiffness would stretch the scale until the designed one looks the same everywhere."""
+def test_a_body_that_is_not_designed_has_no_colour(run, tmp_path):
+    """Otherwise its other stiffness would stretch the colour range, and the designed body would look uniform."""
     ball = "{shape: {box: {corner: [0.7, 0.2], size: [0.1, 0.1]}}, particles_per_cell: 4, material: {density: 1, "
     ball += "elastic: {fixed_corotated: {youngs_modulus: 100, poissons_ratio: 0.3}}}}"
     both = run_control(
@@ -67,8 +67,8 @@ def test_the_body_is_drawn_at_rest_and_moved(run):
     assert run / "figures" / "design.png" in draw_run(run)
 
 
-def test_a_new_shape_is_drawn_beside_the_old_one(run, tmp_path):
-    """Each is as high as the height of the finger's tip says."""
+def test_a_new_shape_is_drawn_next_to_the_old_one(run, tmp_path):
+    """The height of each body follows the height of the finger's tip."""
     path = tmp_path / "finger.yaml"
     size = "bodies.finger.parts.tip.box.size.1"
     unknown = f"unknowns:\n  {size}: {{bounds: [0.6, 1.0], initial: 0.8}}\n"
@@ -84,7 +84,7 @@ def test_a_new_shape_is_drawn_beside_the_old_one(run, tmp_path):
             for axes in panels]  # fmt: skip
     designed = result_of(shaped)["unknowns"][size]["value"]
     assert abs(designed - 0.8) > 1e-3
-    # the uppermost of four particles along the tip; its lower edge is at .6 m
+    # the uppermost of four particles along the tip, whose lower edge is at 0.6 m
     assert tops == pytest.approx([0.6 + 0.2 * height * 7 / 8 for height in (0.8, designed)], abs=1e-6)
     assert shaped / "figures" / "shape.png" in draw_run(shaped)
 
@@ -96,7 +96,7 @@ def test_a_control_run_has_no_design(run, tmp_path):
     (run / "run.json").write_text(json.dumps(record))
 
 
-def test_where_a_muscle_lies_is_shown(tmp_path):
+def test_the_weights_of_a_muscle_are_shown(tmp_path):
     path, weight = tmp_path / "finger.yaml", "actuators.muscle.muscle.weight"
     unknown = f"unknowns:\n  {weight}: {{bounds: [0, 1], initial: 0.5, per: particle}}\n"
     path.write_text(FINGER.replace("job: control", "job: codesign") + unknown)
@@ -110,12 +110,12 @@ def test_where_a_muscle_lies_is_shown(tmp_path):
     assert np.ptp(shown[others]) > 1e-3
     figure = draw_design(read_run(run), data)
     assert figure.axes[-1].get_ylabel() == "share of the actuator's strength"
-    drawn = render(run, Wanted("png", 1, "weight", 25.0, 1, None, None, tmp_path / "w.png"), Silent())
+    drawn = render(run, RenderOptions("png", 1, "weight", 25.0, 1, None, None, tmp_path / "w.png"), Silent())
     assert drawn == [tmp_path / "w.png"]
 
 
-def test_a_muscle_share_for_every_group_is_learned_and_drawn(tmp_path):
-    """Paths of actuators have no body in them: what named the groups once took `muscle` for one."""
+def test_muscle_weights_per_group_are_learned_and_drawn(tmp_path):
+    """Key paths of actuators contain no body, so the names of the groups must come from the actuator's body."""
     path, weight = tmp_path / "finger.yaml", "actuators.muscle.muscle.weight"
     unknown = f"unknowns:\n  {weight}: {{bounds: [0, 1], initial: 0.5, per: group}}\n"
     path.write_text(FINGER.replace("job: control", "job: codesign") + unknown)

@@ -1,4 +1,4 @@
-"""Pictures reach the run's figures/, or a sentence says why not; `cqrun plot` draws and compares."""
+"""Pictures are written to the run's figures/, or an error says why not; `cqrun plot` draws and compares."""
 
 from __future__ import annotations
 
@@ -77,19 +77,19 @@ def test_plot_compares_several_runs(capsys, twin, tmp_path, rng):
     assert not (other / "figures").exists()
 
 
-def test_the_loss_is_a_name_too(capsys, twin, tmp_path):
+def test_the_loss_can_be_selected_by_name(capsys, twin, tmp_path):
     code, out, _ = command(capsys, "plot", twin, "--show", "loss", "--out", tmp_path)
     assert (code, out.splitlines()) == (0, [str(tmp_path / f"compare_twin.{kind}") for kind in MAGIC])
 
 
-def test_what_one_run_shows_is_in_its_figures(capsys, tmp_path, rng):
+def test_a_selected_quantity_of_one_run_is_drawn_in_its_figures(capsys, tmp_path, rng):
     twin = made_twin(tmp_path, rng, name="twin/aaaaaaaaaaaa")
     code, out, _ = command(capsys, "plot", twin, "--show", "loss")
     assert (code, out.splitlines()) == (0, [str(twin / "figures" / f"compare_twin.{kind}") for kind in MAGIC])
 
 
 def test_a_picture_of_other_runs_is_not_overwritten(twin, tmp_path, rng):
-    """Scenes of one name; the same runs, in whatever order, are one picture."""
+    """Scenes can have the same name; the same runs in any order are one picture."""
     variant, copy = (made_twin(tmp_path / place, rng, name=f"twin/{k * 12}") for place, k in (("a", "a"), ("b", "a")))
     first = draw_several([twin, variant], tmp_path, ("png", "pdf"))
     other = draw_several([variant], tmp_path, ("png", "pdf"))
@@ -100,18 +100,18 @@ def test_a_picture_of_other_runs_is_not_overwritten(twin, tmp_path, rng):
     assert draw_several([copy], tmp_path, ("png",)) == other[:1]
 
 
-def test_files_among_the_runs_are_left_out(capsys, copy, tmp_path):
-    """As a shell gives for results/SCENE/*, where a file sums up several runs."""
+def test_files_among_the_runs_are_skipped(capsys, copy, tmp_path):
+    """A shell expands results/SCENE/* to runs and to files that summarise them."""
     summary = tmp_path / "summary-3.csv"
     summary.write_text("")
     code, out, err = command(capsys, "plot", copy, summary)
-    assert (code, err) == (0, f"left out: {summary} is a file, no run\n")
+    assert (code, err) == (0, f"skipped: {summary} is a file and not a run\n")
     assert str(copy) in out
     code, _, err = command(capsys, "plot", summary)
     assert code == 2
 
 
-def test_a_run_that_goes_on_shows_what_it_has(started):
+def test_an_unfinished_run_is_drawn_as_far_as_possible(started):
     assert [p.name for p in draw_run(started)] == ["convergence.png"]
 
 
@@ -126,14 +126,14 @@ def test_a_simulation_shows_its_bodies(tmp_path, rng):
     ("name", "message"),
     [
         ("history.csv", "there is no history.csv, so there is no convergence to draw"),
-        ("result.json", "there is no result.json, though the run has ended well"),
-        ("tracks.csv", "there is no tracks.csv, though the run has ended well"),
-        ("trajectory.h5", "there is no trajectory.h5, though the run has ended well"),
+        ("result.json", "there is no result.json, although the run has finished"),
+        ("tracks.csv", "there is no tracks.csv, although the run has finished"),
+        ("trajectory.h5", "there is no trajectory.h5, although the run has finished"),
         ("run.json", "no run (it has no run.json)"),
         ("scene.yaml", "there is no scene.yaml"),
     ],
 )
-def test_a_missing_file_is_told(capsys, copy, name, message):
+def test_a_missing_file_is_reported(capsys, copy, name, message):
     (copy / name).unlink()
     code, out, err = command(capsys, "plot", copy)
     assert (code, out) == (2, "")
@@ -141,48 +141,48 @@ def test_a_missing_file_is_told(capsys, copy, name, message):
     assert not (copy / "figures").exists()
 
 
-def test_a_trajectory_that_is_none_is_told(copy):
+def test_a_damaged_trajectory_is_reported(copy):
     (copy / "trajectory.h5").write_text("no HDF5")
-    with pytest.raises(UsageError, match=r"trajectory\.h5: no trajectory of cqrun"):
+    with pytest.raises(UsageError, match=r"trajectory\.h5: not a cqrun trajectory"):
         draw_run(copy)
 
 
-def test_a_run_without_a_first_iteration_is_told(tmp_path):
+def test_a_run_without_iterations_cannot_be_drawn(tmp_path):
     run = write_run(tmp_path, plane_scene({}), status="running")
     (run / "history.csv").write_text("iteration,loss,seconds\n")
     with pytest.raises(UsageError, match="nothing to draw before the first iteration"):
         draw_run(run)
 
 
-def test_a_simulation_without_a_frame_is_told(tmp_path):
+def test_a_simulation_without_frames_cannot_be_drawn(tmp_path):
     run = write_run(tmp_path, plane_scene({}), job="simulate", status="running")
     with pytest.raises(UsageError, match="nothing to draw before the first frame"):
         draw_run(run)
 
 
-def test_a_job_without_pictures_is_told(copy):
+def test_a_job_without_pictures_cannot_be_drawn(copy):
     assert has_pictures(copy)
     set_record(copy, job="gradcheck")
     assert not has_pictures(copy)
-    told = "'gradcheck' has no pictures; those of sysid, control, codesign and simulate have"
-    with pytest.raises(UsageError, match=told):
+    message = "'gradcheck' has no pictures; runs of sysid, control, codesign and simulate have them"
+    with pytest.raises(UsageError, match=message):
         draw_run(copy)
 
 
-def test_a_failed_run_still_shows_its_way(copy):
+def test_a_failed_run_still_shows_its_convergence(copy):
     set_record(copy, status="failed")
     for name in ("tracks.csv", "trajectory.h5"):
         (copy / name).unlink()
     assert [path.name for path in draw_run(copy)] == ["convergence.png"]
 
 
-def test_a_place_that_cannot_be_written_is_told(copy):
+def test_a_folder_that_cannot_be_made_is_reported(copy):
     (copy / "figures").write_text("in the way")
     with pytest.raises(UsageError, match="figures: cannot be made"):
         draw_run(copy)
 
 
-def test_equal_runs_make_equal_files_whatever_the_user_has_set_and_without_pyplot(twin, tmp_path):
+def test_equal_runs_make_equal_files_with_any_user_settings_and_without_pyplot(twin, tmp_path):
     code = (
         "import sys, pathlib, matplotlib\n"
         "matplotlib.rcParams['axes.facecolor'] = 'black'\n"

@@ -1,4 +1,4 @@
-"""Key paths, units and numbers as pictures write them."""
+"""Key paths, units and numbers in pictures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_a_path_has_a_short_name(path, label):
     assert labels([path], 3) == [label]
 
 
-def test_names_that_would_be_equal_say_what_differs():
+def test_equal_names_get_their_differences_as_a_prefix():
     assert labels([f"bodies.beam.{E}", f"bodies.tip.{E}", "bodies.beam.material.density"], 2) == [
         "beam: Young's modulus",
         "tip: Young's modulus",
@@ -50,12 +50,12 @@ def test_units_are_shown_with_a_prefix_that_fits(unit, largest, name, factor):
     assert shown_unit(unit, largest) == (name, factor)
 
 
-def test_a_unit_stands_behind_a_label_unless_there_is_none():
+def test_a_label_ends_with_its_unit_if_it_has_one():
     assert length_unit(0.1).label("x") == "x (mm)"
     assert shown_unit("1", 0.3).label("Poisson's ratio") == "Poisson's ratio"
 
 
-def test_an_estimate_has_as_many_digits_as_its_interval_leaves_meaning():
+def test_an_estimate_has_as_many_digits_as_are_significant():
     assert estimate(264.159, (263.597, 264.723)) == "264.16 (263.60 to 264.72)"
     assert estimate(49.947, (0.599, 4166.48)) == "50 (1 to 4166)"
     assert estimate(264.159, None) == "264.2"
@@ -67,7 +67,7 @@ def test_errors_keep_three_digits():
     assert error(float("nan")) == "not seen"
 
 
-def test_numbers_of_a_shape_and_a_spin_are_named_by_what_they_are():
+def test_names_of_the_numbers_of_a_shape_and_a_spin():
     paths = ["bodies.arm.shape.polygon.points.2.0", "bodies.arm.shape.polygon.points.3.1"]
     assert labels(paths, 2) == ["Points 2 x", "Points 3 y"]
     assert labels(["bodies.arm.velocity.spin.0"], 2) == ["Spin z"]

@@ -1,4 +1,4 @@
-"""What pictures read of a run: exact numbers, and a sentence for what is missing or damaged."""
+"""The run data for pictures: exact numbers, and clear errors for missing or damaged files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cqrun.errors import UsageError
 from cqrun.figures.run_data import read_run, read_tracks
 
 
-def test_tracks_come_back_as_they_were_written(tmp_path, rng):
+def test_tracks_are_read_as_they_were_written(tmp_path, rng):
     time = np.array([0.0, 0.01, 0.02])
     data, model = rng.normal(size=(2, 3, 2, 3))
     data[1, 0] = np.nan
@@ -32,7 +32,7 @@ def test_tracks_come_back_as_they_were_written(tmp_path, rng):
     np.testing.assert_array_equal(tracks.model, model)
 
 
-def test_errors_leave_gaps_out(tmp_path):
+def test_errors_ignore_gaps(tmp_path):
     time, model = np.array([0.0, 0.01]), np.zeros((2, 2, 2))
     data = np.array([[[3e-3, 4e-3], [0.0, 1e-3]], [[np.nan, np.nan], [0.0, 1e-3]]])
     write_tracks(tmp_path, {"r": (("a", "b"), time, data, model)})
@@ -42,12 +42,12 @@ def test_errors_leave_gaps_out(tmp_path):
     assert tracks.rmse() == pytest.approx(np.sqrt((25e-6 + 1e-6 + 1e-6) / 3))
 
 
-def test_a_run_that_has_only_begun_has_no_history(tmp_path):
+def test_a_run_that_has_just_started_has_no_history(tmp_path):
     run = read_run(write_run(tmp_path, plane_scene({}), status="running"))
     assert (run.name, run.job, run.history, run.result, run.succeeded) == ("twin", "sysid", {}, None, False)
 
 
-def test_a_torn_last_row_is_left_out(tmp_path):
+def test_an_incomplete_last_row_is_skipped(tmp_path):
     path = write_run(tmp_path, plane_scene({}), status="running")
     write_history(path, history(3, {}))
     with (path / "history.csv").open("a") as file:
@@ -56,7 +56,7 @@ def test_a_torn_last_row_is_left_out(tmp_path):
 
 
 def test_held_out_recordings_are_known_from_the_scene(tmp_path, rng):
-    """As of a run that was extended and stopped: it has tracks, and its result tells of no recordings."""
+    """A run that was extended and stopped has tracks, but no recordings in its result."""
     data = {name: {"file": f"{name}.csv", "holdout": name == "b", "markers": {"near": [0.03, 0.06]}} for name in "ab"}
     more = {"data": {"recordings": {name: {**entry, "body": "a"} for name, entry in data.items()}}}
     path = write_run(tmp_path, plane_scene({f"bodies.a.{YOUNG}": {"bounds": [1e5, 5e5]}}, **more), status="stopped")
@@ -72,10 +72,10 @@ def test_held_out_recordings_are_known_from_the_scene(tmp_path, rng):
         ("scene.yaml", None, "there is no scene.yaml; the run is incomplete"),
         ("history.csv", "iteration,loss,seconds\n0,one,1.0\n", "history.csv: unreadable"),
         ("result.json", "{", "result.json: unreadable"),
-        ("result.json", "[]", "result.json: holds no result"),
+        ("result.json", "[]", "result.json: is not a result"),
     ],
 )
-def test_a_missing_or_damaged_file_is_named(tmp_path, rng, name, content, message):
+def test_the_error_names_a_missing_or_damaged_file(tmp_path, rng, name, content, message):
     path = made_twin(tmp_path, rng)
     (path / name).unlink()
     if content is not None:
@@ -89,13 +89,13 @@ def test_a_missing_or_damaged_file_is_named(tmp_path, rng, name, content, messag
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "no table of markers"),
-        ("recording,marker,time,data_x\n", "no table of markers"),
+        ("", "is not a table of markers"),
+        ("recording,marker,time,data_x\n", "is not a table of markers"),
         ("recording,marker,time,data_x,model_x\nr,a,0.0,1.0,here\n", "damaged (could not convert"),
         ("recording,marker,time,data_x,model_x\nr,a,0,1,1\nr,b,0,1,1\nr,b,1,1,1\n", "damaged"),
     ],
 )
-def test_tracks_that_are_no_table_are_refused(tmp_path, content, message):
+def test_a_file_that_is_not_a_table_of_tracks_is_refused(tmp_path, content, message):
     (tmp_path / "tracks.csv").write_text(content)
     with pytest.raises(UsageError) as error:
         read_tracks(tmp_path / "tracks.csv")

@@ -1,4 +1,4 @@
-"""tracks_<recording>.png: which coordinates, which markers, and the very numbers."""
+"""tracks_<recording>.png: its coordinates, markers and numbers."""
 
 from __future__ import annotations
 
@@ -21,49 +21,49 @@ from cqrun.figures.tracks import (
 )
 
 
-def made(rng, markers=3, dim=3, noise=1e-4) -> Tracks:
+def make_tracks(rng, markers=3, dim=3, noise=1e-4) -> Tracks:
     time, data, model = swing(rng, markers, dim, noise)
     return Tracks("bare", tuple(f"m{i}" for i in range(markers)), time, data, model)
 
 
 def test_only_coordinates_that_move_are_drawn(rng):
-    tracks = made(rng)
+    tracks = make_tracks(rng)
     assert moving_axes(tracks) == [2]
     assert main_coordinate(tracks) == 2
 
 
-def test_a_coordinate_that_moves_in_the_data_alone_is_drawn(rng):
-    tracks = made(rng, noise=0.0)
+def test_a_coordinate_that_moves_only_in_the_data_is_drawn(rng):
+    tracks = make_tracks(rng, noise=0.0)
     tracks.data[:, 0, 1] += 1e-2 * np.sin(tracks.time)
     assert moving_axes(tracks) == [1, 2]
 
 
-def test_a_marker_that_is_never_seen_moves_nothing(rng):
-    tracks = made(rng)
+def test_a_marker_that_is_never_seen_has_no_effect(rng):
+    tracks = make_tracks(rng)
     tracks.data[:, 1] = np.nan
     assert moving_axes(tracks) == [2]
 
 
-def test_displacements_begin_where_the_model_does(rng):
-    data, model = displacements(made(rng))
+def test_displacements_are_relative_to_the_first_frame_of_the_model(rng):
+    data, model = displacements(make_tracks(rng))
     np.testing.assert_array_equal(model[0], 0.0)
     assert np.abs(data - model).max() < 1e-3
 
 
-def test_the_plane_of_paths_is_the_one_that_markers_span():
+def test_the_plane_of_paths_has_the_largest_extent():
     model = np.zeros((2, 2, 3))
     model[:, 1] = [0.1, 0.0, 0.2]
     tracks = Tracks("r", ("a", "b"), np.array([0.0, 1.0]), model, model)
     assert main_axes(tracks) == (0, 2)
 
 
-def test_spread_markers_lie_far_apart():
+def test_spread_markers_are_far_apart():
     points = np.array([[0.0, 0.0], [0.1, 0.0], [1.0, 0.0], [0.5, 0.0]])
     assert spread(points, 3) == [0, 2, 3]
     assert spread(points[:2], 12) == [0, 1]
 
 
-def test_frames_in_which_nothing_is_seen_have_no_error():
+def test_frames_without_seen_markers_have_no_error():
     model = np.zeros((3, 2, 2))
     data = model.copy()
     data[0] = [[3e-3, 4e-3], [0.0, 0.0]]
@@ -73,8 +73,8 @@ def test_frames_in_which_nothing_is_seen_have_no_error():
     np.testing.assert_allclose(error, [np.sqrt(12.5e-6), 0.0])
 
 
-def test_few_markers_have_a_line_and_dots_each(rng):
-    tracks = made(rng)
+def test_each_of_few_markers_has_a_line_and_dots(rng):
+    tracks = make_tracks(rng)
     with styled():
         figure = draw_recording(tracks, "twin")
         figure.draw_without_rendering()
@@ -90,15 +90,15 @@ def test_few_markers_have_a_line_and_dots_each(rng):
 
 
 @pytest.mark.parametrize("name", ["a$x_$", r"$\bad$", "$", r"50\%"])
-def test_names_are_drawn_as_they_stand(rng, tmp_path, name):
+def test_names_are_drawn_literally(rng, tmp_path, name):
     with styled():
         figure = draw_recording(Tracks(name, (name,), *swing(rng, 1, 2)), name)
         figure.savefig(tmp_path / "names.png")
     assert name in figure.legends[0].get_texts()[0].get_text().replace("\\$", "$")
 
 
-def test_a_held_out_recording_says_so(rng):
-    tracks = made(rng)
+def test_the_title_says_that_a_recording_is_held_out(rng):
+    tracks = make_tracks(rng)
     with styled():
         figure = draw_recording(replace(tracks, holdout=True), "twin")
     assert "(held out)" in figure.get_suptitle()
@@ -106,7 +106,7 @@ def test_a_held_out_recording_says_so(rng):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_many_markers_are_paths_and_a_band(rng, dim):
-    tracks = made(rng, markers=40, dim=dim)
+    tracks = make_tracks(rng, markers=40, dim=dim)
     with styled():
         figure = draw_recording(tracks, "finger")
         figure.draw_without_rendering()
@@ -117,8 +117,8 @@ def test_many_markers_are_paths_and_a_band(rng, dim):
     np.testing.assert_allclose(line.get_ydata(), 1e3 * np.sqrt(np.mean(tracks.error**2, axis=1)))
 
 
-def test_gaps_stay_gaps(rng):
-    tracks = made(rng)
+def test_gaps_remain_gaps(rng):
+    tracks = make_tracks(rng)
     tracks.data[5:9, 0] = np.nan
     with styled():
         figure = draw_recording(tracks, "twin")

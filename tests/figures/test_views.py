@@ -1,4 +1,4 @@
-"""From where a world is seen, and dots that look like a body."""
+"""Views of a world, and dots that look like a body."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def space(gravity):
 
 @pytest.mark.parametrize("gravity", [[0, 0, -9.81], [0, -9.81, 0], [0, 0, 9.81], [0, 0, 0]])
 @pytest.mark.parametrize("name", get_args(Look))
-def test_the_eye_is_where_the_name_says(gravity, name):
+def test_the_eye_is_in_the_direction_of_the_name(gravity, name):
     up = np.array([0, 1, 0] if gravity[1] else [0, 0, -1 if gravity[2] > 0 else 1])
     look = view(space(gravity), LONG_X, name)
     frame = np.vstack([look.axes, look.towards])
@@ -48,7 +48,7 @@ def test_the_eye_is_where_the_name_says(gravity, name):
 
 
 @pytest.mark.parametrize(("x", "names"), [(0.95, "xy"), (0.8, "zy")])
-def test_sides_of_equal_length_are_seen_along_z(x, names):
+def test_nearly_equal_sides_are_viewed_along_z(x, names):
     assert view(space([0, -9.81, 0]), np.array([[0.0, 0.0, 0.0], [x, 0.3, 1.0]]), "side").names == names
 
 
@@ -57,7 +57,7 @@ def test_a_plane_has_one_view():
         view(load_scene(plane_scene({})), LONG_X, "front")
 
 
-def test_ticks_tell_the_worlds_coordinates_though_its_axis_points_left():
+def test_ticks_are_world_coordinates_even_if_the_axis_points_left():
     look = view(space([0, -9.81, 0]), LONG_X, "front")
     assert (look.names, look.axes[0].tolist()) == ("zy", [0, 0, -1])
     with styled():
@@ -66,9 +66,9 @@ def test_ticks_tell_the_worlds_coordinates_though_its_axis_points_left():
         frame_axes(axes, look, np.array([[-0.4, 0.0], [0.0, 0.4]]), Unit("m", 1.0))
         figure.draw_without_rendering()
     labels = [label.get_text() for label in axes.get_xticklabels()]
-    told = dict(zip(map(float, axes.get_xticks()), labels, strict=True))
-    assert told[-0.2] == "0.2"
-    assert told[0.0] == "0"
+    label_at = dict(zip(map(float, axes.get_xticks()), labels, strict=True))
+    assert label_at[-0.2] == "0.2"
+    assert label_at[0.0] == "0"
 
 
 def lattice(counts, steps):
@@ -97,7 +97,7 @@ def test_dots_fill_a_lattice_evenly(counts, steps, each, size):
     np.testing.assert_allclose(dots.positions(x @ F.T + 7), rest @ F.T + 7)  # dots move with the body
     low, high = rest.min(axis=0), rest.max(axis=0)
     half = 0.5 * np.array([s if n > 1 else 0.0 for n, s in zip(counts, steps, strict=True)])
-    assert (low >= -half - 1e-12).all()  # no dot beyond its particle's own cell
+    assert (low >= -half - 1e-12).all()  # no dot is outside the cell of its particle
     assert (high <= x.max(axis=0) + half + 1e-12).all()
 
 
@@ -108,8 +108,8 @@ def test_dots_fill_a_lattice_evenly(counts, steps, each, size):
         ((250, 199), 40_000, 2), ((90, 90, 1), 1000, 3), ((1, 500, 1), 100, 5),
     ],
 )  # fmt: skip
-def test_thinned_dots_are_as_far_apart_as_they_are_large(counts, most, step):
-    """A body that had lost whole layers seemed to have holes, seams and eroded edges."""
+def test_thinned_dots_are_evenly_spaced(counts, most, step):
+    """Without whole layers a body would seem to have holes, seams and eroded edges."""
     x = lattice(counts, (0.1,) * len(counts))
     parts = {"a": slice(0, len(x))}
     dots = Dots.of(x, parts)
@@ -122,19 +122,19 @@ def test_thinned_dots_are_as_far_apart_as_they_are_large(counts, most, step):
         np.testing.assert_allclose(np.unique(at[:, axis].round(9)), 0.1 * np.arange(0, n, step))
 
 
-def test_every_body_keeps_its_share_of_the_dots():
-    """One grid for all took the dots of fine bodies, and of a skin that rests on another."""
+def test_every_body_keeps_its_part_of_the_dots():
+    """One grid for all bodies would remove the dots of fine bodies, and of a skin on another body."""
     fine, skin, coarse = (lattice(n, (h, h)) for n, h in (((60, 60), 0.01), ((60, 1), 0.01), ((40, 40), 0.1)))
     x = np.concatenate([fine, skin - [0, 0.01], 100 + coarse])
     parts = {"fine": slice(0, 3600), "skin": slice(3600, 3660), "coarse": slice(3660, 5260)}
     few = Dots.of(x, parts).thinned(x, parts, 1400)
-    held = [np.count_nonzero((few.source >= part.start) & (few.source < part.stop)) for part in parts.values()]
-    assert held == [900, 30, 400]
-    np.testing.assert_allclose(few.size, np.repeat([0.02, 0.02, 0.2], held))
-    assert len(Dots.of(x, parts).thinned(x, parts, 1).source) == 3  # one a body is left
+    counts = [np.count_nonzero((few.source >= part.start) & (few.source < part.stop)) for part in parts.values()]
+    assert counts == [900, 30, 400]
+    np.testing.assert_allclose(few.size, np.repeat([0.02, 0.02, 0.2], counts))
+    assert len(Dots.of(x, parts).thinned(x, parts, 1).source) == 3  # one per body remains
 
 
-def test_bodies_have_dots_of_their_own_and_a_lone_particle_the_others(rng):
+def test_dot_sizes_belong_to_each_body_and_a_single_particle_gets_the_mean(rng):
     grid = lattice((5, 5), (1.0, 1.0))
     x = np.concatenate([grid, 100 + 0.2 * grid, [[50.0, 50.0]]])
     dots = Dots.of(x, {"a": slice(0, 25), "b": slice(25, 50), "c": slice(50, 51)})
@@ -142,7 +142,7 @@ def test_bodies_have_dots_of_their_own_and_a_lone_particle_the_others(rng):
     assert (Dots.of(np.zeros((3, 2)), {"a": slice(0, 3)}).size > 0).all()
 
 
-def test_random_particles_have_a_dot_each_as_large_as_the_gaps(rng):
+def test_random_particles_have_dots_as_large_as_the_gaps(rng):
     x = rng.random((4000, 2))
     dots = Dots.of(x, {"a": slice(0, 4000)})
     np.testing.assert_array_equal(dots.positions(x), x)

@@ -102,7 +102,7 @@ def test_overrides_are_those_of_the_command_line(fit):
     [
         ({"bodies.beam.material.densty": 1.0}, "'bodies.beam.material' has no 'densty' .*did you mean"),
         ({"world.dx": 0.1}, r"world.dx: no gradient reaches it"),
-        ({"world.gravity": 1.0}, r"world.gravity: is no number but holds others"),
+        ({"world.gravity": 1.0}, r"world.gravity: is not a number but contains others"),
         ({E_PATH: np.ones(39)}, r"a value of shape \(39,\); it must be one of \(\), \(40,\), \(1,\)"),
         ({"world.gravity.1": np.ones(2)}, r"a value of shape \(2,\); it must be one of \(\)"),
         ({DENSITY: float("nan")}, r"density: must be finite, is nan"),

@@ -251,13 +251,18 @@ def test_what_unknowns_do_not_reach_or_replace_is_told(finger):
     assert any(
         "24 particles of 'finger' are in several groups, and have the value of the last" in line for line in told
     )
-    assert any("actuators.muscle.muscle.strength starts at 3, by `also`, and not at the 4" in line for line in told)
+    assert any(
+        "actuators.muscle.muscle.strength starts at 3, because of `also`, and not at its value 4" in line
+        for line in told
+    )
     loose = ["bodies.finger.parts=null", "bodies.finger.shape={box: {corner: [1, 0], size: [1, 3]}}",
              "bodies.finger.sampling={lattice: {count: 12}}",
              "bodies.finger.groups={tip: {box: {corner: [1, 2], size: [1, 1]}}}", "actuators.muscle.muscle.each=null",
              *parts[1:2]]  # fmt: skip
     told = [str(warning) for warning in build(load_scene(finger, loose)).warnings]
-    assert any("96 of 144 particles of 'finger' are in no group: theirs stays as it is" in line for line in told), told
+    assert any(
+        "96 of 144 particles of 'finger' are in no group: their values do not change" in line for line in told
+    ), told
 
 
 def test_constraints_alone_are_enough(finger, tmp_path):
@@ -314,7 +319,7 @@ def test_what_follows_has_no_values_of_its_own_in_parts(finger):
     )
     follower = STIFFNESS.replace("finger", "other")
     unknown = f"unknowns.{STIFFNESS}={{bounds: [5, 20], per: particle, also: [{follower}]}}"
-    told = rf"also.{follower}: by material_of, tip have a value of their own: remove it"
+    told = rf"also.{follower}: material_of sets a separate value for tip: remove it"
     with pytest.raises(SceneError, match=told):
         load_scene(finger, [other, unknown])
     load_scene(finger, [other, "bodies.other.material_of={}", unknown])
@@ -326,7 +331,7 @@ def test_what_follows_has_no_values_of_its_own_in_parts(finger):
         ("optimizer={adam: {}}", "optimizer.adam: honours no constraints; take augmented_lagrangian, nlopt, slsqp,"),
         (f"unknowns.{STIFFNESS}=null", "unknowns: codesign needs it: say what of the design may change"),
         ("constraints.up.equals=0.5", "constraints.up: needs `at_least`, `at_most` or both, or else `equals`"),
-        ("constraints.up.at_least=0.95", "constraints.up.at_most: leaves nothing: at_least 0.95 is not below"),
+        ("constraints.up.at_least=0.95", "constraints.up.at_most: no value is allowed: at_least 0.95 is not below"),
         ("constraints.tip={of: {reach: {body: finger, goal: target}}}", "constraints.tip: needs `at_least`"),
         ("constraints.tip.of.reach.group=tpi", "constraints.tip.of.reach.group: there is no group of the body"),
         ("constraints.tip.of.reach.weight=5", "constraints.tip.of.reach.weight: a constraint has no weight"),

@@ -14,7 +14,7 @@ import cqrun
 from cqrun.build.model import build
 from cqrun.controllers.saved import read_controller, save_controller
 from cqrun.errors import SceneError, Stopped, UsageError
-from cqrun.figures.render import Wanted, render
+from cqrun.figures.render import RenderOptions, render
 from cqrun.jobs.control import Keeping, run_control
 from cqrun.jobs.export import designed
 from cqrun.jobs.report import report_lines
@@ -270,7 +270,7 @@ def test_a_run_that_is_not_finished_has_its_best_controller(tmp_path):
     history = read_history(run / "history.csv")
     assert found["loss"] == pytest.approx(min(history["loss"]), rel=1e-12)
     with pytest.raises(UsageError, match="`cqrun simulate RUN` runs the best controller so far"):
-        render(run, Wanted())
+        render(run, RenderOptions())
     (run / "controller.npz").unlink()
     with pytest.raises(UsageError, match=r"has no trained controller \(no iteration is finished\)"):
         replay(run, tmp_path / "none")

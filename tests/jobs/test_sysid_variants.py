@@ -181,7 +181,7 @@ REFUSED = {
     "a held-out follower": (
         ("unknowns={data.recordings.one.start: {bounds: [0, 0.02], initial: 0.01, also: [data.recordings.two.start]}}",
          "data.recordings.two.holdout=true"),
-        "the recording 'two' is held out, so nothing tells its start",
+        "the recording 'two' is held out, so nothing determines its start",
     ),
     "differences of rounding": (
         ("precision=float32",),

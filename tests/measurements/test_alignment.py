@@ -1,4 +1,4 @@
-"""Alignment: exact for rigid motions, never a mirror image, and every refusal."""
+"""Alignment is exact for rigid motions, never mirrors, and refuses wrong data."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def turned(dim, rng):
 
 
 def recorded(dim, rng, noise=0.0, frames=20):
-    """Return a recording, in turned axes, of markers at rest for 10 frames, then moving, and the motion."""
+    """Return a recording in rotated axes of markers that rest for 10 frames and then move, and the true motion."""
     rest = np.array(list(REST[dim].values()))
     motion = np.zeros((frames, *rest.shape))
     motion[10:] = rng.normal(scale=0.01, size=motion[10:].shape)
@@ -35,7 +35,7 @@ def recorded(dim, rng, noise=0.0, frames=20):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_displacements_come_back_in_the_scenes_frame(rng, dim):
+def test_displacements_are_in_the_frame_of_the_scene(rng, dim):
     recording, motion = recorded(dim, rng)
     measured = measure(recording, REST[dim], (0.0, 0.9))
     np.testing.assert_allclose(measured.values, motion, atol=1e-14)
@@ -44,14 +44,14 @@ def test_displacements_come_back_in_the_scenes_frame(rng, dim):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_a_mirror_image_is_no_rotation(rng, dim):
+def test_a_mirror_image_is_not_accepted_as_a_rotation(rng, dim):
     recording, _ = recorded(dim, rng)
     mirrored = Recording(recording.time, recording.names, recording.positions * ([1.0, -1.0, 1.0][:dim]), "beam.csv")
     with pytest.raises(DataError, match=r"mm from its rest position, more than 5 mm .*'b' "):
         measure(mirrored, REST[dim], (0.0, 0.9))
 
 
-def test_gaps_stay_gaps_and_do_not_spoil_the_mean(rng):
+def test_gaps_remain_gaps_and_do_not_change_the_mean(rng):
     recording, motion = recorded(3, rng)
     recording.positions[3, 1] = recording.positions[15, 2] = np.nan
     measured = measure(recording, REST[3], (0.0, 0.9))
@@ -59,7 +59,7 @@ def test_gaps_stay_gaps_and_do_not_spoil_the_mean(rng):
     np.testing.assert_allclose(measured.values, motion, atol=1e-14)
 
 
-def test_own_recordings_are_compared_as_they_are(rng):
+def test_recordings_in_the_scenes_frame_are_not_changed(rng):
     recording, _ = recorded(3, rng)
     measured = measure(recording, REST[3], None)
     assert measured.absolute
@@ -70,7 +70,7 @@ def test_own_recordings_are_compared_as_they_are(rng):
 def test_residual_is_reported_per_marker(rng):
     rest = np.array(list(REST[3].values()))
     mean = rest.copy()
-    mean[1] += (0.002, 0.0, 0.0)  # along the line to the others: no rotation makes up for it
+    mean[1] += (0.002, 0.0, 0.0)  # along the line to the others, so that no rotation can compensate it
     residuals = align(mean, rest, tuple(REST[3])).residuals
     assert residuals.argmax() == 1
     assert 5e-4 < residuals.max() < 2e-3
@@ -78,7 +78,7 @@ def test_residual_is_reported_per_marker(rng):
 
 @pytest.mark.parametrize("size", [0.018, 0.006])
 def test_swapped_names_on_a_small_body(size):
-    """Its markers are so near to each other that after the best rotation none is 5 mm away."""
+    """Its markers are so close together that after the best rotation none is 5 mm away."""
     shape = np.array([[0.0, 0.0, 0.0], [0.11, 0.16, 0.11], [0.55, 0.0, 0.22], [1.0, 0.16, 0.0]])
     rest, names = size * shape, tuple("abcd")
     scratched = rest + 0.01 * size * np.eye(4, 3)
@@ -99,7 +99,7 @@ def test_swapped_names_on_a_small_body(size):
         (0.001, "in metres, not milli"),
     ],
 )
-def test_units_out_of_proportion(rng, factor, words):
+def test_wrong_units_are_recognised(rng, factor, words):
     recording, _ = recorded(3, rng)
     wrong = Recording(recording.time, recording.names, factor * recording.positions, "beam.csv")
     with pytest.raises(DataError, match=words):
@@ -120,7 +120,7 @@ def test_too_few_collinear_or_coincident_markers(rng):
         measure(recording, dict.fromkeys("abc", (0.0, 0.0, 0.0)), (0.0, 0.9))
 
 
-def test_unknown_marker_other_dimension_never_seen(rng):
+def test_unknown_markers_other_dimensions_and_unseen_markers_are_refused(rng):
     recording, _ = recorded(3, rng)
     with pytest.raises(DataError, match="no marker 'A'"):
         measure(recording, {"A": (0, 0, 0)}, (0.0, 0.9))
@@ -132,8 +132,8 @@ def test_unknown_marker_other_dimension_never_seen(rng):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_still_frames_tell_how_well_their_mean_is_known(rng, dim):
-    """Their displacements are about the mean that was taken off; positions in the scene's own frame have none."""
+def test_still_frames_show_the_accuracy_of_their_mean(rng, dim):
+    """Their displacements are relative to the mean; recordings in the scene's frame have no still frames."""
     recording, _ = recorded(dim, rng, noise=1e-4)
     recording.positions[3, 1] = np.nan
     measured = measure(recording, REST[dim], (0.0, 0.9))

@@ -1,4 +1,4 @@
-"""Runs side by side: programs of a few lines, in the place of cqrun."""
+"""Several runs at once, tested with small programs in place of cqrun."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cqrun.store.lock import DirectoryLock
 FAILS_AT_ONE = """
 import sys, time
 time.sleep(0.5)
-sys.exit('told before\\nerror: seed one blew up' if sys.argv[-1] == 'seed=1' else 0)
+sys.exit('an earlier line\\nerror: seed one blew up' if sys.argv[-1] == 'seed=1' else 0)
 """
 WAITS = """
 import pathlib, signal, sys, time
@@ -31,19 +31,19 @@ KILLED = "was killed (SIGKILL); the same command goes on with it"
 
 
 @pytest.fixture
-def three(tmp_path):
-    """Return a function: a program -> three runs of it, which have not begun."""
+def three_runs(tmp_path):
+    """Return a function that makes three runs of a program; they have not started."""
 
-    def of(*program: str) -> list[Member]:
+    def make(*program: str) -> list[Member]:
         command = [sys.executable, "-c", *program]
         return [Member(f"seed {k}", tmp_path / str(k), [*command, f"seed={k}"], 5) for k in range(3)]
 
-    return of
+    return make
 
 
-def test_a_failed_seed_is_told_and_the_others_go_on(three):
+def test_a_failed_seed_is_reported_and_the_others_continue(three_runs):
     listener = Listener()
-    runs = three(FAILS_AT_ONE)
+    runs = three_runs(FAILS_AT_ONE)
     run_fleet(runs, 2, "seeds", listener)
     assert [run.failure for run in runs] == [None, "seed one blew up", None]
     assert listener.said == ["warning: seed 1: seed one blew up"]
@@ -52,7 +52,7 @@ def test_a_failed_seed_is_told_and_the_others_go_on(three):
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
-def test_asked_to_stop_those_that_run_are_asked_and_no_other_begins(three, tmp_path, number, code):
+def test_a_stop_request_reaches_all_processes_and_none_starts_after_it(three_runs, tmp_path, number, code):
     listener = Listener()
 
     def when_two_run() -> None:
@@ -62,63 +62,67 @@ def test_asked_to_stop_those_that_run_are_asked_and_no_other_begins(three, tmp_p
 
     watcher = threading.Thread(target=when_two_run)
     watcher.start()
-    runs = three(WAITS, str(tmp_path))
+    runs = three_runs(WAITS, str(tmp_path))
     run_fleet(runs, 2, "seeds", listener)
     watcher.join()
-    assert [run.failure for run in runs] == [f"ended with {code}", f"ended with {code}", "not begun"]
+    assert [run.failure for run in runs] == [
+        f"ended with exit code {code}",
+        f"ended with exit code {code}",
+        "not started",
+    ]
     assert [run.process for run in runs] == [None] * 3
     assert listener.said == []
 
 
-def test_no_process_outlives_what_ends_the_wait_for_it(three, tmp_path, monkeypatch):
+def test_an_error_while_waiting_kills_all_processes(three_runs, tmp_path, monkeypatch):
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fleet, "_tell", interrupted)
-    runs = three(WAITS, str(tmp_path))
+    monkeypatch.setattr(fleet, "_report_progress", interrupted)
+    runs = three_runs(WAITS, str(tmp_path))
     with pytest.raises(KeyboardInterrupt):
         run_fleet(runs, 2, "seeds", Listener())
     assert [run.failure for run in runs] == [KILLED, KILLED, None]
 
 
-def test_a_killed_run_says_so_and_not_what_it_said_last(three):
-    runs = three("import os, sys; print('warning: of old', file=sys.stderr, flush=True); os.kill(os.getpid(), 9)")
+def test_the_failure_of_a_killed_run_is_not_its_last_message(three_runs):
+    runs = three_runs("import os, sys; print('warning: old', file=sys.stderr, flush=True); os.kill(os.getpid(), 9)")
     run_fleet(runs[:1], 1, "seeds", Listener())
     assert runs[0].failure == KILLED
 
 
-def test_a_run_that_another_process_works_on_is_waited_for(three, tmp_path):
-    listener, runs = Listener(), three("import sys; sys.exit(0)")
+def test_it_waits_for_a_run_that_another_process_works_on(three_runs, tmp_path):
+    listener, runs = Listener(), three_runs("import sys; sys.exit(0)")
     runs[1].run.mkdir()
     lock = DirectoryLock(runs[1].run)
 
-    def when_it_is_told() -> None:
+    def when_it_is_announced() -> None:
         while not any("another process" in line for line in listener.said):
             time.sleep(0.01)
         assert runs[1].process is None
         lock.release()
 
-    watcher = threading.Thread(target=when_it_is_told)
+    watcher = threading.Thread(target=when_it_is_announced)
     watcher.start()
     run_fleet(runs, 2, "seeds", listener)
     watcher.join()
     assert [run.failure for run in runs] == [None] * 3
-    assert listener.said == [f"warning: seed 1: another process works on it ({runs[1].run}); waiting for its end"]
+    assert listener.said == [f"warning: seed 1: another process works on it ({runs[1].run}); waiting until it ends"]
 
 
-def test_a_wait_for_another_process_can_be_stopped(three):
-    listener, runs = Listener(), three("import sys; sys.exit(0)")
+def test_a_wait_for_another_process_can_be_stopped(three_runs):
+    listener, runs = Listener(), three_runs("import sys; sys.exit(0)")
     runs[1].run.mkdir()
     lock = DirectoryLock(runs[1].run)
 
-    def when_nothing_else_is_left() -> None:
+    def when_only_the_locked_run_is_left() -> None:
         while not any("another process" in line for line in listener.said):
             time.sleep(0.01)
         listener.stop.ask(signal.SIGINT)
 
-    watcher = threading.Thread(target=when_nothing_else_is_left)
+    watcher = threading.Thread(target=when_only_the_locked_run_is_left)
     watcher.start()
     run_fleet(runs, 1, "seeds", listener)
     watcher.join()
     lock.release()
-    assert [run.failure for run in runs] == [None, "not begun", None]
+    assert [run.failure for run in runs] == [None, "not started", None]

@@ -13,15 +13,15 @@ from cqrun.running.reporter import Silent, StopFlag
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
 def test_a_signal_sets_the_flag_once_and_its_exit_code(number, code):
-    said = []
-    with StopFlag(said.append) as flag:
+    messages = []
+    with StopFlag(messages.append) as flag:
         assert not flag.asked
         os.kill(os.getpid(), number)
         assert flag.asked
-        assert len(said) == 1
+        assert len(messages) == 1
         error = flag.stopped("after iteration 3")
     assert (str(error), error.exit_code) == ("after iteration 3", code)
-    assert Stopped.exit_code == 75, "the class keeps its own"
+    assert Stopped.exit_code == 75, "the exit code of the class is unchanged"
 
 
 def test_the_second_signal_aborts():
@@ -31,7 +31,7 @@ def test_the_second_signal_aborts():
             os.kill(os.getpid(), signal.SIGTERM)
 
 
-def test_handlers_are_put_back_after_an_error():
+def test_handlers_are_restored_after_an_error():
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     with pytest.raises(ZeroDivisionError), StopFlag():
         raise ZeroDivisionError

@@ -1,4 +1,4 @@
-"""One small scene, and how tests ask what is wrong with a changed one."""
+"""A small scene, and a fixture that returns the problems of a changed version of it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def beam() -> str:
 
 @pytest.fixture
 def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Refused:
-    """Return a function: the beam with `old` replaced by `new`, and overrides -> its printed problems."""
+    """Return a function that replaces `old` by `new` in the beam, adds overrides, and returns the printed problems."""
     monkeypatch.chdir(tmp_path)
 
     def problems(old: str = "", new: str = "", *overrides: str) -> list[str]:

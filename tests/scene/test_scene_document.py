@@ -1,4 +1,4 @@
-"""YAML 1.2 scalars, places of mistakes, and texts that would harm."""
+"""YAML 1.2 scalars, positions of mistakes, and harmful texts."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ def test_scalars_are_those_of_yaml_1_2(text: str, value: Any) -> None:
     assert type(read_value) is type(value)
 
 
-def test_nan_is_read_so_that_the_schema_can_refuse_it_in_place() -> None:
+def test_nan_is_read_so_that_the_schema_can_refuse_it_with_its_position() -> None:
     assert math.isnan(read("a: .nan").data["a"])
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a: {b: 1}\nb: 2\n  \na: 3", "s.yaml:4:1: a: this key is here twice; the first stands in line 1"),
+        ("a: {b: 1}\nb: 2\n  \na: 3", "s.yaml:4:1: a: this key is here twice; the first is in line 1"),
         ("x:\n  a: 1\n  a: 1", "s.yaml:3:3: x.a: this key is here twice"),
         ("a: [1, 2\nb: 3", "s.yaml:2:2: this is not YAML: while parsing a flow sequence"),
         ("\ta: 1", "s.yaml:1:1: this is not YAML: "),
@@ -67,16 +67,16 @@ def test_nan_is_read_so_that_the_schema_can_refuse_it_in_place() -> None:
         ("# only this\n", "s.yaml:1:1: is empty"),
         ("? [a]: 3", "a key must be text"),
         ("null: 3", "s.yaml:1:1: a key must be text"),
-        ("a: !!int x", "s.yaml:1:4: a: is no int"),
-        ("a: !!bool maybe", "s.yaml:1:4: a: is no bool"),
-        ("a: " + "9" * 5000, "s.yaml:1:4: a: is no int: Exceeds the limit"),
+        ("a: !!int x", "s.yaml:1:4: a: is not a valid int"),
+        ("a: !!bool maybe", "s.yaml:1:4: a: is not a valid bool"),
+        ("a: " + "9" * 5000, "s.yaml:1:4: a: is not a valid int: Exceeds the limit"),
         ("a: &x [1, *x]", "s.yaml:1:4: a.1: an alias contains itself"),
         ("a:\n " + "[" * 5000, "s.yaml:2:101: is nested more than 100 levels deep"),
         ("a: " + "[" * 150 + "]" * 150, "is nested more than 100 levels deep"),
         ("#" * (MAX_CHARACTERS + 1), "s.yaml:1:1: has 4000001 characters; a scene has at most 4000000"),
     ],
 )
-def test_bad_texts_are_refused_with_their_place(text: str, message: str) -> None:
+def test_bad_texts_are_refused_with_their_position(text: str, message: str) -> None:
     with pytest.raises(SceneError) as info:
         read(text, "s.yaml")
     assert message in str(info.value)
@@ -92,7 +92,7 @@ def test_bad_texts_are_refused_with_their_place(text: str, message: str) -> None
         "!!binary YQ==",
     ],
 )
-def test_tags_build_nothing(tag: str) -> None:
+def test_tags_are_refused(tag: str) -> None:
     with pytest.raises(SceneError, match=r"s.yaml:1:4: a: the tag .* is not allowed: a scene is plain data"):
         read(f"a: {tag}", "s.yaml")
 
@@ -105,7 +105,7 @@ def test_an_alias_may_repeat_a_part_but_a_bomb_is_refused() -> None:
         read("\n".join(rows), "s.yaml")
 
 
-def test_all_duplicates_are_told_at_once() -> None:
+def test_all_duplicates_are_reported_at_once() -> None:
     with pytest.raises(SceneError) as info:
         read("a: 1\na: 2\nb: 1\nb: 2", "s.yaml")
     assert [p.where for p in info.value.problems] == ["s.yaml:2:1", "s.yaml:4:1"]
@@ -150,7 +150,7 @@ def test_texts_that_look_like_something_else_survive() -> None:
     assert read(write(data)).data == data
 
 
-def test_places_follow_keys_values_and_what_is_missing() -> None:
+def test_positions_of_keys_values_and_missing_parts() -> None:
     document = read("a:\n  b: [1,  2]\n  c: {d: 3}\n", "s.yaml")
     assert document.where(("a", "b", 1)) == "s.yaml:2:11"
     assert document.where(("a", "c", "d")) == "s.yaml:3:10"

@@ -1,4 +1,4 @@
-"""Scenes load from files, text and data; overrides merge; resolved scenes load back to the same bits."""
+"""Scenes load from files, text and data; overrides merge; resolved scenes load as bit-for-bit identical scenes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_gravity_is_zero_if_absent(beam: str) -> None:
     assert load_scene(beam.replace(", gravity: [0, -9.81]", "")).world.gravity == [0.0, 0.0]
 
 
-def test_a_resolved_scene_loads_back_to_the_same(beam: str) -> None:
+def test_a_resolved_scene_loads_as_the_same_scene(beam: str) -> None:
     first = load_scene(beam, ["world.dx=0.0050000000000000001", "title='1e4'"])
     text = dump(resolve(first))
     again = load_scene(text)
@@ -103,7 +103,7 @@ def test_an_override_reaches_inside_a_key_with_dots(beam: str) -> None:
     assert scene.unknowns[path].initial == 2.0
 
 
-def test_short_and_long_form_of_a_union_are_one_path(beam: str) -> None:
+def test_short_and_long_form_of_a_union_are_the_same_path(beam: str) -> None:
     box = "{box: {corner: [0.05, 0.04], size: [0.1, 0.02]}}"
     short = beam.replace(f"shape: {box}", f"shape: {{union: [{box}]}}")
     long = load_scene(short, ["bodies.beam.shape.union.shapes.0.box.size.0=0.05"])
@@ -129,7 +129,7 @@ def test_short_and_long_form_of_a_union_are_one_path(beam: str) -> None:
         ("wrld.dx=1", "wrld: unknown key (did you mean 'world'?)"),
         ("world.gravity.7=1", "world.gravity.7: there is no entry '7' in a list of 2; they count from 0"),
         ("world.gravity=[1, 2, 3]", "world.gravity: must have 2 entries in this 2D world, has 3"),
-        ("time.control_step=0.4", "time.duration: 1.5 s is no multiple of the control step 0.4 s"),
+        ("time.control_step=0.4", "time.duration: 1.5 s is not a multiple of the control step 0.4 s"),
         ("memory=1YiB", "memory: must be an amount of memory such as 2GiB or 500MB, is '1YiB'"),
         (
             "bodies.beam.material.elastic.neo_hookean.youngs_modulus=1",
@@ -139,20 +139,20 @@ def test_short_and_long_form_of_a_union_are_one_path(beam: str) -> None:
     ],
 )
 def test_problems_of_overrides_name_the_override(override: str, message: str, refused: Refused) -> None:
-    told = refused("", "", override)
-    assert told[0].startswith(f"-o {override}: {message}")
-    assert len(told) == 1 or override.startswith("bodies.")
+    problems = refused("", "", override)
+    assert problems[0].startswith(f"-o {override}: {message}")
+    assert len(problems) == 1 or override.startswith("bodies.")
 
 
 def test_a_long_override_is_named_by_its_beginning(refused: Refused) -> None:
     whole = f"unknowns={{{', '.join(f'loads.wind.strength.{k}: {{bounds: [1, 2]}}' for k in range(9))}}}"
-    (told, *_) = refused("", "", whole)
-    assert told.startswith(f"-o {whole[: len('unknowns=') + 57]}...: unknowns.")
+    (first, *_) = refused("", "", whole)
+    assert first.startswith(f"-o {whole[: len('unknowns=') + 57]}...: unknowns.")
 
 
-def test_a_file_and_an_override_are_both_blamed_for_their_own(refused: Refused) -> None:
-    told = refused("dx: 0.005", "dx: 0", "time.duration=-1")
-    assert told == [
+def test_problems_name_the_file_or_the_override_that_caused_them(refused: Refused) -> None:
+    problems = refused("dx: 0.005", "dx: 0", "time.duration=-1")
+    assert problems == [
         "beam.yaml:3:31: world.dx: must be greater than 0, is 0",
         "-o time.duration=-1: time.duration: must be greater than 0, is -1",
     ]

@@ -1,4 +1,4 @@
-"""Materials that differ by region inside a body: values, gradients, bounds on the step, and what is refused."""
+"""Materials that differ by region inside a body: values, gradients, bounds on the substep, and errors."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ def scene(others: dict[str, Any], *overrides: str, **more: Any) -> Scene:
 OTHERS = {"leg": {"elastic": STIFF, "density": 4.0}, "low": {"density": 8.0, "viscosity": {"shear": 0.5}}}
 
 
-def held(loaded: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return which particles are in the leg, and which in its lower half."""
+def regions(loaded: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return which particles are in the leg, and which are in its lower half."""
     particles = sample(loaded)
     leg, low = (np.isin(np.arange(48), particles.inside("b", name)) for name in ("leg", "low"))
     return leg, low
 
 
-def test_regions_have_values_of_their_own_and_the_later_one_wins() -> None:
+def test_regions_have_separate_values_and_the_later_entry_wins() -> None:
     loaded = scene(OTHERS)
-    leg, low = held(loaded)
+    leg, low = regions(loaded)
     inputs = Assembly(loaded, sample(loaded)).inputs({})
     neo_hookean, incompressible, viscosity = inputs.terms[0]
     assert (leg.sum(), low.sum()) == (16, 8)
@@ -74,9 +74,9 @@ def test_the_stiffest_region_bounds_the_substep() -> None:
     assert in_part.model.substeps == as_a_whole.model.substeps > 2 * soft.model.substeps
 
 
-def test_values_by_path_reach_a_regions_particles() -> None:
+def test_values_by_path_reach_the_particles_of_a_region() -> None:
     loaded = scene(OTHERS)
-    leg, low = held(loaded)
+    leg, low = regions(loaded)
     values = {f"{BASE}.{E}": np.array(20.0), f"{BASE}_of.leg.{E}": np.array(50.0)}
     values[f"{BASE}_of.low.density"] = np.array(9.0)
     inputs = Assembly(loaded, sample(loaded)).inputs(values)
@@ -85,7 +85,7 @@ def test_values_by_path_reach_a_regions_particles() -> None:
 
 
 @pytest.mark.parametrize("per", ["body", "group", "particle"])
-def test_the_gradient_is_that_of_differences(per: str, rng: np.random.Generator) -> None:
+def test_the_gradient_agrees_with_differences(per: str, rng: np.random.Generator) -> None:
     loaded = scene(OTHERS)
     assembly = Assembly(loaded, sample(loaded))
     shape = {"body": (), "group": (2,), "particle": (48,)}[per]
@@ -118,35 +118,35 @@ def test_the_gradient_is_that_of_differences(per: str, rng: np.random.Generator)
         ({"leg": {"elastic": {"fixed_corotated": LAW["neo_hookean"]}}},
          "scene: bodies.b.material_of.leg.elastic: is another law than the body's neo_hookean: make this region a"),
         ({"leg": {"incompressibility": {"power": 4}}},
-         "scene: bodies.b.material_of.leg.incompressibility.power: must be 2 as in the whole body, is 4; with another"),
+         "scene: bodies.b.material_of.leg.incompressibility.power: must be 2 as in the whole body, is 4; for another"),
         ({"lag": {"density": 3.0}}, "bodies.b.material_of.lag: there is no region 'lag' (did you mean 'leg'?)"),
         ({"leg": {"densty": 3.0}}, "material_of.leg.densty: unknown key (did you mean 'density'?)"),
         ({"leg": {"density": -3.0}}, "material_of.leg.density: must be greater than 0"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_told(others: dict[str, Any], message: str) -> None:
+def test_invalid_materials_are_refused(others: dict[str, Any], message: str) -> None:
     with pytest.raises(SceneError) as info:
         scene(others)
     assert message in str(info.value)
 
 
-def test_a_term_that_the_body_has_not_is_told() -> None:
+def test_a_term_that_the_body_lacks_is_refused() -> None:
     data = scene({}).model_dump(exclude_none=True)
     del data["bodies"]["b"]["material"]["viscosity"]
     data["bodies"]["b"]["material_of"] = {"leg": {"viscosity": {"shear": 1.0}}}
-    with pytest.raises(SceneError, match=r"bodies.b.material_of.leg.viscosity: is no term of the body's material"):
+    with pytest.raises(SceneError, match=r"bodies.b.material_of.leg.viscosity: is not a term of the body's material"):
         load_scene(data)
 
 
-def test_a_region_that_holds_none_of_the_body_is_told() -> None:
+def test_a_region_without_particles_is_refused() -> None:
     away = {"ball": {"center": [0.9, 0.9], "radius": 0.05}}
     with pytest.raises(SceneError, match=r"bodies.b.material_of.away: holds no particle"):
         sample(scene({"away": {"density": 3.0}}, regions={"away": away}))
 
 
-def test_an_unknown_of_each_particle_has_no_region_beside_it() -> None:
+def test_an_unknown_per_group_cannot_have_a_separate_region() -> None:
     unknowns = {f"{BASE}.{E}": {"bounds": [1, 100], "per": "group"}}
-    with pytest.raises(SceneError, match=r"youngs_modulus.per: by material_of, leg have a value of their own"):
+    with pytest.raises(SceneError, match=r"youngs_modulus.per: material_of sets a separate value for leg"):
         scene(OTHERS, unknowns=unknowns)
     others = {f"{BASE}.{E}": {"bounds": [1, 100]}, f"{BASE}_of.leg.{E}": {"bounds": [1, 100], "scale": "log"}}
     assert scene(OTHERS, unknowns=others).unknowns.keys() == others.keys()

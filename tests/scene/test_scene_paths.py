@@ -1,4 +1,4 @@
-"""Key paths: one string to read, replace and describe a value, and to name an unknown."""
+"""Key paths: read, replace and describe a value, and name an unknown."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NU_PATH = "bodies.beam.material.elastic.fixed_corotated.poissons_ratio"
 SHEAR = "bodies.beam.material.viscosity.shear"
 
 
-def test_get_runs_through_choices_terms_lists_and_keys_with_dots(beam: str) -> None:
+def test_get_follows_choices_terms_lists_and_keys_with_dots(beam: str) -> None:
     scene = load_scene(beam)
     assert get(scene, E_PATH) == 2e5
     assert get(scene, SHEAR) == 100.0
@@ -51,14 +51,14 @@ def test_get_runs_through_choices_terms_lists_and_keys_with_dots(beam: str) -> N
         ("", "is an empty path"),
     ],
 )
-def test_paths_that_lead_nowhere_are_told_what_is_near(beam: str, path: str, message: str) -> None:
+def test_an_invalid_path_gets_a_suggestion(beam: str, path: str, message: str) -> None:
     scene = load_scene(beam)
     with pytest.raises(SceneError) as info:
         get(scene, path)
     assert message in str(info.value)
 
 
-def test_leaf_tells_unit_range_and_whether_gradients_reach_it(beam: str) -> None:
+def test_leaf_returns_unit_range_and_whether_gradients_reach_it(beam: str) -> None:
     scene = load_scene(beam)
     assert leaf(scene, E_PATH) == LeafInfo(E_PATH, 2e5, "Pa", True, 0, None)
     assert leaf(scene, NU_PATH) == LeafInfo(NU_PATH, 0.45, "1", True, -1, 0.5)
@@ -70,10 +70,10 @@ def test_leaf_tells_unit_range_and_whether_gradients_reach_it(beam: str) -> None
 @pytest.mark.parametrize(
     ("path", "message"),
     [
-        ("world.gravity", "is no number but holds others: name one of world.gravity.0, world.gravity.1"),
-        ("bodies.beam.material.elastic", "is no number but holds others"),
-        ("title", "is no number, is 'a beam'"),
-        ("bodies.beam.unit_mass", "is no number, is False"),
+        ("world.gravity", "is not a number but contains others: name one of world.gravity.0, world.gravity.1"),
+        ("bodies.beam.material.elastic", "is not a number but contains others"),
+        ("title", "must be a number, is 'a beam'"),
+        ("bodies.beam.unit_mass", "must be a number, is False"),
         ("bodies.beam.spacing", "is not set in this scene: give it a value"),
     ],
 )
@@ -94,7 +94,7 @@ def test_leaves_that_gradients_reach(beam: str) -> None:
     assert reached < set(leaves(scene))
 
 
-def test_with_values_copies_and_keeps_the_bits(beam: str, rng: np.random.Generator) -> None:
+def test_with_values_copies_and_keeps_values_bit_for_bit(beam: str, rng: np.random.Generator) -> None:
     scene = load_scene(beam)
     before = resolve(scene)
     value = np.float64(rng.uniform(1e5, 6e5))
@@ -126,7 +126,7 @@ def test_with_values_refuses_what_the_field_refuses(beam: str, path: str, value:
     assert f"{path}: {message}" in str(info.value)
 
 
-def test_an_unknown_starts_at_initial_or_at_the_scenes_value(beam: str) -> None:
+def test_an_unknown_starts_at_initial_or_at_the_value_in_the_scene(beam: str) -> None:
     scene = load_scene(beam, [f"unknowns.{SHEAR}.initial=7"])
     assert start(scene, SHEAR) == 7.0
     assert start(scene, E_PATH) == 2e5
@@ -169,7 +169,7 @@ UNKNOWN = f"  {SHEAR}: {{bounds: [1, 400], scale: log}}"
         ),
         (
             "  world.gravity: {bounds: [-10, 0]}",
-            ["beam.yaml:27:3: unknowns.world.gravity: is no number but holds others: name one"],
+            ["beam.yaml:27:3: unknowns.world.gravity: is not a number but contains others: name one"],
         ),
         (
             "  world.gravity.1: {bounds: [-10, 0], per: group}",
@@ -181,10 +181,10 @@ UNKNOWN = f"  {SHEAR}: {{bounds: [1, 400], scale: log}}"
         ),
     ],
 )
-def test_unknowns_that_cannot_be_found(line: str, messages: list[str], refused: Refused) -> None:
-    told = refused(UNKNOWN, line)
-    assert len(told) == len(messages)
-    for text, message in zip(told, messages, strict=True):
+def test_invalid_unknowns_are_refused(line: str, messages: list[str], refused: Refused) -> None:
+    problems = refused(UNKNOWN, line)
+    assert len(problems) == len(messages)
+    for text, message in zip(problems, messages, strict=True):
         assert text.startswith(message)
 
 
@@ -192,14 +192,14 @@ def test_an_unknown_by_group_needs_groups(beam: str, refused: Refused) -> None:
     by_group = UNKNOWN.replace("scale: log", "per: group")
     assert load_scene(beam.replace(UNKNOWN, by_group)).unknowns[SHEAR].per == "group"
     without = "    groups:\n      tip: {box: {corner: [0.14, 0.04], size: [0.01, 0.02]}}\n"
-    (told,) = refused(without, "", f"unknowns.{SHEAR}.per=group")
-    assert told == (
+    (problem,) = refused(without, "", f"unknowns.{SHEAR}.per=group")
+    assert problem == (
         f"-o unknowns.{SHEAR}.per=group: unknowns.{SHEAR}.per: "
         "the body 'beam' has no groups; name some or use `per: body`"
     )
 
 
-def test_two_spellings_of_one_path_are_one(beam: str) -> None:
+def test_two_spellings_name_the_same_value(beam: str) -> None:
     box = "{box: {corner: [0.05, 0.04], size: [0.1, 0.02]}}"
     scene = load_scene(beam.replace(f"shape: {box}", f"shape: {{union: [{box}]}}"))
     short, long = "bodies.beam.shape.union.0.box.size.0", "bodies.beam.shape.union.shapes.0.box.size.0"

@@ -1,4 +1,4 @@
-"""Plug-in files of a scene: run only where that is allowed, known by their content, told of when they are wrong."""
+"""Plug-in files of a scene: run only if allowed, identified by their content, refused if they are wrong."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cqrun.errors import SceneError, UsageError
 from cqrun.plugin import registry
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
-from cqrun.scene.plugin_files import plugins_allowed, take_files
+from cqrun.scene.plugin_files import load_plugin_files, plugins_allowed
 
 SCENE = """\
 cqrun: 1
@@ -26,7 +26,7 @@ bodies:
 time: {duration: 0.1, control_step: 0.01}
 """
 
-Told = Callable[..., str]
+ErrorOf = Callable[..., str]
 
 
 @pytest.fixture(autouse=True)
@@ -44,10 +44,10 @@ def scene(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def told(scene: Path) -> Told:
-    """Return a function: the plug-in file's text, overrides -> what an allowed load says of it."""
+def error_of(scene: Path) -> ErrorOf:
+    """Return a function that writes the plug-in file's text, loads the scene, and returns the error message."""
 
-    def problems(text: str | None = None, *overrides: str) -> str:
+    def load(text: str | None = None, *overrides: str) -> str:
         if text is not None:
             (scene.parent / "disc.py").write_text(text)
         with plugins_allowed(), pytest.raises(SceneError) as info:
@@ -55,10 +55,10 @@ def told(scene: Path) -> Told:
         assert info.value.exit_code == 2
         return str(info.value)
 
-    return problems
+    return load
 
 
-def test_without_permission_nothing_is_run(scene: Path, tmp_path: Path) -> None:
+def test_without_permission_no_file_is_run(scene: Path, tmp_path: Path) -> None:
     (tmp_path / "disc.py").write_text(f"from pathlib import Path\nPath({str(tmp_path / 'ran')!r}).touch()\n" + DISC)
     with pytest.raises(SceneError) as info:
         load_scene(scene)
@@ -89,7 +89,7 @@ def test_a_plug_in_is_a_part_of_a_scene_like_any_other(scene: Path) -> None:
     assert "disc" in registry.plugins("shape")
 
 
-def test_its_fields_complain_with_their_place(scene: Path) -> None:
+def test_errors_in_its_fields_have_their_position(scene: Path) -> None:
     scene.write_text(SCENE.replace("0.02}", "-0.02}"))
     place = r"scene.yaml:6:49: bodies.ball.shape.disc.radius: must be greater"
     with plugins_allowed(), pytest.raises(SceneError, match=place):
@@ -114,19 +114,19 @@ from cqrun.plugin.registry import plugin
 
 @plugin("elastic", "own_law")
 class OwnLaw(MaterialTerm):
-    """A law that forgets one of its numbers."""
+    """A law that does not use one of its numbers."""
 
     parameters: ClassVar[tuple[str, ...]] = ("youngs_modulus",)
     youngs_modulus: float = quantity("Pa", "Young's modulus", differentiable=True, gt=0)
     hardening: float = quantity("1", "Hardening", differentiable=True, default=0.0)
 '''
-"""A kernel plug-in that declares a number differentiable of which kernels do not know."""
+"""A kernel plug-in that declares a number differentiable that its kernels do not use."""
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (LAW, "class OwnLaw, elastic 'own_law', declares hardening differentiable, which no gradient reaches: of this"),
+        (LAW, "class OwnLaw, elastic 'own_law', declares hardening differentiable, which no gradient reaches: for "),
         (RAISES, "disc.py:11: raises KeyError: 'missing'; in the line: value = table['missing']"),
         ("import numpy as np\n\ndef f(:\n", "disc.py:3: raises SyntaxError: invalid syntax; in the line: def f(:"),
         ("import sys\nsys.exit('no')\n", "disc.py:2: raises SystemExit: no"),
@@ -134,22 +134,22 @@ class OwnLaw(MaterialTerm):
         ("", "disc.py registers no plug-in: decorate a class with @plugin(kind, name) of cqrun.plugin.registry"),
         (DISC.replace('"disc"', '"ball"'), "disc.py:10: raises ValueError: two plug-ins of kind 'shape' are called"),
         (DISC.replace('"shape"', '"shapes"'), "raises ValueError: unknown kind of plug-in 'shapes'; kinds are shape, "),
-        (DISC.replace("(Shape)", ""), "class Disc is registered as shape 'disc' and must derive from what others in "),
+        (DISC.replace("(Shape)", ""), "class Disc is registered as shape 'disc' and must derive from the same base "),
         (DISC.replace("def inside", "def within"), "class Disc, shape 'disc', lacks methods: inside"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_told_with_its_line(text: str, message: str, told: Told) -> None:
+def test_the_error_of_an_unusable_file_names_its_line(text: str, message: str, error_of: ErrorOf) -> None:
     known = dict(registry.plugins("shape"))
-    answer = told(text)
+    answer = error_of(text)
     assert "scene.yaml:2:11: plugins.0: " in answer
     assert message in answer
     assert "\n" not in answer
     assert registry.plugins("shape") == known
 
 
-def test_another_class_of_a_name_that_the_package_has_is_refused(told: Told) -> None:
+def test_a_class_with_the_name_of_a_built_in_plug_in_is_refused(error_of: ErrorOf) -> None:
     text = DISC.replace('"disc"', '"ball"').replace("class Disc", "class Ball")
-    assert "two plug-ins of kind 'shape' are called 'ball'; the other is in " in told(text)
+    assert "two plug-ins of kind 'shape' are called 'ball'; the other is in " in error_of(text)
     assert registry.plugins("shape")["ball"].__module__ == "cqrun.geometry.ball"
 
 
@@ -157,17 +157,17 @@ def test_another_class_of_a_name_that_the_package_has_is_refused(told: Told) -> 
     ("names", "message"),
     [
         ("[none.py]", "plugins.0: there is no file '{folder}/none.py'; a name is relative to the scene's folder"),
-        ("[disc.txt]", "plugins.0: 'disc.txt' is no Python file: its name must end in .py"),
-        ("[disc.py, ./disc.py]", "plugins.1: two files are called 'disc.py'; a run keeps them side by side: r"),
+        ("[disc.txt]", "plugins.0: 'disc.txt' is not a Python file: its name must end in .py"),
+        ("[disc.py, ./disc.py]", "plugins.1: two files are called 'disc.py'; a run keeps them in one folder: rename"),
         ("[disc.py, twin.py]", "plugins.1: {folder}/twin.py:10: raises ValueError: two plug-ins of kind 'shape' are"),
         ("disc.py", "plugins: must be a list, is 'disc.py'"),
         ("[3]", "plugins.0: must be text, is 3"),
     ],
 )
-def test_names_that_cannot_be(names: str, message: str, told: Told, scene: Path) -> None:
+def test_invalid_file_names_are_refused(names: str, message: str, error_of: ErrorOf, scene: Path) -> None:
     for name in ("disc.txt", "twin.py"):
         (scene.parent / name).write_text(DISC)
-    assert f"-o plugins={names}: {message.format(folder=scene.parent)}" in told(None, f"plugins={names}")
+    assert f"-o plugins={names}: {message.format(folder=scene.parent)}" in error_of(None, f"plugins={names}")
 
 
 def test_a_changed_file_is_another_module(scene: Path) -> None:
@@ -195,15 +195,15 @@ def test_a_copy_is_the_same_module(scene: Path, tmp_path: Path) -> None:
     assert type(kept.bodies["ball"].shape.value) is type(first.bodies["ball"].shape.value)  # type: ignore[union-attr]
 
 
-def test_files_named_on_purpose_need_no_scene(scene: Path) -> None:
-    take_files([scene.parent / "disc.py"])
+def test_explicitly_named_files_need_no_scene(scene: Path) -> None:
+    load_plugin_files([scene.parent / "disc.py"])
     assert "disc" in registry.plugins("shape")
     with pytest.raises(UsageError, match=r"none.py: cannot be read \(No such file or directory\)"):
-        take_files([scene.parent / "none.py"])
+        load_plugin_files([scene.parent / "none.py"])
 
 
-def test_a_file_sees_its_own_futures_and_its_own_name(scene: Path, told: Told) -> None:
-    """Annotations are evaluated as the file says, not as the loader's own module does."""
+def test_a_file_has_its_own_future_imports_and_its_own_name(scene: Path, error_of: ErrorOf) -> None:
+    """Annotations are evaluated as the file specifies, not as in the module of the loader."""
     (scene.parent / "disc.py").write_text(DISC + "\nassert Disc.inside.__annotations__ == {}\nx: int = 1\n"
                                           "assert __annotations__ == {'x': int}, __annotations__\n"
                                           f"assert __file__ == {str(scene.parent / 'disc.py')!r}\n")  # fmt: skip

@@ -1,4 +1,4 @@
-"""Every bad scene is told what is wrong, where, and what would be right."""
+"""The errors of invalid scenes say what is wrong, where, and what would be right."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ CASES = {
     "duplicate key": (
         "  duration: 1.5",
         "  duration: 1.5\n  duration: 1",
-        ["beam.yaml:22:3: time.duration: this key is here twice; the first stands in line 21; keep one"],
+        ["beam.yaml:22:3: time.duration: this key is here twice; the first is in line 21; keep one"],
     ),
     "unknown named twice": (
         "unknowns:",
@@ -109,12 +109,12 @@ CASES = {
     "duration": (
         "1.5",
         "1.505",
-        ["beam.yaml:21:13: time.duration: 1.505 s is no multiple of the control step 0.01 s; the nearest is 1.5 s"],
+        ["beam.yaml:21:13: time.duration: 1.505 s is not a multiple of the control step 0.01 s; the nearest is 1.5 s"],
     ),
     "short run": (
         "1.5",
         "0.001",
-        ["beam.yaml:21:13: time.duration: 0.001 s is no multiple of the control step 0.01 s"],
+        ["beam.yaml:21:13: time.duration: 0.001 s is not a multiple of the control step 0.01 s"],
     ),
     "substeps": (
         "control_step: 0.01",
@@ -216,28 +216,28 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_bad_scene(name: str, refused: Refused) -> None:
     old, new, messages = CASES[name]
-    told = refused(old, new)
-    assert len(told) == len(messages), told
-    for line, message in zip(told, messages, strict=True):
+    problems = refused(old, new)
+    assert len(problems) == len(messages), problems
+    for line, message in zip(problems, messages, strict=True):
         assert line.startswith(message)
 
 
-def test_more_memory_than_there_is(refused: Refused) -> None:
-    there = psutil.virtual_memory().total
-    (told,) = refused("64MiB", str(there + 1))
-    assert told.startswith("beam.yaml:4:9: memory: asks for ")
-    assert "this machine has " in told
-    assert load_scene({**_plain(), "memory": there}).memory == there
+def test_more_memory_than_the_machine_has(refused: Refused) -> None:
+    total = psutil.virtual_memory().total
+    (problem,) = refused("64MiB", str(total + 1))
+    assert problem.startswith("beam.yaml:4:9: memory: asks for ")
+    assert "but this machine has " in problem
+    assert load_scene({**_plain(), "memory": total}).memory == total
 
 
-def test_everything_is_told_at_once_by_line_then_by_override(refused: Refused) -> None:
-    told = refused(
+def test_all_problems_are_reported_at_once_by_line_then_by_override(refused: Refused) -> None:
+    problems = refused(
         "      density: 1070\n      elastic:\n        fixed_corotated:\n          youngs_modulus: 2e5",
         "      density: -1\n      elastic:\n        fixed_corotated:\n          youngs_modulus: much",
         "time.duration=-1",
         "world.dx=0",
     )
-    assert [line.split(": ")[0] for line in told] == [
+    assert [line.split(": ")[0] for line in problems] == [
         "beam.yaml:12:16",
         "beam.yaml:15:27",
         "-o time.duration=-1",
@@ -245,7 +245,7 @@ def test_everything_is_told_at_once_by_line_then_by_override(refused: Refused) -
     ]
 
 
-def test_a_missing_file_and_a_wrong_encoding_are_told(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_wrong_encoding_are_reported(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     with pytest.raises(SceneError, match=r"run: the scene cannot be read: it is a directory; a scene is a YAML file"):
         load_scene(tmp_path / "run")
@@ -305,7 +305,7 @@ def test_a_missing_file_and_a_wrong_encoding_are_told(tmp_path: Path) -> None:
         ({"synthetic": {"truth": {"world.dx": 1}, "every": 9}}, "exactly one of markers, tracked; has none"),
         (
             {"synthetic": {"truth": {"world.dx": 0.1}, "every": 1, "tracked": 9}},
-            "a truth can only be what can be an unknown",
+            "only a value that can be an unknown can have a truth",
         ),
         ({"synthetic": {"truth": {"world.dy": 1}, "every": 1, "tracked": 9}}, "'world' has no 'dy'"),
     ],
@@ -328,50 +328,50 @@ def _plain() -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("overrides", "told"),
+    ("overrides", "message"),
     [
         ({"time.control_step": 0.005}, "all recordings share `time`"),
         ({"unknowns": {}}, "all recordings share `unknowns`"),
         ({"bodies.beam.material.density": 900}, "is fitted, as the unknown 'bodies.beam.material.density'"),
     ],
 )
-def test_overrides_that_would_do_nothing(overrides: dict[str, Any], told: str) -> None:
+def test_overrides_without_effect_are_refused(overrides: dict[str, Any], message: str) -> None:
     data = {"recordings": {"a": {"file": "a", "overrides": overrides}}}
     unknowns = {"bodies.beam.material.density": {"bounds": [0.5, 2.0]}}
     with pytest.raises(SceneError) as info:
         load_scene({**_plain(), "data": data, "unknowns": unknowns})
-    assert told in str(info.value)
+    assert message in str(info.value)
 
 
 @pytest.mark.parametrize(
-    ("override", "told"),
+    ("override", "message"),
     [
         ("time.duration=1.0e+9", r"time.duration: the records of .* control steps need .* are free: use fewer"),
         ("data={synthetic: {truth: {world.gravity.1: -9.0}, copies: 2000000000, tracked: 9, every: 1}}",
          r"data.synthetic.copies: 2,000,000,000 recordings need .* are free: make fewer copies"),
     ],
 )  # fmt: skip
-def test_more_than_fits_in_memory(override: str, told: str) -> None:
+def test_a_scene_that_does_not_fit_the_memory_is_refused(override: str, message: str) -> None:
     scene = load_scene(_plain(), [override])
-    with pytest.raises(SceneError, match=told):
+    with pytest.raises(SceneError, match=message):
         build(scene)
 
 
-def test_an_unknown_start_of_a_recording_that_is_held_out() -> None:
+def test_an_unknown_start_of_a_held_out_recording_is_refused() -> None:
     recording = {"file": "a.csv", "start": 0.1, "holdout": True, "markers": {"m": [0.1, 0.1]}}
     given = {"data": {"recordings": {"a": recording}}, "unknowns": {"data.recordings.a.start": {"bounds": [0, 1]}}}
-    with pytest.raises(SceneError, match=r"unknowns.*the recording 'a' is held out, so nothing tells its start"):
+    with pytest.raises(SceneError, match=r"unknowns.*the recording 'a' is held out, so nothing determines its start"):
         load_scene({**_plain(), **given})
 
 
 @pytest.mark.parametrize(
-    ("what", "told"),
+    ("what", "message"),
     [
         ("tracked: 1000000", r"data.synthetic.tracked: tracks 1,000,000 particles, but the body 'beam' has only"),
         ("markers: {tip: [100.0, 0.1]}", r"data.synthetic.markers.tip: is .* m from the body 'beam', which is"),
     ],
 )
-def test_synthetic_data_of_what_is_not_there(what: str, told: str) -> None:
+def test_synthetic_data_away_from_the_body_are_refused(what: str, message: str) -> None:
     data = f"data={{synthetic: {{truth: {{world.gravity.1: -9.0}}, {what}, every: 1}}}}"
-    with pytest.raises(SceneError, match=told):
+    with pytest.raises(SceneError, match=message):
         build(load_scene(_plain(), [data]))

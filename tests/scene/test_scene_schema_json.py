@@ -1,4 +1,4 @@
-"""The JSON schema: complete references, and it agrees with the loader on good and bad scenes."""
+"""The JSON schema: its references are complete, and it agrees with the loader about valid and invalid scenes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TYPES: dict[str, Any] = {
 
 
 def accepts(schema: Any, data: Any) -> bool:
-    """Say whether data is valid, for the keywords that the scene schema uses (draft-07 and 2020-12 alike)."""
+    """Return whether data are valid, for the keywords that the scene schema uses (the same in draft-07 and 2020-12)."""
     if isinstance(schema, bool):
         return schema
     if "$ref" in schema and not accepts(SCHEMA["$defs"][schema["$ref"].removeprefix("#/$defs/")], data):
@@ -69,7 +69,7 @@ def _mapping(schema: Any, data: dict[str, Any]) -> bool:
     return True
 
 
-def test_every_reference_leads_somewhere() -> None:
+def test_every_reference_has_a_definition() -> None:
     text = repr(SCHEMA)
     assert set(re.findall(r"'#/\$defs/([^']+)'", text)) <= SCHEMA["$defs"].keys()
     assert "x-cqrun" not in text
@@ -77,7 +77,7 @@ def test_every_reference_leads_somewhere() -> None:
 
 
 @pytest.mark.parametrize("kind", ["shape", "sampling", "elastic", "material_term", "boundary", "load"])
-def test_every_plugin_is_spelt_out(kind: str) -> None:
+def test_the_schema_lists_every_plugin(kind: str) -> None:
     for name, cls in plugins(kind).items():
         definition = SCHEMA["$defs"][f"{kind}.{name}"]
         definition = definition["anyOf"][0] if cls.shorthand else definition

@@ -1,4 +1,4 @@
-"""Files are there whole or not at all; disk trouble is told in words."""
+"""Files are written completely or not at all, and disk errors become clear messages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cqrun.errors import RunError, UsageError
 from cqrun.store.atomic import append_durably, make_directory, write_bytes, write_json, write_text
 
 
-def test_text_and_json_replace_what_was_there(tmp_path):
+def test_text_and_json_replace_the_old_file(tmp_path):
     path = tmp_path / "a.json"
     write_text(path, "old µ")
     assert path.read_text() == "old µ"
@@ -39,7 +39,7 @@ def test_json_has_no_nan(tmp_path):
         (errno.EIO, RunError, "cannot be written"),
     ],
 )
-def test_failures_keep_the_old_file_and_say_what_to_do(tmp_path, monkeypatch, number, kind, words):
+def test_errors_keep_the_old_file_and_say_what_to_do(tmp_path, monkeypatch, number, kind, words):
     path = tmp_path / "a.txt"
     write_text(path, "old")
 
@@ -59,7 +59,7 @@ def test_a_directory_that_cannot_be_made(tmp_path):
         make_directory(tmp_path / "file" / "below")
 
 
-def test_append_writes_all_of_it(tmp_path):
+def test_append_writes_all_data(tmp_path):
     path = tmp_path / "log"
     with path.open("wb", buffering=0) as file:
         append_durably(file, b"abc")
@@ -68,7 +68,7 @@ def test_append_writes_all_of_it(tmp_path):
 
 
 def test_a_file_that_cannot_grow(tmp_path):
-    """A real limit of the operating system, in a process of its own."""
+    """A real limit of the operating system, in a separate process."""
     limit = 4096
     code = (
         "import resource, sys; from pathlib import Path; from cqrun.store.atomic import write_bytes;"

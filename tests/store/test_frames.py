@@ -1,4 +1,4 @@
-"""A trajectory frame by frame: finished, being written, or damaged."""
+"""Read a trajectory frame by frame: finished, being written, or damaged."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def test_frames_are_read_one_by_one(tmp_path, abandon):
         np.testing.assert_array_equal(frames.read_all("J"), read_trajectory(tmp_path / "t.h5").fields["J"])
 
 
-def test_what_cannot_be_read_is_told(tmp_path):
+def test_missing_and_damaged_trajectories_are_refused(tmp_path):
     with pytest.raises(UsageError, match="no such trajectory"):
         Frames(tmp_path / "t.h5")
     write(tmp_path / "t.h5", 2)
-    with Frames(tmp_path / "t.h5") as frames, pytest.raises(UsageError, match="no trajectory of cqrun"):
+    with Frames(tmp_path / "t.h5") as frames, pytest.raises(UsageError, match="not a cqrun trajectory"):
         frames.read("F", 0)
     content = (tmp_path / "t.h5").read_bytes()
     (tmp_path / "t.h5").write_bytes(content[: len(content) // 2])

@@ -1,4 +1,4 @@
-"""The history: durable rows, idempotent, cut where they no longer hold."""
+"""The history: its rows are durable, recording a row again is harmless, and outdated rows are dropped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ COLUMNS = ("loss", "value:a,b")
 
 @pytest.fixture
 def opened():
-    """Open histories that the test need not close."""
+    """Return a function that opens a history, which is closed after the test."""
     with contextlib.ExitStack() as stack:
         yield lambda path, columns=COLUMNS: stack.enter_context(contextlib.closing(History(path, columns)))
 
@@ -37,7 +37,7 @@ def test_rows_are_on_disk_with_all_their_digits(tmp_path, history):
     assert read_history(tmp_path / "h.csv")["value:a,b"] == [0.0, 1.0, 2.0, 3.0]
 
 
-def test_the_same_row_again_keeps_its_seconds(tmp_path, history, opened):
+def test_recording_a_row_again_keeps_its_seconds(tmp_path, history, opened):
     before = (tmp_path / "h.csv").read_bytes()
     history = opened(tmp_path / "h.csv")
     history.record(1, {"loss": 0.25, "value:a,b": 1.0}, seconds=99.0)
@@ -45,18 +45,18 @@ def test_the_same_row_again_keeps_its_seconds(tmp_path, history, opened):
     assert len(history) == 4
 
 
-def test_another_row_drops_what_came_after(tmp_path, history):
+def test_a_different_row_drops_all_rows_after_it(tmp_path, history):
     history.record(1, {"loss": 0.125, "value:a,b": 1.0}, seconds=99.0)
     assert read_history(tmp_path / "h.csv")["loss"] == [1 / 3, 0.125]
     history.record(2, {"loss": 0.0, "value:a,b": 1.0}, seconds=100.0)
     assert read_history(tmp_path / "h.csv")["iteration"] == [0, 1, 2]
 
 
-@pytest.mark.parametrize("torn", [b"4,0.1,1", b"4,0.1\n", b"4,0.1,0.2,", b"\x00\x00"])
-def test_a_torn_last_row_is_dropped(tmp_path, history, opened, torn):
+@pytest.mark.parametrize("incomplete", [b"4,0.1,1", b"4,0.1\n", b"4,0.1,0.2,", b"\x00\x00"])
+def test_an_incomplete_last_row_is_dropped(tmp_path, history, opened, incomplete):
     path = history.path
     whole = path.read_bytes()
-    path.write_bytes(whole + torn)
+    path.write_bytes(whole + incomplete)
     assert read_history(path)["iteration"] == [0, 1, 2, 3]
     assert len(opened(path)) == 4
     assert path.read_bytes() == whole
@@ -68,7 +68,7 @@ def test_truncate_to_the_restored_iteration(history, opened):
 
 
 def test_a_gap_or_other_columns_are_refused(history, opened):
-    with pytest.raises(ValueError, match="left out"):
+    with pytest.raises(ValueError, match="skipped"):
         history.record(5, {"loss": 0.0, "value:a,b": 0.0}, seconds=0.0)
     with pytest.raises(KeyError):
         history.record(4, {"loss": 0.0}, seconds=0.0)

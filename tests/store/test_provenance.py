@@ -1,4 +1,4 @@
-"""The commit of a checkout, and none where there is none."""
+"""The commit of a checkout, or None without a checkout."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every format read, every way a recording can be wrong, and the message a person gets."""
+"""Read every format, and refuse every kind of wrong recording with a clear message."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_c3d_units_of_the_file(tmp_path, positions, units, scale):
     np.testing.assert_allclose(read_recording(path, units="cm").positions, 0.01 * positions)
 
 
-def test_c3d_marker_not_seen_is_masked(tmp_path, positions):
+def test_c3d_markers_that_were_not_seen_are_nan(tmp_path, positions):
     positions[4, 1] = np.nan
     residuals = np.zeros((12, 3))
     residuals[7, 2] = -1
@@ -158,14 +158,14 @@ def test_csv_sorted_by_marker_units_and_comments(text):
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        (["0,a,1,2,3", "0.1,a,1,2"], (":3:", "4 columns where 5 belong", "truncated")),
-        (["0,a,1,2,3", "0.1,a,1,two,3"], (":3:", "y is 'two'", "no number")),
+        (["0,a,1,2,3", "0.1,a,1,2"], (":3:", "4 columns instead of 5", "truncated")),
+        (["0,a,1,2,3", "0.1,a,1,two,3"], (":3:", "y is 'two'", "not a number")),
         (["0,a,1,2,3", "nan,a,1,2,3"], (":3:", "time is nan")),
         (["0,a,1,2,3", "0.1,a,1,nan,3"], (":3:", "marker 'a'", "some coordinates")),
         (["0,a,1,2,3", "0.1,a,1,inf,3"], ("marker 'a'", "infinity", "frame 1")),
         (["0,a,1,2,3", "0.2,a,1,2,3", "0.1,a,1,2,3"], (":4:", "time does not increase", "0.2 s", "0.1 s")),
-        (["0,a,1,2,3", "0,a,1,2,3"], (":3:", "marker 'a' is there twice")),
-        (["0,a,1,2,3", "0.2,a,1,2,3", "0,a,1,2,3"], (":4:", "marker 'a' is there twice")),
+        (["0,a,1,2,3", "0,a,1,2,3"], (":3:", "marker 'a' appears twice")),
+        (["0,a,1,2,3", "0.2,a,1,2,3", "0,a,1,2,3"], (":4:", "marker 'a' appears twice")),
         (["0,a,1,2,3"], ("1 frames", "2 or more")),
         ([], ("no data",)),
     ],
@@ -214,18 +214,18 @@ def test_trajectory_refused(tmp_path, rng):
 # ---------------------------------------------------------------- markers
 
 
-def test_select_unknown_and_doubled_markers(positions):
+def test_select_unknown_and_repeated_markers(positions):
     recording = Recording(np.arange(12.0), ("Tip - 1", "Tip - 2", "Tip - 2"), positions, "beam.c3d")
     assert recording.select(["Tip - 1"]).positions.shape == (12, 1, 3)
     with pytest.raises(DataError, match=re.escape("beam.c3d: no marker 'Tip 1' (did you mean 'Tip - 1'?)")):
         recording.select(["Tip 1"])
     with pytest.raises(DataError, match="no marker 'Q'; it has 'Tip - 1', 'Tip - 2'"):
         recording.select(["Q"])
-    with pytest.raises(DataError, match="'Tip - 2' is there 2 times"):
+    with pytest.raises(DataError, match="'Tip - 2' appears 2 times"):
         recording.select(["Tip - 2"])
 
 
-def test_time_that_is_no_number(positions):
+def test_time_that_is_not_a_number(positions):
     time = np.arange(12.0)
     time[5] = np.nan
     with pytest.raises(DataError, match="time of frame 5 is nan"):

@@ -1,4 +1,4 @@
-"""The recordings of the real silicone beam, against the figures published with them."""
+"""The recordings of the real silicone beam agree with the numbers published with them."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def test_published_residuals_and_final_displacements(name, frames, still, residu
     assert beam.values.shape == (frames, 6, 3)
     assert not np.isnan(beam.values).any()
     np.testing.assert_allclose(np.diff(beam.time), 0.01)
-    found = 1e3 * beam.alignment.residuals
-    np.testing.assert_allclose((found.min(), found.max()), residuals, atol=0.03)
+    aligned = 1e3 * beam.alignment.residuals
+    np.testing.assert_allclose((aligned.min(), aligned.max()), residuals, atol=0.03)
     np.testing.assert_allclose(1e3 * beam.values[-20:, :3, 2].mean(axis=0), settled, atol=0.07)
 
 

@@ -1,4 +1,4 @@
-"""Data that cqrun makes for itself."""
+"""Synthetic data: noise, seeds and copies."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def test_noise_is_white_seeded_and_different_in_each_copy(rng):
     np.testing.assert_array_equal(again.positions, first.positions)
 
 
-def test_without_noise_it_is_the_truth_also_through_a_file(rng, tmp_path):
+def test_without_noise_the_data_are_the_truth_also_after_a_file(rng, tmp_path):
     truth = rng.normal(size=(5, 2, 3))
     (made,) = make_synthetic(0.1 * np.arange(5), ["a", "b"], truth, noise=0.0, copies=1, rng=rng)
     write_csv(made, tmp_path / "made.csv")
     np.testing.assert_array_equal(read_recording(tmp_path / "made.csv").positions, truth)
 
 
-def test_refused(rng):
+def test_wrong_arguments_are_refused(rng):
     with pytest.raises(ValueError, match="must not be negative"):
         make_synthetic(np.arange(3), ["a"], np.zeros((3, 1, 2)), noise=-1, copies=1, rng=rng)
     with pytest.raises(ValueError, match="do not fit"):

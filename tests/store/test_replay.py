@@ -1,4 +1,4 @@
-"""The replay log: same questions, same answers, whatever happened to the file's end."""
+"""The replay log gives the same answers for the same evaluations, whatever happened to the end of its file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cqrun.store.replay import ReplayLog
 
 
 class Oracle:
-    """Answers f, g and a matrix; fails above 2."""
+    """Computes f, g and a matrix; fails if x[0] is above 2."""
 
     def __init__(self):
         self.calls = 0
@@ -27,7 +27,7 @@ class Oracle:
 
 
 def ask_all(path, points, notes=None):
-    """Return the answers at all points (None for a failed one) and the log."""
+    """Return the answers at all points (or the failures), the log and the oracle."""
     oracle, answers = Oracle(), []
     log = ReplayLog(path, (notes if notes is not None else []).append)
     for x in points:
@@ -44,15 +44,13 @@ def points(rng):
     return [*rng.normal(size=(3, 2)), np.array([3.0, 0.0]), *rng.normal(size=(2, 2))]
 
 
-def same(one, two):
-    if isinstance(one, TrialFailed):
-        return isinstance(two, TrialFailed) and str(one) == str(two) and vars(one) == vars(two)
-    return one.keys() == two.keys() and all(
-        one[k].shape == two[k].shape and one[k].tobytes() == two[k].tobytes() for k in one
-    )
+def same(a, b):
+    if isinstance(a, TrialFailed):
+        return isinstance(b, TrialFailed) and str(a) == str(b) and vars(a) == vars(b)
+    return a.keys() == b.keys() and all(a[k].shape == b[k].shape and a[k].tobytes() == b[k].tobytes() for k in a)
 
 
-def test_replayed_answers_are_the_same_bits(tmp_path, points):
+def test_replayed_answers_are_bit_for_bit_identical(tmp_path, points):
     first, log, _ = ask_all(tmp_path / "evals.log", points)
     assert (log.replayed, log.computed) == (0, 6)
     second, log, oracle = ask_all(tmp_path / "evals.log", points)
@@ -62,7 +60,7 @@ def test_replayed_answers_are_the_same_bits(tmp_path, points):
     assert str(second[3]) == "body 'beam', particle 3, t = 0.5 s: too far; trial values: µ = 3"
 
 
-def test_the_record_holds_the_question_asked_even_if_compute_spoils_x(tmp_path):
+def test_the_record_has_the_original_point_even_if_compute_changes_x(tmp_path):
     x = np.array([1.0, 2.0])
 
     def spoil():
@@ -78,7 +76,7 @@ def test_the_record_holds_the_question_asked_even_if_compute_spoils_x(tmp_path):
     assert again.replayed == 1
 
 
-def test_cut_at_any_byte_loses_only_what_is_torn(tmp_path, points):
+def test_a_cut_at_any_byte_loses_only_the_incomplete_record(tmp_path, points):
     path = tmp_path / "evals.log"
     whole_answers, _, _ = ask_all(path, points)
     whole = path.read_bytes()
@@ -93,7 +91,7 @@ def test_cut_at_any_byte_loses_only_what_is_torn(tmp_path, points):
     assert counts == set(range(6))
 
 
-def test_a_flipped_bit_is_found_and_told(tmp_path, points):
+def test_a_flipped_bit_is_detected_and_reported(tmp_path, points):
     path, notes = tmp_path / "evals.log", []
     whole_answers, _, _ = ask_all(path, points)
     spoilt = bytearray(path.read_bytes())
@@ -107,7 +105,7 @@ def test_a_flipped_bit_is_found_and_told(tmp_path, points):
 
 
 @pytest.mark.parametrize("change", ["x", "a millionth of x", "kind", "length"])
-def test_another_question_truncates_and_says_so(tmp_path, points, change):
+def test_another_evaluation_truncates_the_log_with_a_note(tmp_path, points, change):
     path, notes = tmp_path / "evals.log", []
     ask_all(path, points)
     size = path.stat().st_size
@@ -127,7 +125,7 @@ def test_another_question_truncates_and_says_so(tmp_path, points, change):
 
 
 @pytest.mark.parametrize("rounded", [lambda x: np.nextafter(x, 9.0), lambda x: x * (1 + 1e-12)])
-def test_a_log_of_a_machine_that_rounds_differently_answers_and_says_so_once(tmp_path, points, rounded):
+def test_the_log_of_a_machine_that_rounds_differently_answers_with_one_note(tmp_path, points, rounded):
     path, notes = tmp_path / "evals.log", []
     first, _, _ = ask_all(path, points)
     whole = path.read_bytes()
@@ -137,7 +135,7 @@ def test_a_log_of_a_machine_that_rounds_differently_answers_and_says_so_once(tmp
     assert path.read_bytes() == whole
     assert len(notes) == 1
     assert "evaluation 2 is" in notes[0]
-    assert "rounded differently" in notes[0]
+    assert "rounds differently" in notes[0]
 
 
 def test_minus_zero_is_round_off(tmp_path):
@@ -162,7 +160,7 @@ def test_an_interrupted_computation_leaves_no_record(tmp_path):
     assert (tmp_path / "e").stat().st_size == 12
 
 
-def test_what_is_no_log_is_refused(tmp_path):
+def test_a_file_that_is_not_a_log_is_refused(tmp_path):
     (tmp_path / "e").write_bytes(b"something else altogether")
     with pytest.raises(UsageError, match=r"unreadable checkpoint.*--fresh"):
         ReplayLog(tmp_path / "e")

@@ -1,4 +1,4 @@
-"""The run directory: its name, its life, and who may touch it."""
+"""The run directory: its name, its status, and its lock."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def start(scene, out, **options):
     )
 
 
-def test_a_new_run_says_where_it_comes_from(scene, tmp_path):
+def test_a_new_run_records_its_provenance(scene, tmp_path):
     with start(scene, tmp_path / "out") as run:
         assert run.path == tmp_path / "out" / "beam" / scene.digest()
         assert run.status == "new"
@@ -56,7 +56,7 @@ def scene_with_plugin(tmp_path):
     return RunScene("beam", "cqrun: 1\nplugins: [own/law.py]\n", "", plugins=names)
 
 
-def test_a_run_keeps_its_plug_ins_and_its_name_follows_them(scene_with_plugin, tmp_path):
+def test_a_run_keeps_its_plug_ins_and_its_name_depends_on_them(scene_with_plugin, tmp_path):
     with start(scene_with_plugin, tmp_path / "out") as run:
         run.begin()
     copy, original = run.path / "plugins" / "law.py", tmp_path / "own" / "law.py"
@@ -64,12 +64,12 @@ def test_a_run_keeps_its_plug_ins_and_its_name_follows_them(scene_with_plugin, t
     original.write_text("E = 2\n")
     assert scene_with_plugin.digest() != run.path.name
     assert copy.read_text() == "E = 1\n"
-    with RunDirectory.resume(run.path) as again:  # the copy is what counts
+    with RunDirectory.resume(run.path) as again:  # it uses the copy
         assert again.status == "running"
 
 
 @pytest.mark.parametrize("spoil", [lambda copy: copy.write_text("E = 3\n"), lambda copy: copy.unlink()])
-def test_a_plug_ins_copy_that_was_changed_is_not_run(scene_with_plugin, tmp_path, spoil):
+def test_a_changed_copy_of_a_plug_in_is_not_run(scene_with_plugin, tmp_path, spoil):
     with start(scene_with_plugin, tmp_path / "out") as run:
         run.begin()
     spoil(run.path / "plugins" / "law.py")
@@ -81,7 +81,7 @@ def test_a_plug_ins_copy_that_was_changed_is_not_run(scene_with_plugin, tmp_path
         assert (fresh.path / "plugins" / "law.py").read_text() == "E = 1\n"
 
 
-def test_its_name_follows_the_resolved_scene_and_the_files_contents(scene):
+def test_its_name_depends_on_the_resolved_scene_and_the_contents_of_its_files(scene):
     name = scene.digest()
     assert len(name) == 12
     assert RunScene("beam", scene.resolved, "other comments", scene.files).digest() == name
@@ -94,7 +94,7 @@ def test_its_name_follows_the_resolved_scene_and_the_files_contents(scene):
         scene.digest()
 
 
-def test_running_again_continues_and_a_finished_run_is_known(scene, tmp_path):
+def test_running_again_continues_and_a_finished_run_is_recognised(scene, tmp_path):
     with start(scene, tmp_path) as run:
         run.begin()
         run.history(["loss"]).record(0, {"loss": 1.0}, seconds=100.0)
@@ -111,7 +111,7 @@ def test_running_again_continues_and_a_finished_run_is_known(scene, tmp_path):
         assert json.loads((run.path / "result.json").read_text()) == {"loss": 1.0}
 
 
-def test_what_a_killed_process_was_writing_is_cleared_away(scene, tmp_path):
+def test_temporary_files_of_a_killed_process_are_removed(scene, tmp_path):
     with start(scene, tmp_path) as run:
         run.begin()
     (run.path / ".result.json.4711.tmp").write_text('{"loss": ')
@@ -149,7 +149,7 @@ def test_fresh_starts_over(scene, tmp_path):
         ]
 
 
-def test_a_run_killed_while_it_was_made_counts_for_nothing(scene, tmp_path):
+def test_a_run_killed_while_it_was_created_starts_over(scene, tmp_path):
     with start(scene, tmp_path) as run:
         run.replay_log()
     (run.path / "run.json").unlink()
@@ -175,12 +175,12 @@ def test_an_error_leaves_a_run_that_can_be_resumed(scene, tmp_path, error, expec
         assert type(error).__name__ in run.record["reason"]
 
 
-def test_an_unknown_end_is_refused(scene, tmp_path):
+def test_an_unknown_final_status_is_refused(scene, tmp_path):
     with start(scene, tmp_path) as run, pytest.raises(ValueError, match="perfect"):
         run.finish("perfect", "")
 
 
-def test_another_engine_is_refused_with_the_way_out(scene, tmp_path):
+def test_a_run_of_another_engine_is_refused_with_advice(scene, tmp_path):
     with start(scene, tmp_path) as run:
         run.finish("converged", "")
     record = read_record(run.path) | {"engine": "0123456789ab"}
@@ -188,11 +188,11 @@ def test_another_engine_is_refused_with_the_way_out(scene, tmp_path):
     for take_up in (lambda: start(scene, tmp_path), lambda: RunDirectory.resume(run.path)):
         with pytest.raises(UsageError, match=r"another engine .*0123456789ab.*--fresh.*--out DIR"):
             take_up()
-    with start(scene, tmp_path, fresh=True) as run:  # the way out; and the lock was let go
+    with start(scene, tmp_path, fresh=True) as run:  # as advised; and the lock was released
         assert run.status == "new"
 
 
-def test_resume_of_what_is_no_run(scene, tmp_path):
+def test_resume_refuses_a_directory_that_is_not_a_run(scene, tmp_path):
     with pytest.raises(UsageError, match=r"nowhere: no run \(it has no run.json\)"):
         RunDirectory.resume(tmp_path / "nowhere")
     with start(scene, tmp_path) as run:
@@ -202,7 +202,7 @@ def test_resume_of_what_is_no_run(scene, tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"status": "new"}'])
-def test_an_unreadable_record(scene, tmp_path, text):
+def test_an_unreadable_record_is_refused(scene, tmp_path, text):
     with start(scene, tmp_path) as run:
         pass
     (run.path / "run.json").write_text(text)
@@ -210,7 +210,7 @@ def test_an_unreadable_record(scene, tmp_path, text):
         RunDirectory.resume(run.path)
 
 
-def test_a_second_process_is_refused_by_the_pid_of_the_first(scene, tmp_path):
+def test_a_second_process_is_refused_with_the_pid_of_the_first(scene, tmp_path):
     code = (
         "import sys; from pathlib import Path; from cqrun.store.run import RunDirectory;"
         "RunDirectory.resume(Path(sys.argv[1]))"
@@ -227,7 +227,7 @@ def test_a_second_process_is_refused_by_the_pid_of_the_first(scene, tmp_path):
     subprocess.run(command, check=True, cwd=ROOT)
 
 
-def test_a_place_that_cannot_be_written(scene, tmp_path):
+def test_a_directory_that_cannot_be_written_is_refused(scene, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match=r"choose another place with --out$"):
         start(scene, tmp_path / "file")

@@ -1,4 +1,4 @@
-"""Two generations of a state: the newest intact one is found."""
+"""Two generations of a state: the newest intact one is loaded."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def stem(tmp_path):
     return tmp_path / "evals"
 
 
-def test_nothing_saved_is_none(tmp_path):
+def test_without_a_saved_state_load_returns_none(tmp_path):
     assert Snapshots(tmp_path / "evals").load() is None
 
 
-def test_the_newest_comes_back_bit_for_bit(stem):
+def test_the_newest_state_is_loaded_bit_for_bit(stem):
     loaded = Snapshots(stem).load()
     assert loaded.keys() == state(4).keys()
     assert loaded["x"].tobytes() == state(4)["x"].tobytes()
@@ -36,7 +36,7 @@ def test_the_newest_comes_back_bit_for_bit(stem):
     assert sorted(p.name for p in stem.parent.iterdir()) == ["evals.0.npz", "evals.1.npz"]
 
 
-def test_saving_goes_on_behind_the_newest(stem):
+def test_saving_continues_after_the_newest_generation(stem):
     Snapshots(stem).save(state(5))
     assert int(Snapshots(stem).load()["iteration"]) == 5
     Snapshots(stem).paths[0].unlink()
@@ -44,7 +44,7 @@ def test_saving_goes_on_behind_the_newest(stem):
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "flipped", "other"])
-def test_a_damaged_newest_is_passed_over_with_a_word(stem, damage):
+def test_a_damaged_newest_generation_is_skipped_with_a_note(stem, damage):
     newest = stem.with_name("evals.1.npz")  # the fifth generation
     data = bytearray(newest.read_bytes())
     at = data.index(state(4)["x"].tobytes())
@@ -56,13 +56,13 @@ def test_a_damaged_newest_is_passed_over_with_a_word(stem, damage):
     assert len(notes) == 1
     assert "evals.1.npz: unreadable" in notes[0]
     after = Snapshots(stem)
-    after.save(state(4))  # takes the damaged one's place
+    after.save(state(4))  # replaces the damaged file
     assert int(Snapshots(stem).load()["iteration"]) == 4
     assert Snapshots(stem, notes.append).load() is not None
     assert len(notes) == 1
 
 
-def test_both_damaged_is_an_error(stem):
+def test_two_damaged_generations_are_an_error(stem):
     for path in Snapshots(stem).paths:
         path.write_bytes(b"x")
     with pytest.raises(UsageError, match=r"unreadable checkpoint.*--fresh"):

@@ -1,4 +1,4 @@
-"""Trajectories: what h5py reads, what ParaView needs, and what a kill leaves."""
+"""Trajectories: what h5py reads, what ParaView needs, and what remains after a kill."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def dim(request):
     return request.param
 
 
-def test_everything_comes_back(tmp_path, dim):
+def test_a_trajectory_is_read_as_it_was_written(tmp_path, dim):
     with write(tmp_path / "t.h5", dim):
         assert not (tmp_path / "t.h5").exists()
     back = read_trajectory(tmp_path / "t.h5")
@@ -62,7 +62,7 @@ def test_everything_comes_back(tmp_path, dim):
 def test_packed_for_reading(tmp_path, dim):
     with write(tmp_path / "t.h5", dim), h5py.File(part_path(tmp_path / "t.h5")) as part:
         x = part["particles/x"]
-        assert (x.chunks, x.shape) == (None, (FRAMES, 9, dim))  # contiguous, all of it there
+        assert (x.chunks, x.shape) == (None, (FRAMES, 9, dim))  # contiguous and fully allocated
         assert x.id.get_storage_size() == x.size * 8
     with h5py.File(tmp_path / "t.h5") as file:
         v = file["particles/v"]
@@ -75,7 +75,7 @@ def test_packed_for_reading(tmp_path, dim):
 
 
 def test_view_for_paraview(tmp_path, dim):
-    """The structure of VTKHDF 2.0 temporal PolyData, one vertex a particle."""
+    """Check the structure of VTKHDF 2.0 temporal PolyData with one vertex per particle."""
     write(tmp_path / "t.h5", dim).close()
     with h5py.File(tmp_path / "t.h5") as file:
         vtk, points = file["VTKHDF"], file["VTKHDF/Points"]
@@ -83,7 +83,7 @@ def test_view_for_paraview(tmp_path, dim):
         assert vtk.attrs.get_id("Type").get_type().get_size() == len("PolyData")
         np.testing.assert_array_equal(vtk.attrs["Version"], [2, 0])
         assert points.is_virtual
-        assert points.virtual_sources()[0].file_name == "."  # renaming the file keeps it whole
+        assert points.virtual_sources()[0].file_name == "."  # so that the file can be renamed
         assert points.shape == (FRAMES * 9, 3)
         steps = vtk["Steps"]
         assert steps.attrs["NSteps"] == FRAMES
@@ -113,7 +113,7 @@ def test_view_for_paraview(tmp_path, dim):
         np.testing.assert_array_equal(steps["PartOffsets"], np.zeros(FRAMES))
 
 
-def test_an_error_leaves_the_part_readable(tmp_path, dim):
+def test_after_an_error_the_part_is_readable(tmp_path, dim):
     def fail():
         with write(tmp_path / "t.h5", dim, count=3):
             raise RunError("blew up")
@@ -128,7 +128,7 @@ def test_an_error_leaves_the_part_readable(tmp_path, dim):
     assert read_trajectory(tmp_path / "t.h5").complete
 
 
-def test_a_short_run_and_an_empty_one_close_well(tmp_path):
+def test_a_short_and_an_empty_run_can_be_closed(tmp_path):
     for count in (0, 2):
         write(tmp_path / "t.h5", 2, count=count).close()
         assert read_trajectory(tmp_path / "t.h5").fields["x"].shape == (count, 9, 2)
@@ -143,15 +143,15 @@ def test_misuse_is_an_error(tmp_path):
     writer.abandon()
 
 
-def test_what_is_no_trajectory(tmp_path):
+def test_a_file_that_is_not_a_trajectory_is_refused(tmp_path):
     with pytest.raises(UsageError, match="no such trajectory"):
         read_trajectory(tmp_path / "t.h5")
     (tmp_path / "t.h5").write_bytes(b"not HDF5")
-    with pytest.raises(UsageError, match="no trajectory of cqrun"):
+    with pytest.raises(UsageError, match="not a cqrun trajectory"):
         read_trajectory(tmp_path / "t.h5")
     with h5py.File(tmp_path / "t.h5", "w") as file:
         file["a"] = 1
-    with pytest.raises(UsageError, match="no trajectory of cqrun"):
+    with pytest.raises(UsageError, match="not a cqrun trajectory"):
         read_trajectory(tmp_path / "t.h5")
 
 
@@ -170,7 +170,7 @@ for k in range(5000):
 
 
 def test_killed_at_random_moments(tmp_path):
-    """Ten SIGKILLs: the file opens, and holds every frame that `write` returned from."""
+    """After each of ten SIGKILLs the file opens and has every frame for which `write` returned."""
     moments = random.Random(7)
     reached = []
     for kill in range(10):
@@ -182,10 +182,10 @@ def test_killed_at_random_moments(tmp_path):
         first = process.stdout.readline()
         time.sleep(moments.uniform(0, 0.1))
         process.send_signal(signal.SIGKILL)
-        told = [first, *process.stdout.readlines()]
+        printed = [first, *process.stdout.readlines()]
         process.stdout.close()
         assert process.wait() == -signal.SIGKILL
-        returned = 1 + int([line for line in told if line.endswith(b"\n")][-1])
+        returned = 1 + int([line for line in printed if line.endswith(b"\n")][-1])
         back = read_trajectory(path)
         assert not back.complete
         assert returned <= back.time.size <= returned + 1
