@@ -48,10 +48,9 @@ def by_scan(seed: int, substeps: int) -> float:
     """Return the density with the least loss, from forward runs alone."""
     problem, _ = problem_of(seed, substeps)
     case = problem.cases[0]
-    objective: Any = case.objectives[0]
 
     def loss(density: float) -> float:
-        return float(objective.loss(case.run({UNKNOWN: np.array(density)})))
+        return float(case.losses(case.run({UNKNOWN: np.array(density)}), case.start)[0])
 
     densities = np.linspace(1.0, 5.0, 41)
     best = int(np.argmin([loss(density) for density in densities]))

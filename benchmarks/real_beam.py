@@ -78,7 +78,7 @@ def predicted_rest(found: Mapping[str, Any], recordings: Sequence[str]) -> dict[
     errors = {}
     for case in make_cases(built):
         record = case.run({}, cores(None))
-        errors[case.name] = 1e3 * float(np.sqrt(case.objectives[0].loss(record, case.start)))  # type: ignore[call-arg]
+        errors[case.name] = 1e3 * float(np.sqrt(case.comparisons[0].loss(record, case.start)))
     return errors
 
 

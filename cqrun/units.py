@@ -1,9 +1,9 @@
-"""Units that a scene may use beside SI: lengths of recordings and amounts of memory."""
+"""Units beside SI: of lengths in recordings, of amounts of memory, and those in which numbers are shown."""
 
 from __future__ import annotations
 
 import re
-from typing import Literal
+from typing import Literal, NamedTuple
 
 LengthUnit = Literal["m", "cm", "mm"]
 """Length units that a recording may use."""
@@ -17,6 +17,17 @@ _BYTES = {
     "KiB": 2**10, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40,
 }  # fmt: skip
 _AMOUNT = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([A-Za-z]+)")
+
+
+class Unit(NamedTuple):
+    """A unit to show numbers in: `shown = factor * SI`; no name for numbers without a unit."""
+
+    name: str
+    factor: float
+
+    def label(self, text: str) -> str:
+        """Return text with the unit behind it, for an axis."""
+        return f"{text} ({self.name})" if self.name else text
 
 
 def parse_bytes(text: str) -> int:

@@ -1,11 +1,13 @@
-"""Settings for all tests: floating-point errors raise, one seeded generator, no display."""
+"""Settings for all tests: floating-point errors raise, one seeded generator, no display; scenes of the small beam."""
 
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
+from small_beam import BEAM, FIT
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
@@ -24,3 +26,19 @@ def _threads_for_few_particles(monkeypatch: pytest.MonkeyPatch) -> None:
 def rng() -> np.random.Generator:
     """Return a generator that is the same for every test and every run."""
     return np.random.default_rng(20190522)
+
+
+@pytest.fixture
+def beam(tmp_path: Path) -> Path:
+    """Return the small beam's scene, which can be simulated."""
+    path = tmp_path / "beam.yaml"
+    path.write_text(BEAM)
+    return path
+
+
+@pytest.fixture
+def fit(tmp_path: Path) -> Path:
+    """Return the small beam's scene with data of its own, which can be fitted."""
+    path = tmp_path / "fit.yaml"
+    path.write_text(BEAM + FIT)
+    return path

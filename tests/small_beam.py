@@ -120,7 +120,8 @@ def assert_same(run: Path, other: Path) -> None:
 def record(scene: Path, file: Path, *, copies: int = 1) -> list[Path]:
     """Write the scene of the small beam, make its synthetic data as recordings, and return their files."""
     from cqrun.build.model import build
-    from cqrun.fitting.cases import SYNTHETIC, make_cases
+    from cqrun.fitting.cases import make_cases
+    from cqrun.fitting.synthetic import SYNTHETIC
     from cqrun.scene.load import load_scene
 
     scene.write_text(BEAM + FIT)

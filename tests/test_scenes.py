@@ -22,11 +22,11 @@ from cqrun.jobs.report import report_lines
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.validate import validate
+from cqrun.measurements.recording import Recording
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.scene.schema_json import scene_json_schema
 from cqrun.store.marker_csv import write_csv
-from cqrun.store.recording import Recording
 
 ROOT = Path(__file__).parents[1]
 SCENES = sorted((ROOT / "scenes").rglob("*.yaml"))
@@ -138,10 +138,11 @@ def recorded(scene: Scene, folder: Path) -> list[str]:
     for name, spec in ((scene.data and scene.data.recordings) or {}).items():
         end = spec.start + scene.time.duration + 1.0
         time = np.arange(round(end * RATE)) / RATE
-        rest = np.array(list(spec.markers.values()))
+        markers = spec.measurement.rest
+        rest = np.array(list(markers.values()))
         swing = 1e-3 * np.sin(30.0 * np.maximum(time - spec.start, 0.0))[:, None, None] * np.eye(3)[2]
         positions = rest + swing + 1e-5 * rng.normal(size=(len(time), *rest.shape))
-        write_csv(Recording(time, tuple(spec.markers), positions, name), folder / f"{name}.csv")
+        write_csv(Recording(time, tuple(markers), positions, name), folder / f"{name}.csv")
         overrides.append(f"data.recordings.{name}.file={folder / f'{name}.csv'}")
     return overrides
 

@@ -125,7 +125,7 @@ def _page(kind: str, name: str, cls: type[BaseModel]) -> Iterator[str]:
 def _fields(cls: type[BaseModel], indent: str) -> Iterator[str]:
     from cqrun.plugin.contract import field_unit, is_differentiable, is_geometric
 
-    if not cls.model_fields:
+    if not cls.model_fields and cls.model_config.get("extra") != "allow":  # else its docstring says what its keys are
         yield f"{indent}  no fields"
     for name, info in cls.model_fields.items():
         unit = field_unit(cls, name)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cqrun.errors import UsageError
 from cqrun.figures.dots import COVER, COVER_3D, Dots, add_dots, far_to_near
-from cqrun.figures.quantities import Unit, length_unit
+from cqrun.figures.quantities import length_unit
 from cqrun.figures.run_data import TRAJECTORY, RunData
 from cqrun.figures.scenery import boundary_section, frame_axes, goals, plot_boundaries, plot_goals, window_with_goals
 from cqrun.figures.style import AMOUNT_MAP, GREY, PALE, new_figure
@@ -18,6 +18,7 @@ from cqrun.figures.views import View, of_equal_width, views
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 from cqrun.store.frames import Frames
+from cqrun.units import Unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cqrun.figures.losses import LossCurve, loss_curve, term_curve, term_names
-from cqrun.figures.quantities import Unit, estimate, labels, millimetres, number, shown_unit
+from cqrun.figures.quantities import error, estimate, labels, number, shown_unit
 from cqrun.figures.run_data import RunData
 from cqrun.figures.style import COLOURS, GREY, PALE, TRUTH, clock_ticks, log_ticks, new_figure, titled, whole_ticks
 from cqrun.optimizers.constrained import VIOLATION
 from cqrun.plugin.contract import Array
 from cqrun.scene.paths import canonical, leaf
 from cqrun.scene.unknowns import groups_of
+from cqrun.units import Unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -167,7 +168,7 @@ def plot_loss(axes: Axes, loss: LossCurve) -> None:
         if shown:
             _log_axis(axes, min(shown), max(shown))
     if loss.floor is not None:
-        text = f"noise: {millimetres(loss.floor)} mm"
+        text = f"noise: {error(loss.floor)} {loss.unit}"
         axes.axhline(loss.floor, color=TRUTH, linestyle="--", linewidth=1.0, label=text)
         axes.legend(loc="upper right")
     if axes.get_yscale() == "linear":  # no power of ten above the axis, because the title is there
@@ -187,7 +188,7 @@ def plot_loss(axes: Axes, loss: LossCurve) -> None:
 
 def _value(loss: LossCurve, row: int) -> str:
     value = float(loss.value[row])
-    return millimetres(value) if loss.unit == "mm" else number(value)
+    return error(value) if loss.unit == "mm" else number(value)
 
 
 def plot_violation(axes: Axes, run: RunData) -> None:

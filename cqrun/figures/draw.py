@@ -14,7 +14,7 @@ from cqrun.figures.convergence import draw_convergence
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.losses import LOSS
 from cqrun.figures.overview import draw_overview
-from cqrun.figures.run_data import HISTORY, RESULT, TRACKS, TRAJECTORY, RunData, read_run
+from cqrun.figures.run_data import HISTORY, RESULT, TRAJECTORY, RunData, read_run
 from cqrun.figures.style import save, styled
 from cqrun.figures.tracks import draw_recording
 from cqrun.store.atomic import make_directory
@@ -43,7 +43,7 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
     """Draw everything that a run has so far; return the paths of the pictures.
 
     convergence   loss and unknowns against the iteration
-    tracks_NAME   markers of a recording and of the model
+    tracks_NAME   a recording beside the model
     bodies        first, middle and last frame of the trajectory
     design        designed quantities of the material, on the body
     shape         the body before and after the design
@@ -82,7 +82,7 @@ def require_files(run: RunData) -> None:
         if run.succeeded and run.job == "sysid":
             run.require(TRAJECTORY, INCOMPLETE)
             if (run.result or {}).get("recordings"):
-                run.require(TRACKS, INCOMPLETE)
+                run.require_tables(INCOMPLETE)
     elif not run.has_trajectory():
         raise UsageError(f"{run.path}: there is no {TRAJECTORY}: nothing to draw before the first frame")
 
@@ -92,7 +92,7 @@ def _figures(run: RunData) -> list[tuple[str, Figure]]:
     drawn: list[tuple[str, Figure]] = []
     if run.history:
         drawn.append(("convergence", draw_convergence(run)))
-    if run.has(TRACKS):
+    if run.has_tables():
         drawn += [(f"tracks_{tracks.recording}", draw_recording(tracks, run.name)) for tracks in run.tracks()]
     if run.has_trajectory():
         drawn.append(("bodies", draw_bodies(run)))

@@ -9,10 +9,11 @@ import numpy as np
 from cqrun.design.params import REGULARISER
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
-from cqrun.figures.quantities import MILLI, Unit, capitalised
+from cqrun.figures.quantities import capitalised
 from cqrun.figures.run_data import HISTORY, RunData
 from cqrun.optimizers.constrained import CONSTRAINT, KKT, VIOLATION
 from cqrun.plugin.contract import Array
+from cqrun.units import Unit
 
 LOSS = "loss"
 """Name of the sum of all terms."""
@@ -29,8 +30,8 @@ class LossCurve:
         label: name of the quantity, such as RMSE.
         iteration, seconds: iteration and time of each row (K,).
         value: value of each row (K,), in `unit`; the root of the loss if the run is fitted to data.
-        floor: RMSE caused by the noise of synthetic data alone [mm]; None if it is not known.
-        unit: mm, or empty if the objective has its own unit.
+        floor: RMSE caused by the noise of synthetic data alone, in `unit`; None if it is not known.
+        unit: unit of the RMSE, or empty if the objective has its own unit.
         log: whether it is drawn on a logarithmic axis.
         best_row: the row with the best parameters, which the run has kept, if it is not the last row.
     """
@@ -59,11 +60,12 @@ def loss_curve(run: RunData) -> LossCurve:
         known = loss[np.isfinite(loss)]
         falls = bool(known.size) and float(known.min()) > 0 and float(known.max() / known.min()) >= SPAN
         return LossCurve("loss", iteration, seconds, loss, unit="", log=falls, best_row=_best_row(run))
-    label = "distance to the target" if data.target is not None else "RMSE"
-    floor = None
+    measured, floor = run.scene.measured, None
+    label, shown = ("RMSE", measured.shown) if measured is not None else ("relative RMSE", Unit("", 1.0))
     if data.synthetic is not None and data.synthetic.noise > 0:
-        floor = MILLI * data.synthetic.noise * float(np.sqrt(run.scene.dim))
-    return LossCurve(label, iteration, seconds, MILLI * np.sqrt(np.maximum(loss, 0.0)), floor, best_row=_best_row(run))
+        floor = shown.factor * data.synthetic.noise * float(np.sqrt(run.scene.dim))
+    rmse = shown.factor * np.sqrt(np.maximum(loss, 0.0))
+    return LossCurve(label, iteration, seconds, rmse, floor, shown.name, best_row=_best_row(run))
 
 
 def term_names(run: RunData) -> list[str]:

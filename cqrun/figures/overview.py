@@ -10,10 +10,10 @@ import numpy as np
 from cqrun.figures.bodies import farthest_frame, plot_body, snapshots, window_of
 from cqrun.figures.convergence import plot_loss, plot_unknown, plot_violation, unknown_curves
 from cqrun.figures.losses import loss_curve
-from cqrun.figures.quantities import MILLI, length_unit, millimetres
-from cqrun.figures.run_data import TRACKS, RunData
+from cqrun.figures.quantities import length_unit
+from cqrun.figures.run_data import RunData
 from cqrun.figures.style import INK, new_figure, titled
-from cqrun.figures.tracks import explain, main_coordinate, plot_coordinate
+from cqrun.figures.tracks import explain, main_coordinate, plot_coordinate, rmse
 from cqrun.figures.views import views
 from cqrun.optimizers.constrained import VIOLATION
 
@@ -32,7 +32,7 @@ def draw_overview(run: RunData) -> Figure:
         parts.append(_violation)
     if any(curve.values.shape[1] for curve in unknown_curves(run)):
         parts.append(_unknown)
-    if run.has(TRACKS):
+    if run.has_tables():
         parts.append(_tracks)
     if run.has_trajectory():
         parts.append(_body)
@@ -67,8 +67,7 @@ def _tracks(axes: Axes, run: RunData) -> None:
     title = axes.get_ylabel()
     axes.set_ylabel("")
     axes.set_xlabel("time (s)")
-    rmse = millimetres(MILLI * tracks.rmse())
-    titled(axes, title, f"{tracks.markers[farthest]}; RMSE of {tracks.recording} {rmse} mm")
+    titled(axes, title, f"{tracks.channels[farthest]}; RMSE of {tracks.recording} {rmse(tracks)}")
 
 
 def _body(axes: Axes, run: RunData) -> None:

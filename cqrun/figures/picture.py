@@ -10,13 +10,14 @@ import numpy as np
 
 from cqrun.figures.colours import Colours
 from cqrun.figures.dots import Dots, add_dots
-from cqrun.figures.quantities import Unit, length_unit
+from cqrun.figures.quantities import length_unit
 from cqrun.figures.scenery import Goal, boundary_section, frame_axes, plot_boundaries, plot_goals
 from cqrun.figures.solid import SolidBodies
 from cqrun.figures.style import GREY, INK
 from cqrun.figures.views import View
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
+from cqrun.units import Unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

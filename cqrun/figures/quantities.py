@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
+
+from cqrun.units import Unit
 
 MILLI = 1e3
 
@@ -24,17 +25,6 @@ _RAISED = str.maketrans({"^": None, "2": "²", "3": "³"})
 
 LARGE = 0.5
 """Lengths of at least this much are shown in metres [m]."""
-
-
-class Unit(NamedTuple):
-    """A unit for display: `shown = factor * SI`; the name is empty for numbers without a unit."""
-
-    name: str
-    factor: float
-
-    def label(self, text: str) -> str:
-        """Return text followed by the unit, for an axis."""
-        return f"{text} ({self.name})" if self.name else text
 
 
 def shown_unit(unit: str, largest: float) -> Unit:
@@ -96,8 +86,8 @@ def _difference(path: str, rivals: Sequence[str]) -> str:
     return f"{' '.join(different).replace('_', ' ')}: "
 
 
-def millimetres(value: float) -> str:
-    """Return a length [mm] as text with three digits."""
+def error(value: float) -> str:
+    """Return an error as text with three digits."""
     return f"{value:#.3g}".rstrip(".") if np.isfinite(value) else "not seen"
 
 

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from cqrun.errors import UsageError
+from cqrun.measurements.markers import Markers
+from cqrun.measurements.measurement import Measurement
 from cqrun.plugin.contract import Array
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
@@ -19,40 +21,44 @@ from cqrun.store.history import read_history
 from cqrun.store.run import FINISHED, read_record
 from cqrun.store.trajectory import Trajectory, read_trajectory
 
-HISTORY, RESULT, TRACKS, TRAJECTORY, SCENE = "history.csv", "result.json", "tracks.csv", "trajectory.h5", "scene.yaml"
+HISTORY, RESULT, TRAJECTORY, SCENE = "history.csv", "result.json", "trajectory.h5", "scene.yaml"
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """Tracks of markers in one recording and in the model.
+    """One recording and the model, in the measurement's unit.
 
     Attributes:
         recording: name of the recording.
-        markers: names of the M markers.
+        channels: names of the M channels, such as markers.
         time: time since the release (T,) [s].
-        data: recorded positions (T, M, D) [m]; NaN where a marker was not seen.
-        model: positions in the model (T, M, D) [m].
+        data: recorded values (T, M, D); NaN where a channel was not seen.
+        model: values in the model (T, M, D).
         holdout: whether the recording was held out of the fit.
+        components: names of the D components.
+        measurement: what was measured, and its unit.
     """
 
     recording: str
-    markers: tuple[str, ...]
+    channels: tuple[str, ...]
     time: Array
     data: Array
     model: Array
     holdout: bool = False
+    components: tuple[str, ...] = ("x", "y", "z")
+    measurement: type[Measurement] = Markers
 
     @property
     def error(self) -> Array:
-        """Distance between data and model (T, M) [m]; NaN where not seen."""
+        """Distance between data and model (T, M); NaN where not seen."""
         return np.asarray(np.sqrt(np.sum((self.data - self.model) ** 2, axis=2)))
 
     def rmse(self) -> float:
-        """Return the root mean square error over all seen positions [m]."""
+        """Return the root mean square error over all seen values."""
         return _root_mean_square(self.error)
 
-    def rmse_by_marker(self) -> Array:
-        """Return the root mean square error of each marker (M,) [m]; NaN for a marker that was never seen."""
+    def rmse_by_channel(self) -> Array:
+        """Return the root mean square error of each channel (M,); NaN for a channel that was never seen."""
         return np.array([_root_mean_square(column) for column in self.error.T])
 
 
@@ -113,11 +119,31 @@ class RunData:
         """Return the tracks of every recording.
 
         Raises:
-            UsageError: tracks.csv is missing or cannot be read.
+            UsageError: the table of a recording is missing or cannot be read.
         """
-        self.require(TRACKS, "so there are no markers to draw")
+        self.require_tables("so there is nothing to draw beside the model")
         holdouts = {name for name, recording in self.scene.recordings.items() if recording.holdout}
-        return read_tracks(self.path / TRACKS, holdouts)
+        return [
+            tracks
+            for name, measurement in self.tables.items()
+            if self.has(name)
+            for tracks in read_tracks(self.path / name, holdouts, measurement)
+        ]
+
+    @property
+    def tables(self) -> dict[str, type[Measurement]]:
+        """The files with data and model that a run of sysid writes, and what they are of."""
+        data = self.scene.data
+        return {} if data is None else {m.table_file(): type(m) for m in data.measurements}
+
+    def has_tables(self) -> bool:
+        """Say whether a file with data and model is there."""
+        return any(self.has(name) for name in self.tables)
+
+    def require_tables(self, why: str) -> None:
+        """Raise a UsageError if no file with data and model is there."""
+        if not self.has_tables():
+            self.require(next(iter(self.tables), Markers.table_file()), why)
 
     def has_trajectory(self) -> bool:
         """Return whether there is a trajectory, perhaps incomplete."""
@@ -171,8 +197,10 @@ def _result(path: Path) -> dict[str, Any] | None:
     return result
 
 
-def read_tracks(path: Path, holdouts: set[str] | frozenset[str] = frozenset()) -> list[Tracks]:
-    """Read tracks.csv; each row has recording, marker, time, then the coordinates of data and model.
+def read_tracks(
+    path: Path, holdouts: set[str] | frozenset[str] = frozenset(), measurement: type[Measurement] = Markers
+) -> list[Tracks]:
+    """Read a table; each row has recording, channel, time, then the components of data and model.
 
     Raises:
         UsageError: the file is not such a table.
@@ -180,19 +208,22 @@ def read_tracks(path: Path, holdouts: set[str] | frozenset[str] = frozenset()) -
     with path.open(newline="") as file:
         rows = list(csv.reader(file))
     header, body = (rows[0], rows[1:]) if rows else ([], [])
-    dim = sum(name.startswith("data_") for name in header)
-    if header[:3] != ["recording", "marker", "time"] or len(header) != 3 + 2 * dim or not body:
-        raise UsageError(f"{path}: is not a table of tracks; run the scene again with --fresh")
+    components = tuple(name.removeprefix("data_") for name in header if name.startswith("data_"))
+    if header[:3] != ["recording", measurement.channel, "time"] or len(header) != 3 + 2 * len(components) or not body:
+        raise UsageError(f"{path}: is not a table of {measurement.channel}s; run the scene again with --fresh")
     grouped: dict[str, dict[str, list[list[str]]]] = {}
     for row in body:
         grouped.setdefault(row[0], {}).setdefault(row[1], []).append(row[2:])
     try:
-        return [_tracks(name, markers, dim, name in holdouts) for name, markers in grouped.items()]
+        return [
+            Tracks(name, tuple(own), *_arrays(own, len(components)), name in holdouts, components, measurement)
+            for name, own in grouped.items()
+        ]
     except ValueError as error:
         raise UsageError(f"{path}: damaged ({error}); run the scene again with --fresh") from error
 
 
-def _tracks(name: str, markers: dict[str, list[list[str]]], dim: int, holdout: bool) -> Tracks:
-    numbers = np.array([rows for rows in markers.values()], dtype=float).transpose(1, 0, 2)
-    data, model = numbers[:, :, 1 : 1 + dim], numbers[:, :, 1 + dim :]
-    return Tracks(name, tuple(markers), numbers[:, 0, 0], data, model, holdout)
+def _arrays(channels: dict[str, list[list[str]]], dim: int) -> tuple[Array, Array, Array]:
+    """Return time (T,), data and model (T, M, D) from the rows of each channel."""
+    numbers = np.array(list(channels.values()), dtype=float).transpose(1, 0, 2)
+    return numbers[:, 0, 0], numbers[:, :, 1 : 1 + dim], numbers[:, :, 1 + dim :]

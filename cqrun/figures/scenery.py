@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cqrun.build.regions import boundary
-from cqrun.figures.quantities import Unit
 from cqrun.figures.style import GREY, GROUND, INK, TRUTH
 from cqrun.figures.views import View, room_around
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
+from cqrun.units import Unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +44,7 @@ class Goal:
 
 
 def goals(scene: Scene, provenance: Mapping[str, Any] | None = None) -> list[Goal]:
-    """Return the target and the goals of a scene, and the courses of its objective.
+    """Return the goals of a scene, and the courses of its objective.
 
     Args:
         scene: the scene.
@@ -54,9 +54,6 @@ def goals(scene: Scene, provenance: Mapping[str, Any] | None = None) -> list[Goa
     result = []
     drawn: Mapping[str, Any] = (provenance or {}).get("goals") or {}
     no_spread = np.zeros(scene.dim)
-    target = scene.target
-    if target is not None:
-        result.append(Goal("target", np.array(target.position), no_spread))
     for name, goal in scene.goals.items():
         if name in drawn:
             result.append(Goal(name, np.array(drawn[name]), no_spread))

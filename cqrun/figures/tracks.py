@@ -1,4 +1,4 @@
-"""tracks_<recording>.png: recorded markers, markers of the model, and their distances."""
+"""tracks_<recording>.png: a recording, the same from the model, and their difference."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cqrun.figures.quantities import MILLI, Unit, length_unit, millimetres
+from cqrun.figures.quantities import error, length_unit, shown_unit
 from cqrun.figures.run_data import Tracks
 from cqrun.figures.style import COLOURS, GREY, INK, new_figure, plain, titled
 from cqrun.plugin.contract import Array
+from cqrun.units import Unit
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -34,8 +35,15 @@ SHOWN_TIMES = 3
 
 
 def displacements(tracks: Tracks) -> tuple[Array, Array]:
-    """Return displacements in data and model (T, M, D) [m], relative to the model's markers in the first frame."""
-    return tracks.data - tracks.model[0], tracks.model - tracks.model[0]
+    """Return data and model (T, M, D): positions relative to the model's in the first frame, other values unchanged."""
+    origin = tracks.model[0] if tracks.measurement.unit == "m" else 0.0
+    return tracks.data - origin, tracks.model - origin
+
+
+def rmse(tracks: Tracks) -> str:
+    """Return the root mean square error as text, in its display unit."""
+    unit = tracks.measurement.shown
+    return f"{error(unit.factor * tracks.rmse())} {unit.name}".rstrip()
 
 
 def moving_axes(tracks: Tracks) -> list[int]:
@@ -62,7 +70,7 @@ def main_axes(tracks: Tracks) -> tuple[int, int]:
 def _spans(tracks: Tracks) -> Array:
     """Return the largest range of a marker along each axis (D,) [m], without outliers in the data."""
     model = np.ptp(tracks.model, axis=0).max(axis=0)
-    seen = [m for m in range(len(tracks.markers)) if np.isfinite(tracks.data[:, m]).any()]
+    seen = [m for m in range(len(tracks.channels)) if np.isfinite(tracks.data[:, m]).any()]
     if not seen:
         return np.asarray(model)
     low, high = np.nanpercentile(tracks.data[:, seen], [5, 95], axis=0)
@@ -84,53 +92,55 @@ def spread(points: Array, count: int, first: int = 0) -> list[int]:
 
 def draw_recording(tracks: Tracks, scene: str) -> Figure:
     """Return the picture of one recording."""
-    few = len(tracks.markers) <= FEW_MARKERS
-    figure = _draw_markers(tracks) if few else _draw_paths(tracks)
+    paths = len(tracks.channels) > FEW_MARKERS and tracks.data.shape[2] > 1
+    figure = _draw_paths(tracks) if paths else _draw_channels(tracks)
     kind = "held out" if tracks.holdout else "fitted"
-    title = f"{plain(scene)}, {plain(tracks.recording)} ({kind}): RMSE {millimetres(MILLI * tracks.rmse())} mm"
+    title = f"{plain(scene)}, {plain(tracks.recording)} ({kind}): RMSE {rmse(tracks)}"
     figure.suptitle(title, fontsize=10, fontweight="bold", color=INK, x=0.01, ha="left")
     return figure
 
 
-def _draw_markers(tracks: Tracks) -> Figure:
-    """Draw displacements against time: a row for each coordinate, and one for the error."""
+def _draw_channels(tracks: Tracks) -> Figure:
+    """Draw each channel against time: a row for each component, and one for the error."""
     axes = moving_axes(tracks)
     figure = new_figure(8.6, 0.6 + 2.0 * len(axes) + 1.5)
     panels = figure.subplots(len(axes) + 1, 1, sharex=True, height_ratios=[2.0] * len(axes) + [1.4])
     for panel, axis in zip(panels, axes, strict=False):
-        lines = plot_coordinate(panel, tracks, axis, range(len(tracks.markers)))
+        lines = plot_coordinate(panel, tracks, axis, range(len(tracks.channels)))
     explain(panels[0])
     _plot_errors(panels[-1], tracks)
     panels[-1].set_xlabel("time (s)")
-    named = zip(tracks.markers, tracks.rmse_by_marker(), strict=True)
-    texts = [f"{plain(name)}  {millimetres(MILLI * rmse)}" for name, rmse in named]
-    figure.legend(lines, texts, title="RMSE (mm)", loc="outside right upper", alignment="left")
+    unit = tracks.measurement.shown
+    named = zip(tracks.channels, tracks.rmse_by_channel(), strict=True)
+    texts = [f"{plain(name)}  {error(unit.factor * own)}" for name, own in named]
+    figure.legend(lines, texts, title=unit.label("RMSE"), loc="outside right upper", alignment="left")
     return figure
 
 
 def plot_coordinate(
-    panel: Axes, tracks: Tracks, axis: int, markers: Sequence[int], dots: str | None = None
+    panel: Axes, tracks: Tracks, axis: int, channels: Sequence[int], dots: str | None = None
 ) -> list[Artist]:
-    """Draw one coordinate of some markers against time, data as dots and the model as lines; return the lines.
+    """Draw one component of some channels against time, data as dots and the model as lines; return the lines.
 
     Args:
         panel: axes to draw in.
         tracks: the recording.
-        axis: the coordinate.
-        markers: indices of the markers.
-        dots: colour of the data; the colour of the marker's line if not given.
+        axis: index of the component.
+        channels: indices of the channels.
+        dots: colour of the data; the colour of the channel's line if not given.
     """
     lines: list[Artist] = []
     data, model = displacements(tracks)
-    unit = length_unit(float(np.ptp(tracks.model, axis=0).max()))
-    for place, m in enumerate(markers):
+    unit = shown_unit(tracks.measurement.unit, float(np.ptp(tracks.model, axis=0).max()))
+    for place, m in enumerate(channels):
         colour = COLOURS[place % len(COLOURS)]
         panel.plot(
             tracks.time, unit.factor * data[:, m, axis], linestyle="none", marker="o", markersize=2.6,
             color=dots or colour, alpha=0.45, markeredgewidth=0,
         )  # fmt: skip
         lines += panel.plot(tracks.time, unit.factor * model[:, m, axis], color=colour, linewidth=1.3)
-    panel.set_ylabel(unit.label(f"{'xyz'[axis]} displacement"))
+    component, quantity = tracks.components[axis], tracks.measurement.quantity
+    panel.set_ylabel(unit.label(quantity if component == quantity else f"{component} {quantity}"))
     panel.margins(x=0.01)
     return lines
 
@@ -153,23 +163,25 @@ def _raise_top(panel: Axes, part: float) -> None:
 
 
 def _plot_errors(panel: Axes, tracks: Tracks) -> None:
-    """Draw the distance of every marker from the model against time, and their root mean square."""
-    for m, column in enumerate(MILLI * tracks.error.T):
+    """Draw the distance of every channel from the model against time, and their root mean square."""
+    factor = tracks.measurement.shown.factor
+    for m, column in enumerate(factor * tracks.error.T):
         panel.plot(tracks.time, column, color=COLOURS[m % len(COLOURS)], linewidth=0.8, alpha=0.4)
     time, mean = rms_over_markers(tracks)
-    panel.plot(time, MILLI * mean, color=INK, linewidth=1.3, label="root mean square of the markers")
+    label = f"root mean square of the {tracks.measurement.channel}s"
+    panel.plot(time, factor * mean, color=INK, linewidth=1.3, label=label)
     panel.legend(loc="upper right")
-    _finish_errors(panel)
+    _finish_errors(panel, tracks)
 
 
 def rms_over_markers(tracks: Tracks) -> tuple[Array, Array]:
-    """Return the times at which any marker was seen (K,) [s], and the root mean square errors then (K,) [m]."""
+    """Return the times at which any channel was seen (K,) [s], and the root mean square errors then (K,)."""
     seen = np.isfinite(tracks.error).any(axis=1)
     return tracks.time[seen], np.sqrt(np.nanmean(tracks.error[seen] ** 2, axis=1))
 
 
-def _finish_errors(panel: Axes) -> None:
-    panel.set_ylabel("error (mm)")
+def _finish_errors(panel: Axes, tracks: Tracks) -> None:
+    panel.set_ylabel(tracks.measurement.shown.label("error"))
     panel.set_ylim(bottom=0.0)
     _raise_top(panel, 0.2)
     panel.margins(x=0.01)
@@ -203,16 +215,17 @@ def _plot_paths(panel: Axes, tracks: Tracks, shown: list[int], plane: tuple[int,
     panel.set_aspect("equal", adjustable="datalim")
     panel.set_xlabel(unit.label("xyz"[plane[0]]))
     panel.set_ylabel(unit.label("xyz"[plane[1]]))
-    titled(panel, f"Paths of {len(shown)} of {len(tracks.markers)} markers")
+    titled(panel, f"Paths of {len(shown)} of {len(tracks.channels)} {tracks.measurement.channel}s")
     explain(panel)
 
 
 def _plot_error_band(panel: Axes, tracks: Tracks) -> None:
-    """Draw the error of all markers against time: the root mean square, and the band with 90 % of them."""
+    """Draw the error of all channels against time: the root mean square, and the band with 90 % of them."""
     time, mean = rms_over_markers(tracks)
     seen = np.isfinite(tracks.error).any(axis=1)
-    low, high = MILLI * np.nanpercentile(tracks.error[seen], [5, 95], axis=1)
-    panel.fill_between(time, low, high, color=COLOURS[0], alpha=0.18, linewidth=0, label="5 to 95 % of the markers")
-    panel.plot(time, MILLI * mean, color=COLOURS[0], label="root mean square")
+    factor, label = tracks.measurement.shown.factor, f"5 to 95 % of the {tracks.measurement.channel}s"
+    low, high = factor * np.nanpercentile(tracks.error[seen], [5, 95], axis=1)
+    panel.fill_between(time, low, high, color=COLOURS[0], alpha=0.18, linewidth=0, label=label)
+    panel.plot(time, factor * mean, color=COLOURS[0], label="root mean square")
     panel.legend(loc="upper right", ncols=2)
-    _finish_errors(panel)
+    _finish_errors(panel, tracks)

@@ -1,7 +1,7 @@
-"""What an identification found: values with intervals, errors by recording, tracks, the trajectory.
+"""What an identification found: values with intervals, errors by recording, data beside the model, the trajectory.
 
 result.json     values, intervals, errors, what the data leave open
-tracks.csv      recorded and modelled markers, for the plots
+tracks.csv      recorded and modelled markers, for the plots; of other measurements a table of their own
 trajectory.h5   the first fitted case with the values found, which it names beside the scene
 """
 
@@ -16,9 +16,8 @@ from cqrun.design.params import Block, Spread
 from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError
-from cqrun.fitting.cases import Case
+from cqrun.fitting.case import Case
 from cqrun.fitting.identifiability import Unknown, follow
-from cqrun.fitting.marker_misfit import MarkerObjective
 from cqrun.fitting.problem import FitProblem
 from cqrun.fitting.uncertainty import MOST_UNKNOWNS, Uncertainty, central_jacobian, intervals
 from cqrun.observers.fracture import Fracture
@@ -31,11 +30,9 @@ from cqrun.store.atomic import write_table
 from cqrun.store.run import RunDirectory
 from cqrun.units import format_bytes
 
-MILLI = 1e3
-
 
 def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome) -> dict[str, Any]:
-    """Write result.json and, unless the run failed or was stopped, tracks and trajectory; return the result."""
+    """Write result.json and, unless the run failed or was stopped, tables and trajectory; return the result."""
     params = problem.params
     values = params.unpack(outcome.x)
     result: dict[str, Any] = {
@@ -59,10 +56,11 @@ def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, ou
         records = _predict(cases, values, problem, result)
         result["loss"] = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
         result["recordings"] = _errors(cases, records, values)
-        _write_tracks(run, cases, records, values)
-        first = next(case for case in cases if not case.holdout).built  # one held out may blow up
-        rollout = Rollout(first.model, first.assembly.inputs(values), threads=problem.threads)
-        write_trajectory(run.path / "trajectory.h5", first, rollout, provenance=as_found(values))
+        _write_tables(run, cases, records, values)
+        first = next(case for case in cases if not case.holdout)  # one held out may blow up
+        rollout = Rollout(first.built.model, first.inputs(values), threads=problem.threads)
+        told = as_found(values) | first.comparisons[0].wanted()
+        write_trajectory(run.path / "trajectory.h5", first.built, rollout, provenance=told)
     if outcome.status in ("iteration_limit", "stalled"):
         result["findings"].append(
             f"{outcome.status.replace('_', ' ')}: values and intervals are those of where it ended"
@@ -80,9 +78,7 @@ def _loss(problem: FitProblem, records: Mapping[str, Records | None], values: Ma
     for case, weights in zip(problem.cases, problem.weights, strict=True):
         record = records[case.name]
         assert record is not None
-        start = case.start_of(values)
-        losses = [o.loss(record, start) if isinstance(o, MarkerObjective) else o.loss(record) for o in case.objectives]
-        total += float(np.dot(weights, losses))
+        total += float(np.dot(weights, case.losses(record, case.start_of(values))))
     return total
 
 
@@ -106,8 +102,8 @@ def _plain(value: Array) -> Any:
 
 def _add_intervals(result: dict[str, Any], problem: FitProblem, outcome: Outcome) -> None:
     unknowns = list_unknowns(problem, outcome.x)
-    if not all(isinstance(o, MarkerObjective) for case in problem.cases for o in case.objectives):
-        _no_intervals(result, "a target is met or missed: there is no noise to compute an interval from")
+    if problem.cases[0].built.scene.data is None:
+        _no_intervals(result, "an objective is met or missed: there is no noise to compute an interval from")
         return
     if len(unknowns) > MOST_UNKNOWNS:
         _no_intervals(result, f"more than {MOST_UNKNOWNS} unknowns")
@@ -201,7 +197,7 @@ def find_jacobian(problem: FitProblem, x: Array, unknowns: Sequence[Unknown]) ->
     return central_jacobian(residuals_at, unknowns)
 
 
-# --- errors and tracks ------------------------------------------------------------------------------------------
+# --- errors and tables ------------------------------------------------------------------------------------------
 
 
 def _predict(
@@ -230,57 +226,39 @@ def _predict(
 
 
 def _errors(cases: list[Case], records: list[Records | None], values: Mapping[str, Array]) -> dict[str, Any] | None:
-    """Return RMSE and residual of the alignment [mm], by recording and marker; None where the data are no markers."""
+    """Return RMSE, in all and by channel, and facts of the recording, by its name; None where there are no data."""
     found: dict[str, Any] = {}
     for case, record in zip(cases, records, strict=True):
-        objectives = [o for o in case.objectives if isinstance(o, MarkerObjective)]
-        if not objectives:
+        data = case.built.scene.data
+        if data is None:
             return None
-        entry: dict[str, Any] = {"holdout": case.holdout, "rmse_mm": None} | _alignment(case)
+        measured = data.measurement(case.name)
+        rmse, factor = measured.error_key("rmse"), measured.shown.factor
+        entry: dict[str, Any] = {"holdout": case.holdout, rmse: None}
+        for comparison in case.comparisons:
+            entry |= comparison.facts()
         if record is not None:
-            misfits = [o.misfit(record, case.start_of(values)) for o in objectives]
-            entry["rmse_mm"] = MILLI * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
+            misfits = [o.misfit(record, case.start_of(values)) for o in case.comparisons]
+            entry[rmse] = factor * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
             if len(misfits) == 1:
-                entry["markers_mm"] = {
-                    name: None if np.isnan(rmse) else MILLI * rmse for name, rmse in misfits[0].markers.items()
+                entry[measured.error_key(f"{measured.channel}s")] = {
+                    name: None if np.isnan(own) else factor * own for name, own in misfits[0].channels.items()
                 }
         found[case.name] = entry
     return found
 
 
-def alignments(cases: Sequence[Case]) -> Iterator[str]:
-    """Yield a sentence on every recording that was brought into the scene's frame."""
-    for case in cases:
-        yield from (f"{case.name}: {m.alignment}" for m in case.measured if m.alignment is not None)
-
-
-def _alignment(case: Case) -> dict[str, Any]:
-    """Return how far each marker is from its rest position after alignment [mm]; nothing where there was none."""
-    found: dict[str, Any] = {}
-    for m in case.measured:
-        if m.alignment is not None:
-            away = (MILLI * m.alignment.residuals).tolist()
-            found["alignment_mm"] = dict(zip(m.names, away, strict=True))
-    return found
-
-
-def _write_tracks(
+def _write_tables(
     run: RunDirectory, cases: list[Case], records: list[Records | None], values: Mapping[str, Array]
 ) -> None:
-    """Write the first copy of every case: recording, marker, time since the release, data, model [m]."""
-    table: list[list[object]] = []
+    """Write the first copy of every case: recording, channel, time since the run began, data, model; in SI units."""
+    tables: dict[str, list[list[object]]] = {}
     for case, record in zip(cases, records, strict=True):
-        objective = case.objectives[0]
-        if record is None or not isinstance(objective, MarkerObjective):
+        data = case.built.scene.data
+        if record is None or data is None:
             continue
-        axes = "xyz"[: objective.data.shape[2]]
-        if not table:
-            table = [["recording", "marker", "time", *(f"data_{a}" for a in axes), *(f"model_{a}" for a in axes)]]
-        start = case.start_of(values)
-        model = objective.tracks(record, start)
-        for m, marker in enumerate(objective.names):
-            for f, time in enumerate(objective.times):
-                data = objective.data[f, m] if objective.seen[f, m] else np.full(len(axes), np.nan)
-                table.append([case.name, marker, float(time - start), *data.tolist(), *model[f, m].tolist()])
-    if table:
-        write_table(run.path / "tracks.csv", table)
+        head, *rows = case.comparisons[0].table(record, case.start_of(values))
+        table = tables.setdefault(data.measurement(case.name).table_file(), [["recording", *head]])
+        table += [[case.name, *row] for row in rows]
+    for name, table in tables.items():
+        write_table(run.path / name, table)

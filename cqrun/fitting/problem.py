@@ -1,26 +1,25 @@
 """The fit of unknowns to cases, as an optimizer sees it.
 
-    f(x) = loss / unit,   loss = sum over fitted recordings of w_k loss_k / sum w_k,   loss_k = RMSE_k^2 [m^2]
+    f(x) = loss / unit,   loss = sum over fitted recordings of w_k loss_k / sum w_k,   loss_k = RMSE_k^2
 
 x are the unknowns in scaled coordinates (`design/params.py`), and `unit` is the loss of bodies that stay where they
-are: so f is of order one, and an optimizer's tolerances mean the same in millimetres and in metres. The residuals r
-are those of the markers, scaled so that f = r.r / 2. Rollouts of one evaluation run side by side on the cores, and
-share the threads where these are more. Neither changes a bit of the result.
+are: so f is of order one, and an optimizer's tolerances mean the same in millimetres and in metres. Where recordings
+are of different units each loss_k is counted in its own such unit. The residuals r are those of the measurements,
+scaled so that f = r.r / 2. Rollouts of one evaluation run side by side on the cores, and share the threads where these
+are more. Neither changes a bit of the result.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from cqrun.design.params import Params
 from cqrun.engine.model import Records
-from cqrun.errors import UsageError
-from cqrun.fitting.cases import Case
-from cqrun.fitting.marker_misfit import MarkerObjective
+from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.fitting.case import Case
 from cqrun.fitting.uncertainty import Series
 from cqrun.optimizers.base import TrialFailed
 from cqrun.plugin.contract import Array
@@ -40,8 +39,8 @@ class FitProblem:
         threads: cores to use.
 
     Attributes:
-        unit: loss of bodies that stay where they are; a cell squared where that is nought [m^2].
-        weights: of each case's objectives in the loss; all together they sum to 1.
+        unit: loss of bodies that stay where they are; a cell squared where that is nought.
+        weights: of each case's comparisons in the loss; all together they sum to 1, where all are of one unit.
         effort: what gradients have cost so far.
     """
 
@@ -57,14 +56,22 @@ class FitProblem:
         self.effort = Effort()
         self._kept: dict[tuple[int, bytes], Records] = {}
         self.interrupt: Callable[[], None] = lambda: None
-        total = sum(self._weight(o) for case in self.cases for o in case.objectives)
-        self.weights = [np.array([self._weight(o) / total for o in case.objectives]) for case in self.cases]
-        still = sum(float(w @ case.still_losses()) for case, w in zip(self.cases, self.weights, strict=True))
-        self.unit = still or self.cases[0].built.model.dx ** 2
+        total = sum(o.weight for case in self.cases for o in case.comparisons)
+        still = [case.still_losses() for case in self.cases]
+        self.weights = [np.array([o.weight / total for o in case.comparisons]) for case in self.cases]
+        if self._of_several_units():
+            self.weights = [w / own for w, own in zip(self.weights, map(_moving, self.cases, still), strict=True)]
+        unit = sum(float(w @ own) for w, own in zip(self.weights, still, strict=True))
+        self.unit = unit or self.cases[0].built.model.dx ** 2
 
-    @staticmethod
-    def _weight(objective: Any) -> float:
-        return objective.weight if isinstance(objective, MarkerObjective) else 1.0
+    @property
+    def unit_text(self) -> str:
+        """The unit of f, with its own unit where one is known."""
+        return f"{self.unit:.4g} {self.cases[0].built.scene.loss_unit}".rstrip()
+
+    def _of_several_units(self) -> bool:
+        scene = self.cases[0].built.scene
+        return scene.data is not None and scene.measured is None
 
     def values(self, x: Array) -> dict[str, Array]:
         """Return the unknowns' values by path."""
@@ -77,14 +84,9 @@ class FitProblem:
             UsageError: one is too early.
         """
         for case in self.cases:
-            start = case.start_of(values)
-            for objective in case.objectives:
-                if isinstance(objective, MarkerObjective) and not objective.reaches(start):
-                    raise UsageError(
-                        f"{case.start_path}: must be {objective.earliest:.6g} s or later, is {start:.6g} s: frames are "
-                        f"compared up to {objective.times[-1]:.6g} s, and the run would end before; load the scene "
-                        "with that start, or with it as an unknown whose bounds hold that value"
-                    )
+            for comparison in case.comparisons:
+                if wrong := comparison.too_early(case.start_of(values)):
+                    raise UsageError(f"{case.start_path}: {wrong}")
 
     # --- values ---------------------------------------------------------------------------------------------
 
@@ -134,7 +136,7 @@ class FitProblem:
     def losses_and_gradient(
         self, values: Mapping[str, Array], batch: tuple[int, ...] | None = None
     ) -> tuple[dict[str, float], dict[str, Array]]:
-        """Return every case's part of the loss [m^2], and the loss's gradient by path, for values by path.
+        """Return every case's part of the loss, and the loss's gradient by path, for values by path.
 
         Raises:
             RolloutError: a case blows up.
@@ -219,8 +221,7 @@ class FitProblem:
 
     def _scales(self, case: Case, weights: Array) -> list[float]:
         """Return the factors of a case's residuals that make f = r.r / 2."""
-        counts = [o.count if isinstance(o, MarkerObjective) else 1 for o in case.objectives]
-        return [float(np.sqrt(2.0 * w / (n * self.unit))) for w, n in zip(weights, counts, strict=True)]
+        return [float(np.sqrt(2.0 * w / (o.count * self.unit))) for w, o in zip(weights, case.comparisons, strict=True)]
 
     def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
         """Return r (m,) and J (m, n) by one-sided differences, inside the bounds."""
@@ -242,19 +243,21 @@ class FitProblem:
         return finer
 
     def series(self) -> list[Series]:
-        """Return each marker's coordinates among the residuals, and a target's as series of one frame."""
+        """Return the time series among the residuals."""
         out: list[Series] = []
-        begin = 0
-        objectives = [o for case in self.cases for o in case.objectives]
-        scales = [
-            s for case, weights in zip(self.cases, self.weights, strict=True) for s in self._scales(case, weights)
-        ]
-        for k, (objective, scale) in enumerate(zip(objectives, scales, strict=True)):
-            if isinstance(objective, MarkerObjective):
-                out += [Series(part + begin, frames, k, scale * still) for part, frames, still in objective.series()]
-                begin += objective.count * objective.data.shape[2]
-            else:
-                size = len(objective.goal)
-                out += [Series(np.array([begin + axis]), np.zeros(1, int), k) for axis in range(size)]
-                begin += size
+        begin = recording = 0
+        for case, weights in zip(self.cases, self.weights, strict=True):
+            for comparison, scale in zip(case.comparisons, self._scales(case, weights), strict=True):
+                for part, frames, still in comparison.series():
+                    out.append(Series(part + begin, frames, recording, scale * still))
+                begin, recording = begin + comparison.size, recording + 1
         return out
+
+
+def _moving(case: Case, still: Array) -> Array:
+    """Return the losses of bodies that stay where they are; SceneError where one is 0, as of a recording of nothing."""
+    if (still == 0).any():
+        path = f"data.recordings.{case.name}"
+        message = "shows no change, so its errors cannot be counted beside those in another unit: remove it"
+        raise SceneError([Problem(case.built.scene.where(path), path, message)])
+    return still

@@ -150,7 +150,7 @@ class Experiment:
             each over the episodes, by name) and "goals" (of each episode) where there are episodes.
 
         Raises:
-            UsageError: a path or a shape that cannot be, or a scene with neither data nor a controller's objective.
+            UsageError: a path or a shape that cannot be, or a scene with neither data nor an objective.
             RolloutError: the scene blows up.
         """
         with one_blas_thread():
@@ -160,10 +160,9 @@ class Experiment:
         if isinstance(self._agent, EpisodeProblem):
             loss, gradient, aux = self._episodes(self._agent, self._stable(params))
             return loss, self._with_followers(gradient, params), aux
-        if self.scene.data is None:
+        if self.scene.data is None and not self.scene.objective:
             raise UsageError(
-                "this scene has no `data`, and no `controller` with an `objective`, so there is no loss: add one, or "
-                "use simulate()"
+                "this scene has neither `data` nor an `objective`, so there is no loss: add one, or use simulate()"
             )
         problem, values = self._problem, self._stable(params)
         problem.require_reached(values)

@@ -11,7 +11,7 @@ from cqrun.build.model import Built
 from cqrun.design.params import Block, Params
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
-from cqrun.fitting.cases import Case
+from cqrun.fitting.case import Case
 from cqrun.fitting.problem import FitProblem
 from cqrun.learning.agent import Attempt, Mix
 from cqrun.learning.episodes import EpisodeProblem
@@ -59,7 +59,7 @@ def fit_loss(built: Built, cases: Sequence[Case], threads: int) -> Loss:
 
     x = np.clip(params.start, INSIDE, 1.0 - INSIDE)
     moved = "" if np.array_equal(x, params.start) else ", a little inside the bounds"
-    words = f"the fit's loss, in units of {problem.unit:.4g} m^2{moved},"
+    words = f"the fit's loss, in units of {problem.unit_text}{moved},"
     return Loss(words, params, x, value, problem.value_and_grad, 0.0)
 
 

@@ -27,7 +27,8 @@ import numpy as np
 from cqrun.build.model import Built
 from cqrun.design.params import Params
 from cqrun.errors import RolloutError, RunError
-from cqrun.fitting.cases import Case, given_cases, made_cases
+from cqrun.fitting.case import Case
+from cqrun.fitting.cases import given_cases, is_fit, made_cases
 from cqrun.jobs.checked_losses import Loss, episode_loss, fit_loss, state_loss
 from cqrun.learning.episodes import EpisodeProblem, has_episodes
 from cqrun.optimizers.base import TrialFailed
@@ -167,8 +168,7 @@ def resume_gradcheck(run: RunDirectory, overrides: Sequence[str], threads: int, 
 
 def has_data(built: Built) -> bool:
     """Say whether a scene has a fit to differentiate."""
-    scene = built.scene
-    return scene.data is not None and bool(scene.unknowns) and not has_episodes(scene) and scene.controller is None
+    return is_fit(built.scene)
 
 
 def _episodes(built: Built, threads: int) -> EpisodeProblem | None:

@@ -70,7 +70,7 @@ def _sysid(run_dir: Path, result: dict[str, Any]) -> Iterator[str]:
         else:
             yield from (f"no interval for {path}: {reason}" for path, reason in reasons.items())
     yield ""
-    yield from _errors(result)
+    yield from _errors(scene, result)
     yield from (f"note: {sentence}" for sentence in result.get("findings", []))
 
 
@@ -91,18 +91,25 @@ def _interval(pair: list[float] | None) -> str:
     return "none" if pair is None else f"{number(pair[0])} to {number(pair[1])}"
 
 
-def _errors(result: dict[str, Any]) -> Iterator[str]:
+def _errors(scene: Scene, result: dict[str, Any]) -> Iterator[str]:
     if result["recordings"] is None:
         if result["loss"] is not None:
-            yield f"loss {result['loss']:.6g} m^2"
+            yield f"loss {result['loss']:.6g} {scene.loss_unit}".rstrip()
         return
-    rows = []
+    assert scene.data is not None
+    tables: dict[str, list[tuple[str, ...]]] = {}
+    heads: dict[str, tuple[str, ...]] = {}
     for name, entry in result["recordings"].items():
-        rmse = "blew up" if entry["rmse_mm"] is None else f"{entry['rmse_mm']:.3f}"
-        markers = entry.get("markers_mm", {})
-        by_marker = ", ".join(f"{m} {'unseen' if e is None else f'{e:.3f}'}" for m, e in markers.items())
-        rows.append((name, "held out" if entry["holdout"] else "fitted", rmse, by_marker if len(markers) <= 12 else ""))
-    yield from table(("recording", "", "RMSE [mm]", "by marker [mm]"), rows)
+        measured = scene.data.measurement(name)
+        unit = f" [{measured.shown.name}]" if measured.shown.name else ""
+        heads[measured.name] = ("recording", "", f"RMSE{unit}", f"by {measured.channel}{unit}")
+        rmse, each = (entry.get(measured.error_key(word)) for word in ("rmse", f"{measured.channel}s"))
+        told = [f"{key} {'unseen' if e is None else format(e, measured.digits)}" for key, e in (each or {}).items()]
+        kind = "held out" if entry["holdout"] else "fitted"
+        row = (name, kind, "blew up" if rmse is None else format(rmse, measured.digits))
+        tables.setdefault(measured.name, []).append((*row, ", ".join(told) if len(told) <= 12 else ""))
+    for kind, rows in tables.items():
+        yield from table(heads[kind], rows)
     for name, entry in result["recordings"].items():
         if away := entry.get("alignment_mm", {}).values():
             yield f"{name}: aligned to the rest positions within {min(away):.2f} to {max(away):.2f} mm"
@@ -186,7 +193,8 @@ def _simulate(result: dict[str, Any]) -> Iterator[str]:
 
 def _pictures(run_dir: Path) -> Iterator[str]:
     files = sorted((run_dir / "figures").glob("*.png"))
-    files += [file for name in ("tracks.csv", "observables.csv", "trajectory.h5") if (file := run_dir / name).exists()]
+    files += [file for file in sorted(run_dir.glob("*.csv")) if file.name not in ("history.csv", "activation.csv")]
+    files += sorted(run_dir.glob("trajectory.h5"))
     if files:
         yield ""
         yield "see " + ", ".join(str(file.relative_to(run_dir)) for file in files)

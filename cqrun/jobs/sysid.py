@@ -8,8 +8,9 @@ from typing import Any
 
 from cqrun.build.model import Built
 from cqrun.errors import Problem, SceneError
-from cqrun.fitting.cases import Case, given_cases, made_cases, own_warnings
-from cqrun.fitting.findings import alignments, write_findings
+from cqrun.fitting.case import Case
+from cqrun.fitting.cases import given_cases, made_cases, own_warnings, remarks
+from cqrun.fitting.findings import write_findings
 from cqrun.fitting.problem import FitProblem
 from cqrun.jobs.bodies import tell_bodies
 from cqrun.optimizers.base import Optimizer, Outcome
@@ -36,7 +37,13 @@ from cqrun.store.run import RunDirectory
 from cqrun.store.session import RunSession
 
 FEW = 10
-"""Up to this many unknowns, marker data is fitted by least squares unless the scene says otherwise."""
+"""Up to this many unknowns, data is fitted by least squares unless the scene says otherwise."""
+
+NEEDED = {
+    "unknowns": "name what shall be found, by key path, with bounds",
+    "data": "say what it is fitted to, or give an `objective` that is made small",
+}
+"""What a scene must have, and the advice where it is missing."""
 
 
 def run_sysid(
@@ -69,12 +76,11 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
     """Build a scene for sysid, its optimizer chosen.
 
     Raises:
-        SceneError: it has no unknowns or no data, or too little memory for gradients.
+        SceneError: it has no unknowns, neither data nor an objective, or too little memory for gradients.
     """
-    missing = [key for key in ("unknowns", "data") if not getattr(scene, key)]
+    missing = [key for key in NEEDED if not getattr(scene, key) and not (key == "data" and scene.objective)]
     if missing:
-        told = {"unknowns": "name what shall be found, by key path, with bounds", "data": "say what it is fitted to"}
-        raise SceneError([Problem(scene.where(key), key, f"sysid needs it: {told[key]}") for key in missing])
+        raise SceneError([Problem(scene.where(key), key, f"sysid needs it: {NEEDED[key]}") for key in missing])
     if scene.controller is not None:
         message = (
             "sysid drives actuators by `activation` alone, and this would not act: take it out, `-o controller=null`, "
@@ -89,6 +95,10 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
         path, message = f"constraints.{name}", "sysid honours none: bound its unknowns instead"
         raise SceneError([Problem(scene.where(path), path, message)])
     scene = with_optimizer(scene)
+    if scene.data is None and _optimizer(scene).squares:
+        path = f"optimizer.{scene.optimizer.name}"  # type: ignore[union-attr]
+        message = "fits data by least squares; for an objective take lbfgs, adam, sgd or cma_es"
+        raise SceneError([Problem(scene.where(path), path, message)])
     if scene.precision == "float32" and not uses_gradients(scene) and _optimizer(scene).squares:
         path = f"optimizer.{scene.optimizer.name}"  # type: ignore[union-attr]
         message = "its Jacobian is by differences, for which `precision: float32` is too coarse: use lbfgs, or float64"
@@ -127,7 +137,7 @@ def with_optimizer(scene: Scene) -> Scene:
         return scene
     from cqrun.plugin.registry import plugins
 
-    suited = scene.target is None and _numbers(scene) <= FEW and scene.precision == "float64"
+    suited = scene.data is not None and _numbers(scene) <= FEW and scene.precision == "float64"
     name = "least_squares" if suited else "lbfgs"
     return scene.with_plugin("optimizer", plugins("optimizer")[name]())
 
@@ -153,7 +163,7 @@ def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads:
         cases = made_cases(run, built)
     for warning in own_warnings(built, cases):
         talk.warn(warning)
-    for sentence in alignments(cases):
+    for sentence in remarks(cases):
         run.log(sentence)
     params = make_params(built)
     problem = FitProblem(cases, params, threads=threads)

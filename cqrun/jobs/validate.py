@@ -11,15 +11,15 @@ import numpy as np
 from cqrun.build.model import Built, build
 from cqrun.errors import SceneError
 from cqrun.explain import listed
-from cqrun.fitting.cases import Case, given_cases, own_warnings
-from cqrun.fitting.marker_misfit import MarkerObjective
-from cqrun.jobs.bodies import lies, made_of, point
+from cqrun.fitting.case import Case
+from cqrun.fitting.cases import given_cases, is_fit, own_warnings
+from cqrun.jobs.bodies import lies, made_of
 from cqrun.jobs.control import JOBS, differentiated, optimizer_of
 from cqrun.jobs.control import prepare as prepare_control
 from cqrun.jobs.gradcheck import has_data
 from cqrun.jobs.report import number
 from cqrun.jobs.sysid import prepare, with_optimizer
-from cqrun.jobs.validate_control import control_lines, line
+from cqrun.jobs.validate_control import control_lines, line, objective_lines
 from cqrun.learning.agent import Agent
 from cqrun.learning.episodes import EpisodeProblem, has_episodes
 from cqrun.running.gradient_memory import GRADIENT, gradient_plan, state_bytes
@@ -78,7 +78,8 @@ def _reads_data(built: Built) -> bool:
 
 def _fits(scene: Scene) -> bool:
     """Say whether a scene is one of sysid."""
-    return scene.job == "sysid" or (scene.job is None and bool(scene.unknowns) and scene.data is not None)
+    with_data = bool(scene.unknowns) and scene.data is not None
+    return scene.job == "sysid" or (scene.job is None and (with_data or is_fit(scene)))
 
 
 # --- the world and what is in it ----------------------------------------------------------------------------
@@ -143,14 +144,14 @@ def _unknowns(built: Built) -> Iterator[str]:
         per += "" if unknown.mirror is None else f", mirrored across {unknown.mirror}"
         text = f"{path}: {number(low)} to {number(high)}{unit}, from {number(start(scene, path))}"
         yield line("unknown", f"{text}, {unknown.scale} scale{per}")
-    if scene.data is not None:
+    if scene.data is not None or _fits(scene):
         chosen = with_optimizer(scene).optimizer
         assert chosen is not None
         yield line("optimizer", f"{chosen.name}, at most {chosen.value.max_iterations} iterations")  # type: ignore[attr-defined]
 
 
 def _data(built: Built, cases: list[Case] | None) -> Iterator[str]:
-    made, goal = built.scene.synthetic, built.scene.target
+    made = built.scene.synthetic
     if made is not None:
         points = f"{len(made.markers)} markers" if made.markers is not None else f"{made.tracked} tracked particles"
         yield line(
@@ -158,24 +159,16 @@ def _data(built: Built, cases: list[Case] | None) -> Iterator[str]:
             f"synthetic: {built.scene.sequences} x {made.copies} recordings of {points} on '{made.body}', "
             f"noise {number(MILLI * made.noise)} mm",
         )
-    if goal is not None:
-        where = f"{point(goal.position)} m, t = {number(goal.time)} s"
-        yield line("data", f"target: the centroid of '{goal.body}' at {where}")
     for case in cases or []:
-        yield from _recording(case)
+        yield from _recording(case) if built.scene.data is not None else objective_lines(built.scene)
 
 
 def _recording(case: Case) -> Iterator[str]:
-    for objective, measured in zip(case.objectives, case.measured, strict=False):  # a target has no measured motion
-        assert isinstance(objective, MarkerObjective)
-        use = "held out" if case.holdout else "fitted"
-        yield line(
-            "recording",
-            f"{case.name} ({use}): {len(measured.names)} markers, {len(objective.times)} frames from "
-            f"{number(objective.times[0])} to {number(objective.times[-1])} s, release at {number(case.start)} s, "
-            f"{objective.seen.mean():.1%} seen",
-        )
-        yield line("", str(measured.alignment or "positions in the scene's own frame"))
+    use = "held out" if case.holdout else "fitted"
+    for comparison in case.comparisons:
+        yield line("recording", f"{case.name} ({use}): {comparison.summary()}")
+        if comparison.remark:
+            yield line("", comparison.remark)
 
 
 # --- cost ---------------------------------------------------------------------------------------------------

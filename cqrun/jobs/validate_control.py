@@ -12,6 +12,7 @@ from cqrun.jobs.report import number
 from cqrun.learning.agent import CONTROLLER, Agent
 from cqrun.learning.episodes import EpisodeProblem
 from cqrun.learning.record_memory import record_bytes
+from cqrun.scene.schema import Scene
 from cqrun.units import format_bytes
 
 
@@ -32,16 +33,21 @@ def control_lines(agent: Agent) -> Iterator[str]:
         yield line("goal", f"{name}: {point(goal.position)} m{spread}")
     if isinstance(agent, EpisodeProblem):
         yield from _episodes(agent)
-    for name, chosen in scene.objective.items():
-        spec: Any = chosen.value
-        aim = "larger is better" if spec.sense < 0 else "smaller is better"
-        yield line("objective", f"{name} ({chosen.name}): {spec.over}, weight {number(spec.weight)}, {aim}")
+    yield from objective_lines(scene)
     for name, held in scene.constraints.items():
         ends = {"at least": held.at_least, "at most": held.at_most, "equal to": held.equals}
         told = ", ".join(f"{word} {number(end)}" for word, end in ends.items() if end is not None)
         optimizer: Any = optimizer_of(agent.built)
         within = number(optimizer.constraint_tolerance * held.scale)
         yield line("constraint", f"{name} ({held.of.name}): {told}, met when missed by no more than {within}")
+
+
+def objective_lines(scene: Scene) -> Iterator[str]:
+    """Yield a line on each term of the objective."""
+    for name, chosen in scene.objective.items():
+        spec: Any = chosen.value
+        aim = "larger is better" if spec.sense < 0 else "smaller is better"
+        yield line("objective", f"{name} ({chosen.name}): {spec.over}, weight {number(spec.weight)}, {aim}")
 
 
 def _controller(agent: Agent) -> Iterator[str]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from cqrun.build.matter import matter_of
 from cqrun.build.model import Built
 from cqrun.controllers.policy import ControlPolicy, Limits
 from cqrun.controllers.saved import load_controller, read_controller, save_controller
@@ -26,7 +27,7 @@ from cqrun.learning.actuator_placement import acted_on, require_same
 from cqrun.learning.controller_fingerprint import differences, meaning_of
 from cqrun.learning.replay import kept_values, require_fitting
 from cqrun.objectives.term import Objective, Track, TrackBar
-from cqrun.observers.matter import Matter, Unfit
+from cqrun.observers.matter import Unfit
 from cqrun.observers.observer import Observation
 from cqrun.observers.rows import slices
 from cqrun.plugin.contract import Array
@@ -35,7 +36,6 @@ from cqrun.running.unknowns import make_params
 from cqrun.scene.files import unreadable_files
 from cqrun.state import State
 from cqrun.store.atomic import disk_errors
-from cqrun.store.recordings import marker_path
 
 CONTROLLER = "controller."
 """Before the name of a block of the controller, as before a key path of the scene."""
@@ -46,9 +46,6 @@ FILE = "controller.npz"
 Goals = Mapping[str, Array]
 Values = Mapping[str, Array]
 
-
-MOST_PLACES = 200
-"""Of a course in a trajectory's file, for pictures: attributes of HDF5 hold 64 KiB."""
 
 OBJECTIVE, CONSTRAINTS = 1, 2
 """Who asked for which of the probe's rows; the observation's are the first."""
@@ -237,14 +234,8 @@ class Agent:
         return {name: np.array(goal.position) for name, goal in self.built.scene.goals.items()}
 
     def wanted(self, goals: Goals) -> dict[str, Any]:
-        """Return what a trajectory says of where its bodies should go [m]: goals; courses in MOST_PLACES or fewer."""
-        said: dict[str, Any] = {"goals": {name: goal.tolist() for name, goal in goals.items()}}
-        courses = {name: term.course for name, term in self.objective.terms.items() if term.course is not None}
-        if courses:
-            said["courses"] = {
-                name: course[:: -(-len(course) // MOST_PLACES)].tolist() for name, course in courses.items()
-            }
-        return said
+        """Return what a trajectory says of where its bodies should go [m]."""
+        return self.objective.wanted(goals)
 
     def rollout(self, values: Values, goals: Goals, threads: int, *, adjoint: bool = False) -> Rollout:
         """Return a rollout under the policy with these values; nothing is run yet."""
@@ -370,25 +361,3 @@ def starts_of(built: Built, trained: Mapping[str, Any]) -> dict[str, Array]:
     own = unknowns.unpack(unknowns.start)
     then = {path: np.array(value, float) for path, value in trained.items()}
     return own | {path: value for path, value in then.items() if value.shape == np.shape(own.get(path, 0.0))}
-
-
-def matter_of(built: Built, starts: Values) -> Matter:
-    """Return what observers and objectives may know of a scene whose unknowns start somewhere."""
-    scene, particles = built.scene, built.particles
-    inputs = built.assembly.inputs(starts)
-    return Matter(
-        x=particles.x,
-        mass=inputs.fields.mass,
-        size=np.array(scene.world.size),
-        control_step=scene.time.control_step,
-        n_controls=scene.time.control_steps,
-        bodies={name: particles.of(name) for name in particles.names},
-        groups={name: particles.groups(name) for name in particles.names},
-        select=particles.inside,
-        goals={name: len(goal.position) for name, goal in scene.goals.items()},
-        n_actuators=len(built.assembly.actuation.parts),
-        recorded=lambda file, units, marker: marker_path(scene.resolve_path(file), units, marker),
-        design=built.assembly.design(inputs),
-        regions=tuple(scene.regions),
-        neutral=built.assembly.actuation.neutral,
-    )

@@ -1,4 +1,4 @@
-"""Positions between control steps: cubic Hermite interpolation of a rollout's records, and its adjoint.
+"""Values between control steps: cubic Hermite or linear interpolation of a rollout's records, and its adjoint.
 
 The interpolant is continuously differentiable in the sample times, so a start time that is an unknown has a gradient.
 """
@@ -47,34 +47,48 @@ class Interpolant:
 
 
 def interpolant(tau: Array, control_step: float, steps: int) -> Interpolant:
-    """Return the interpolant at times tau (F,) after the release [s], for a rollout of `steps` control steps.
+    """Return the cubic interpolant at times tau (F,) after the release [s], for a rollout of `steps` control steps.
 
     Before the release (tau < 0) the model rests at its initial positions.
 
     Raises:
         ValueError: a time is after the rollout's end.
     """
+    index, s, moving = _place(tau, control_step, steps)
+    dt = control_step
+    late = s * s * (3 - 2 * s)
+    rise = moving * 6 * s * (1 - s) / dt
+    return Interpolant(
+        _weights(index, steps, 1 - late, late),
+        _weights(index, steps, dt * s * (1 - s) ** 2, dt * s * s * (s - 1)),
+        _weights(index, steps, -rise, rise),
+        _weights(index, steps, moving * (1 - s) * (1 - 3 * s), moving * s * (3 * s - 2)),
+    )
+
+
+def linear(tau: Array, control_step: float, steps: int) -> Interpolant:
+    """Return the linear interpolant, which uses no velocities; arguments and errors as `interpolant`."""
+    index, s, moving = _place(tau, control_step, steps)
+    none, rise = _weights(index, steps, 0 * s, 0 * s), moving / control_step
+    return Interpolant(_weights(index, steps, 1 - s, s), none, _weights(index, steps, -rise, rise), none)
+
+
+def _place(tau: Array, control_step: float, steps: int) -> tuple[Array, Array, Array]:
+    """Return the control step before each time, which part of the step has passed, and 0 where the model rests."""
     if np.any(tau > (steps + SLACK) * control_step):
         raise ValueError(f"sample at {np.max(tau):.9g} s, after the rollout's end at {steps * control_step:.9g} s")
     place = np.clip(tau / control_step, 0.0, steps)
     index = np.minimum(place.astype(int), steps - 1)
-    s, dt, moving = place - index, control_step, (tau >= 0).astype(float)
-    late = s * s * (3 - 2 * s)
-    rise = moving * 6 * s * (1 - s) / dt
+    return index, place - index, (tau >= 0).astype(float)
 
-    def weights(first: Array, second: Array) -> csr_matrix:
-        from scipy.sparse import csr_matrix
 
-        columns = np.stack([index, index + 1], 1).ravel()
-        starts = 2 * np.arange(len(index) + 1)
-        return csr_matrix((np.stack([first, second], 1).ravel(), columns, starts), shape=(len(index), steps + 1))
+def _weights(index: Array, steps: int, first: Array, second: Array) -> csr_matrix:
+    """Return the matrix (F, steps + 1) of the weights of the control steps before and after each time."""
+    from scipy.sparse import csr_matrix
 
-    return Interpolant(
-        weights(1 - late, late),
-        weights(dt * s * (1 - s) ** 2, dt * s * s * (s - 1)),
-        weights(-rise, rise),
-        weights(moving * (1 - s) * (1 - 3 * s), moving * s * (3 * s - 2)),
-    )
+    columns = np.stack([index, index + 1], 1).ravel()
+    starts = 2 * np.arange(len(index) + 1)
+    return csr_matrix((np.stack([first, second], 1).ravel(), columns, starts), shape=(len(index), steps + 1))
 
 
 def _apply(weights: csr_matrix, field: Array) -> Array:

@@ -61,6 +61,7 @@ class AimGap(BoundTerm):
         self.rows = means(sets, matter.n_particles)
         self.over, self.squared, self.goal = spec.over, spec.squared, spec.goal
         self.position = np.zeros(matter.dim) if spec.position is None else np.array(spec.position)
+        self.course = None if spec.position is None else self.position[None]
 
     def steps(self, track: Track) -> Array:
         return lengths(self._gap(track), self.squared)

@@ -23,6 +23,9 @@ from cqrun.plugin.contract import Array, Plugin
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+MOST_PLACES = 200
+"""Of a course in a trajectory's file, for pictures: attributes of HDF5 hold 64 KiB."""
+
 Over = Literal["final", "mean", "sum", "minimum", "maximum", "product"]
 
 
@@ -138,6 +141,16 @@ class Objective:
     def weighted_sum(self, values: Mapping[str, float]) -> float:
         """Return the loss for given values of the terms."""
         return sum(self.factors[name] * value for name, value in values.items())
+
+    def wanted(self, goals: Mapping[str, Array]) -> dict[str, Any]:
+        """Return what a trajectory says of where its bodies should go [m]: goals; courses in MOST_PLACES or fewer."""
+        said: dict[str, Any] = {"goals": {name: goal.tolist() for name, goal in goals.items()}}
+        courses = {name: term.course for name, term in self.terms.items() if term.course is not None}
+        if courses:
+            said["courses"] = {
+                name: course[:: -(-len(course) // MOST_PLACES)].tolist() for name, course in courses.items()
+            }
+        return said
 
     def loss_vjp(self, track: Track, bar: float = 1.0) -> TrackBar:
         """Return the cotangent of the track from that of the loss."""

@@ -32,6 +32,7 @@ class Matter:
         control_step: time between two observations [s].
         n_controls: control steps T in a run.
         bodies: each body's slice of the particles.
+        spacing: distance between the particles of each body [m].
         groups: body -> group -> indices of its particles.
         regions: names of the scene's regions; each can be used as a group of every body.
         select: (body or None, region or None) -> indices of the particles there.
@@ -57,6 +58,7 @@ class Matter:
     design: Array = field(default_factory=lambda: np.zeros((0, 0)))
     regions: Sequence[str] = ()
     neutral: Array = field(default_factory=lambda: np.zeros(0))
+    spacing: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def n_particles(self) -> int:

@@ -121,8 +121,8 @@ def is_vector(spec: type[BaseModel], name: str) -> bool:
 
 
 def field_unit(spec: type[BaseModel], name: str) -> str | None:
-    """Return the unit of a field, or None if it has none."""
-    extra = spec.model_fields[name].json_schema_extra
+    """Return the unit of a field, or None if it has none or is a name that the user gave."""
+    extra = spec.model_fields[name].json_schema_extra if name in spec.model_fields else None
     return str(extra["unit"]) if isinstance(extra, dict) and "unit" in extra else None
 
 

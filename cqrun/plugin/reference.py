@@ -86,7 +86,7 @@ class FilledIn:
         by: what it is filled with; where the scene has none of it the field is missing.
     """
 
-    by: Literal["zero vector", "zero spin", "only body", "end of the run"]
+    by: Literal["zero vector", "zero spin", "only body"]
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {**handler(schema), FILLED_MARK: True}

@@ -27,6 +27,7 @@ FOLDERS = {
     "controller": "cqrun.controllers",
     "observer": "cqrun.observers",
     "objective": "cqrun.objectives",
+    "measurement": "cqrun.measurements",
     "optimizer": "cqrun.optimizers",
 }
 """Package with the plug-ins of each kind."""

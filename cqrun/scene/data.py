@@ -1,16 +1,21 @@
-"""What a run is fitted to: recordings, a target, or data that the scene makes itself."""
+"""What a run is fitted to: recordings, or data that the scene makes itself."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from cqrun.explain import Loc, complaint, finding, listed
-from cqrun.plugin.contract import Spec, quantity, vector
-from cqrun.plugin.reference import FileName, FilledIn, NamesBody, Position
+from cqrun.explain import KEY, Loc, complaint, finding, listed
+from cqrun.plugin.contract import Spec, quantity
+from cqrun.plugin.reference import FileName, FilledIn, NamesBody
+from cqrun.plugin.registry import plugins
 from cqrun.scene.fields import Interval, Name, Seed, Vector
+from cqrun.scene.plugin_keys import PluginKeys
 from cqrun.units import LengthUnit
+
+if TYPE_CHECKING:
+    from cqrun.measurements.measurement import Measurement
 
 CarrierName = Annotated[Name, NamesBody(), FilledIn("only body")]
 """Name of the body that data belong to; in a scene with a single body it may be left out."""
@@ -24,28 +29,41 @@ def exactly_one(part: Spec, names: tuple[str, ...]) -> None:
         raise complaint(type(part).__name__, [finding(message, involves=names)])
 
 
-def _marker_problems(markers: dict[str, list[float]], dim: int) -> list[tuple[Loc, str]]:
-    told = f"must have {dim} entries in this {dim}D world, has "
-    return [(("markers", name), f"{told}{len(x)}") for name, x in markers.items() if len(x) != dim]
+class Recording(PluginKeys):
+    """What was measured, read from a file.
 
-
-class Recording(Spec):
-    """Measured motion of markers on a body.
-
-    `overrides` are key paths with what this recording changes in the scene, such as `loads.weight`.
+    One further key is the name of a measurement, which says what the file holds and how the model is compared with it:
+    `markers: {tip: [0.1, 0.02]}` (cqrun describe measurement).
     """
 
-    file: FileName = Field(min_length=1, description="C3D, CSV or trajectory file, relative to the scene")
+    keys_of: ClassVar[str] = "measurement"
+
+    file: FileName = Field(min_length=1, description="File with what was measured, relative to the scene")
     start: float = quantity("s", "Time in the file when the run begins", differentiable=True, default=0.0)
     length: float | None = quantity("s", "How long to compare; the scene's duration if absent", gt=0, default=None)
     skip: float = quantity("s", "Time after the start (the latest that is allowed) not compared", ge=0, default=0.0)
     holdout: bool = Field(description="Predict it, but do not fit it", default=False)
-    body: CarrierName = Field(description="Body that carries the markers; the only one if absent")
-    units: LengthUnit | None = Field(description="Of the file, if it does not say", default=None)
+    body: CarrierName = Field(description="Body that was measured; the only one if absent")
+    units: LengthUnit | None = Field(description="Of lengths in the file, if it does not say", default=None)
     still: Interval | None = quantity("s", "Time in the file at rest, before the run or after it", default=None)
-    markers: dict[str, Vector] = quantity("m", "Rest position of each marker used", default_factory=dict)
     overrides: dict[str, Any] = Field(description="Key path -> value for this recording", default_factory=dict)
     weight: float = quantity("1", "Weight in the loss", gt=0, default=1.0)
+
+    @property
+    def measurement(self) -> Measurement:
+        """The measurement: `markers` where none is named."""
+        return next(iter(self.chosen.values()), None) or markers()
+
+    @model_validator(mode="after")
+    def _measured_in_one_way(self) -> Self:
+        if len(self.chosen) > 1:
+            message = f"is of one measurement; has {listed(self.chosen)}: make a recording for each"
+            raise complaint("Recording", [finding(message, involves=self.chosen)])
+        for name in ("still", "units"):
+            if getattr(self, name) is not None and name not in self.measurement.takes:
+                message = f"has no meaning for the measurement `{self.measurement.name}`: remove it"
+                raise complaint("Recording", [finding(message, (name,), kind=KEY)])
+        return self
 
     @model_validator(mode="after")
     def _skip_leaves_something(self) -> Self:
@@ -60,17 +78,11 @@ class Recording(Spec):
             raise complaint("Recording", [finding("must begin before it ends", ("still",))])
         return self
 
-    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
-        """Return what does not fit a world of `dim` dimensions."""
-        return super().dim_problems(dim) + _marker_problems(self.markers, dim)
 
-
-class Target(Spec):
-    """Where a body's centroid (plain mean of its particles) shall be at a time."""
-
-    body: CarrierName = Field(description="Body whose centroid counts; the only one if absent")
-    position: Position = vector("m", "Wanted position")
-    time: Annotated[float, FilledIn("end of the run")] = quantity("s", "When; the end of the run if absent", gt=0)
+def markers() -> Measurement:
+    """Return the measurement of recordings that name none, and of synthetic data."""
+    markers: Measurement = plugins("measurement")["markers"]()
+    return markers
 
 
 class Synthetic(Spec):
@@ -94,20 +106,51 @@ class Synthetic(Spec):
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        return super().dim_problems(dim) + _marker_problems(self.markers or {}, dim)
+        told = f"must have {dim} entries in this {dim}D world, has "
+        wrong = {name: len(x) for name, x in (self.markers or {}).items() if len(x) != dim}
+        return super().dim_problems(dim) + [(("markers", name), f"{told}{n}") for name, n in wrong.items()]
 
 
 class Data(Spec):
-    """What a run is fitted to: exactly one of `recordings`, `target` and `synthetic`."""
+    """What a run is fitted to: exactly one of `recordings` and `synthetic`."""
 
-    recordings: dict[Name, Recording] | None = Field(description="Measured motion", min_length=1, default=None)
-    target: Target | None = Field(description="A wanted centroid", default=None)
+    recordings: dict[Name, Recording] | None = Field(description="What was measured", min_length=1, default=None)
     synthetic: Synthetic | None = Field(description="Data made by the scene itself", default=None)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_target(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "target" in data:
+            raise complaint("Data", [finding(_instead_of(data["target"]), ("target",), kind=KEY)])
+        return data
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
-        exactly_one(self, ("recordings", "target", "synthetic"))
+        exactly_one(self, ("recordings", "synthetic"))
         return self
+
+    def measurement(self, name: str) -> Measurement:
+        """Return the measurement of a recording, or of a sequence of synthetic data."""
+        return markers() if self.recordings is None else self.recordings[name].measurement
+
+    @property
+    def measurements(self) -> list[Measurement]:
+        """The measurements of all recordings."""
+        return [markers()] if self.recordings is None else [r.measurement for r in self.recordings.values()]
+
+
+def _instead_of(target: Any) -> str:
+    """Return what to write in the place of a target: where the body ends, or where it is at a time."""
+    given = target if isinstance(target, dict) else {}
+    position = given.get("position")
+    numbers = [str(number) for number in position] if isinstance(position, list) else ["X", "Y"]
+    term, place = "reach", f"position: [{', '.join(numbers)}]"
+    if "time" in given:
+        term, place = "track", f"keys: [[{', '.join([str(given['time']), *numbers])}]]"
+    objective = f"objective: {{there: {{{term}: {{body: {given.get('body', 'BODY')}, {place}}}}}}}"
+    return (
+        f"a wanted place is an objective, not data: remove `data` and write `{objective}`; `cqrun sysid` makes it small"
+    )
 
 
 class Tie(Spec):

@@ -1,4 +1,4 @@
-"""Defaults that depend on other parts of the scene: zero vectors, the only body, the end of the run."""
+"""Defaults that depend on other parts of the scene: zero vectors, the only body."""
 
 from __future__ import annotations
 
@@ -7,16 +7,24 @@ import typing
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from cqrun.plugin import registry
 from cqrun.plugin.choice import Choice
 from cqrun.plugin.contract import Spec
 from cqrun.plugin.reference import FilledIn, field_types, is_union, marked_fields, marks
+from cqrun.plugin.registry import plugins
+from cqrun.scene.plugin_keys import PluginKeys
 from cqrun.scene.sections import Sections
 
 
 def with_defaults(scene: Any) -> Any:
     """Return plain scene data with its `FilledIn` fields given; anything unexpected is left to the schema."""
-    return _filled(Sections, scene, _defaults(scene)) if isinstance(scene, dict) else scene
+    if not isinstance(scene, dict):
+        return scene
+    defaults = _defaults(scene)
+    filled = _filled(Sections, scene, defaults)
+    target = _mapping(_mapping(scene.get("data")).get("target"))
+    if target and "only body" in defaults:  # is refused, and the advice names the body
+        filled["data"] = {**filled["data"], "target": {"body": defaults["only body"], **target}}
+    return filled
 
 
 def _defaults(scene: Mapping[str, Any]) -> dict[str, Any]:
@@ -26,8 +34,6 @@ def _defaults(scene: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {"zero vector": [0.0] * dim, "zero spin": [0.0] * (1 if dim == 2 else 3)}
     if len(bodies) == 1:
         found["only body"] = next(iter(bodies))
-    if "duration" in (time := _mapping(scene.get("time"))):
-        found["end of the run"] = time["duration"]
     return found
 
 
@@ -37,6 +43,10 @@ def _filled(cls: type[Spec], part: Mapping[str, Any], defaults: Mapping[str, Any
     for name, annotation in field_types(cls).items():
         if name in part:
             filled[name] = _inside(annotation, part[name], defaults)
+    if issubclass(cls, PluginKeys):
+        for name in part.keys() & plugins(cls.keys_of).keys():
+            if isinstance(part[name], dict):
+                filled[name] = _filled(plugins(cls.keys_of)[name], part[name], defaults)
     for name in marked_fields(cls, FilledIn):
         by = marks(cls.model_fields[name], FilledIn)[0].by
         if name not in part and by in defaults:
@@ -67,7 +77,7 @@ def _chosen(kind: str, value: Any, defaults: Mapping[str, Any]) -> Any:
     if not (isinstance(value, dict) and len(value) == 1):
         return value
     ((name, inside),) = value.items()
-    cls = registry.plugins(kind).get(name)
+    cls = plugins(kind).get(name)
     if cls is None:
         return value
     if isinstance(inside, dict):

@@ -3,47 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar
 
-from pydantic import ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
-from pydantic_core import InitErrorDetails
+from pydantic import Field
 
-from cqrun.explain import KEY, Loc, complaint, finding, listed, reworded, suggest
+from cqrun.explain import Loc
 from cqrun.plugin.choice import Choice, Chosen
-from cqrun.plugin.contract import Plugin, Spec, quantity
-from cqrun.plugin.registry import plugins
+from cqrun.plugin.contract import Plugin, quantity
+from cqrun.scene.plugin_keys import PluginKeys
 
 TERMS = "material_term"
 """The kind of plug-ins whose names are keys of a material."""
 
-TERMS_MARK = "x-cqrun-terms"
-"""JSON schema key that marks an object whose properties include the plug-ins of a kind."""
 
-
-class Terms(Spec):
+class Terms(PluginKeys):
     """A part whose further keys are the names of material terms, such as `viscosity`."""
 
-    model_config = ConfigDict(extra="allow", json_schema_extra={TERMS_MARK: TERMS})
+    keys_of: ClassVar[str] = TERMS
 
     @property
     def terms(self) -> dict[str, Plugin]:
         """The further terms by name, in alphabetical order."""
-        return dict(sorted((self.model_extra or {}).items()))
-
-    @model_validator(mode="wrap")
-    @classmethod
-    def _with_terms(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        if not isinstance(data, dict):
-            return handler(data)
-        findings: list[InitErrorDetails] = []
-        built = {k: v if k in cls.model_fields else _term(k, v, cls, findings) for k, v in data.items()}
-        try:
-            material = handler(built)
-        except ValidationError as error:
-            findings += [reworded(e) for e in error.errors(include_url=False)]
-        if findings:
-            raise complaint(cls.__name__, findings)
-        return material
+        return self.chosen
 
 
 class Material(Terms):
@@ -95,19 +76,3 @@ def _fixed(place: Loc, whole: Any, here: Any) -> Iterator[tuple[Loc, str]]:
         if name not in whole.parameters and getattr(whole, name) != getattr(here, name):
             message = f"must be {getattr(whole, name)} as in the whole body, is {getattr(here, name)}"
             yield (*place, name), f"{message}; for another value make this region a separate body"
-
-
-def _term(name: str, value: Any, cls: type[Terms], findings: list[InitErrorDetails]) -> Plugin | None:
-    """Return the validated term; if it is not valid, add to the findings and return None."""
-    legal = plugins(TERMS)
-    if name not in legal:
-        keys = [*cls.model_fields, *legal]
-        message = f"unknown key{suggest(name, keys)}; keys here: {listed(keys)}"
-        findings.append(finding(message, (name,), kind=KEY))
-        return None
-    try:
-        term: Plugin = legal[name].model_validate(value)
-    except ValidationError as error:
-        findings += [reworded(e, (name,)) for e in error.errors(include_url=False)]
-        return None
-    return term

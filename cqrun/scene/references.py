@@ -27,7 +27,7 @@ def findings_between(scene: Sections) -> list[InitErrorDetails]:
     ]
     named = [*_faces(scene), *_names(scene), *findings_of_regions(scene), *_columns(scene)]
     placed = [*_goals_unused(scene), *_goals_outside(scene), *_positions_outside(scene)]
-    return [*found, *named, *_signals(scene), *_controller(scene), *placed, *_target(scene), *_skipped(scene)]
+    return [*found, *named, *_signals(scene), *_controller(scene), *placed, *_skipped(scene)]
 
 
 def _faces(scene: Sections) -> Iterator[InitErrorDetails]:
@@ -130,13 +130,6 @@ def _limits(scene: Sections, activation: Activation) -> Iterator[InitErrorDetail
             if not low <= a <= high:
                 message = f"must be between {low:g} and {high:g}, the limits of the {chosen.name} '{name}', is {a:g}"
                 yield finding(message, ("activation", *place))
-
-
-def _target(scene: Sections) -> Iterator[InitErrorDetails]:
-    target = scene.target
-    if target is not None and target.time > scene.time.duration * (1 + 1e-9):
-        message = f"{target.time:g} s is after the end of the run at {scene.time.duration:g} s"
-        yield finding(message, ("data", "target", "time"))
 
 
 def _skipped(scene: Sections) -> Iterator[InitErrorDetails]:

@@ -7,10 +7,10 @@ from typing import Any
 from cqrun.plugin.choice import CHOICE_MARK
 from cqrun.plugin.reference import FILLED_MARK
 from cqrun.plugin.registry import plugins
-from cqrun.scene.material import TERMS_MARK
+from cqrun.scene.plugin_keys import KEYS_MARK
 from cqrun.scene.schema import Scene
 
-MARKS = (CHOICE_MARK, TERMS_MARK, FILLED_MARK)
+MARKS = (CHOICE_MARK, KEYS_MARK, FILLED_MARK)
 _REF = "#/$defs/{model}"
 
 
@@ -68,10 +68,10 @@ def _expanded(node: Any, waiting: set[str]) -> Any:
     result = {k: _expanded(v, waiting) for k, v in node.items() if k not in MARKS}
     if CHOICE_MARK in node:
         result["allOf"] = [_reference(node[CHOICE_MARK], waiting)]  # draft-07 ignores keys beside $ref
-    if TERMS_MARK in node:
-        kind = node[TERMS_MARK]
-        terms = {name: _reference(f"{kind}.{name}", waiting) for name in plugins(kind)}
-        result |= {"properties": {**result["properties"], **terms}, "additionalProperties": False}
+    if KEYS_MARK in node:
+        kind = node[KEYS_MARK]
+        named = {name: _reference(f"{kind}.{name}", waiting) for name in plugins(kind)}
+        result |= {"properties": {**result["properties"], **named}, "additionalProperties": False}
     if isinstance(node.get("required"), list):
         result["required"] = [name for name in node["required"] if FILLED_MARK not in node["properties"][name]]
     if "patternProperties" in result:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
@@ -13,9 +13,12 @@ from cqrun.scene.activation import Activation
 from cqrun.scene.body import Body
 from cqrun.scene.constraint import Constraint
 from cqrun.scene.control import Episodes, Goal
-from cqrun.scene.data import Data, Recording, Synthetic, Target, Unknown
+from cqrun.scene.data import Data, Recording, Synthetic, Unknown
 from cqrun.scene.fields import Memory, Name, Seed
 from cqrun.scene.world_and_time import Time, World
+
+if TYPE_CHECKING:
+    from cqrun.measurements.measurement import Measurement
 
 
 class Sections(Spec):
@@ -94,9 +97,15 @@ class Sections(Spec):
         return self.data.synthetic if self.data is not None else None
 
     @property
-    def target(self) -> Target | None:
-        """The target of a body's centroid, if any."""
-        return self.data.target if self.data is not None else None
+    def measured(self) -> Measurement | None:
+        """A measurement in whose unit all recordings are; None without data, or where units differ."""
+        found = [] if self.data is None else self.data.measurements
+        return found[0] if len({m.unit for m in found}) == 1 else None
+
+    @property
+    def loss_unit(self) -> str:
+        """SI unit of a fit's loss, such as m^2; empty where it has none, or none that is known."""
+        return "" if self.measured is None or self.measured.unit == "1" else f"{self.measured.unit}^2"
 
     @property
     def sequences(self) -> int:

@@ -16,8 +16,8 @@ M = TypeVar("M")
 def children(node: Any) -> dict[int | str, Any]:
     """Return the children of a node of a scene, by the key that a path uses for each."""
     if isinstance(node, Spec):
-        names = [*type(node).model_fields, *(node.model_extra or {})]
-        return {name: getattr(node, name) for name in names}
+        found: dict[int | str, Any] = {name: getattr(node, name) for name in type(node).model_fields}
+        return found | dict(node.model_extra or {})
     if isinstance(node, Chosen):
         return {node.name: node.value}
     if isinstance(node, dict):

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from cqrun.errors import DataError
+from cqrun.measurements.recording import Recording, unit_of
 from cqrun.plugin.contract import Array
-from cqrun.store.recording import Recording, unit_of
 from cqrun.units import METRES
 
 BLOCK = 512

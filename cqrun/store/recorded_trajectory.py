@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cqrun.errors import DataError
-from cqrun.store.recording import Recording
+from cqrun.measurements.recording import Recording
 from cqrun.units import METRES
 
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from cqrun.errors import DataError
+from cqrun.measurements.recording import Recording, check_recording
 from cqrun.plugin.contract import Array
 from cqrun.store.c3d import read_c3d
 from cqrun.store.marker_csv import read_csv
 from cqrun.store.recorded_trajectory import read_trajectory
-from cqrun.store.recording import Recording, check_recording
 from cqrun.units import METRES
 
 

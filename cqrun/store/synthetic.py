@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cqrun.measurements.recording import Recording
 from cqrun.plugin.contract import Array
-from cqrun.store.recording import Recording
 
 
 def make_synthetic(

@@ -298,4 +298,4 @@ def test_the_short_spelling_of_a_path_in_a_union():
     x = built.assembly.inputs(params.unpack(np.zeros(1))).state.x
     assert [np.ptp(x[built.particles.of(body), 1]) for body in "ab"] == pytest.approx([0.4 * 15 / 16] * 2)
     (case,) = make_cases(built)
-    assert len(case.objectives) == 1
+    assert len(case.comparisons) == 1

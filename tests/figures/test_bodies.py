@@ -12,13 +12,13 @@ from made_runs import DURATION, made_twin, plane_scene, write_run, write_traject
 from cqrun.errors import UsageError
 from cqrun.figures.bodies import draw_bodies, farthest_frame, plot_body, snapshots
 from cqrun.figures.overview import draw_overview
-from cqrun.figures.quantities import Unit
 from cqrun.figures.run_data import TRAJECTORY, read_run
 from cqrun.figures.scenery import boundary_section
 from cqrun.figures.style import new_figure, styled
 from cqrun.figures.views import of_equal_width, views, window
 from cqrun.scene.load import load_scene
 from cqrun.store.frames import Frames
+from cqrun.units import Unit
 
 
 def solid_scene(**world):
@@ -138,14 +138,15 @@ def test_a_body_that_does_not_move_is_drawn(tmp_path):
         draw_bodies(read_run(path)).draw_without_rendering()
 
 
-def test_a_target_is_marked(tmp_path):
-    scene = plane_scene({}, data={"target": {"body": "b", "position": [0.1, 0.05], "time": 0.4}})
-    path = write_run(tmp_path, scene, status="converged")
-    write_trajectory(path, np.array([[[0.02, 0.02], [0.12, 0.06]]]), np.array([0.0]))
+def test_a_wanted_place_is_marked(tmp_path):
+    objective = {"there": {"track": {"body": "b", "keys": [[0.4, 0.1, 0.05]]}}}
+    path = write_run(tmp_path, plane_scene({}, data=None, objective=objective), status="converged")
+    told = {"goals": {}, "courses": {"there": [[0.1, 0.05]]}}
+    write_trajectory(path, np.array([[[0.02, 0.02], [0.12, 0.06]]]), np.array([0.0]), told=told)
     with styled():
         axes = draw_bodies(read_run(path)).axes[0]
     np.testing.assert_allclose(axes.lines[0].get_xydata(), [[100, 50]])
-    assert [text.get_text() for text in axes.texts] == ["target"]
+    assert [text.get_text() for text in axes.texts] == ["there"]
 
 
 def test_goals_and_courses_are_inside_the_window(tmp_path):

@@ -241,6 +241,6 @@ def test_a_loss_of_zero_is_drawn(tmp_path):
 
 
 def test_different_losses_are_not_compared(tmp_path):
-    target = {"target": {"body": "b", "position": [0.1, 0.05], "time": 0.4}}
+    there = {"there": {"track": {"body": "b", "keys": [[0.4, 0.1, 0.05]]}}}
     with pytest.raises(UsageError, match="minimise different things"):
-        groups([make_run(tmp_path, "a" * 12), make_run(tmp_path, "b" * 12, data=target)])
+        groups([make_run(tmp_path, "a" * 12), make_run(tmp_path, "b" * 12, data=None, objective=there)])

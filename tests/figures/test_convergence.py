@@ -40,12 +40,12 @@ def test_the_loss_is_shown_as_rmse_in_millimetres(twin):
     assert curve.floor == pytest.approx(0.2 * np.sqrt(2))  # noise 0.2 mm in each of two coordinates
 
 
-def test_the_loss_of_a_target_is_a_distance_without_noise(tmp_path):
-    scene = plane_scene({}, data={"target": {"body": "b", "position": [0.1, 0.05], "time": 0.4}})
-    path = write_run(tmp_path, scene, status="running")
+def test_a_fit_to_an_objective_shows_its_loss(tmp_path):
+    objective = {"there": {"track": {"body": "b", "keys": [[0.4, 0.1, 0.05]]}}}
+    path = write_run(tmp_path, plane_scene({}, data=None, objective=objective), status="running")
     write_history(path, history(2, {}))
     curve = loss_curve(read_run(path))
-    assert (curve.label, curve.floor) == ("distance to the target", None)
+    assert (curve.label, curve.unit, curve.floor) == ("loss", "", None)
 
 
 def test_an_unknown_is_shown_in_its_unit_with_interval_and_truth(twin):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cqrun.figures.quantities import estimate, labels, length_unit, millimetres, number, shown_unit
+from cqrun.figures.quantities import error, estimate, labels, length_unit, number, shown_unit
 
 E = "material.elastic.fixed_corotated.youngs_modulus"
 
@@ -62,9 +62,9 @@ def test_an_estimate_has_as_many_digits_as_are_significant():
     assert number(0.25, 0.0) == "0.25"
 
 
-def test_millimetres_keep_three_digits():
-    assert [millimetres(value) for value in (0.36, 57.0, 123.4)] == ["0.360", "57.0", "123"]
-    assert millimetres(float("nan")) == "not seen"
+def test_errors_keep_three_digits():
+    assert [error(value) for value in (0.36, 57.0, 123.4)] == ["0.360", "57.0", "123"]
+    assert error(float("nan")) == "not seen"
 
 
 def test_names_of_the_numbers_of_a_shape_and_a_spin():

@@ -55,9 +55,9 @@ def moving(out, scene, *, frames=4, dim=2, field_v=True):
 @pytest.fixture(scope="module")
 def plane(tmp_path_factory):
     actuators = {"pull": MUSCLE}
-    scene = plane_scene({}, actuators=actuators, activation={"signals": {"pull": [0.25, -0.5]}})
-    target = {"target": {"body": "b", "position": [0.19, 0.09], "time": DURATION}}
-    return moving(tmp_path_factory.mktemp("plane"), scene | {"data": target})
+    goals = {"target": {"position": [0.19, 0.09]}}
+    scene = plane_scene({}, actuators=actuators, activation={"signals": {"pull": [0.25, -0.5]}}, goals=goals)
+    return moving(tmp_path_factory.mktemp("plane"), scene)
 
 
 def block(**more):
@@ -250,7 +250,7 @@ def test_a_gif_shows_the_motion(plane):
         for k in range(4):
             gif.seek(k)
             pictures.append(np.asarray(gif.convert("RGB")).astype(int))
-    assert all(near(picture, TRUTH) > 20 for picture in pictures)  # the target
+    assert all(near(picture, TRUTH) > 20 for picture in pictures)  # the goal
     assert all(near(picture, GROUND) > 1000 for picture in pictures)  # the clamp
     assert all((np.abs(a - b).max(axis=2) > 60).sum() > 200 for a, b in pairwise(pictures))
     assert (pictures[0][0, 0] == 255).all()

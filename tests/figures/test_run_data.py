@@ -26,7 +26,7 @@ def test_tracks_are_read_as_they_were_written(tmp_path, rng):
     data[1, 0] = np.nan
     write_tracks(tmp_path, {"bare": (("Tip - 1", "b,c"), time, data, model)})
     (tracks,) = read_tracks(tmp_path / "tracks.csv", {"bare"})
-    assert (tracks.recording, tracks.markers, tracks.holdout) == ("bare", ("Tip - 1", "b,c"), True)
+    assert (tracks.recording, tracks.channels, tracks.holdout) == ("bare", ("Tip - 1", "b,c"), True)
     np.testing.assert_array_equal(tracks.time, time)
     np.testing.assert_array_equal(tracks.data, data)
     np.testing.assert_array_equal(tracks.model, model)
@@ -38,7 +38,7 @@ def test_errors_ignore_gaps(tmp_path):
     write_tracks(tmp_path, {"r": (("a", "b"), time, data, model)})
     (tracks,) = read_tracks(tmp_path / "tracks.csv")
     np.testing.assert_allclose(tracks.error, [[5e-3, 1e-3], [np.nan, 1e-3]])
-    np.testing.assert_allclose(tracks.rmse_by_marker(), [5e-3, 1e-3])
+    np.testing.assert_allclose(tracks.rmse_by_channel(), [5e-3, 1e-3])
     assert tracks.rmse() == pytest.approx(np.sqrt((25e-6 + 1e-6 + 1e-6) / 3))
 
 
@@ -89,8 +89,8 @@ def test_the_error_names_a_missing_or_damaged_file(tmp_path, rng, name, content,
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "is not a table of tracks"),
-        ("recording,marker,time,data_x\n", "is not a table of tracks"),
+        ("", "is not a table of markers"),
+        ("recording,marker,time,data_x\n", "is not a table of markers"),
         ("recording,marker,time,data_x,model_x\nr,a,0.0,1.0,here\n", "damaged (could not convert"),
         ("recording,marker,time,data_x,model_x\nr,a,0,1,1\nr,b,0,1,1\nr,b,1,1,1\n", "damaged"),
     ],

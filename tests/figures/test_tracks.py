@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made_runs import swing
@@ -82,7 +84,7 @@ def test_each_of_few_markers_has_a_line_and_dots(rng):
     np.testing.assert_array_equal([line.get_ydata() for line in displacement.lines[::2]], 1e3 * data[:, :, 2].T)
     np.testing.assert_array_equal([line.get_ydata() for line in displacement.lines[1::2]], 1e3 * model[:, :, 2].T)
     np.testing.assert_array_equal([line.get_ydata() for line in error.lines[:3]], 1e3 * tracks.error.T)
-    rmse = [f"m{i}  {1e3 * value:#.3g}" for i, value in enumerate(tracks.rmse_by_marker())]
+    rmse = [f"m{i}  {1e3 * value:#.3g}" for i, value in enumerate(tracks.rmse_by_channel())]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == rmse
     assert figure.get_suptitle() == f"twin, bare (fitted): RMSE {1e3 * tracks.rmse():#.3g} mm"
 
@@ -98,7 +100,7 @@ def test_names_are_drawn_literally(rng, tmp_path, name):
 def test_the_title_says_that_a_recording_is_held_out(rng):
     tracks = make_tracks(rng)
     with styled():
-        figure = draw_recording(Tracks(*[getattr(tracks, n) for n in tracks.__match_args__[:-1]], holdout=True), "twin")
+        figure = draw_recording(replace(tracks, holdout=True), "twin")
     assert "(held out)" in figure.get_suptitle()
 
 

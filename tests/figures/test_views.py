@@ -11,11 +11,11 @@ from made_runs import plane_scene
 from cqrun.errors import UsageError
 from cqrun.figures.choices import Look
 from cqrun.figures.dots import Dots
-from cqrun.figures.quantities import Unit
 from cqrun.figures.scenery import frame_axes
 from cqrun.figures.style import new_figure, styled
 from cqrun.figures.views import view
 from cqrun.scene.load import load_scene
+from cqrun.units import Unit
 
 LONG_X = np.array([[0.0, 0.0, 0.0], [3.0, 1.0, 2.0]])
 

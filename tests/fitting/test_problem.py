@@ -10,7 +10,8 @@ from small_beam import record, recorded
 
 from cqrun.build.model import build
 from cqrun.errors import CrushedError, RolloutError
-from cqrun.fitting.cases import Case, make_cases
+from cqrun.fitting.case import Case
+from cqrun.fitting.cases import make_cases
 from cqrun.fitting.problem import FitProblem
 from cqrun.optimizers.base import TrialFailed
 from cqrun.running.unknowns import make_params
@@ -94,7 +95,7 @@ def test_still_values_are_scaled_like_their_residuals(fit, tmp_path):
     assert len({s.recording for s in series}) == len(np.unique(scales.round(9))) == 2
     for k, s in enumerate(series):
         marker, axis = divmod(k % 4, 2)
-        still = cases[s.recording].measured[0].still
+        still = cases[s.recording].comparisons[0].still
         assert len(still) > 1
         np.testing.assert_allclose(s.still, scales[s.where[0]] * still[:, marker, axis], rtol=1e-12)
 

@@ -116,7 +116,7 @@ def test_what_cannot_be_is_refused(problem, params, message):
 def test_a_scene_without_data_has_no_loss():
     problem = cqrun.load(BEAM)
     assert problem.params == {}
-    with pytest.raises(UsageError, match="this scene has no `data`"):
+    with pytest.raises(UsageError, match="this scene has neither `data` nor an `objective`"):
         problem.value_and_grad()
 
 
@@ -255,16 +255,14 @@ def test_a_number_stands_for_all_where_another_body_follows():
     assert both._values({E_PATH: 3.5e4, other: 3.0e4})[other] == 3.0e4
 
 
-def test_a_target_means_the_same_centroid_whatever_its_particles_weigh():
+def test_a_wanted_place_means_the_same_centroid_whatever_its_particles_weigh():
     """A value that is tried gives the loss of a scene that says it."""
     root = "bodies.beam.material_of.root.density"
+    there = "objective={there: {track: {body: beam, keys: [[0.1, 0.07, 0.05]]}}}"
     first, second = (
-        cqrun.load(
-            BEAM, ["data={target: {position: [0.07, 0.05]}}", f"bodies.beam.material_of={{root: {{density: {n}}}}}"],
-            threads=1,
-        )
+        cqrun.load(BEAM, [there, f"bodies.beam.material_of={{root: {{density: {n}}}}}"], threads=1)
         for n in (1500, 3000)
-    )  # fmt: skip
+    )
     tried, gradient, _ = first.value_and_grad({root: 3000.0})
     said, own, _ = second.value_and_grad({root: 3000.0})
     assert (tried, gradient) == (said, own)

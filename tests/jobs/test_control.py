@@ -248,6 +248,6 @@ def test_a_run_begins_with_a_line_on_each_body(finger, tmp_path):
 
 def test_recordings_that_control_does_not_read_are_told(finger, tmp_path):
     listener = Listener()
-    data = "data={target: {body: finger, position: [0.5, 0.5], time: 0.1}}"
+    data = "data={recordings: {one: {file: absent.csv, body: finger}}}"
     learn(finger, tmp_path, data, "optimizer.adam.max_iterations=1", reporter=listener)
     assert any(line.endswith("data: control reads no recordings; `cqrun sysid` does") for line in listener.said)

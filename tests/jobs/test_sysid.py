@@ -258,16 +258,16 @@ def test_without_an_optimizer_the_data_choose_one(fit, tmp_path):
     run = identify(fit, tmp_path)
     assert "least_squares" in (run / "scene.yaml").read_text()
     text = fit.read_text()
-    target = "data: {target: {position: [0.07, 0.055]}}\n"
-    fit.write_text(text[: text.index("data:")] + target + text[text.index("unknowns:") :])
+    there = "objective: {there: {track: {body: beam, keys: [[0.1, 0.07, 0.055]]}}}\n"
+    fit.write_text(text[: text.index("data:")] + there + text[text.index("unknowns:") :])
     run = identify(fit, tmp_path)
     assert "lbfgs" in (run / "scene.yaml").read_text()
     result = result_of(run)
     assert result["recordings"] is None
     assert result["unknowns"][E_PATH]["interval"] is None
     lines = report_lines(run)
-    assert "no intervals: a target is met or missed: there is no noise to compute an interval from" in lines
-    assert f"loss {result['loss']:.6g} m^2" in lines
+    assert "no intervals: an objective is met or missed: there is no noise to compute an interval from" in lines
+    assert f"loss {result['loss']:.6g}" in lines
 
 
 def test_a_truth_that_blows_up_fails_the_run(fit, tmp_path):

@@ -110,11 +110,13 @@ def test_a_recording_that_cannot_be_used_is_refused(fit, tmp_path):
         told(scene)
 
 
-def test_a_target(fit):
+def test_an_objective_that_unknowns_make_small(fit):
     text = fit.read_text()
-    target = "data: {target: {position: [0.07, 0.055]}}\n"
-    fit.write_text(text[: text.index("data:")] + target + text[text.index("unknowns:") :])
-    assert "target: the centroid of 'beam' at (0.07, 0.055) m, t = 0.1 s" in told(fit)
+    there = "objective: {there: {track: {body: beam, keys: [[0.1, 0.07, 0.055]]}}}\n"
+    fit.write_text(text[: text.index("data:")] + there + text[text.index("unknowns:") : text.index("optimizer:")])
+    text = told(fit)
+    assert "objective  there (track): mean, weight 1, smaller is better" in text
+    assert "optimizer  lbfgs, at most" in text
 
 
 def test_a_scene_for_sysid_needs_data_and_unknowns(beam):

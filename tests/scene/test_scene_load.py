@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -57,10 +59,17 @@ def test_a_scene_is_frozen(beam: str) -> None:
         load_scene(beam).world.dx = 1.0  # type: ignore[misc]
 
 
-def test_the_target_defaults_to_the_only_body_at_the_end(beam: str) -> None:
-    target = load_scene(beam, ["data={target: {position: [0.1, 0.05]}}"]).data.target  # type: ignore[union-attr]
-    assert target is not None
-    assert (target.body, target.time) == ("beam", 1.5)
+@pytest.mark.parametrize(
+    ("time", "term"),
+    [("", {"body": "beam", "position": [0.1, 0.05]}), (", time: 0.5", {"body": "beam", "keys": [[0.5, 0.1, 0.05]]})],
+)
+def test_a_target_is_refused_with_the_objective_to_write_in_its_place(beam: str, time: str, term: Any) -> None:
+    with pytest.raises(SceneError, match="a wanted place is an objective, not data: remove `data`") as info:
+        load_scene(beam, [f"data={{target: {{position: [0.1, 0.05]{time}}}}}"])
+    way_out = re.search(r"`objective: (\{.*\})`; `cqrun sysid` makes it small", str(info.value))
+    assert way_out
+    scene = load_scene(beam, ["data=null", f"objective={way_out[1]}"])
+    assert scene.objective["there"].value.model_dump(include=set(term)) == term
 
 
 def test_overrides_merge_in_order(beam: str) -> None:

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from cqrun.errors import DataError
+from cqrun.measurements.recording import Recording, check_recording, unit_of
 from cqrun.store.marker_csv import write_csv
-from cqrun.store.recording import Recording, check_recording, unit_of
 from cqrun.store.recordings import read_recording
 
 NAMES = ("Tip - 1", "Tip - 2", "Base")

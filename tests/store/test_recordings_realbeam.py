@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cqrun.store.alignment import Measured, measure
+from cqrun.measurements.alignment import Measured, measure
 from cqrun.store.recordings import read_recording
 
 FOLDER = Path(os.environ.get("CQRUN_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data")) / "realbeam"

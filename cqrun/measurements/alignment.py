@@ -14,8 +14,8 @@ import numpy as np
 
 from cqrun.errors import DataError
 from cqrun.explain import listed
+from cqrun.measurements.recording import Recording
 from cqrun.plugin.contract import Array
-from cqrun.store.recording import Recording
 
 LARGEST_RESIDUAL = 5e-3
 """Largest allowed distance of a marker from its rest position after alignment [m]."""
@@ -140,20 +140,6 @@ def still_mean(recording: Recording, still: tuple[float, float]) -> Array:
             )
     shown = np.where(seen[..., None], recording.positions[frames], 0.0)
     return np.asarray(shown.sum(axis=0) / seen.sum(axis=0)[:, None])
-
-
-def require_before_motion(still: tuple[float, float], begin: float, end: float, source: str) -> None:
-    """Refuse still frames that overlap the time, `begin` to `end` [s], in which the model moves.
-
-    Raises:
-        DataError: they overlap, so that their mean is not a rest position.
-    """
-    slack = 1e-9 * max(abs(begin), abs(end))
-    if still[1] > begin + slack and still[0] < end - slack:
-        raise DataError(
-            f"{source}: the still frames, {still[0]:g} to {still[1]:g} s, overlap with {begin:g} to {end:g} s, when "
-            f"the body may already move: end `still` at {begin:g} s at the latest, the earliest possible `start`"
-        )
 
 
 def align(mean: Array, rest: Array, names: tuple[str, ...], source: str = "") -> Alignment:

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cqrun.errors import CrushedError
-from cqrun.fitting.rotation import rotation, rotation_vjp
+from cqrun.measurements.rotation import rotation, rotation_vjp
 
 
 def near_rest(dim, rng, strain, count=6):

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cqrun.engine.model import Records
-from cqrun.fitting import binding
-from cqrun.fitting.rotation import rotation, rotation_vjp
+from cqrun.measurements import binding
+from cqrun.measurements.rotation import rotation, rotation_vjp
 from cqrun.plugin.contract import Array
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Points:
-    """Points observed over particles: on stems (markers), or none (centroid, tracked particles).
+    """Points observed over particles: on stems (markers), or none (tracked particles).
 
     Attributes:
         rows: sparse (M, N): one row a point over the body's particles, each summing to 1.
@@ -56,11 +56,6 @@ def markers(rest: Array, particles: Array, spacing: float) -> Points:
     """Return the observer of markers on a body, both at rest: (M, D) and its particles (N, D) [m]."""
     bound = binding.bind(rest, particles, spacing)
     return Points(bound.rows, bound.stems)
-
-
-def centroid(masses: Array) -> Points:
-    """Return the observer of a body's centroid: one point, weighted by its particles' masses (N,) [kg]."""
-    return Points(binding.mean(masses))
 
 
 def particles(indices: Array, count: int) -> Points:

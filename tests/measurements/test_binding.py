@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cqrun.fitting.binding import bind, mean, pick
+from cqrun.measurements.binding import bind, pick
 
 SPACING = 0.0025
 
@@ -63,9 +63,8 @@ def test_random_particles_and_a_body_of_one_particle(rng):
     assert (bind([[1.0, 2.0]], [[0.0, 0.0]], 0.1).stems == [[1.0, 2.0]]).all()
 
 
-def test_mean_and_pick(rng):
-    masses, x = rng.uniform(1, 2, 7), rng.normal(size=(7, 2))
-    np.testing.assert_allclose(mean(masses) @ x, [masses @ x / masses.sum()])
+def test_pick(rng):
+    x = rng.normal(size=(7, 2))
     np.testing.assert_array_equal(pick([5, 0], 7) @ x, x[[5, 0]])
     for wrong in ([7], [-1]):
         with pytest.raises(ValueError, match="from 0 to 6"):

@@ -61,12 +61,6 @@ def pick(indices: Array, count: int) -> csr_array:
     return single(index, count)
 
 
-def mean(masses: Array) -> csr_array:
-    """Return one row (1, N) that gives the mean over particles weighted by `masses` [kg]."""
-    masses = np.asarray(masses, dtype=float)
-    return weighted([np.arange(len(masses))], [masses / masses.sum()], len(masses))
-
-
 def _weights(point: Array, particles: Array, spacing: float, inside: float) -> tuple[Array, Array]:
     """Return the particles that carry a point, and their weights, which sum to 1."""
     squared = ((particles - point) ** 2).sum(axis=1)

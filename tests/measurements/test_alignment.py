@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cqrun.errors import DataError
-from cqrun.store.alignment import align, measure, still_mean
-from cqrun.store.recording import Recording
+from cqrun.measurements.alignment import align, measure, still_mean
+from cqrun.measurements.recording import Recording
 
 REST = {
     3: {"a": (0.0, 0.0, 0.0), "b": (0.1, 0.0, 0.0), "c": (0.0, 0.05, 0.01), "d": (0.03, 0.0, 0.06)},

@@ -7,8 +7,10 @@ import pytest
 
 from cqrun.engine.model import Records
 from cqrun.errors import DataError
-from cqrun.fitting.marker_misfit import MarkerObjective
-from cqrun.fitting.points import Points
+from cqrun.measurements.markers import MarkerComparison, Markers
+from cqrun.measurements.measurement import Recorded
+from cqrun.measurements.points import Points
+from cqrun.measurements.window import Window
 
 STEP, STEPS, NAMES = 0.02, 30, ("a", "b", "c")
 
@@ -23,15 +25,20 @@ def smooth_record(rng, dim):
 
 
 def make(rng, dim=3, *, stems=True, gaps=True, **options):
-    """Return an objective on noise, with gaps, at frames that fall between control steps."""
+    """Return a comparison with noise, with gaps, at frames that fall between control steps."""
     time = 0.013 * np.arange(100)
     values = 0.1 * rng.normal(size=(100, 3, dim))
     if gaps:
         values[50:60, 1] = np.nan
         values[:, 2][rng.random(100) < 0.3] = np.nan
     observer = Points(None, 0.1 * rng.normal(size=(3, dim)) if stems else None)
-    given = {"control_step": STEP, "steps": STEPS, "start": 0.3, "start_bounds": (0.25, 0.35)} | options
-    return MarkerObjective(observer, NAMES, time, values, **given)
+    return compared(observer, time, values, **{"start": 0.3, "start_bounds": (0.25, 0.35), **options})
+
+
+def compared(observer, time, values, *, control_step=STEP, steps=STEPS, still=None, absolute=False, **window):
+    recorded = Recorded("beam.csv", "beam", Window(control_step, steps, **window), lambda: None)
+    relative = not absolute
+    return MarkerComparison(Markers(), recorded, observer, None, NAMES, time, values, still=still, relative=relative)
 
 
 def moved(record, direction, h):
@@ -46,48 +53,48 @@ def richardson(f, h=1e-4):
 @pytest.mark.parametrize("stems", [False, True])
 @pytest.mark.parametrize("absolute", [False, True])
 def test_residuals_adjoint_by_dot_product(rng, dim, stems, absolute):
-    objective = make(rng, dim, stems=stems, absolute=absolute)
+    comparison = make(rng, dim, stems=stems, absolute=absolute)
     record, start = (
         smooth_record(rng, dim),
         0.3045,
     )  # no frame near a control step, where the interpolant has a kink in its curvature
     direction = Records(*(rng.normal(size=part.shape) for part in record))
-    r_bar = rng.normal(size=objective.residuals(record, start).shape)
-    record_bar, start_bar = objective.residuals_vjp(record, start, r_bar)
+    r_bar = rng.normal(size=comparison.residuals(record, start).shape)
+    record_bar, start_bar = comparison.residuals_vjp(record, start, r_bar)
 
-    by_record = richardson(lambda h: r_bar @ objective.residuals(moved(record, direction, h), start))
+    by_record = richardson(lambda h: r_bar @ comparison.residuals(moved(record, direction, h), start))
     found = sum(np.sum(a * d) for a, d in zip(record_bar, direction, strict=True))
     assert found == pytest.approx(by_record, rel=1e-9)
-    by_start = richardson(lambda h: r_bar @ objective.residuals(record, start + h))
+    by_start = richardson(lambda h: r_bar @ comparison.residuals(record, start + h))
     assert start_bar == pytest.approx(by_start, rel=1e-9)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_loss_taylor_remainder_of_second_order(rng, dim):
-    objective, record, start = (
+    comparison, record, start = (
         make(rng, dim),
         smooth_record(rng, dim),
         0.3045,
     )  # no frame near a control step, where the interpolant has a kink in its curvature
     direction = Records(*(rng.normal(size=part.shape) for part in record))
-    record_bar, start_bar = objective.loss_vjp(record, start)
+    record_bar, start_bar = comparison.loss_vjp(record, start)
     slope = sum(np.sum(a * d) for a, d in zip(record_bar, direction, strict=True)) + start_bar
-    base = objective.loss(record, start)
+    base = comparison.loss(record, start)
     steps = np.array([4e-4, 2e-4, 1e-4])
-    left = [abs(objective.loss(moved(record, direction, h), start + h) - base - h * slope) for h in steps]
+    left = [abs(comparison.loss(moved(record, direction, h), start + h) - base - h * slope) for h in steps]
     assert np.diff(np.log(left)).max() / np.log(0.5) > 1.9
 
 
 def test_loss_is_the_mean_squared_distance_and_the_square_of_the_rmse(rng):
-    objective, record = make(rng), smooth_record(rng, 3)
-    errors = objective.tracks(record, 0.3) - objective.data
-    distances = np.sqrt((errors**2).sum(axis=2))[objective.seen]
-    misfit = objective.misfit(record, 0.3)
-    assert objective.loss(record, 0.3) == pytest.approx(np.mean(distances**2))
+    comparison, record = make(rng), smooth_record(rng, 3)
+    errors = comparison.model(record, 0.3) - comparison.data
+    distances = np.sqrt((errors**2).sum(axis=2))[comparison.seen]
+    misfit = comparison.misfit(record, 0.3)
+    assert comparison.loss(record, 0.3) == pytest.approx(np.mean(distances**2))
     assert misfit.total == pytest.approx(np.sqrt(np.mean(distances**2)))
-    of_b = np.sqrt((errors[:, 1] ** 2).sum(axis=1))[objective.seen[:, 1]]
-    assert misfit.markers["b"] == pytest.approx(np.sqrt(np.mean(of_b**2)))
-    assert (~objective.seen).sum() > 10
+    of_b = np.sqrt((errors[:, 1] ** 2).sum(axis=1))[comparison.seen[:, 1]]
+    assert misfit.channels["b"] == pytest.approx(np.sqrt(np.mean(of_b**2)))
+    assert (~comparison.seen).sum() > 10
 
 
 @pytest.mark.parametrize("absolute", [False, True])
@@ -98,20 +105,18 @@ def test_its_own_motion_has_no_error(rng, absolute):
     values = np.full((60, 3, 2), np.nan)
     values[15:46] = y if absolute else y - y[0]
     values[:15] = y[0] if absolute else 0.0
-    objective = MarkerObjective(
-        observer, NAMES, time, values, control_step=STEP, steps=STEPS, start=start, absolute=absolute
-    )
-    assert len(objective.times) == STEPS + 1
-    assert objective.loss(record, start) < 1e-28
+    comparison = compared(observer, time, values, start=start, absolute=absolute)
+    assert len(comparison.times) == STEPS + 1
+    assert comparison.loss(record, start) < 1e-28
 
 
 def test_the_frames_that_count_do_not_depend_on_start(rng):
-    objective, record = make(rng), smooth_record(rng, 3)
-    assert objective.times[0] >= 0.25
-    assert objective.times[0] < 0.25 + 0.013
-    assert 0.25 + STEP * STEPS - 0.013 < objective.times[-1] <= 0.25 + STEP * STEPS
+    comparison, record = make(rng), smooth_record(rng, 3)
+    assert comparison.times[0] >= 0.25
+    assert comparison.times[0] < 0.25 + 0.013
+    assert 0.25 + STEP * STEPS - 0.013 < comparison.times[-1] <= 0.25 + STEP * STEPS
     starts = np.linspace(0.25, 0.35, 201)
-    losses = np.array([objective.loss(record, start) for start in starts])
+    losses = np.array([comparison.loss(record, start) for start in starts])
     assert np.abs(np.diff(losses, 2)).max() < 1e-2 * np.ptp(losses), "no jump where a frame passes the release"
 
 
@@ -123,9 +128,9 @@ def test_what_is_skipped_is_compared_from_no_start(rng):
 
 
 def test_before_the_release_the_model_rests(rng):
-    objective, record = make(rng, gaps=False), smooth_record(rng, 3)
-    tracks = objective.tracks(record, 0.35)
-    before = objective.times < 0.35
+    comparison, record = make(rng, gaps=False), smooth_record(rng, 3)
+    tracks = comparison.model(record, 0.35)
+    before = comparison.times < 0.35
     assert before.sum() >= 7
     np.testing.assert_allclose(tracks[before], 0.0, atol=1e-15)
     assert np.abs(tracks[~before][1:]).min(axis=(1, 2)).max() > 0
@@ -146,33 +151,33 @@ def test_nothing_to_see(rng):
     time, values = 0.01 * np.arange(100), np.full((100, 3, 2), np.nan)
     values[90:] = 0.0
     with pytest.raises(DataError, match=r"no marker is seen between 0.1 and 0.5 s"):
-        MarkerObjective(Points(None), NAMES, time, values, control_step=0.01, steps=40, start=0.1)
+        compared(Points(None), time, values, control_step=0.01, steps=40, start=0.1)
     with pytest.raises(DataError, match=r"only one frame lies between 0 and 0.4 s, which .* run from 0 to 990$"):
-        MarkerObjective(Points(None), NAMES, 1e3 * time, values, control_step=0.01, steps=40, start=0.0)  # in ms
+        compared(Points(None), 1e3 * time, values, control_step=0.01, steps=40, start=0.0)  # in ms
     with pytest.raises(DataError, match="no frame lies between"):
-        MarkerObjective(Points(None), NAMES, 0.5 * np.arange(100), values, control_step=0.01, steps=4, start=0.1)
+        compared(Points(None), 0.5 * np.arange(100), values, control_step=0.01, steps=4, start=0.1)
 
 
 def test_a_marker_never_seen_in_the_window_has_no_rmse(rng):
-    objective = make(rng, gaps=False)
-    objective.seen[:, 2] = False
-    objective.count = int(objective.seen.sum())
-    misfit = objective.misfit(smooth_record(rng, 3), 0.3)
-    assert np.isnan(misfit.markers["c"])
+    comparison = make(rng, gaps=False)
+    comparison.seen[:, 2] = False
+    comparison.count = int(comparison.seen.sum())
+    misfit = comparison.misfit(smooth_record(rng, 3), 0.3)
+    assert np.isnan(misfit.channels["c"])
     assert misfit.total > 0
-    assert len(objective.series()) == 6
+    assert len(comparison.series()) == 6
 
 
 def test_series_are_single_coordinates_in_order_of_time(rng):
-    objective, record = make(rng), smooth_record(rng, 3)
-    r = objective.residuals(record, 0.3)
-    errors = objective.tracks(record, 0.3) - objective.data
-    series = objective.series()
+    comparison, record = make(rng), smooth_record(rng, 3)
+    r = comparison.residuals(record, 0.3)
+    errors = comparison.model(record, 0.3) - comparison.data
+    series = comparison.series()
     assert sorted(np.concatenate([where for where, _, _ in series])) == list(range(r.size))
     where, frames, still = series[3 * 1 + 2]
     assert still.size == 0
     np.testing.assert_array_equal(r[where], errors[frames, 1, 2])
-    np.testing.assert_array_equal(frames, np.flatnonzero(objective.seen[:, 1]))
+    np.testing.assert_array_equal(frames, np.flatnonzero(comparison.seen[:, 1]))
 
 
 def test_series_have_the_still_values_of_their_marker_and_axis(rng):

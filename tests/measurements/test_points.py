@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from cqrun.engine.model import Records
-from cqrun.fitting.points import Points, centroid, markers, particles
+from cqrun.measurements.points import Points, markers, particles
 
 
 def random_record(rng, dim, steps=5, count=3, strain=0.2):
@@ -61,7 +61,7 @@ def test_adjoint(dim, rng, strain):
 
 def test_without_stems_the_deformation_does_not_matter(rng):
     record = random_record(rng, 2, count=1)
-    observer = centroid(np.array([1.0, 3.0]))
+    observer = particles([1], 3)
     y, w = observer.observe(record)
     np.testing.assert_array_equal(y, record.x)
     np.testing.assert_array_equal(w, record.v)
@@ -70,5 +70,4 @@ def test_without_stems_the_deformation_does_not_matter(rng):
     np.testing.assert_array_equal(back.v, record.v)
     assert not back.C.any()
     assert not back.F.any()
-    np.testing.assert_allclose(observer.rows.toarray(), [[0.25, 0.75]])
-    np.testing.assert_array_equal(particles([1], 3).rows.toarray(), [[0, 1, 0]])
+    np.testing.assert_array_equal(observer.rows.toarray(), [[0, 1, 0]])

@@ -1,0 +1,84 @@
+"""The cases of recordings: each with its own overrides, length and start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cqrun.build.matter import matter_of
+from cqrun.build.model import Built, build
+from cqrun.errors import DataError, Problem, SceneError, UsageError
+from cqrun.fitting.case import Case
+from cqrun.measurements.measurement import Recorded
+from cqrun.measurements.window import Window
+from cqrun.scene.data import Recording
+from cqrun.scene.paths import canonical, with_values
+from cqrun.scene.schema import Scene
+from cqrun.scene.unknowns import body_of, bounds_of, starts
+from cqrun.scene.world_and_time import ON_CONTROL_STEP
+from cqrun.store.recordings import read_recording
+
+
+def recorded_cases(built: Built, specs: Mapping[str, Recording]) -> list[Case]:
+    """Return the cases of all recordings, or raise what is wrong with any of them."""
+    cases, problems = [], []
+    for name, spec in specs.items():
+        try:
+            cases.append(_recorded(built, name, spec))
+        except UsageError as error:
+            path = f"data.recordings.{name}"
+            problems.append(Problem(built.scene.where(path), path, str(error)))
+    if problems:
+        raise SceneError(problems)
+    return cases
+
+
+def _recorded(built: Built, name: str, spec: Recording) -> Case:
+    scene, path = built.scene, f"data.recordings.{name}.start"
+    own = _own(built, spec)
+    file = scene.resolve_path(spec.file)
+    begins = starts(scene).get(path, spec.start)  # an unknown's own start, or one that it follows
+    window = Window(
+        scene.time.control_step, own.model.n_controls, begins, bounds_of(scene, path), spec.skip, source=str(file)
+    )
+    recorded = Recorded(
+        file, spec.body, window, lambda: read_recording(file, units=spec.units), spec.units,
+        None if spec.still is None else (spec.still[0], spec.still[1]), spec.weight,
+    )  # fmt: skip
+    comparison = spec.measurement.bind(recorded, matter_of(own, {}))
+    return Case.probed(name, own, (comparison,), start_path=path, start=begins, holdout=spec.holdout)
+
+
+def _own(built: Built, spec: Recording) -> Built:
+    """Return the scene of one recording: with its overrides, for its length."""
+    scene, step = built.scene, built.scene.time.control_step
+    length = scene.time.duration if spec.length is None else spec.length
+    steps = round(length / step)
+    if abs(steps * step - length) > ON_CONTROL_STEP * length:
+        raise DataError(
+            f"`length`, {length:.10g} s, is no multiple of the control step {step:.10g} s; the nearest is "
+            f"{max(1, steps) * step:.10g} s"
+        )
+    own = build(with_values(scene, {**_signals(scene), **spec.overrides, "time.duration": steps * step}))
+    _require_same_particles(built, own)
+    return own
+
+
+def _signals(scene: Scene) -> dict[str, float]:
+    """Return what keeps the scene's signals as they are in a recording of another length."""
+    signals = scene.activation
+    return {} if signals is None or signals.over is not None else {"activation.over": scene.time.duration}
+
+
+def _require_same_particles(built: Built, own: Built) -> None:
+    """Refuse overrides that change the particles of a body of which each, or a field over them, is unknown."""
+    for path, unknown in built.scene.unknowns.items():
+        for body in {body_of(built.scene, canonical(built.scene, p)) for p in (path, *unknown.also)} - {""}:
+            if unknown.per in ("particle", "field"):
+                ours, theirs = (b.particles.x[b.particles.of(body)] for b in (built, own))
+                if not np.array_equal(ours, theirs):
+                    raise DataError(
+                        f"its overrides change the particles of '{body}', each of which has a value of the unknown "
+                        f"'{path}': leave the body's particles as they are, or use `per: body`"
+                    )

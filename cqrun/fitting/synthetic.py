@@ -1,0 +1,91 @@
+"""The cases of data that a scene makes itself: one a sequence of activations, with its noisy copies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cqrun.build.matter import matter_of
+from cqrun.build.model import Built
+from cqrun.engine.rollout import Rollout
+from cqrun.fitting.case import Case
+from cqrun.measurements.markers import in_the_scenes_frame, observe_markers, over_body
+from cqrun.measurements.points import Points, particles
+from cqrun.measurements.recording import Recording
+from cqrun.measurements.window import Window
+from cqrun.objectives.hermite import interpolant
+from cqrun.observers.matter import Matter
+from cqrun.scene.data import Synthetic
+from cqrun.scene.unknowns import truths
+from cqrun.store.atomic import disk_errors, make_directory
+from cqrun.store.marker_csv import write_csv
+from cqrun.store.recordings import read_recording
+from cqrun.store.synthetic import make_synthetic
+
+SYNTHETIC = "synthetic"
+"""Folder of a run that holds the data it made for itself."""
+
+
+def synthetic_cases(built: Built, spec: Synthetic, directory: Path | None) -> list[Case]:
+    """Return the cases of a scene's own data, kept in a directory if one is given."""
+    scene, matter = built.scene, matter_of(built, {})
+    rng = np.random.default_rng(spec.seed)
+    names, observer = _observed(spec, matter, rng)
+    rows = over_body(observer.rows, spec.body, matter)
+    base = replace(built, model=replace(built.model, probe=rows))
+    random = scene.activation is not None and scene.activation.random is not None
+    cases = []
+    for sequence in range(scene.sequences):
+        name = f"sequence_{sequence}" if random else "synthetic"
+        own = replace(base, assembly=base.assembly.with_sequence(sequence))
+        model = own.model
+        comparisons = tuple(
+            in_the_scenes_frame(
+                recording, observer, rows,
+                Window(model.dt * model.substeps, model.n_controls, start=0.0, source=recording.source),
+            )
+            for recording in _made(own, spec, name, names, observer, rng, directory)
+        )  # fmt: skip
+        cases.append(Case(name, own, comparisons))
+    return cases
+
+
+def _observed(spec: Synthetic, matter: Matter, rng: np.random.Generator) -> tuple[tuple[str, ...], Points]:
+    """Return the names of the points that are seen, and their observer."""
+    if spec.markers is not None:
+        rest = {name: np.array(position) for name, position in spec.markers.items()}
+        return tuple(rest), observe_markers(matter, spec.body, rest)
+    part = matter.bodies[spec.body]
+    count = part.stop - part.start
+    chosen = np.sort(rng.choice(count, int(spec.tracked or 0), replace=False))
+    return tuple(f"particle {index}" for index in chosen), particles(chosen, count)
+
+
+def _made(
+    built: Built, spec: Synthetic, name: str, names: tuple[str, ...], observer: Points, rng: np.random.Generator,
+    directory: Path | None,
+) -> list[Recording]:  # fmt: skip
+    """Return the noisy copies of one sequence: read from the run, or made and written there."""
+    draw = np.random.default_rng(rng.integers(2**63))  # one generator a sequence, whatever is on disk already
+    files = [(directory / SYNTHETIC / f"{name}_{copy}.csv") if directory else None for copy in range(spec.copies)]
+    if all(file is not None and file.is_file() for file in files):
+        return [read_recording(file) for file in files if file is not None]
+    truth = {path: np.asarray(value, float) for path, value in truths(built.scene).items()}
+    records = Rollout(built.model, built.assembly.inputs(truth)).run()
+    steps, step = built.model.n_controls, built.scene.time.control_step
+    if spec.every is not None:
+        time = np.unique([*range(0, steps, spec.every), steps]) * step
+    else:
+        time = np.linspace(0.0, steps * step, int(spec.key_frames or 0))
+    clean = interpolant(time, step, steps)(*observer.observe(records))
+    made = make_synthetic(time, names, clean, noise=spec.noise, copies=spec.copies, rng=draw, source=name)
+    for recording, file in zip(made, files, strict=True):
+        if file is not None:
+            make_directory(file.parent)
+            beginning = file.with_suffix(".part")
+            with disk_errors(file):
+                write_csv(recording, beginning)
+                beginning.replace(file)  # a run that is killed here never reads half a file
+    return made

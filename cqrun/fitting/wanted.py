@@ -1,0 +1,89 @@
+"""A fit without data: the objective of a scene, made small by its unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cqrun.build.matter import matter_of
+from cqrun.build.model import Built
+from cqrun.engine.model import Records
+from cqrun.errors import Problem, SceneError
+from cqrun.fitting.case import Case
+from cqrun.measurements.comparison import Comparison
+from cqrun.objectives.term import Objective, Track
+from cqrun.observers.matter import Matter, Unfit
+from cqrun.plugin.contract import Array
+from cqrun.scene.schema import Scene
+
+NAME = "objective"
+"""Of the only case."""
+
+
+def wanted_case(built: Built) -> Case:
+    """Return the case of a scene's objective, with every goal at its position.
+
+    Raises:
+        SceneError: a term does not fit the scene, or is no distance of a motion.
+    """
+    scene, matter = built.scene, matter_of(built, {})
+    terms: dict[str, Any] = {name: chosen.value for name, chosen in scene.objective.items()}
+    try:
+        objective = Objective(terms, matter)
+    except Unfit as error:
+        raise SceneError([_problem(scene, error.name, str(error))]) from error
+    goals = {name: np.array(goal.position) for name, goal in scene.goals.items()}
+    wanted = Wanted(objective, goals, matter)
+    case = Case.probed(NAME, built, (wanted,))
+    if problems := list(_no_distances(scene, terms, wanted.track(case.still_records()), objective)):
+        raise SceneError(problems)
+    return case
+
+
+def _no_distances(scene: Scene, terms: Mapping[str, Any], track: Track, objective: Objective) -> Iterator[Problem]:
+    """Yield what is wrong with terms that have no least value of 0, or are not of the motion alone."""
+    for name, term in terms.items():
+        bar = objective.values_vjp(track, {name: 1.0})
+        if bar.activation is not None or bar.design is not None:
+            yield _problem(scene, name, "sysid looks at the motion alone: `cqrun control` and `cqrun codesign` take it")
+        elif term.sense < 0 or term.least != 0 or term.weight <= 0:
+            message = "sysid makes small what is 0 at best, such as `track` and `reach` with a positive weight"
+            yield _problem(scene, name, message)
+
+
+def _problem(scene: Scene, name: str, message: str) -> Problem:
+    return Problem(scene.where(f"objective.{name}"), f"objective.{name}", message)
+
+
+class Wanted(Comparison):
+    """The objective's terms over a rollout's records, each a distance that is 0 where the motion is as wanted."""
+
+    def __init__(self, objective: Objective, goals: Mapping[str, Array], matter: Matter) -> None:
+        self.objective, self.rows, self.goals, self.matter = objective, objective.rows, goals, matter
+
+    def track(self, records: Records) -> Track:
+        """Return a rollout as the terms see it."""
+        nothing, matter = np.zeros((self.matter.n_controls, self.matter.n_actuators)), self.matter
+        x, v, C, F = records
+        return Track(x, v, C, F, nothing, self.goals, matter.control_step, matter.design)
+
+    def wanted(self) -> dict[str, Any]:
+        """Return what a trajectory says of where its bodies should go [m]."""
+        return self.objective.wanted(self.goals)
+
+    def residuals(self, records: Records, start: float) -> Array:
+        """Return the root of the loss (1,)."""
+        return np.sqrt([self.loss(records, start)])
+
+    def loss(self, records: Records, start: float) -> float:
+        """Return the sum over terms of weight * value."""
+        return self.objective.loss(self.track(records))
+
+    def loss_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Records, float]:
+        """Return the cotangents of the records and, 0, of `start` from that of the loss."""
+        bar = self.objective.loss_vjp(self.track(records), loss_bar)
+        found = {name: part for name in "xvCF" if (part := getattr(bar, name)) is not None}
+        return replace(records.zeros_like(), **found), 0.0

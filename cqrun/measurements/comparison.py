@@ -1,0 +1,95 @@
+"""What the records of one rollout are compared with: a loss, its residuals and its adjoint."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cqrun.engine.model import Records
+from cqrun.plugin.contract import Array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+__all__ = ["Comparison", "Misfit", "Records"]
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Root mean squares of the errors' lengths, in the measurement's unit.
+
+    Attributes:
+        total: over all that was seen.
+        channels: by channel; NaN for one that is not seen in the window.
+    """
+
+    total: float
+    channels: dict[str, float]
+
+
+class Comparison(ABC):
+    """A number to be made small, from a rollout's records and the time in the recording at which the run begins.
+
+    Attributes:
+        rows: (K, N) weights of the sums over particles that the rollout records.
+        count: how many squares the loss is the mean of.
+        weight: in the loss, beside other comparisons.
+        remark: what a user should know of how the recording was taken, or nothing.
+    """
+
+    rows: csr_array
+    count: int = 1
+    weight: float = 1.0
+    remark: str = ""
+
+    @abstractmethod
+    def residuals(self, records: Records, start: float) -> Array:
+        """Return the errors (n,), whose squares sum to `count` times the loss."""
+
+    @abstractmethod
+    def loss(self, records: Records, start: float) -> float:
+        """Return the loss."""
+
+    @abstractmethod
+    def loss_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Records, float]:
+        """Return the cotangents of the records and of `start` from that of the loss."""
+
+    @property
+    def size(self) -> int:
+        """Number of residuals n."""
+        return self.count
+
+    def too_early(self, start: float) -> str:
+        """Say what is wrong with a start from which the run ends before the last frame that is compared, or nothing."""
+        return ""
+
+    def series(self) -> Sequence[tuple[Array, Array, Array]]:
+        """Return the time series among the residuals: places, frames, values in the still frames; none by default.
+
+        Places and frames are in order of time.
+        """
+        return ()
+
+    def misfit(self, records: Records, start: float) -> Misfit:
+        """Return the root mean square errors."""
+        return Misfit(float(np.sqrt(self.loss(records, start))), {})
+
+    def facts(self) -> dict[str, Any]:
+        """Return what result.json says of the recording itself; nothing by default."""
+        return {}
+
+    def wanted(self) -> dict[str, Any]:
+        """Return what a trajectory says of where its bodies should go, for pictures; nothing by default."""
+        return {}
+
+    def summary(self) -> str:
+        """Return what is compared, for `cqrun validate`; nothing by default."""
+        return ""
+
+    def table(self, records: Records, start: float) -> Iterator[list[object]]:
+        """Yield the rows of the table of data and model; the first row names the columns."""
+        yield from ()

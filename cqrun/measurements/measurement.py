@@ -1,0 +1,79 @@
+"""What a measurement is: a plug-in that reads a recording and compares a model with it."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from cqrun.measurements.comparison import Comparison
+from cqrun.measurements.recording import Recording
+from cqrun.measurements.window import Window
+from cqrun.observers.matter import Matter
+from cqrun.plugin.contract import Plugin
+from cqrun.units import Unit
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A recording as the scene describes it, for a measurement to read.
+
+    Attributes:
+        file: where it is.
+        body: the body that was measured.
+        units: of lengths in the file, or None.
+        still: first and last time of the frames at rest [s], or None.
+        weight: in the loss.
+        window: which frames are compared.
+        read_markers: reads the file as tracks of markers, from any of their formats; DataError where it is none.
+    """
+
+    file: Path
+    body: str
+    window: Window
+    read_markers: Callable[[], Recording]
+    units: str | None = None
+    still: tuple[float, float] | None = None
+    weight: float = 1.0
+
+
+class Measurement(Plugin):
+    """Base of the plug-ins of kind `measurement`: the name of one is a key of a recording.
+
+    Attributes:
+        quantity: what is measured, as pictures name it.
+        unit: SI unit of the residuals; `1` where they have none.
+        shown: unit in which errors are reported.
+        digits: how they are formatted.
+        channel: what each series of a recording is of, such as a marker.
+        table: stem of the CSV file with data and model; the plug-in's name if empty.
+        takes: which of the recording's fields `still` and `units` it uses; the others are refused.
+    """
+
+    quantity: ClassVar[str]
+    unit: ClassVar[str] = "1"
+    shown: ClassVar[Unit] = Unit("", 1.0)
+    digits: ClassVar[str] = ".4g"
+    channel: ClassVar[str] = "channel"
+    table: ClassVar[str] = ""
+    takes: ClassVar[frozenset[str]] = frozenset()
+
+    @abstractmethod
+    def bind(self, recorded: Recorded, matter: Matter) -> Comparison:
+        """Return the comparison of a recording with a scene's particles.
+
+        Raises:
+            UsageError: the file cannot be used, or does not fit the scene.
+        """
+
+    @classmethod
+    def table_file(cls) -> str:
+        """Return the name of the file with data and model."""
+        return f"{cls.table or cls.name}.csv"
+
+    @classmethod
+    def error_key(cls, word: str) -> str:
+        """Return a key of result.json for errors, with their unit: `rmse_mm`."""
+        return f"{word}_{cls.shown.name}" if cls.shown.name else word
