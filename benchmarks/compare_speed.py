@@ -2,10 +2,10 @@
 
     python benchmarks/compare_speed.py BEFORE AFTER [--turns 5] [--threads 1] [--scene FILE ...] [--out FILE.json]
 
-BEFORE and AFTER are folders with a checkout and its environment in `.venv`. Each has a worker process that holds the same
-substeps of a block, or of a scene, and measures them when it is its turn, so that both see the same noise of the machine.
-The numbers are medians over turns, in ns per particle and substep; the ratio is the median of the ratios of each turn.
-Measure on a machine that does nothing else: the load is printed.
+BEFORE and AFTER are folders with a checkout and its environment in `.venv`. Each has a worker process that holds the
+same substeps of a block, or of a scene, and measures them when it is its turn, so that both see the same noise of the
+machine. The numbers are medians over turns, in ns per particle and substep; the ratio is the median of the ratios of
+each turn. Measure on a machine that does nothing else: the load is printed.
 """
 
 from __future__ import annotations
