@@ -72,7 +72,7 @@ def episode_loss(problem: EpisodeProblem) -> Loss:
     bounded = np.isfinite(lower) & np.isfinite(upper)
     inset = INSIDE * np.where(bounded, upper, 0.0) - INSIDE * np.where(bounded, lower, 0.0)
     x = np.clip(problem.params.start, lower + inset, upper - inset)
-    goals, budget = problem.goals(None)[0], problem.model.memory_budget
+    goals, budget = problem.goals(None)[0], problem.agent.model.memory_budget
 
     mix = Mix(1.0, dict(zip(problem.constraint_names, 1.0 / problem.scales, strict=True)))
 
@@ -89,7 +89,7 @@ def episode_loss(problem: EpisodeProblem) -> Loss:
         return total(attempt), problem.params.gradient(x, gradient)
 
     first = problem.attempt(problem.values(x), goals, problem.threads)
-    parts = [problem.objective.factors.get(name, 1.0) * value for name, value in first.terms.items()]
+    parts = [problem.agent.objective.factors.get(name, 1.0) * value for name, value in first.terms.items()]
     parts += [factor * first.held[name] for name, factor in mix.constraints.items()]
     scale = sum(map(abs, parts))
     moved = "" if np.array_equal(x, problem.params.start) else ", a little inside the bounds"

@@ -16,7 +16,7 @@ from cqrun.build.model import Built
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.bodies import tell_bodies
-from cqrun.learning.agent import FILE
+from cqrun.learning.agent import FILE, Agent
 from cqrun.learning.episodes import EpisodeProblem
 from cqrun.learning.learned import blown_up, write_learned
 from cqrun.learning.record_memory import require_records
@@ -124,7 +124,7 @@ def prepare(scene: Scene, threads: int, talk: Reporter, job: str = "control") ->
     optimizer = optimizer_of(built)
     if optimizer.gradients:
         gradient_plan(built)
-    problem = EpisodeProblem(built, threads=threads)
+    problem = EpisodeProblem(Agent(built), threads=threads)
     try:
         optimizer.require(problem)
         if optimizer.squares:
@@ -137,8 +137,8 @@ def prepare(scene: Scene, threads: int, talk: Reporter, job: str = "control") ->
         raise SceneError([Problem(scene.where(path), path, str(error))]) from error
     count = min(problem.n_episodes, getattr(optimizer, "batch_size", None) or problem.n_episodes)
     functions = differentiated(problem)
-    at_once = gradients_at_once([problem.model] * count, threads) if functions else min(threads, count)
-    require_records(problem, functions, at_once)
+    at_once = gradients_at_once([problem.agent.model] * count, threads) if functions else min(threads, count)
+    require_records(problem.agent, functions, at_once)
     return problem
 
 
@@ -240,10 +240,10 @@ class Keeping(Progress):
         super().__call__(iteration, x, loss, terms)
         controller: Any = self._problem.built.scene.controller
         if iteration == 0 and controller.value.unit_inputs:
-            for told in faint(self._problem.observation, self._problem.saw):
+            for told in faint(self._problem.agent.observation, self._problem.saw):
                 self._talk.warn(told)
                 self._run.log(told)
         rank = self._of(terms, loss)
         if rank < self._rank or self._latest:
             self._rank = rank
-            self._problem.save(self._run.path / FILE, self._problem.values(x))
+            self._problem.agent.save(self._run.path / FILE, self._problem.values(x))

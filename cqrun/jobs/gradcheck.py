@@ -29,6 +29,7 @@ from cqrun.design.params import Params
 from cqrun.errors import RolloutError, RunError
 from cqrun.fitting.cases import Case, given_cases, made_cases
 from cqrun.jobs.checked_losses import Loss, episode_loss, fit_loss, state_loss
+from cqrun.learning.agent import Agent
 from cqrun.learning.episodes import EpisodeProblem, has_episodes
 from cqrun.optimizers.base import TrialFailed
 from cqrun.plugin.contract import Array
@@ -172,7 +173,7 @@ def has_data(built: Built) -> bool:
 
 
 def _episodes(built: Built, threads: int) -> EpisodeProblem | None:
-    return EpisodeProblem(built, threads=threads) if has_episodes(built.scene) else None
+    return EpisodeProblem(Agent(built), threads=threads) if has_episodes(built.scene) else None
 
 
 def check_gradient(

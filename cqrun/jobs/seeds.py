@@ -25,6 +25,7 @@ from cqrun.errors import UsageError
 from cqrun.fitting.uncertainty import interval_of_mean
 from cqrun.jobs.control import optimizer_of, prepare
 from cqrun.jobs.report import number, table
+from cqrun.learning.agent import Agent
 from cqrun.learning.episodes import EpisodeProblem
 from cqrun.learning.learned import STAGES, blown_up
 from cqrun.running.fleet import Member, run_fleet
@@ -116,7 +117,7 @@ def warn_if_alike(problem: EpisodeProblem, seeds: int, talk: Reporter) -> None:
 def starts_alike(problem: EpisodeProblem) -> bool:
     """Say whether another seed of the scene gives the same start."""
     built = problem.built
-    other = EpisodeProblem(replace(built, scene=with_values(built.scene, {"seed": built.scene.seed + 1})))
+    other = EpisodeProblem(Agent(replace(built, scene=with_values(built.scene, {"seed": built.scene.seed + 1}))))
     return bool(np.array_equal(other.start, problem.start))
 
 

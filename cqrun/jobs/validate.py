@@ -42,7 +42,7 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     Raises:
         SceneError, UsageError: everything that a run would be refused for.
     """
-    built, agent = _prepared(load_scene(scene_path, overrides))
+    built, agent, episodes = _prepared(load_scene(scene_path, overrides))
     scene = built.scene
     cases = given_cases(built) if _reads_data(built) else None
     yield f"{scene_path}: a valid scene" + (f": {scene.title}" if scene.title else "")
@@ -55,19 +55,19 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
         yield from _unknowns(built)
     yield from _data(built, cases)
     if agent is not None:
-        yield from control_lines(agent)
-    yield from _cost(built, agent)
+        yield from control_lines(agent, episodes)
+    yield from _cost(built, episodes)
     for warning in (*built.warnings, *own_warnings(built, cases or [])):
         yield f"warning: {warning}"
 
 
-def _prepared(scene: Scene) -> tuple[Built, Agent | None]:
-    """Return what the scene's job would run, and what acts in it."""
+def _prepared(scene: Scene) -> tuple[Built, Agent | None, EpisodeProblem | None]:
+    """Return what the scene's job would run, what acts in it, and what is learned."""
     if scene.job in JOBS or has_episodes(scene):
         problem = prepare_control(scene, 1, Silent(), scene.job if scene.job in JOBS else "control")
-        return problem.built, problem
+        return problem.built, problem.agent, problem
     built = prepare(scene, Silent()) if _fits(scene) else build(scene)
-    return built, None if scene.controller is None else Agent(built)
+    return built, None if scene.controller is None else Agent(built), None
 
 
 def _reads_data(built: Built) -> bool:
@@ -181,7 +181,7 @@ def _recording(case: Case) -> Iterator[str]:
 # --- cost ---------------------------------------------------------------------------------------------------
 
 
-def _cost(built: Built, agent: Agent | None) -> Iterator[str]:
+def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     model = built.model
     one, budget = state_bytes(model), format_bytes(model.memory_budget)
     forward = 1e-9 * NANOSECONDS[model.dim] * model.layout.n_particles * model.n_steps
@@ -203,20 +203,20 @@ def _cost(built: Built, agent: Agent | None) -> Iterator[str]:
         f"an estimate, for one core: {_seconds(forward)} forward, {_seconds(backward)} with the gradient "
         f"({NANOSECONDS[model.dim]:g} ns a particle and substep; `cqrun bench` measures this machine)",
     )
-    if isinstance(agent, EpisodeProblem):
+    if learned is not None:
         optimizer = optimizer_of(built)
         if optimizer.gradients:
-            episodes = min(agent.n_episodes, getattr(optimizer, "batch_size", None) or agent.n_episodes)
+            episodes = min(learned.n_episodes, getattr(optimizer, "batch_size", None) or learned.n_episodes)
             of = f"{episodes} {'episode' if episodes == 1 else 'episodes'} with the gradient"
-            held = differentiated(agent) - 1
+            held = differentiated(learned) - 1
             sweeps = held * (GRADIENT - 1.0) * forward
             if held:
                 of += f" and {'that' if held == 1 else 'those'} of {held} constraint{'s' if held > 1 else ''}, at most"
             once, cost = "a trial" if held else "an iteration", _seconds(episodes * (backward + sweeps))
             yield line("", f"{once} of {optimizer.name}: {of}{' ' if held else ', '}{cost}")
         else:
-            of = f"{agent.n_episodes} {'episode' if agent.n_episodes == 1 else 'episodes'} forward"
-            yield line("", f"a trial of {optimizer.name}: {of}, {_seconds(agent.n_episodes * forward)}")
+            of = f"{learned.n_episodes} {'episode' if learned.n_episodes == 1 else 'episodes'} forward"
+            yield line("", f"a trial of {optimizer.name}: {of}, {_seconds(learned.n_episodes * forward)}")
 
 
 def _seconds(seconds: float) -> str:

@@ -20,18 +20,18 @@ def line(what: str, text: str) -> str:
     return f"  {what:10} {text}"
 
 
-def control_lines(agent: Agent) -> Iterator[str]:
-    """Yield lines on observers, controller, goals, episodes and objective."""
+def control_lines(agent: Agent, learned: EpisodeProblem | None) -> Iterator[str]:
+    """Yield lines on observers, controller, goals, objective, and the episodes that it is learned from, if it is."""
     scene, seen = agent.built.scene, agent.observation
     for name, place in seen.parts.items():
         size = place.stop - place.start
         yield line("observer", f"{name} ({scene.observers[name].name}): {_count(size, 'number')}")
-    yield from _controller(agent)
+    yield from _controller(agent, 0 if learned is None else differentiated(learned))
     for name, goal in scene.goals.items():
         spread = f", drawn within {point(goal.spread or [])} m to either side" if goal.drawn else ""
         yield line("goal", f"{name}: {point(goal.position)} m{spread}")
-    if isinstance(agent, EpisodeProblem):
-        yield from _episodes(agent)
+    if learned is not None:
+        yield from _episodes(learned)
     for name, chosen in scene.objective.items():
         spec: Any = chosen.value
         aim = "larger is better" if spec.sense < 0 else "smaller is better"
@@ -44,7 +44,7 @@ def control_lines(agent: Agent) -> Iterator[str]:
         yield line("constraint", f"{name} ({held.of.name}): {told}, met when missed by no more than {within}")
 
 
-def _controller(agent: Agent) -> Iterator[str]:
+def _controller(agent: Agent, functions: int) -> Iterator[str]:
     scene, low, high = agent.built.scene, agent.limits.low, agent.limits.high
     shapes = [
         f"{b.path.removeprefix(CONTROLLER)} {' x '.join(map(str, b.initial.shape)) or '1'}"
@@ -57,18 +57,17 @@ def _controller(agent: Agent) -> Iterator[str]:
     pairs = [f"{number(a)} to {number(b)}" for a, b in sorted(set(zip(low.tolist(), high.tolist(), strict=True)))]
     drives = f"{_count(len(low), 'activation')} within {listed(pairs)}"
     yield line("", f"from {sees} to {drives}, every {number(scene.time.control_step)} s")
-    functions = differentiated(agent) if isinstance(agent, EpisodeProblem) else 0
     kept = format_bytes(record_bytes(agent, functions))
     yield line("", f"beside its states an episode keeps {kept} of what is seen, remembered and judged")
 
 
-def _episodes(agent: EpisodeProblem) -> Iterator[str]:
-    episodes, optimizer = agent.built.scene.episodes, optimizer_of(agent.built)
+def _episodes(problem: EpisodeProblem) -> Iterator[str]:
+    episodes, optimizer = problem.built.scene.episodes, optimizer_of(problem.built)
     how = "one, as no goal is drawn"
-    if agent.stochastic:
-        how = f"{agent.n_episodes}, with fresh goals at every iteration"
-    elif agent.n_episodes > 1 or any(g.drawn for g in agent.built.scene.goals.values()):
-        how = f"a fixed set of {agent.n_episodes}"
+    if problem.stochastic:
+        how = f"{problem.n_episodes}, with fresh goals at every iteration"
+    elif problem.n_episodes > 1 or any(g.drawn for g in problem.built.scene.goals.values()):
+        how = f"a fixed set of {problem.n_episodes}"
     tested = f"; the result is tested on {episodes.unseen} more" if episodes.unseen else ""
     yield line("episodes", f"{how}{tested}")
     yield line("optimizer", f"{optimizer.name}, at most {_count(optimizer.max_iterations, 'iteration')}")

@@ -64,7 +64,7 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         "blew_up": {},
     }
     if not failed:
-        problem.save(run.path / FILE, values)
+        problem.agent.save(run.path / FILE, values)
         goals, unseen = problem.goals(None), problem.unseen()
         tried: dict[str, Tried] = {"start": _run_all(problem, problem.values(problem.start), goals)}
         learned = _run_all(problem, values, [*goals, *unseen])
@@ -76,9 +76,9 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         if shown is None:
             raise next(a.error for a in learned if isinstance(a, Lost))
         write_activation(run.path / "activation.csv", problem.built, shown.activation)
-        rollout = problem.rollout(values, shown.goals, problem.threads)
+        rollout = problem.agent.rollout(values, shown.goals, problem.threads)
         found = {path: value for path, value in values.items() if not path.startswith(CONTROLLER)}
-        told = problem.wanted(shown.goals) | as_found(found)
+        told = problem.agent.wanted(shown.goals) | as_found(found)
         write_trajectory(run.path / "trajectory.h5", problem.built, rollout, provenance=told)
     run.write_result(result)
     return result

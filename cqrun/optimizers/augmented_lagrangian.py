@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Self, cast
+from dataclasses import dataclass
+from typing import Self, cast, final
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from cqrun.errors import UsageError
-from cqrun.optimizers.adam import Adam
-from cqrun.optimizers.base import Outcome, Problem, Session, refuse_stochastic, require_finite, terms_of
+from cqrun.optimizers.adam import AdamSteps
+from cqrun.optimizers.base import Outcome, Problem, refuse_stochastic, require_finite, terms_of
 from cqrun.optimizers.constrained import (
     ConstrainedOptimizer,
     ConstrainedProblem,
@@ -22,7 +23,7 @@ from cqrun.optimizers.constrained import (
     require_constraints,
     violation,
 )
-from cqrun.optimizers.descent import DescentState
+from cqrun.optimizers.first_order import DescentState, Merit
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
@@ -38,7 +39,7 @@ HEAVY = 1e6
 
 
 @plugin("optimizer", "augmented_lagrangian")
-class AugmentedLagrangian(ConstrainedOptimizer, Adam):
+class AugmentedLagrangian(ConstrainedOptimizer, AdamSteps):
     """Adam on f + sum |c - p + y / rho|^2 rho / 2, where p is the allowed value nearest to c + y / rho.
 
     Its gradient is that of f + w.c with w = y + rho (c - p), which one backward run gives for all constraints. Every
@@ -73,35 +74,34 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         if self.batch_size is not None:
             raise UsageError("constraints are of the whole set: remove `batch_size`")
 
-    def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise with exact resume through the session's state file; UsageError as `require`."""
-        outcome = super().minimise(problem, session)
-        if outcome.status in ("failed", "stopped"):
-            return outcome
-        held = _with_constraints(problem)
-        _, c = held.values_and_constraints(outcome.x)
-        if most_violated(c, held.c_low, held.c_high) <= self.constraint_tolerance:
-            return outcome
-        return infeasible(held, outcome, c, self.constraint_tolerance)
+    @final
+    def merit(self, problem: Problem) -> Merit:
+        """Return the augmented Lagrangian of a problem, which `require` has seen to have constraints."""
+        return LagrangianMerit(self, cast(ConstrainedProblem, problem))
 
-    def begin_memory(self, problem: Problem, x: Array) -> dict[str, Array]:
-        """Return Adam's moments, the multipliers, the penalty, and what they were last judged by."""
-        m = len(_with_constraints(problem).constraint_names)
-        return super().begin_memory(problem, x) | {
-            "multipliers": np.zeros(m),
-            "penalty": np.array(self.penalty),
+
+@dataclass(frozen=True)
+class LagrangianMerit(Merit):
+    """The augmented Lagrangian of a problem, as a method's fields shape it."""
+
+    method: AugmentedLagrangian
+    problem: ConstrainedProblem
+
+    def memory(self, x: Array) -> dict[str, Array]:
+        """Return the multipliers, the penalty, and what they were last judged by."""
+        return {
+            "multipliers": np.zeros(len(self.problem.constraint_names)),
+            "penalty": np.array(self.method.penalty),
             "restoring": np.array(0),
             "last": np.array(np.inf),
             "violation": np.array(np.inf),
             "best": np.full(3, np.inf),
         }
 
-    def evaluate(
-        self, problem: Problem, x: Array, batch: tuple[int, ...] | None, memory: dict[str, Array]
-    ) -> dict[str, Array]:
+    def evaluate(self, x: Array, batch: tuple[int, ...] | None, memory: dict[str, Array]) -> dict[str, Array]:
         """Return f, the gradient of the augmented Lagrangian, constraints c and weights w (m,), and the terms."""
         y, rho = memory["multipliers"], memory["penalty"]
-        held = _with_constraints(problem)
+        held, tolerance = self.problem, self.method.constraint_tolerance
         low, high = held.c_low, held.c_high
 
         def weigh(c: Array) -> Array:
@@ -113,73 +113,75 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
             f, g, c, J = held.gradients_and_constraints(x)
             require_finite(x, constraints=c, jacobian=J)
             g = g + weigh(c) @ J
-            normal = {"normal": self._normal_step(held, x, c, J)}
+            normal = {"normal": self._normal_step(x, c, J)}
         else:
             f, c, g = held.lagrangian(x, weigh)
         require_finite(x, loss=np.asarray(f), constraints=c, gradient=g)
-        terms = np.array(problem.term_values(), float)
+        terms = np.array(held.term_values(), float)
         judged = {
             "violation": np.array(most_violated(c, low, high)),
-            "rank": np.array(ranked(violation(c, low, high), float(f), self.constraint_tolerance)),
+            "rank": np.array(ranked(violation(c, low, high), float(f), tolerance)),
         }
         return {"f": np.array(f, float), "g": g, "c": c, "w": weigh(c), "terms": terms} | judged | normal
 
-    def _normal_step(self, problem: ConstrainedProblem, x: Array, c: Array, J: Array) -> Array:
+    def _normal_step(self, x: Array, c: Array, J: Array) -> Array:
         """Return the shortest step (n,) in the box that meets the linearised constraints, cut to `LONGEST`."""
+        problem = self.problem
         # a little inside, so that it does not end on the edge; an equality stays one
-        inside = np.minimum(0.5 * self.constraint_tolerance, 0.5 * (problem.c_high - problem.c_low))
+        inside = np.minimum(0.5 * self.method.constraint_tolerance, 0.5 * (problem.c_high - problem.c_low))
         ends = problem.c_low + inside - c, problem.c_high - inside - c
         box = np.maximum(problem.lower - x, -1.0), np.minimum(problem.upper - x, 1.0)
         d, _ = quadratic_program(LowRank(1.0), np.zeros(len(x)), J, ends, box, HEAVY)
         return np.asarray(d * min(1.0, LONGEST / max(float(np.max(np.abs(d), initial=0.0)), LONGEST)))
 
-    def stride(self, iteration: int, direction: Array, answer: dict[str, Array], scale: float) -> Array:
-        """Return the step of Adam, or minus the one straight to the constraints: whole, or it would never help."""
-        return -answer["normal"] if "normal" in answer else super().stride(iteration, direction, answer, scale)
-
-    def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
-        """Return Adam's direction, and all that is remembered."""
-        step, moments = super().direction(iteration, grad, memory)
-        return step, memory | moments
-
     def learn(self, iteration: int, answer: dict[str, Array], memory: dict[str, Array]) -> dict[str, Array]:
         """Return the memory with the multipliers and the penalty moved on where they are due."""
+        method = self.method
         memory = memory | {
             "best": np.array(min(tuple(memory["best"]), tuple(answer["rank"]))),
             "restoring": np.array(self._left(memory, float(answer["violation"]))),
             "last": answer["violation"],
         }
-        if iteration == 0 or iteration % self.inner:
+        if iteration == 0 or iteration % method.inner:
             return memory
         rho = memory["penalty"]
-        if answer["violation"] > max(self.constraint_tolerance, self.enough * memory["violation"]):
-            rho = np.minimum(self.growth * rho, self.penalty_limit)
+        if answer["violation"] > max(method.constraint_tolerance, method.enough * memory["violation"]):
+            rho = np.minimum(method.growth * rho, method.penalty_limit)
         return memory | {
             "multipliers": answer["w"], "penalty": rho, "violation": answer["violation"],
             # the step to the next point is still Adam's, and hardly helps
-            "restoring": np.array(self.restoring + (self.restoring > 0)),
+            "restoring": np.array(method.restoring + (method.restoring > 0)),
         }  # fmt: skip
 
     def _left(self, memory: dict[str, Array], excess: float) -> int:
         """Return how many steps to the constraints are to follow: one that helps does not count."""
-        if excess <= self.constraint_tolerance:
+        if excess <= self.method.constraint_tolerance:
             return 0
         return max(0, int(memory["restoring"]) - (excess > HELPS * float(memory["last"])))
+
+    def step(self, usual: Array, answer: dict[str, Array]) -> Array:
+        """Return the step of Adam, or minus the one straight to the constraints: whole, or it would never help."""
+        return -answer["normal"] if "normal" in answer else usual
 
     def better(self, state: DescentState, answer: dict[str, Array]) -> bool:
         """Say whether an evaluation violates less than all before, or nothing and is lower."""
         return tuple(answer["rank"]) < tuple(state.memory["best"])
 
-    def told(self, problem: Problem, x: Array, answer: dict[str, Array]) -> dict[str, float]:
+    def columns(self, x: Array, answer: dict[str, Array]) -> dict[str, float]:
         """Return the terms and what is known of the constraints; the weights are the multipliers."""
-        found = Kkt(answer["w"], projected(problem, x, answer["g"]))
-        return terms_of(problem, answer["terms"]) | columns_of(_with_constraints(problem), answer["c"], found)
+        found = Kkt(answer["w"], projected(self.problem, x, answer["g"]))
+        return terms_of(self.problem, answer["terms"]) | columns_of(self.problem, answer["c"], found)
 
-    def _converged(self, state: DescentState, problem: Problem) -> bool:
-        """Say whether the last point, not only the best so far, meets the constraints, and the gradient vanishes."""
-        return float(state.memory["last"]) <= self.constraint_tolerance and super()._converged(state, problem)
+    def may_converge(self, memory: dict[str, Array]) -> bool:
+        """Say whether the last point, not only the best so far, meets the constraints."""
+        return float(memory["last"]) <= self.method.constraint_tolerance
 
-
-def _with_constraints(problem: Problem) -> ConstrainedProblem:
-    """Return a problem, which `require` has seen to have constraints, as one that has."""
-    return cast(ConstrainedProblem, problem)
+    def concluded(self, outcome: Outcome) -> Outcome:
+        """Return the outcome, with status `infeasible` and a verdict where its point violates constraints."""
+        if outcome.status in ("failed", "stopped"):
+            return outcome
+        problem, tolerance = self.problem, self.method.constraint_tolerance
+        _, c = problem.values_and_constraints(outcome.x)
+        if most_violated(c, problem.c_low, problem.c_high) <= tolerance:
+            return outcome
+        return infeasible(problem, outcome, c, tolerance)
