@@ -109,10 +109,10 @@ def retold(error: ErrorDetails, prefix: Loc = (), **hints: Any) -> InitErrorDeta
     kind = {"missing": MISSING, "extra_forbidden": KEY}.get(error["type"], VALUE)
     if loc and loc[-1] == "[key]":
         kind, loc = KEY, loc[:-1]
-    return finding(_words(error, **hints), loc, kind=kind)
+    return finding(in_words(error, **hints), loc, kind=kind)
 
 
-def _words(error: ErrorDetails, *, keys: Iterable[str] = (), about: str = "", unit: str | None = None) -> str:
+def in_words(error: ErrorDetails, *, keys: Iterable[str] = (), about: str = "", unit: str | None = None) -> str:
     """Say what is wrong; `keys` are the legal ones, `about` and `unit` describe the field."""
     kind, value, context = error["type"], error["input"], error.get("ctx", {})
     if kind == "missing":

@@ -134,15 +134,15 @@ class Ablation(Figure):
         whole = checks({name: column[judged_ones] for name, column in table.items()}, len(control) + len(every), BEST)
         if size is Size.QUICK:
             return lowered(judged(_farther(control, every)), whole)
-        between = f" ({gain['low']:+.0%} to {gain['high']:+.0%})" if gain["low"] is not None else ""
-        told = f"gain of {_seeds(len(every))} {gain['mean']:+.0%}{between}, paper {self.gain:+.0%}"
+        between = f" ({gain.low:+.0%} to {gain.high:+.0%})" if gain.low is not None else ""
+        told = f"gain of {_seeds(len(every))} {gain.mean:+.0%}{between}, paper {self.gain:+.0%}"
         wanted, farthest = self.printed[0], self.printed[-1]
         reach = interval(control.tolist())
-        reaches = bool(max(reach["mean"] or 0.0, reach["high"] or 0.0) >= wanted)
+        reaches = bool(max(reach.mean or 0.0, reach.high or 0.0) >= wanted)
         fewer = {f"at the paper's size: {self.particles}": False} if self.particles else {}
         verdict = judged({
             f"control {control.mean():.2f} m, paper {wanted:g}": reaches,
-            told: reaches and float(gain["mean"] or 0.0) >= 0.9 * self.gain,
+            told: reaches and float(gain.mean or 0.0) >= 0.9 * self.gain,
             **{told: reaches and agrees for told, agrees in self._order(table).items()},
             **fewer,
         })  # fmt: skip
@@ -195,9 +195,9 @@ def _seeds(count: int) -> str:
 
 def _spread(values: Array) -> str:
     found = interval(values.tolist())
-    if found["low"] is None:
-        return f"{found['mean']:+.2f} m"
-    return f"{found['mean']:+.2f} m ({found['low']:+.2f} to {found['high']:+.2f})"
+    if found.low is None:
+        return f"{found.mean:+.2f} m"
+    return f"{found.mean:+.2f} m ({found.low:+.2f} to {found.high:+.2f})"
 
 
 def _free(label: str) -> frozenset[str]:

@@ -17,6 +17,7 @@ from cqrun.optimizers.constrained import VIOLATION
 from cqrun.plugin.contract import Array
 from cqrun.scene.paths import canonical, leaf
 from cqrun.scene.unknowns import groups_of
+from cqrun.store.result import Designed, Identified, Interval, LearnedResult, SysidResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,7 +70,7 @@ def unknown_curves(run: RunData) -> list[UnknownCurve]:
     paths = [canonical(scene, path) for path in scene.unknowns]
     synthetic = scene.synthetic
     truths = {canonical(scene, p): v for p, v in synthetic.truth.items()} if synthetic is not None else {}
-    found = (run.result or {}).get("unknowns", {})
+    found = run.result.unknowns if isinstance(run.result, SysidResult | LearnedResult) else {}
     curves = []
     for path, label, unknown in zip(paths, labels(paths, scene.dim), scene.unknowns.values(), strict=True):
         lower, upper = unknown.bounds
@@ -107,15 +108,15 @@ def _names(run: RunData, path: str, per: str, count: int, final: Array | None) -
     return tuple(str(i) for i in range(count))
 
 
-def _found(entry: dict[str, Any] | None, unit: Unit) -> tuple[Array | None, tuple[tuple[float, float] | None, ...]]:
-    if entry is None:
+def _found(unknown: Identified | Designed | None, unit: Unit) -> tuple[Array | None, tuple[Interval | None, ...]]:
+    """Return the numbers that were found in their unit, with an interval or None for each."""
+    if unknown is None:
         return None, ()
-    final = unit.factor * np.atleast_1d(np.array(entry["value"], dtype=float))
-    intervals = entry.get("interval")
-    if intervals is None or not isinstance(intervals[0], list | None):
-        intervals = [intervals]
-    scaled = [None if pair is None else (unit.factor * pair[0], unit.factor * pair[1]) for pair in intervals]
-    return final, tuple(scaled) if len(scaled) == final.size else (None,) * final.size
+    final = unit.factor * np.atleast_1d(np.array(unknown.value, dtype=float))
+    if isinstance(unknown, Designed):
+        return final, (None,) * final.size
+    _, intervals, _ = unknown.numbers()
+    return final, tuple(pair and (unit.factor * pair[0], unit.factor * pair[1]) for pair in intervals)
 
 
 # --- drawing ------------------------------------------------------------------------------------------------

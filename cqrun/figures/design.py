@@ -22,6 +22,7 @@ from cqrun.figures.views import of_equal_width, room_around, views, window
 from cqrun.plugin.contract import Array
 from cqrun.scene.paths import canonical, shapes_a_body
 from cqrun.scene.unknowns import body_of, start, tied
+from cqrun.store.result import values_in
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,7 +33,7 @@ def designed_quantities(run: RunData) -> dict[str, Array]:
 
     It is not a number in bodies whose own is as the scene says.
     """
-    if run.job != "codesign" or not (run.result or {}).get("unknowns"):
+    if run.job != "codesign" or not values_in(run.result):
         return {}
     particles = sample(run.scene)
     paths = [path for unknown, spec in run.scene.unknowns.items() for path in (unknown, *spec.also)]
@@ -54,7 +55,7 @@ def has_new_shape(run: RunData) -> bool:
 
 def _shape_before(run: RunData) -> dict[str, float]:
     """Return the starts of the unknowns that are geometry, and of what follows them, by path."""
-    unknowns = (run.result or {}).get("unknowns") or {}
+    unknowns = values_in(run.result)
     asked = [path for path in run.scene.unknowns if canonical(run.scene, path) in unknowns]
     starts = [tied(run.scene, path, start(run.scene, path)) for path in asked if run.scene.unknowns[path].per == "body"]
     return {path: value for each in starts for path, value in each.items() if shapes_a_body(path)}

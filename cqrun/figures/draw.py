@@ -14,10 +14,11 @@ from cqrun.figures.convergence import draw_convergence
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.losses import LOSS
 from cqrun.figures.overview import draw_overview
-from cqrun.figures.run_data import HISTORY, RESULT, TRACKS, TRAJECTORY, RunData, read_run
+from cqrun.figures.run_data import HISTORY, TRACKS, TRAJECTORY, RunData, read_run
 from cqrun.figures.style import save, styled
 from cqrun.figures.tracks import draw_recording
 from cqrun.store.atomic import make_directory
+from cqrun.store.result import RESULT, SysidResult
 from cqrun.store.run import read_record
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def require_files(run: RunData) -> None:
             run.require(RESULT, INCOMPLETE)
         if run.succeeded and run.job == "sysid":
             run.require(TRAJECTORY, INCOMPLETE)
-            if (run.result or {}).get("recordings"):
+            if isinstance(run.result, SysidResult) and run.result.recordings:
                 run.require(TRACKS, INCOMPLETE)
     elif not run.has_trajectory():
         raise UsageError(f"{run.path}: there is no {TRAJECTORY}: nothing to draw before the first frame")

@@ -13,6 +13,7 @@ from cqrun.figures.quantities import MILLI, Unit, capitalised
 from cqrun.figures.run_data import HISTORY, RunData
 from cqrun.optimizers.constrained import CONSTRAINT, KKT, VIOLATION
 from cqrun.plugin.contract import Array
+from cqrun.store.result import Search
 
 LOSS = "loss"
 """What all terms together are called among them."""
@@ -98,7 +99,7 @@ def term_curve(run: RunData, name: str) -> LossCurve:
 
 
 def _kept(run: RunData) -> int | None:
-    found, loss = (run.result or {}).get("loss"), run.history["loss"]
+    loss, found = run.history["loss"], run.result.loss if isinstance(run.result, Search) else None
     rows = np.flatnonzero(loss == (np.nan if found is None else found))
     return int(rows[-1]) if len(rows) and rows[-1] != len(loss) - 1 else None
 

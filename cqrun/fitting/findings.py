@@ -8,7 +8,6 @@ trajectory.h5   the first fitted case with the values found, which it names besi
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -28,49 +27,41 @@ from cqrun.running.observables import fracture_of
 from cqrun.running.trajectories import as_found, write_trajectory
 from cqrun.state import State
 from cqrun.store.atomic import write_table
+from cqrun.store.result import Identified, Interval, RecordingError, SysidResult, Value, write_result
 from cqrun.store.run import RunDirectory
 from cqrun.units import format_bytes
 
 MILLI = 1e3
 
 
-def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome) -> dict[str, Any]:
+def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome) -> SysidResult:
     """Write result.json and, unless the run failed or was stopped, tracks and trajectory; return the result."""
     params = problem.params
     values = params.unpack(outcome.x)
-    result: dict[str, Any] = {
-        "job": "sysid",
-        "status": outcome.status,
-        "message": outcome.message,
-        "loss": problem.unit * outcome.loss if np.isfinite(outcome.loss) else None,
-        "iterations": outcome.iterations,
-        "unknowns": {
-            b.path: {"initial": _plain(b.initial), "value": _plain(values[b.path]), "interval": None}
-            for b in params.blocks
-        },
-        "recordings": None,
-        "fracture": None,
-        "findings": [],
-    }
+    result = SysidResult(
+        status=outcome.status,
+        message=outcome.message,
+        loss=problem.unit * outcome.loss if np.isfinite(outcome.loss) else None,
+        iterations=outcome.iterations,
+        unknowns={b.path: Identified(initial=_plain(b.initial), value=_plain(values[b.path])) for b in params.blocks},
+    )
     if outcome.status == "stopped":
         _no_intervals(result, "the run was stopped; the values are those of where it stands")
     elif outcome.status != "failed":
         _add_intervals(result, problem, outcome)
         records = _predict(cases, values, problem, result)
-        result["loss"] = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
-        result["recordings"] = _errors(cases, records, values)
+        result.loss = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
+        result.recordings = _errors(cases, records, values)
         _write_tracks(run, cases, records, values)
         first = next(case for case in cases if not case.holdout).built  # one held out may blow up
         rollout = Rollout(first.model, first.assembly.inputs(values), threads=problem.threads)
         write_trajectory(run.path / "trajectory.h5", first, rollout, provenance=as_found(values))
     if outcome.status in ("iteration_limit", "stalled"):
-        result["findings"].append(
-            f"{outcome.status.replace('_', ' ')}: values and intervals are those of where it ended"
-        )
-    for sentence in result["findings"]:
+        result.findings.append(f"{outcome.status.replace('_', ' ')}: values and intervals are those of where it ended")
+    for sentence in result.findings:
         run.log(sentence)
     _tell_effort(run, problem)
-    run.write_result(result)
+    write_result(run.path, result)
     return result
 
 
@@ -97,14 +88,14 @@ def _tell_effort(run: RunDirectory, problem: FitProblem) -> None:
         run.add_facts(gradient={"recompute_factor": effort.recompute, "peak_bytes": effort.peak})
 
 
-def _plain(value: Array) -> Any:
+def _plain(value: Array) -> Value:
     return float(value) if np.ndim(value) == 0 else np.asarray(value).tolist()
 
 
 # --- intervals ----------------------------------------------------------------------------------------------
 
 
-def _add_intervals(result: dict[str, Any], problem: FitProblem, outcome: Outcome) -> None:
+def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -> None:
     unknowns = list_unknowns(problem, outcome.x)
     if not all(isinstance(o, MarkerObjective) for case in problem.cases for o in case.objectives):
         _no_intervals(result, "a target is met or missed: there is no noise to compute an interval from")
@@ -123,17 +114,16 @@ def _add_intervals(result: dict[str, Any], problem: FitProblem, outcome: Outcome
     found = intervals(jacobian, problem.residuals(outcome.x), problem.series(), unknowns)
     for block in problem.params.blocks:
         names = _names(block)
-        entry = result["unknowns"][block.path]
+        entry = result.unknowns[block.path]
         if isinstance(block, Spread):
-            entry["reason"] = "its values follow from fewer numbers, of a field or of mirrored pairs, and have no own"
+            entry.reason = "its values follow from fewer numbers, of a field or of mirrored pairs, and have no own"
             continue
-        entry["interval"] = (
-            [_pair(found.intervals[n]) for n in names] if block.initial.ndim else _pair(found.intervals[names[0]])
-        )
+        pairs = [_pair(found.intervals[n]) for n in names]
+        entry.interval = pairs if block.initial.ndim else pairs[0]
         reasons = {n: found.reasons[n] for n in names if n in found.reasons}
         if reasons:
-            entry["reason"] = "; ".join(dict.fromkeys(reasons.values()))
-    result["findings"] += [*found.findings, *_of_the_substep(problem, outcome.x, jacobian, unknowns, found)]
+            entry.reason = "; ".join(dict.fromkeys(reasons.values()))
+    result.findings += [*found.findings, *_of_the_substep(problem, outcome.x, jacobian, unknowns, found)]
 
 
 def _of_the_substep(
@@ -160,13 +150,13 @@ def _of_the_substep(
             )
 
 
-def _no_intervals(result: dict[str, Any], reason: str) -> None:
-    for entry in result["unknowns"].values():
-        entry["reason"] = reason
+def _no_intervals(result: SysidResult, reason: str) -> None:
+    for entry in result.unknowns.values():
+        entry.reason = reason
 
 
-def _pair(interval: tuple[float, float] | None) -> list[float] | None:
-    return None if interval is None else [float(interval[0]), float(interval[1])]
+def _pair(interval: Interval | None) -> Interval | None:
+    return None if interval is None else (float(interval[0]), float(interval[1]))
 
 
 def _names(block: Block) -> list[str]:
@@ -205,7 +195,7 @@ def find_jacobian(problem: FitProblem, x: Array, unknowns: Sequence[Unknown]) ->
 
 
 def _predict(
-    cases: list[Case], values: Mapping[str, Array], problem: FitProblem, result: dict[str, Any]
+    cases: list[Case], values: Mapping[str, Array], problem: FitProblem, result: SysidResult
 ) -> list[Records | None]:
     """Return every case's records with the values found, None where a held-out one blows up; note fractures."""
     records: list[Records | None] = []
@@ -222,26 +212,28 @@ def _predict(
             if not case.holdout:
                 raise
             records.append(None)
-            result["findings"].append(f"{case.name}: held out, and it blows up with the values found: {error}")
+            result.findings.append(f"{case.name}: held out, and it blows up with the values found: {error}")
         most |= {name: max(most[name], number) for name, number in fracture.most.items()}
-        result["findings"] += [f"{case.name}: {sentence}" for sentence in fracture.findings()]
-    result["fracture"] = most
+        result.findings += [f"{case.name}: {sentence}" for sentence in fracture.findings()]
+    result.fracture = most
     return records
 
 
-def _errors(cases: list[Case], records: list[Records | None], values: Mapping[str, Array]) -> dict[str, Any] | None:
+def _errors(
+    cases: list[Case], records: list[Records | None], values: Mapping[str, Array]
+) -> dict[str, RecordingError] | None:
     """Return RMSE and residual of the alignment [mm], by recording and marker; None where the data are no markers."""
-    found: dict[str, Any] = {}
+    found: dict[str, RecordingError] = {}
     for case, record in zip(cases, records, strict=True):
         objectives = [o for o in case.objectives if isinstance(o, MarkerObjective)]
         if not objectives:
             return None
-        entry: dict[str, Any] = {"holdout": case.holdout, "rmse_mm": None} | _alignment(case)
+        entry = RecordingError(holdout=case.holdout, rmse_mm=None, alignment_mm=_alignment(case))
         if record is not None:
             misfits = [o.misfit(record, case.start_of(values)) for o in objectives]
-            entry["rmse_mm"] = MILLI * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
+            entry.rmse_mm = MILLI * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
             if len(misfits) == 1:
-                entry["markers_mm"] = {
+                entry.markers_mm = {
                     name: None if np.isnan(rmse) else MILLI * rmse for name, rmse in misfits[0].markers.items()
                 }
         found[case.name] = entry
@@ -254,13 +246,12 @@ def alignments(cases: Sequence[Case]) -> Iterator[str]:
         yield from (f"{case.name}: {m.alignment}" for m in case.measured if m.alignment is not None)
 
 
-def _alignment(case: Case) -> dict[str, Any]:
-    """Return how far each marker is from its rest position after alignment [mm]; nothing where there was none."""
-    found: dict[str, Any] = {}
+def _alignment(case: Case) -> dict[str, float] | None:
+    """Return how far each marker is from its rest position after alignment [mm]; None where there was none."""
+    found = None
     for m in case.measured:
         if m.alignment is not None:
-            away = (MILLI * m.alignment.residuals).tolist()
-            found["alignment_mm"] = dict(zip(m.names, away, strict=True))
+            found = dict(zip(m.names, (MILLI * m.alignment.residuals).tolist(), strict=True))
     return found
 
 

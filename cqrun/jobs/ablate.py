@@ -18,11 +18,9 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -53,13 +51,15 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.paths import canonical, leaf, shapes_a_body
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start, tied
-from cqrun.store.atomic import make_directory, write_json, write_table
+from cqrun.store.atomic import write_table
+from cqrun.store.result import LearnedResult, Stage, require_result
 from cqrun.store.run import RECORD, RunScene, read_record
+from cqrun.store.study import Ablation, Mean, VariantRuns, read_ablation, write_study
 
 MOST_GROUPS = 3
 """All combinations of more are too many runs: none, each alone and all are compared instead."""
 
-NOTHING: dict[str, float | None] = {"mean": None, "low": None, "high": None}
+NOTHING = Mean(mean=None, low=None, high=None)
 """What a variant is of which every run has failed."""
 
 CONTROL, ALL = "control", "all"
@@ -131,12 +131,10 @@ def run_ablation(
     _run(everyone, at_once, "runs", talk, len(variants))
     result = summary(source.stem, scene, variants, runs)
     for v in variants:
-        result["variants"][v.name] |= {"rate": (best[v.name] or "").partition("=")[2] or None}
-        if searched:
-            result["variants"][v.name]["searched"] = searched[v.name]
+        result.variants[v.name].rate = (best[v.name] or "").partition("=")[2] or None
+        result.variants[v.name].searched = searched.get(v.name)
     path = out / source.stem / f"ablation-{_name(inputs_of(source, scene, None, 'codesign'), rates)}-{seeds}.json"
-    make_directory(path.parent)
-    write_json(path, result)
+    write_study(path, result)
     write_table(path.with_suffix(".csv"), _table(result))
     return path, all(map(has_ended, everyone)) and not _none_is_feasible(result)
 
@@ -172,8 +170,8 @@ class _Members:
 
 def _best_rate(scene: Scene, trials: Mapping[str | None, Member]) -> tuple[str | None, dict[str, float | None]]:
     """Return the override of the rate whose trial ended best, and every rate's loss, None where it failed."""
-    found = {rate: _result(trial.run) for rate, trial in trials.items() if has_ended(trial)}
-    losses = {str(rate).partition("=")[2]: found[rate]["trained"]["loss"] if rate in found else None for rate in trials}
+    found = {rate: require_result(trial.run, LearnedResult) for rate, trial in trials.items() if has_ended(trial)}
+    losses = {str(rate).partition("=")[2]: _after(found[rate]).loss if rate in found else None for rate in trials}
     ranks = {rate: _rank(scene, result) for rate, result in found.items()}
     return min(ranks, key=ranks.__getitem__, default=next(iter(trials))), losses
 
@@ -255,74 +253,73 @@ def _blew_up(member: Member) -> bool:
     return (member.run / RECORD).exists() and read_record(member.run)["status"] == "failed"
 
 
-def _result(run: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((run / "result.json").read_text())
-    return found
+def _after(result: LearnedResult) -> Stage:
+    """Return the episodes after the training, which a run that has ended has."""
+    assert result.trained is not None
+    return result.trained
 
 
-def _rank(scene: Scene, result: dict[str, Any]) -> tuple[float, float, float]:
+def _rank(scene: Scene, result: LearnedResult) -> tuple[float, float, float]:
     """Return what orders results, as the optimizers order points."""
     assert scene.optimizer is not None
     tolerance = getattr(scene.optimizer.value, "constraint_tolerance", 0.0)
-    held = result["constraints"].items() if result["status"] == INFEASIBLE else ()
-    excess = np.array([entry["violation"] / scene.constraints[name].scale for name, entry in held])
-    return ranked(excess, float(result["trained"]["loss"]), tolerance)
+    held = result.constraints.items() if result.status == INFEASIBLE else ()
+    excess = np.array([found.violation / scene.constraints[name].scale for name, found in held])
+    return ranked(excess, _after(result).loss, tolerance)
 
 
 # --- what they say ------------------------------------------------------------------------------------------------
 
 
-def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str, list[Member]]) -> dict[str, Any]:
+def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str, list[Member]]) -> Ablation:
     """Return every variant's terms, gains over control alone, and effects of the groups on the first term."""
-    results = {v.name: [_result(run.run) for run in runs[v.name] if has_ended(run)] for v in variants}
+    results = {
+        v.name: [require_result(run.run, LearnedResult) for run in runs[v.name] if has_ended(run)] for v in variants
+    }
     compared = next(iter(scene.objective))
     sense = scene.objective[compared].value.sense  # type: ignore[attr-defined]
-    feasible = {name: [one for one in each if one["status"] != INFEASIBLE] for name, each in results.items()}
+    feasible = {name: [one for one in each if one.status != INFEASIBLE] for name, each in results.items()}
     met = {name: len(each) for name, each in feasible.items()}
     shown = {name: each or results[name] for name, each in feasible.items()}
     values = {
-        name: [one["trained"]["terms"][compared] for one in each]
+        name: [_after(one).terms[compared] for one in each]
         for name, each in results.items()
         if met[name] == len(runs[name])
     }
-    return {
-        "scene": stem,
-        "confidence": CONFIDENCE,
-        "compared": compared,
-        "better": "greater" if sense < 0 else "smaller",
-        "variants": {
-            v.name: {
-                "free": list(v.groups),
-                "runs": [str(run.run) for run in runs[v.name]],
-                "failed": {run.name: run.failure for run in runs[v.name] if not has_ended(run)},
-                "feasible": met[v.name] if scene.constraints else None,
-                "terms": _means(shown[v.name], scene.objective, lambda one, name: one["trained"]["terms"][name]),
-                "constraints": _means(
-                    results[v.name], scene.constraints, lambda one, name: one["constraints"][name]["value"]
-                ),
-                "gain": _gain(values.get(v.name), values.get(CONTROL), sense),
-            }
+    return Ablation(
+        scene=stem,
+        confidence=CONFIDENCE,
+        compared=compared,
+        better="greater" if sense < 0 else "smaller",
+        variants={
+            v.name: VariantRuns(
+                free=list(v.groups),
+                runs=[str(run.run) for run in runs[v.name]],
+                failed={run.name: str(run.failure) for run in runs[v.name] if not has_ended(run)},
+                feasible=met[v.name] if scene.constraints else None,
+                terms=_means(shown[v.name], scene.objective, lambda one, name: _after(one).terms[name]),
+                constraints=_means(results[v.name], scene.constraints, lambda one, name: one.constraints[name].value),
+                gain=_gain(values.get(v.name), values.get(CONTROL), sense),
+            )
             for v in variants
         },
-        "effects": {
+        effects={
             group: interval(added.tolist())
             for group, added in effects(
                 {frozenset(v.groups): np.array(values[v.name]) for v in variants if v.name in values}
             ).items()
         },
-    }
+    )
 
 
 def _means(
-    results: Sequence[dict[str, Any]], names: Iterable[str], value: Callable[[dict[str, Any], str], float]
-) -> dict[str, dict[str, float | None]]:
+    results: Sequence[LearnedResult], names: Iterable[str], value: Callable[[LearnedResult, str], float]
+) -> dict[str, Mean]:
     """Return means over the runs that have a result; of nothing, nothing."""
-    return {name: interval([value(one, name) for one in results]) if results else dict(NOTHING) for name in names}
+    return {name: interval([value(one, name) for one in results]) if results else NOTHING for name in names}
 
 
-def _gain(
-    values: Sequence[float] | None, control: Sequence[float] | None, sense: float
-) -> dict[str, float | None] | None:
+def _gain(values: Sequence[float] | None, control: Sequence[float] | None, sense: float) -> Mean | None:
     """Return by which part of control's mean the values are better, seed by seed; None where that is nought."""
     if values is None or control is None or float(np.mean(control)) == 0.0:
         return None
@@ -349,50 +346,50 @@ def effects(by_free: Mapping[frozenset[str], Array]) -> dict[str, Array]:
     return found
 
 
-def _table(result: dict[str, Any]) -> Iterator[list[object]]:
+def _table(result: Ablation) -> Iterator[list[object]]:
     """Yield a row a variant: mean and interval of every term, of every constraint and of the gain."""
-    for k, (name, entry) in enumerate(result["variants"].items()):
-        held = {f"constraint:{constraint}": found for constraint, found in entry["constraints"].items()}
-        numbers = {**entry["terms"], **held, "gain": entry["gain"] or {}}
+    for k, (name, entry) in enumerate(result.variants.items()):
+        held = {f"constraint:{constraint}": found for constraint, found in entry.constraints.items()}
+        numbers = {**entry.terms, **held, "gain": entry.gain or NOTHING}
         if k == 0:
             columns = [f"{column}:{end}" for column in numbers for end in ("mean", "low", "high")]
             yield ["variant", "rate", "seeds", *(["feasible"] if held else []), *columns]
-        ends = [n.get(end) for n in numbers.values() for end in ("mean", "low", "high")]
-        yield [name, entry["rate"], len(entry["runs"]), *([entry["feasible"]] if held else []), *ends]
+        ends = [end for n in numbers.values() for end in (n.mean, n.low, n.high)]
+        yield [name, entry.rate, len(entry.runs), *([entry.feasible] if held else []), *ends]
 
 
-def _none_is_feasible(result: Mapping[str, Any]) -> bool:
+def _none_is_feasible(result: Ablation) -> bool:
     """Say whether there are constraints, and no run of any variant meets them."""
-    counts = [entry["feasible"] for entry in result["variants"].values()]
+    counts = [entry.feasible for entry in result.variants.values()]
     return not any(counts) and any(count is not None for count in counts)
 
 
 def ablation_lines(path: Path) -> list[str]:
     """Return an ablation as lines for a terminal."""
-    result = json.loads(path.read_text())
-    compared, variants = result["compared"], result["variants"]
-    seeds = len(next(iter(variants.values()))["runs"])
+    result = read_ablation(path)
+    compared, variants = result.compared, result.variants
+    seeds = len(next(iter(variants.values())).runs)
     rows = [
         (
             name,
-            entry["rate"] or "",
-            "failed" if entry["terms"][compared]["mean"] is None else shown(entry["terms"][compared]),
-            "" if entry["gain"] is None or name == CONTROL else f"{entry['gain']['mean']:+.1%}",
-            *([] if entry["feasible"] is None else [f"{entry['feasible']} of {seeds}"]),
+            entry.rate or "",
+            "failed" if entry.terms[compared].mean is None else shown(entry.terms[compared]),
+            "" if entry.gain is None or name == CONTROL else f"{entry.gain.mean:+.1%}",
+            *([] if entry.feasible is None else [f"{entry.feasible} of {seeds}"]),
         )
         for name, entry in variants.items()
     ]
-    head, sure = ("free", "rate", compared, "gain", "feasible")[: len(rows[0])], f"{result['confidence']:.0%}"
-    effects = sorted(result["effects"].items(), key=lambda item: -abs(item[1]["mean"]))
-    lost = {name: [rate for rate, loss in entry.get("searched", {}).items() if loss is None]
+    head, sure = ("free", "rate", compared, "gain", "feasible")[: len(rows[0])], f"{result.confidence:.0%}"
+    effects = sorted(result.effects.items(), key=lambda item: -abs(item[1].mean or 0.0))
+    lost = {name: [rate for rate, loss in (entry.searched or {}).items() if loss is None]
             for name, entry in variants.items()}  # fmt: skip
     return [
         f"{len(variants)} variants from {'one seed' if seeds == 1 else f'{seeds} seeds; mean and {sure} interval'}; "
-        f"{result['better']} is better",
+        f"{result.better} is better",
         "",
         *table(head, rows),
         *(f"note: {name} failed with rate {listed(rates)}" for name, rates in lost.items() if rates),
-        *(f"{name} failed: {why.partition(';')[0]}" for e in variants.values() for name, why in e["failed"].items()),
+        *(f"{name} failed: {why.partition(';')[0]}" for e in variants.values() for name, why in e.failed.items()),
         *(["no run of any variant meets the constraints"] if _none_is_feasible(result) else []),
         *(["", *table(("freeing it adds", compared), [(name, shown(of)) for name, of in effects])] if effects else []),
         f"ablation: {path}",

@@ -19,7 +19,6 @@ A run goes on from here: its scene, and what it found.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -50,6 +49,7 @@ from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import body_of, groups_of
 from cqrun.state import State
+from cqrun.store.result import read_result, values_in
 from cqrun.store.run import read_record
 
 Values = Mapping[str, Any]
@@ -332,10 +332,7 @@ def _found_in(run: Path) -> dict[str, Any]:
     if (run / FILE).is_file():
         parameters, meta = read_controller(run / FILE)
         return {CONTROLLER + name: value for name, value in parameters.items()} | meta.get("unknowns", {})
-    if not (run / "result.json").is_file():
-        return {}
-    unknowns = json.loads((run / "result.json").read_text()).get("unknowns", {})
-    return {path: entry["value"] for path, entry in unknowns.items()}
+    return dict(values_in(read_result(run)))
 
 
 def _numbers(path: str, value: Any) -> Array:

@@ -18,9 +18,8 @@ is a random linear function of the final state, by every number of the scene tha
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Final
 
 import numpy as np
 
@@ -47,7 +46,7 @@ from cqrun.running.runs import (
 )
 from cqrun.running.threads import cores
 from cqrun.scene.load import load_scene
-from cqrun.store.atomic import write_json
+from cqrun.store.result import Direction, GradcheckResult, Verdict, write_result
 from cqrun.store.run import RunDirectory
 
 ALL_STEPS = 1e-2 * 4.0 ** -np.arange(19)
@@ -71,8 +70,11 @@ MOST = 10.0
 FAR = 3.0
 """Times a plateau's scatter beyond which an adjoint is wrong, however rough the differences are."""
 
-AGREES, FLAT, TOO_ROUGH, DISAGREES = "agrees", "flat", "too rough", "disagrees"
-TOLD = {
+AGREES: Final = "agrees"
+FLAT: Final = "flat"
+TOO_ROUGH: Final = "too rough"
+DISAGREES: Final = "disagrees"
+TOLD: dict[Verdict, str] = {
     AGREES: "",
     FLAT: "flat: nothing to compare",
     TOO_ROUGH: "TOO ROUGH TO TELL",
@@ -80,44 +82,13 @@ TOLD = {
 }
 """Verdicts, and what the table says."""
 
-SUMMARY = {
+SUMMARY: dict[Verdict, str] = {
     AGREES: "adjoint and differences agree",
     TOO_ROUGH: "differences are too rough to tell whether the adjoint is right",
     DISAGREES: "adjoint and differences disagree",
 }
 
-FILE = "gradcheck.json"
 ALL = "all together"
-
-
-@dataclass(frozen=True)
-class Row:
-    """One direction.
-
-    Attributes:
-        block: key path that is moved, or `all together`.
-        count: how many numbers it has.
-        adjoint: directional derivative by the adjoint.
-        differences: the same by differences, on the plateau; None where every step's rollout failed.
-        error: |adjoint - differences| / the larger of the two, or None.
-        step: of the plateau.
-        noise: what rounding can make of a difference there, or the scan's own scatter.
-        scan: E at every step; None where a rollout failed.
-        verdict: AGREES; FLAT: both are below what rounding makes, and there is nothing to compare; TOO_ROUGH: they
-            differ by no more than a few times the scan's scatter, which is large, or it is as large as they; DISAGREES.
-        agrees: the verdict is one of the first two.
-    """
-
-    block: str
-    count: int
-    adjoint: float
-    differences: float | None
-    error: float | None
-    step: float
-    noise: float
-    scan: list[float | None]
-    verdict: str
-    agrees: bool
 
 
 def run_gradcheck(
@@ -180,7 +151,7 @@ def check_gradient(
     run: RunDirectory, built: Built, cases: list[Case] | None, episodes: EpisodeProblem | None, threads: int,
     talk: Reporter,
 ) -> tuple[Path, bool]:  # fmt: skip
-    """Check every direction; write gradcheck.json."""
+    """Check every direction; write the result."""
     compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=True)
     run.begin(threads)
     if has_data(built) and cases is None:
@@ -197,7 +168,7 @@ def check_gradient(
         raise RunError(f"{run.path}: at the start itself: {error}") from error
     talk.phase(f"checking {len(loss.params.blocks)} blocks by {2 * len(STEPS)} rollouts each")
     chosen = directions(loss.params, np.random.default_rng(built.scene.seed))
-    rows: list[Row] = []
+    rows: list[Direction] = []
     for number, (block, d) in enumerate(chosen.items()):
         if talk.stop.asked:
             run.finish("stopped", f"stopped after {number} of {len(chosen)} directions")
@@ -205,16 +176,15 @@ def check_gradient(
         talk.advance(number, len(chosen), f"{number} of {len(chosen)} directions, now {block}")
         rows.append(check_direction(block, loss, value, gradient, d, built.scene.precision))
     agrees, steps = all(row.agrees for row in rows), ALL_STEPS[: max(len(row.scan) for row in rows)].tolist()
-    found = {"job": "gradcheck", "agrees": agrees, "loss": value, "of": loss.words, "steps": steps}
-    write_json(run.path / FILE, found | {"rows": [asdict(row) for row in rows]})
+    write_result(run.path, GradcheckResult(agrees=agrees, loss=value, of=loss.words, steps=steps, rows=rows))
     run.finish("done" if agrees else "failed", SUMMARY[_worst(row.verdict for row in rows)])
     return run.path, agrees
 
 
-def _worst(verdicts: Iterable[str]) -> str:
+def _worst(verdicts: Iterable[Verdict]) -> Verdict:
     """Return the verdict on all directions together."""
     held = set(verdicts)
-    return next((verdict for verdict in (DISAGREES, TOO_ROUGH) if verdict in held), AGREES)
+    return DISAGREES if DISAGREES in held else TOO_ROUGH if TOO_ROUGH in held else AGREES
 
 
 def directions(params: Params, rng: np.random.Generator) -> dict[str, Array]:
@@ -234,7 +204,7 @@ def directions(params: Params, rng: np.random.Generator) -> dict[str, Array]:
     return found
 
 
-def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Array, precision: str) -> Row:
+def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Array, precision: str) -> Direction:
     """Return what differences along one direction say of the gradient (n,)."""
     adjoint, count = float(gradient @ d), int(np.count_nonzero(d))
     eps, large = float(np.finfo(precision).eps), float(max(abs(value), loss.scale))
@@ -245,19 +215,23 @@ def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Ar
     differences, step = float(scan[best]), float(ALL_STEPS[best])
     noise = max(float(floor[best]), scatter(scan, best))
     shown = [float(e) if np.isfinite(e) else None for e in scan]
+    found = Direction(
+        block=block, count=count, adjoint=adjoint, differences=None, error=None, step=step, noise=noise, scan=shown,
+        verdict=DISAGREES, agrees=False,
+    )  # fmt: skip
     if not np.isfinite(differences):
-        return Row(block, count, adjoint, None, None, step, noise, shown, DISAGREES, False)
+        return found
     size, off = max(abs(adjoint), abs(differences)), abs(adjoint - differences)
     error = off / size if size > 0 else 0.0
+    found.differences, found.error = differences, error
     if size <= floor[best]:
-        verdict = FLAT
+        found.verdict = FLAT
     elif error <= TOLERANCE[precision] or off <= noise <= ROUGH * size:
-        verdict = AGREES
+        found.verdict = AGREES
     elif noise > ROUGH * size and (off <= FAR * noise or noise > max(float(floor[best]), abs(differences))):
-        verdict = TOO_ROUGH
-    else:
-        verdict = DISAGREES
-    return Row(block, count, adjoint, differences, error, step, noise, shown, verdict, verdict in (AGREES, FLAT))
+        found.verdict = TOO_ROUGH
+    found.agrees = found.verdict in (AGREES, FLAT)
+    return found
 
 
 def _central(loss: Loss, d: Array, h: float) -> float:
@@ -322,22 +296,17 @@ def scatter(scan: Array, best: int) -> float:
     return float(np.nanmax(change)) if np.isfinite(change).any() else 0.0
 
 
-def lines_of(found: dict[str, Any]) -> list[str]:
-    """Return the table of a gradcheck.json."""
-    width = max(len(row["block"]) for row in found["rows"])
-    lines = [f"gradient of {found['of']} = {found['loss']:.6g}"]
+def lines_of(result: GradcheckResult) -> list[str]:
+    """Return the table of a check."""
+    width = max(len(row.block) for row in result.rows)
+    lines = [f"gradient of {result.of} = {result.loss:.6g}"]
     lines.append(f"{'block':{width}}  numbers  {'adjoint':>14}  {'differences':>14}  {'error':>8}  {'step':>8}")
-    for row in found["rows"]:
-        head = f"{row['block']:{width}}  {row['count']:7d}  {row['adjoint']:14.7e}"
-        if row["differences"] is None:
+    for row in result.rows:
+        head = f"{row.block:{width}}  {row.count:7d}  {row.adjoint:14.7e}"
+        if row.differences is None:
             lines.append(f"{head}  every step's rollout failed: DISAGREES")
-            continue
-        told = TOLD[_verdict(row)]
-        lines.append(f"{head}  {row['differences']:14.7e}  {row['error']:8.1e}  {row['step']:8.1e}  {told}".rstrip())
-    lines.append(SUMMARY[_worst(map(_verdict, found["rows"]))].replace("disagree", "DISAGREE"))
+        else:
+            told = TOLD[row.verdict]
+            lines.append(f"{head}  {row.differences:14.7e}  {row.error:8.1e}  {row.step:8.1e}  {told}".rstrip())
+    lines.append(SUMMARY[_worst(row.verdict for row in result.rows)].replace("disagree", "DISAGREE"))
     return lines
-
-
-def _verdict(row: dict[str, Any]) -> str:
-    """Return a row's verdict; runs of older engines have none."""
-    return str(row.get("verdict", AGREES if row["agrees"] else DISAGREES))

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from cqrun.errors import UsageError
-from cqrun.jobs.gradcheck import FILE as GRADCHECK
 from cqrun.jobs.gradcheck import lines_of
 from cqrun.learning.learned import STAGES, blown_up
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
+from cqrun.store.result import (
+    ConstraintValue,
+    Designed,
+    GradcheckResult,
+    Identified,
+    Interval,
+    LearnedResult,
+    SimulateResult,
+    SysidResult,
+    Value,
+    read_result,
+)
 from cqrun.store.run import read_record
 
 MANY = 8
@@ -26,25 +35,16 @@ def report_lines(run_dir: Path) -> list[str]:
     Raises:
         UsageError: it is no run, or what it found cannot be read.
     """
-    record = read_record(run_dir)
-    if record["job"] == "gradcheck":
-        found = _read(run_dir / GRADCHECK)
-        return [_status(record)] if found is None else lines_of(found)
-    result = _read(run_dir / "result.json")
+    record, result = read_record(run_dir), read_result(run_dir)
     if result is None:
         return [_status(record)]
-    tell = {"sysid": lambda: _sysid(run_dir, result), "simulate": lambda: _simulate(result)}
-    return [*tell.get(record["job"], lambda: _control(result))(), *_pictures(run_dir)]
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    if not path.exists():
-        return None
-    try:
-        found: dict[str, Any] = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: unreadable ({error}); run the scene again with --fresh") from error
-    return found
+    if isinstance(result, GradcheckResult):
+        return lines_of(result)
+    if isinstance(result, SysidResult):
+        lines = _sysid(run_dir, result)
+    else:
+        lines = _simulate(result) if isinstance(result, SimulateResult) else _control(result)
+    return [*lines, *_pictures(run_dir)]
 
 
 def _status(record: dict[str, Any]) -> str:
@@ -54,98 +54,99 @@ def _status(record: dict[str, Any]) -> str:
 # --- sysid --------------------------------------------------------------------------------------------------
 
 
-def _sysid(run_dir: Path, result: dict[str, Any]) -> Iterator[str]:
+def _sysid(run_dir: Path, result: SysidResult) -> Iterator[str]:
     scene = load_scene(run_dir / "scene.yaml", (), Path(str(read_record(run_dir).get("base", ""))))
-    yield f"{result['status']} after {result['iterations']} iterations: {result['message']}"
+    yield f"{result.status} after {result.iterations} iterations: {result.message}"
     yield ""
     yield from table(
         ("unknown", "value", "95 % interval", "unit", "from"),
-        [row for path, entry in result["unknowns"].items() for row in _unknown(scene, path, entry)],
+        [row for path, found in result.unknowns.items() for row in _unknown(scene, path, found)],
     )
-    reasons = {path: entry["reason"] for path, entry in result["unknowns"].items() if entry.get("reason")}
+    reasons = {path: found.reason for path, found in result.unknowns.items() if found.reason}
     if reasons:
         yield ""
-        if len(reasons) == len(result["unknowns"]) and len(set(reasons.values())) == 1:
+        if len(reasons) == len(result.unknowns) and len(set(reasons.values())) == 1:
             yield f"no intervals: {next(iter(reasons.values()))}"
         else:
             yield from (f"no interval for {path}: {reason}" for path, reason in reasons.items())
     yield ""
     yield from _errors(result)
-    yield from (f"note: {sentence}" for sentence in result.get("findings", []))
+    yield from (f"note: {sentence}" for sentence in result.findings)
 
 
-def _unknown(scene: Scene, path: str, entry: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+def _unknown(scene: Scene, path: str, found: Identified) -> Iterator[tuple[str, ...]]:
     unit = leaf(scene, path).unit
-    value, initial, interval = entry["value"], entry["initial"], entry["interval"]
-    if not isinstance(value, list):
-        yield path, number(value), _interval(interval), unit, number(initial)
-    elif len(value) > MANY:
-        yield path, f"{number(min(value))} ... {number(max(value))}", f"{len(value)} numbers", unit, number(initial[0])
-    else:
-        pairs = interval if interval is not None else [None] * len(value)
-        for k, (v, i, pair) in enumerate(zip(value, initial, pairs, strict=True)):
-            yield f"{path}[{k}]", number(v), _interval(pair), unit, number(i)
+    values, intervals, initials = found.numbers()
+    if len(values) > MANY:
+        ends = f"{number(min(values))} ... {number(max(values))}"
+        yield path, ends, f"{len(values)} numbers", unit, number(initials[0])
+        return
+    for k, (value, interval, initial) in enumerate(zip(values, intervals, initials, strict=True)):
+        name = f"{path}[{k}]" if isinstance(found.value, list) else path
+        yield name, number(value), _interval(interval), unit, number(initial)
 
 
-def _interval(pair: list[float] | None) -> str:
+def _interval(pair: Interval | None) -> str:
     return "none" if pair is None else f"{number(pair[0])} to {number(pair[1])}"
 
 
-def _errors(result: dict[str, Any]) -> Iterator[str]:
-    if result["recordings"] is None:
-        if result["loss"] is not None:
-            yield f"loss {result['loss']:.6g} m^2"
+def _errors(result: SysidResult) -> Iterator[str]:
+    if result.recordings is None:
+        if result.loss is not None:
+            yield f"loss {result.loss:.6g} m^2"
         return
     rows = []
-    for name, entry in result["recordings"].items():
-        rmse = "blew up" if entry["rmse_mm"] is None else f"{entry['rmse_mm']:.3f}"
-        markers = entry.get("markers_mm", {})
+    for name, found in result.recordings.items():
+        rmse = "blew up" if found.rmse_mm is None else f"{found.rmse_mm:.3f}"
+        markers = found.markers_mm or {}
         by_marker = ", ".join(f"{m} {'unseen' if e is None else f'{e:.3f}'}" for m, e in markers.items())
-        rows.append((name, "held out" if entry["holdout"] else "fitted", rmse, by_marker if len(markers) <= 12 else ""))
+        rows.append((name, "held out" if found.holdout else "fitted", rmse, by_marker if len(markers) <= 12 else ""))
     yield from table(("recording", "", "RMSE [mm]", "by marker [mm]"), rows)
-    for name, entry in result["recordings"].items():
-        if away := entry.get("alignment_mm", {}).values():
+    for name, found in result.recordings.items():
+        if away := (found.alignment_mm or {}).values():
             yield f"{name}: aligned to the rest positions within {min(away):.2f} to {max(away):.2f} mm"
 
 
 # --- control ------------------------------------------------------------------------------------------------
 
 
-def _control(result: dict[str, Any]) -> Iterator[str]:
-    yield f"{result['status']} after {result['iterations']} iterations: {result['message']}"
-    columns = [name for name in STAGES if result[name] is not None]
-    if not columns:
+def _control(result: LearnedResult) -> Iterator[str]:
+    yield f"{result.status} after {result.iterations} iterations: {result.message}"
+    stages = result.stages()
+    if not stages:
         return
     yield ""
-    rows = [(term, *(number(result[c]["terms"][term]) for c in columns)) for term in result[columns[0]]["terms"]]
-    rows.append(("loss", *(number(result[c]["loss"]) for c in columns)))
-    yield from table(("term", *(STAGES[c] for c in columns)), rows)
+    terms = next(iter(stages.values())).terms
+    rows = [(term, *(number(stage.terms[term]) for stage in stages.values())) for term in terms]
+    rows.append(("loss", *(number(stage.loss) for stage in stages.values())))
+    yield from table(("term", *(STAGES[name] for name in stages)), rows)
     yield from blown_up(result)
-    if result.get("constraints"):
+    if result.constraints:
         yield ""
-        held = [(name, *_held(entry)) for name, entry in result["constraints"].items()]
+        held = [(name, *_held(found)) for name, found in result.constraints.items()]
         yield from table(("constraint", "wanted", "before", "learned", "violated by"), held)
-    if result["unknowns"]:
+    if result.unknowns:
         yield ""
-        design = [(path, _range(e["initial"]), _range(e["value"]), _ends(e)) for path, e in result["unknowns"].items()]
+        design = [(path, _range(u.initial), _range(u.value), _ends(u)) for path, u in result.unknowns.items()]
         yield from table(("unknown", "before", "learned", "at its bounds"), design)
 
 
-def _held(entry: dict[str, Any]) -> tuple[str, ...]:
-    words = {"at_least": "at least", "at_most": "at most", "equals": ""}
-    wanted = ", ".join(f"{word} {number(entry[end])}".strip() for end, word in words.items() if end in entry)
-    return wanted, *(number(entry[stage]) for stage in ("start", "value", "violation") if stage in entry)
+def _held(found: ConstraintValue) -> tuple[str, ...]:
+    """Return what a constraint asks for, and its numbers: before where there is one, now, and the violation."""
+    ends = {"at least": found.at_least, "at most": found.at_most, "": found.equals}
+    wanted = ", ".join(f"{word} {number(end)}".strip() for word, end in ends.items() if end is not None)
+    return wanted, *(number(n) for n in (found.start, found.value, found.violation) if n is not None)
 
 
-def _ends(entry: dict[str, Any]) -> str:
+def _ends(found: Designed) -> str:
     """Return how many of an unknown's numbers are at its bounds."""
-    ends = entry.get("at_bounds", {})
-    count = len(entry["value"]) if isinstance(entry["value"], list) else 1
-    found = ", ".join(f"{n:,} {end}" if count > 1 else end for end, n in ends.items() if n)
-    return f"{found} of {count:,}" if found and count > 1 else found
+    ends = {"lower": found.at_bounds.lower, "upper": found.at_bounds.upper}
+    count = len(found.value) if isinstance(found.value, list) else 1
+    told = ", ".join(f"{n:,} {end}" if count > 1 else end for end, n in ends.items() if n)
+    return f"{told} of {count:,}" if told and count > 1 else told
 
 
-def _range(value: Any) -> str:
+def _range(value: Value) -> str:
     """Return one number, or the least, mean and greatest of many."""
     if not isinstance(value, list):
         return number(value)
@@ -156,29 +157,29 @@ def _range(value: Any) -> str:
 # --- simulate -----------------------------------------------------------------------------------------------
 
 
-def _simulate(result: dict[str, Any]) -> Iterator[str]:
-    yield f"{result['status']}: {result['message']}"
+def _simulate(result: SimulateResult) -> Iterator[str]:
+    yield f"{result.status}: {result.message}"
     yield ""
     rows = [
         (
             body,
-            ", ".join(number(c) for c in entry["centroid"]),
-            number(entry["fastest"]),
-            number(entry["least_volume_ratio"]),
-            number(entry["kinetic_energy"]),
+            ", ".join(number(c) for c in motion.centroid),
+            number(motion.fastest),
+            number(motion.least_volume_ratio),
+            number(motion.kinetic_energy),
         )
-        for body, entry in result["bodies"].items()
+        for body, motion in result.bodies.items()
     ]
     yield from table(("body", "centroid at the end [m]", "fastest [m/s]", "least volume ratio", "kinetic energy"), rows)
-    if "terms" in result:
-        values = {**result["terms"], "loss": result["loss"]}
+    if result.terms is not None and result.loss is not None:
+        values = {**result.terms, "loss": result.loss}
         yield ""
         yield from table(("term", "value"), [(name, number(value)) for name, value in values.items()])
-    if result.get("constraints"):
-        held = [(name, *_held(entry)) for name, entry in result["constraints"].items()]
+    if result.constraints:
+        held = [(name, *_held(found)) for name, found in result.constraints.items()]
         yield ""
         yield from table(("constraint", "wanted", "value", "violated by"), held)
-    yield from (f"note: {sentence}" for sentence in result["findings"])
+    yield from (f"note: {sentence}" for sentence in result.findings)
 
 
 # --- everywhere ---------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -56,6 +55,7 @@ from cqrun.scene.paths import get
 from cqrun.scene.schema import Scene
 from cqrun.state import State
 from cqrun.store.atomic import write_bytes
+from cqrun.store.result import RESULT, BodyMotion, SimulateResult, write_result
 from cqrun.store.run import FINISHED, RunDirectory, read_record
 
 UNTRAINED = "the controller has learned nothing yet: it acts with the parameters that it starts from"
@@ -156,11 +156,11 @@ def _identified_by(run: Path, talk: Reporter) -> Path | None:
     if record.get("job") != "sysid":
         return run / IDENTIFIED if (run / IDENTIFIED).is_file() else None
     status, why = record["status"], f": {record['reason']}" if record.get("reason") else ""
-    if status == "failed" or not (run / "result.json").is_file():
+    if status == "failed" or not (run / RESULT).is_file():
         raise UsageError(f"{run}: has identified nothing to replay ({status}{why}); to run its scene give the file")
     if status not in FINISHED:
         talk.phase("the run is not finished: the values act where it stands")
-    return run / "result.json"
+    return run / RESULT
 
 
 def _kept_values(built: Built, identified: Path | None) -> dict[str, Array]:
@@ -259,7 +259,7 @@ def simulate(
                 path, built, rollout, should_stop=lambda: talk.stop.asked, progress=observe, provenance=seen
             )
         except RolloutError as error:
-            run.write_result(_result(built, watch, "failed", str(error), reached))
+            write_result(run.path, _result(built, watch, "failed", str(error), reached))
             run.finish("failed", str(error))
             raise RunError(f"{run.path}: {error}") from error
         if not complete:
@@ -270,28 +270,28 @@ def simulate(
             )
     result = _result(built, watch, "done", f"{time.duration:g} s simulated", reached)
     if agent is not None and FILE not in run.record["files"]:
-        result["findings"].append(UNTRAINED)
+        result.findings.append(UNTRAINED)
     if agent is not None:
-        result |= _acted(run, agent, rollout, records)
-    for sentence in result["findings"]:
+        _tell_acted(result, run, agent, rollout, records)
+    for sentence in result.findings:
         talk.warn(sentence)
         run.log(sentence)
-    result["findings"] += otherwise
-    run.write_result(result)
-    run.finish("done", result["message"])
+    result.findings += otherwise
+    write_result(run.path, result)
+    run.finish("done", result.message)
     return run.path
 
 
-def _acted(run: RunDirectory, agent: Agent, rollout: Rollout, records: Records) -> dict[str, Any]:
-    """Write what drove the actuators; return what a result says of an agent: goals, terms, constraints."""
+def _tell_acted(result: SimulateResult, run: RunDirectory, agent: Agent, rollout: Rollout, records: Records) -> None:
+    """Write what drove the actuators; add to a result what an agent did: goals, terms, constraints."""
     write_activation(run.path / "activation.csv", agent.built, rollout.activation)
     goals = agent.goals_in_the_middle
     found, departure = agent.judged(rollout, records, goals), _departure(agent)
-    said: dict[str, Any] = {"goals": {name: goal.tolist() for name, goal in goals.items()}}
+    result.goals = {name: goal.tolist() for name, goal in goals.items()}
     if found.terms:
-        terms = {name: float(value) for name, value in found.terms.items()} | departure
-        said |= {"loss": float(found.loss) + sum(departure.values()), "terms": terms}
-    return said | {"constraints": constraints_of(agent.built.scene, [found])}
+        result.loss = float(found.loss) + sum(departure.values())
+        result.terms = {name: float(value) for name, value in found.terms.items()} | departure
+    result.constraints = constraints_of(agent.built.scene, [found])
 
 
 def _departure(agent: Agent) -> dict[str, float]:
@@ -304,21 +304,20 @@ def _departure(agent: Agent) -> dict[str, float]:
     return {REGULARISER: found} if agent.params.regularised else {}
 
 
-def _result(built: Built, watch: Observables, status: str, message: str, time: float) -> dict[str, Any]:
-    return {
-        "job": "simulate",
-        "status": status,
-        "message": message,
-        "time": time,
-        "bodies": {
-            body: {
-                "centroid": [row[axis] for axis in "xyz"[: built.scene.dim]],
-                "kinetic_energy": row["kinetic_energy"],
-                "fastest": watch.fastest[body],
-                "least_volume_ratio": watch.least_volume_ratio[body],
-            }
+def _result(built: Built, watch: Observables, status: str, message: str, time: float) -> SimulateResult:
+    return SimulateResult(
+        status=status,
+        message=message,
+        time=time,
+        bodies={
+            body: BodyMotion(
+                centroid=[row[axis] for axis in "xyz"[: built.scene.dim]],
+                kinetic_energy=row["kinetic_energy"],
+                fastest=watch.fastest[body],
+                least_volume_ratio=watch.least_volume_ratio[body],
+            )
             for body, row in watch.last.items()
         },
-        "fracture": watch.fracture.most,
-        "findings": watch.fracture.findings(),
-    }
+        fracture=watch.fracture.most,
+        findings=watch.fracture.findings(),
+    )

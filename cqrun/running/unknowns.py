@@ -18,6 +18,7 @@ from cqrun.scene.data import Unknown
 from cqrun.scene.paths import canonical
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import body_of, start
+from cqrun.store.result import Value
 
 RESOLUTION = 4
 """Cells along the longest edge of a body that a field has if its unknown does not say."""
@@ -33,13 +34,13 @@ def blocks_of(scene: Scene, particles: Particles) -> tuple[Block, ...]:
     return tuple(_block(scene, particles, path, unknown) for path, unknown in scene.unknowns.items())
 
 
-def values_found(scene: Scene, particles: Particles, found: Mapping[str, Any]) -> dict[str, Array]:
+def values_found(scene: Scene, particles: Particles, found: Mapping[str, Value]) -> dict[str, Array]:
     """Return the values that a result has for the unknowns, and for what follows them.
 
     Args:
-        found: `unknowns` of a result: path -> its `value`.
+        found: by path, as `values_in` has them.
     """
-    values = {path: np.array(entry["value"], float) for path, entry in found.items()}
+    values = {path: np.array(value, float) for path, value in found.items()}
     blocks = [block for block in blocks_of(scene, particles) if block.path in values]
     return values | {f.path: f.of(values[b.path]) for b in blocks for f in b.followers}
 

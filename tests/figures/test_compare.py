@@ -144,9 +144,15 @@ def test_terms_that_the_optimizer_does_not_tell_are_left_out(tmp_path):
 def test_an_ablation_is_drawn_though_the_optimizer_tells_no_terms(tmp_path):
     run = learned(tmp_path, "a" * 12, seed=0, far=np.full(3, np.nan))
     found = {"mean": 0.5, "low": 0.4, "high": 0.6}
-    variants = {"control": {"runs": [str(run.path)], "terms": {"far": found}, "gain": None}}
+    variants = {
+        "control": {
+            "free": [], "runs": [str(run.path)], "failed": {}, "feasible": None, "terms": {"far": found},
+            "constraints": {}, "gain": None, "rate": None,
+        }
+    }  # fmt: skip
     path = tmp_path / "ablation-1.json"
-    path.write_text(json.dumps({"compared": "far", "confidence": 0.9, "variants": variants}))
+    facts = {"scene": "biped", "confidence": 0.9, "compared": "far", "better": "greater", "effects": {}}
+    path.write_text(json.dumps(facts | {"variants": variants}))
     assert draw_ablation(path) == [tmp_path / "ablation-1.png"]
 
 
