@@ -60,8 +60,8 @@ def test_every_source_that_is_named_exists():
 
 
 AFTERWARDS = {
-    "ablate", "api", "bench", "bench_scene", "bodies", "compress", "excerpt", "export", "fleet", "kernels",
-    "observables", "report", "reporter", "runs", "seeds", "selfcheck", "threads", "trajectories", "validate", "warmup",
+    "ablation", "api", "bench", "bodies", "compress", "excerpt", "export", "fleet", "kernels", "observables",
+    "reporter", "runs", "seeds", "selfcheck", "threads", "trajectories", "validate", "warmup",
 }  # fmt: skip
 """Modules of jobs and of running that compute before a run, on what it has found, or outside any."""
 
@@ -70,7 +70,7 @@ def test_no_job_that_computes_a_run_is_forgotten():
     """A run that another engine began would otherwise go on, and mix two."""
     package = Path(fingerprint.__file__).parent
     uses = re.compile(r"^\s*(import numpy|from cqrun\.(engine\.rollout|design\.params))", re.MULTILINE)
-    rooms = [*(package / "jobs").glob("*.py"), *(package / "running").glob("*.py")]
+    rooms = [*(package / "jobs").rglob("*.py"), *(package / "running").rglob("*.py")]
     found = {p.stem for p in rooms if uses.search(p.read_text())}
     named = {Path(entry).stem for entry in fingerprint.NUMERIC if entry.startswith(("jobs/", "running/"))}
     assert found - named <= AFTERWARDS

@@ -16,8 +16,9 @@ from benchmarks.papers.histories import Run, curves, rows, runs_below
 from benchmarks.papers.wholeness import BEST, WHOLE, checks, worst
 from benchmarks.papers.work import Found, Runs, Work
 from cqrun.figures.style import COLOURS, INK, clock_ticks, new_figure, titled, whole_ticks
-from cqrun.jobs.ablate import ALL, CONTROL, effects, group_of
-from cqrun.jobs.seeds import interval
+from cqrun.jobs.studies.ablation import effects
+from cqrun.jobs.studies.seeds import interval
+from cqrun.jobs.studies.variants import ALL, CONTROL, group_of
 from cqrun.plugin.contract import Array
 from cqrun.store.run import read_record
 

@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
 
 def designed_quantities(run: RunData) -> dict[str, Array]:
-    """Return what of MATERIAL the unknowns of a codesign run change from particle to particle, (N,) each.
+    """Return what of MATERIAL the unknowns of a run change from particle to particle, (N,) each.
 
     It is not a number in bodies whose own is as the scene says.
     """
-    if run.job != "codesign" or not values_in(run.result):
+    if not values_in(run.result):
         return {}
     particles = sample(run.scene)
     paths = [path for unknown, spec in run.scene.unknowns.items() for path in (unknown, *spec.also)]
@@ -49,8 +49,8 @@ def designed_quantities(run: RunData) -> dict[str, Array]:
 
 
 def has_new_shape(run: RunData) -> bool:
-    """Say whether the unknowns of a codesign run change where particles begin."""
-    return run.job == "codesign" and bool(_shape_before(run))
+    """Say whether the unknowns of a run change where particles begin."""
+    return bool(_shape_before(run))
 
 
 def _shape_before(run: RunData) -> dict[str, float]:

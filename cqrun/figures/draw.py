@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,17 +17,14 @@ from cqrun.figures.overview import draw_overview
 from cqrun.figures.run_data import HISTORY, TRACKS, TRAJECTORY, RunData, read_run
 from cqrun.figures.style import save, styled
 from cqrun.figures.tracks import draw_recording
+from cqrun.jobs.table import JOBS, job_of
 from cqrun.store.atomic import make_directory
 from cqrun.store.result import RESULT, SysidResult
-from cqrun.store.run import read_record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURES = "figures"
-
-DRAWN = ("sysid", "control", "codesign", "simulate")
-"""Jobs that have pictures."""
 
 MOST_NAMES = 5
 """Scenes that the name of a comparison tells."""
@@ -37,7 +34,7 @@ INCOMPLETE = "though the run has ended well: the directory is incomplete, run it
 
 def has_pictures(path: Path) -> bool:
     """Say whether the job of a run is one that is drawn; UsageError if it is no run."""
-    return read_record(path).get("job") in DRAWN
+    return bool(job_of(path).pictures)
 
 
 def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
@@ -71,9 +68,11 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
 
 def require_files(run: RunData) -> None:
     """Raise a UsageError where a run lacks what there must be to draw it."""
-    if run.job not in DRAWN:
-        drawn = f"{', '.join(DRAWN[:-1])} and {DRAWN[-1]}"
-        raise UsageError(f"{run.path}: a run of '{run.job}' has no pictures; those of {drawn} have")
+    if not job_of(run.path).pictures:
+        *most, last = (name for name, job in JOBS.items() if job.pictures)
+        raise UsageError(
+            f"{run.path}: a run of '{run.job}' has no pictures; those of {', '.join(most)} and {last} have"
+        )
     if run.job != "simulate":
         run.require(HISTORY, "so there is no convergence to draw")
         if not run.history:
@@ -89,21 +88,49 @@ def require_files(run: RunData) -> None:
 
 
 def _figures(run: RunData) -> list[tuple[str, Figure]]:
-    """Return name and picture of all that a run has."""
-    drawn: list[tuple[str, Figure]] = []
+    """Return name and picture of all that a run has, of those that its job has."""
+    return [drawn for picture in job_of(run.path).pictures for drawn in PICTURES[picture](run)]
+
+
+def _convergence(run: RunData) -> Iterator[tuple[str, Figure]]:
     if run.history:
-        drawn.append(("convergence", draw_convergence(run)))
+        yield "convergence", draw_convergence(run)
+
+
+def _tracks(run: RunData) -> Iterator[tuple[str, Figure]]:
     if run.has(TRACKS):
-        drawn += [(f"tracks_{tracks.recording}", draw_recording(tracks, run.name)) for tracks in run.tracks()]
+        yield from ((f"tracks_{tracks.recording}", draw_recording(tracks, run.name)) for tracks in run.tracks())
+
+
+def _bodies(run: RunData) -> Iterator[tuple[str, Figure]]:
     if run.has_trajectory():
-        drawn.append(("bodies", draw_bodies(run)))
-        if shown := designed_quantities(run):
-            drawn.append(("design", draw_design(run, shown)))
-        if has_new_shape(run):
-            drawn.append(("shape", draw_shape(run)))
+        yield "bodies", draw_bodies(run)
+
+
+def _design(run: RunData) -> Iterator[tuple[str, Figure]]:
+    if run.has_trajectory() and (shown := designed_quantities(run)):
+        yield "design", draw_design(run, shown)
+
+
+def _shape(run: RunData) -> Iterator[tuple[str, Figure]]:
+    if run.has_trajectory() and has_new_shape(run):
+        yield "shape", draw_shape(run)
+
+
+def _overview(run: RunData) -> Iterator[tuple[str, Figure]]:
     if run.history and run.succeeded:
-        drawn.append(("overview", draw_overview(run)))
-    return drawn
+        yield "overview", draw_overview(run)
+
+
+PICTURES: dict[str, Callable[[RunData], Iterator[tuple[str, Figure]]]] = {
+    "convergence": _convergence,
+    "tracks": _tracks,
+    "bodies": _bodies,
+    "design": _design,
+    "shape": _shape,
+    "overview": _overview,
+}
+"""Pictures by the names that jobs give them; each yields name and picture where a run has what it shows."""
 
 
 def draw_several(

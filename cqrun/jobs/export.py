@@ -17,7 +17,6 @@ import numpy as np
 from cqrun.build.model import Built, build
 from cqrun.design.spread import field
 from cqrun.errors import MissingExtra, UsageError
-from cqrun.jobs.control import JOBS
 from cqrun.learning.agent import FILE
 from cqrun.learning.replay import learned_in
 from cqrun.plugin.contract import Array
@@ -26,7 +25,7 @@ from cqrun.running.runs import scene_in
 from cqrun.running.unknowns import values_found
 from cqrun.scene.paths import leaf
 from cqrun.store.atomic import make_directory, write_bytes, write_table
-from cqrun.store.result import read_result, values_in
+from cqrun.store.result import LEARNED, read_result, values_in
 from cqrun.store.run import FINISHED, read_record
 from cqrun.store.vtkhdf import write_points
 
@@ -70,7 +69,7 @@ def designed(run: Path, reporter: Reporter | None = None) -> tuple[Built, dict[s
     """
     record, best = read_record(run), run / FILE
     status, job = record["status"], record["job"]
-    so_far = status not in FINISHED and job in JOBS and best.is_file()
+    so_far = status not in FINISHED and job in LEARNED and best.is_file()
     result = None if so_far else read_result(run)
     if not so_far and result is None:
         raise UsageError(f"{run}: has no design yet ({status}); the command that began it goes on with it")

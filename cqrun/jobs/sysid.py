@@ -2,79 +2,142 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cqrun.build.model import Built
 from cqrun.errors import Problem, SceneError
 from cqrun.fitting.cases import Case, given_cases, made_cases, own_warnings
 from cqrun.fitting.findings import alignments, write_findings
 from cqrun.fitting.problem import FitProblem
-from cqrun.jobs.bodies import tell_bodies
-from cqrun.optimizers.base import Optimizer, Outcome
+from cqrun.jobs.job import NO_FILES, Job, Need
+from cqrun.optimizers.base import Outcome
+from cqrun.running.bodies import tell_bodies
 from cqrun.running.gradient_memory import gradient_plan
 from cqrun.running.kernels import compile_kernels
-from cqrun.running.reporter import Reporter, Silent
-from cqrun.running.runs import (
-    Progress,
-    build_and_warn,
-    finished_already,
-    open_run,
-    raise_if_failed,
-    require_extension,
-    require_same_data,
-    saved_scene,
-    stopping,
-)
-from cqrun.running.threads import cores
+from cqrun.running.reporter import Reporter
+from cqrun.running.runs import Progress, build_and_warn, optimizer_of, stopping
+from cqrun.running.tables import number, table
 from cqrun.running.unknowns import make_params
-from cqrun.scene.load import dump, load_scene, resolve
+from cqrun.scene.load import load_scene
+from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import groups_of
-from cqrun.store.run import RunDirectory
+from cqrun.store.result import Identified, Interval, SysidResult
+from cqrun.store.run import RunDirectory, read_record
 from cqrun.store.session import RunSession
+
+MANY = 8
+"""A block of more numbers is told by its range."""
 
 FEW = 10
 """Up to this many unknowns, marker data is fitted by least squares unless the scene says otherwise."""
 
 
-def run_sysid(
-    source: Path | str,
-    overrides: Sequence[str],
-    out: Path | str,
-    *,
-    fresh: bool = False,
-    threads: int | None = None,
-    reporter: Reporter | None = None,
-) -> Path:
-    """Identify a scene's unknowns; return the run's directory.
+@dataclass(frozen=True)
+class Identification:
+    """A fit that is ready to run: scene and cases, None while the data are yet to be made."""
 
-    Raises:
-        SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
-    """
-    source, out = Path(source), Path(out)
-    talk = reporter or Silent()
-    built = prepare(load_scene(source, overrides), talk)
-    cases, n_threads = given_cases(built), cores(threads)
-    with open_run(source.stem, built.scene, out, job="sysid", threads=n_threads, fresh=fresh) as run:
-        if finished_already(run, talk):
-            return raise_if_failed(run)
-        if run.record.get("extended"):
-            built = prepare(saved_scene(run), talk)
-        return identify(run, built, cases, n_threads, talk)
+    built: Built
+    cases: list[Case] | None
+    threads: int
 
 
-def prepare(scene: Scene, talk: Reporter) -> Built:
-    """Build a scene for sysid, its optimizer chosen.
+@dataclass(frozen=True)
+class Sysid(Job[Identification, SysidResult]):
+    """Find a scene's unknowns from data."""
 
-    Raises:
-        SceneError: it has no unknowns or no data, or too little memory for gradients.
-    """
-    missing = [key for key in ("unknowns", "data") if not getattr(scene, key)]
-    if missing:
-        told = {"unknowns": "name what shall be found, by key path, with bounds", "data": "say what it is fitted to"}
-        raise SceneError([Problem(scene.where(key), key, f"sysid needs it: {told[key]}") for key in missing])
+    def prepare(
+        self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES
+    ) -> Identification:
+        """Build a scene, its optimizer chosen, and read its data.
+
+        Raises:
+            SceneError: it has no unknowns or no data, or too little memory for gradients.
+        """
+        self.require_sections(scene)
+        _refuse_parts(scene)
+        scene = with_optimizer(scene)
+        if scene.precision == "float32" and not uses_gradients(scene) and optimizer_of(scene).squares:
+            path = f"optimizer.{optimizer_of(scene).name}"
+            message = (
+                "its Jacobian is by differences, for which `precision: float32` is too coarse: use lbfgs, or float64"
+            )
+            raise SceneError([Problem(scene.where(path), path, message)])
+        built = build_and_warn(scene, talk)
+        if uses_gradients(built.scene):
+            gradient_plan(built)
+        _require_batches(built.scene)
+        return Identification(built, given_cases(built), threads)
+
+    def reads_data(self, scene: Scene) -> bool:
+        """Say yes."""
+        return True
+
+    def work(self, run: RunDirectory, prepared: Identification, talk: Reporter) -> None:
+        """Run or continue the identification."""
+        built, cases = prepared.built, prepared.cases
+        scene, optimizer = built.scene, optimizer_of(built.scene)
+        compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=uses_gradients(scene))
+        run.begin(prepared.threads)
+        tell_bodies(built, run, talk)
+        if cases is None:
+            talk.phase("making data")
+            cases = made_cases(run, built)
+        for warning in own_warnings(built, cases):
+            talk.warn(warning)
+        for sentence in alignments(cases):
+            run.log(sentence)
+        params = make_params(built)
+        problem = FitProblem(cases, params, threads=prepared.threads)
+        talk.phase(f"fitting {len(params.start)} unknowns")
+        talk.begin(optimizer.max_iterations)
+        session = RunSession(
+            run, seed=scene.seed, blocks=params.slices, physical=params.physical, loss_unit=problem.unit,
+            stop=lambda: talk.stop.asked, progress=Progress(run, talk),
+        )  # fmt: skip
+        _conclude(run, cases, problem, optimizer.minimise(problem, session), talk)
+
+    def lines(self, run: Path, result: SysidResult) -> Iterator[str]:
+        """Yield every unknown with its interval, the errors by recording, and what the data leave open."""
+        scene = load_scene(run / "scene.yaml", (), Path(str(read_record(run).get("base", ""))))
+        yield f"{result.status} after {result.iterations} iterations: {result.message}"
+        yield ""
+        yield from table(
+            ("unknown", "value", "95 % interval", "unit", "from"),
+            [row for path, found in result.unknowns.items() for row in _unknown(scene, path, found)],
+        )
+        reasons = {path: found.reason for path, found in result.unknowns.items() if found.reason}
+        if reasons:
+            yield ""
+            if len(reasons) == len(result.unknowns) and len(set(reasons.values())) == 1:
+                yield f"no intervals: {next(iter(reasons.values()))}"
+            else:
+                yield from (f"no interval for {path}: {reason}" for path, reason in reasons.items())
+        yield ""
+        yield from _errors(result)
+        yield from (f"note: {sentence}" for sentence in result.findings)
+
+
+SYSID = Sysid(
+    "sysid",
+    SysidResult,
+    needs=(
+        Need("unknowns", "name what shall be found, by key path, with bounds"),
+        Need("data", "say what it is fitted to"),
+    ),
+    pictures=("convergence", "tracks", "bodies", "overview"),
+    extensible=True,
+)
+run_sysid = SYSID.run
+
+
+# --- before the fit ---------------------------------------------------------------------------------------------------
+
+
+def _refuse_parts(scene: Scene) -> None:
+    """Refuse parts of a scene that a fit would have to leave out."""
     if scene.controller is not None:
         message = (
             "sysid drives actuators by `activation` alone, and this would not act: take it out, `-o controller=null`, "
@@ -88,16 +151,6 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
     for name in scene.constraints:
         path, message = f"constraints.{name}", "sysid honours none: bound its unknowns instead"
         raise SceneError([Problem(scene.where(path), path, message)])
-    scene = with_optimizer(scene)
-    if scene.precision == "float32" and not uses_gradients(scene) and _optimizer(scene).squares:
-        path = f"optimizer.{scene.optimizer.name}"  # type: ignore[union-attr]
-        message = "its Jacobian is by differences, for which `precision: float32` is too coarse: use lbfgs, or float64"
-        raise SceneError([Problem(scene.where(path), path, message)])
-    built = build_and_warn(scene, talk)
-    if uses_gradients(built.scene):
-        gradient_plan(built)
-    _require_batches(built.scene)
-    return built
 
 
 def _require_batches(scene: Scene) -> None:
@@ -114,11 +167,7 @@ def _require_batches(scene: Scene) -> None:
 
 def uses_gradients(scene: Scene) -> bool:
     """Say whether a scene's optimizer asks for gradients; the Jacobian of least squares is by differences."""
-    return scene.optimizer is None or _optimizer(scene).gradients
-
-
-def _optimizer(scene: Scene) -> Any:
-    return None if scene.optimizer is None else scene.optimizer.value
+    return scene.optimizer is None or optimizer_of(scene).gradients
 
 
 def with_optimizer(scene: Scene) -> Scene:
@@ -140,34 +189,10 @@ def _numbers(scene: Scene) -> float:
     return count
 
 
-def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads: int, talk: Reporter) -> Path:
-    """Run or continue the identification in a run directory."""
-    scene = built.scene
-    optimizer: Any = scene.optimizer.value if scene.optimizer is not None else None
-    assert isinstance(optimizer, Optimizer)
-    compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=uses_gradients(scene))
-    run.begin(threads)
-    tell_bodies(built, run, talk)
-    if cases is None:
-        talk.phase("making data")
-        cases = made_cases(run, built)
-    for warning in own_warnings(built, cases):
-        talk.warn(warning)
-    for sentence in alignments(cases):
-        run.log(sentence)
-    params = make_params(built)
-    problem = FitProblem(cases, params, threads=threads)
-    talk.phase(f"fitting {len(params.start)} unknowns")
-    talk.begin(optimizer.max_iterations)
-    session = RunSession(
-        run, seed=scene.seed, blocks=params.slices, physical=params.physical, loss_unit=problem.unit,
-        stop=lambda: talk.stop.asked, progress=Progress(run, talk),
-    )  # fmt: skip
-    outcome = optimizer.minimise(problem, session)
-    return conclude(run, cases, problem, outcome, talk)
+# --- after it ---------------------------------------------------------------------------------------------------------
 
 
-def conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome, talk: Reporter) -> Path:
+def _conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome, talk: Reporter) -> None:
     """Write what was found and end the run as the outcome says."""
     if outcome.status == "stopped":
         write_findings(run, cases, problem, outcome)
@@ -178,16 +203,36 @@ def conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome:
     problem.interrupt = stopping(run, talk)
     write_findings(run, cases, problem, outcome)
     run.finish(outcome.status, outcome.message)
-    return raise_if_failed(run)
 
 
-def resume_sysid(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
-    """Continue a run from its directory; overrides may only extend the optimizer's iterations."""
-    require_extension(run, overrides)
-    require_same_data(run)
-    built = prepare(saved_scene(run, overrides), talk)
-    if overrides:
-        run.extend(dump(resolve(built.scene)), list(overrides))
-    elif finished_already(run, talk, asked_by_scene=False):
-        return raise_if_failed(run)
-    return identify(run, built, given_cases(built), threads, talk)
+def _unknown(scene: Scene, path: str, found: Identified) -> Iterator[tuple[str, ...]]:
+    unit = leaf(scene, path).unit
+    values, intervals, initials = found.numbers()
+    if len(values) > MANY:
+        ends = f"{number(min(values))} ... {number(max(values))}"
+        yield path, ends, f"{len(values)} numbers", unit, number(initials[0])
+        return
+    for k, (value, interval, initial) in enumerate(zip(values, intervals, initials, strict=True)):
+        name = f"{path}[{k}]" if isinstance(found.value, list) else path
+        yield name, number(value), _interval(interval), unit, number(initial)
+
+
+def _interval(pair: Interval | None) -> str:
+    return "none" if pair is None else f"{number(pair[0])} to {number(pair[1])}"
+
+
+def _errors(result: SysidResult) -> Iterator[str]:
+    if result.recordings is None:
+        if result.loss is not None:
+            yield f"loss {result.loss:.6g} m^2"
+        return
+    rows = []
+    for name, found in result.recordings.items():
+        rmse = "blew up" if found.rmse_mm is None else f"{found.rmse_mm:.3f}"
+        markers = found.markers_mm or {}
+        by_marker = ", ".join(f"{m} {'unseen' if e is None else f'{e:.3f}'}" for m, e in markers.items())
+        rows.append((name, "held out" if found.holdout else "fitted", rmse, by_marker if len(markers) <= 12 else ""))
+    yield from table(("recording", "", "RMSE [mm]", "by marker [mm]"), rows)
+    for name, found in result.recordings.items():
+        if away := (found.alignment_mm or {}).values():
+            yield f"{name}: aligned to the rest positions within {min(away):.2f} to {max(away):.2f} mm"

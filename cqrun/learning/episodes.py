@@ -16,8 +16,10 @@ from cqrun.design.params import REGULARISER
 from cqrun.errors import UsageError
 from cqrun.learning.agent import Agent, Attempt, Goals, Mix, Values
 from cqrun.optimizers.base import TrialFailed
+from cqrun.optimizers.constrained import ReplayedConstrained
 from cqrun.plugin.contract import Array
 from cqrun.running.gradient_memory import gradients_at_once
+from cqrun.running.runs import optimizer_of
 from cqrun.running.side_by_side import Effort, side_by_side, the_value, trial
 from cqrun.scene.schema import Scene
 
@@ -264,3 +266,11 @@ class EpisodeProblem:
     def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
         """Refuse, as `residuals`."""
         raise UsageError("least squares fits data; for an objective take adam, sgd, lbfgs or cma_es")
+
+
+def differentiated(problem: EpisodeProblem) -> int:
+    """Return of how many functions of an episode the scene's optimizer takes gradients, all in one backward run."""
+    optimizer = optimizer_of(problem.built.scene)
+    if not optimizer.gradients:
+        return 0
+    return 1 + (len(problem.constraint_names) if isinstance(optimizer, ReplayedConstrained) else 0)

@@ -17,15 +17,16 @@ from cqrun.scene.data import Data, Recording, Synthetic, Target, Unknown
 from cqrun.scene.fields import Memory, Name, Seed
 from cqrun.scene.world_and_time import Time, World
 
+JobName = Literal["simulate", "sysid", "control", "codesign", "gradcheck"]
+"""What can be run of a scene; jobs/table.py has what each does."""
+
 
 class Sections(Spec):
     """The sections of a scene, each valid by itself."""
 
     cqrun: Literal[1] = Field(description="Version of the scene format")
     title: str = Field(description="One line about the scene", default="")
-    job: Literal["simulate", "sysid", "control", "codesign", "gradcheck"] | None = Field(
-        description="Command that the scene is made for", default=None
-    )
+    job: JobName | None = Field(description="Command that the scene is made for", default=None)
     plugins: list[str] = Field(
         description="Python files with plug-ins of your own, beside the scene; run only with --allow-plugins",
         default_factory=list,

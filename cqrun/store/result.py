@@ -138,6 +138,11 @@ class LostEpisode(Part):
     message: str
 
 
+LearnedJob = Literal["control", "codesign"]
+LEARNED: tuple[LearnedJob, ...] = get_args(LearnedJob)
+"""Jobs that learn."""
+
+
 class LearnedResult(Search):
     """What a run of control or co-design learned.
 
@@ -148,7 +153,7 @@ class LearnedResult(Search):
         blew_up: episodes that are in no mean, by stage.
     """
 
-    job: Literal["control", "codesign"]
+    job: LearnedJob
     unknowns: dict[str, Designed]
     start: Stage | None = None
     trained: Stage | None = None
@@ -281,7 +286,7 @@ def read_result_file(file: Path) -> Result:
     return read_model(file, _RESULT)
 
 
-R = TypeVar("R", SysidResult, LearnedResult, SimulateResult, GradcheckResult)
+R = TypeVar("R", bound=Result)
 
 
 def require_result(run: Path, model: type[R]) -> R:

@@ -12,7 +12,7 @@ from little_worlds import needs_jit
 
 from cqrun.build.model import build
 from cqrun.errors import SceneError, UsageError
-from cqrun.jobs.control import prepare
+from cqrun.jobs.control import CONTROL
 from cqrun.learning.agent import Agent
 from cqrun.learning.episodes import EpisodeProblem
 from cqrun.learning.record_memory import record_bytes
@@ -102,7 +102,7 @@ def test_an_episode_that_is_done_keeps_no_grid(monkeypatch):
 
 def test_records_that_do_not_fit_are_refused(monkeypatch):
     scene = load_scene(FINGER, [*SMALL, "objective.whole={stretch: {body: finger}}", "optimizer={adam: {}}"])
-    problem = prepare(scene, 1, Silent())
+    problem = CONTROL.prepare(scene, 1, Silent())
     need = record_bytes(problem.agent, 1)
     for spare, refused in ((0, False), (-1, True)):
         memory = SimpleNamespace(available=need + spare, total=2 * need)
@@ -111,9 +111,9 @@ def test_records_that_do_not_fit_are_refused(monkeypatch):
             patch.setattr("psutil.virtual_memory", lambda memory=memory: memory)
             if refused:
                 with pytest.raises(SceneError, match=r"objective.whole: 108 of .* at 8 control steps, by 1 ep"):
-                    prepare(scene, 1, Silent())
+                    CONTROL.prepare(scene, 1, Silent())
             else:
-                prepare(scene, 1, Silent())
+                CONTROL.prepare(scene, 1, Silent())
 
 
 @needs_jit

@@ -16,9 +16,9 @@ from small_beam import Listener, assert_same, changed, result_of
 from small_finger import written
 
 from cqrun.errors import Stopped, UsageError
-from cqrun.jobs import seeds
 from cqrun.jobs.resume import run_resume
-from cqrun.jobs.seeds import _summary, interval, run_seeds, summary_lines
+from cqrun.jobs.studies import seeds
+from cqrun.jobs.studies.seeds import _summary, interval, run_seeds, summary_lines
 from cqrun.running.fleet import Member
 from cqrun.running.runs import EXTENDED
 from cqrun.store.study import Mean, SeedsSummary, write_study

@@ -24,12 +24,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cqrun.build.check_design import differ
-from cqrun.errors import RunError, UsageError
+from cqrun.errors import RunError
 from cqrun.explain import listed
-from cqrun.jobs.control import optimizer_of, prepare
-from cqrun.jobs.report import table
-from cqrun.jobs.seeds import (
+from cqrun.jobs import control
+from cqrun.jobs.studies.seeds import (
     CONFIDENCE,
     INFEASIBLE,
     command_of,
@@ -41,42 +39,24 @@ from cqrun.jobs.seeds import (
     shown,
     warn_if_alike,
 )
+from cqrun.jobs.studies.variants import CONTROL, Variant, rate_overrides, variants_of
 from cqrun.optimizers.constrained import ranked
 from cqrun.plugin.contract import Array
 from cqrun.running.fleet import Member, run_fleet
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter, Silent
+from cqrun.running.runs import optimizer_of
+from cqrun.running.tables import table
 from cqrun.running.threads import cores
 from cqrun.scene.load import load_scene
-from cqrun.scene.paths import canonical, leaf, shapes_a_body
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import start, tied
 from cqrun.store.atomic import write_table
 from cqrun.store.result import LearnedResult, Stage, require_result
 from cqrun.store.run import RECORD, RunScene, read_record
 from cqrun.store.study import Ablation, Mean, VariantRuns, read_ablation, write_study
 
-MOST_GROUPS = 3
-"""All combinations of more are too many runs: none, each alone and all are compared instead."""
-
 NOTHING = Mean(mean=None, low=None, high=None)
 """What a variant is of which every run has failed."""
-
-CONTROL, ALL = "control", "all"
-
-
-@dataclass(frozen=True)
-class Variant:
-    """What is free in it: its name, the groups, and the overrides that make it of the scene."""
-
-    name: str
-    groups: tuple[str, ...]
-    overrides: tuple[str, ...]
-
-    @property
-    def job(self) -> str:
-        """Whose command runs it."""
-        return "codesign" if self.groups else "control"
 
 
 def run_ablation(
@@ -107,8 +87,8 @@ def run_ablation(
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
     scene = load_scene(source, overrides)
-    variants, tried = variants_of(scene), _rate_overrides(scene, rates)
-    whole = prepare(scene, 1, Silent(), "codesign")
+    variants, tried = variants_of(scene), rate_overrides(scene, rates)
+    whole = control.CODESIGN.prepare(scene, 1, Silent())
     warn_if_alike(whole, seeds, talk)
     # `auto` follows from the bounds of what is free: variants of other time steps would not be comparable
     same_step = [f"time.substeps={whole.built.model.substeps}"] if scene.time.substeps == "auto" else []
@@ -133,7 +113,11 @@ def run_ablation(
     for v in variants:
         result.variants[v.name].rate = (best[v.name] or "").partition("=")[2] or None
         result.variants[v.name].searched = searched.get(v.name)
-    path = out / source.stem / f"ablation-{_name(inputs_of(source, scene, None, 'codesign'), rates)}-{seeds}.json"
+    path = (
+        out
+        / source.stem
+        / f"ablation-{_name(inputs_of(source, scene, None, control.CODESIGN.name), rates)}-{seeds}.json"
+    )
     write_study(path, result)
     write_table(path.with_suffix(".csv"), _table(result))
     return path, all(map(has_ended, everyone)) and not _none_is_feasible(result)
@@ -158,11 +142,11 @@ class _Members:
 
     def __call__(self, variant: Variant, rate: str | None, seeds: Sequence[int], fresh: bool) -> list[Member]:
         own = [*self.overrides, *variant.overrides, *([rate] if rate else [])]
-        problem = prepare(load_scene(self.source, own), 1, self.talk, variant.job)
-        compile_kernels([problem.built], self.talk, adjoint=optimizer_of(problem.built).gradients)
-        words = command_of(variant.job, self.source, self.out, self.threads, fresh, self.allow_plugins)
+        problem = variant.job.prepare(load_scene(self.source, own), 1, self.talk)
+        compile_kernels([problem.built], self.talk, adjoint=optimizer_of(problem.built.scene).gradients)
+        words = command_of(variant.job.name, self.source, self.out, self.threads, fresh, self.allow_plugins)
         scene = problem.built.scene
-        made = [member(words, self.source, scene, own, seed, self.out, variant.job) for seed in seeds]
+        made = [member(words, self.source, scene, own, seed, self.out, variant.job.name) for seed in seeds]
         for run in made:
             run.name = f"{variant.name}, {run.name}{f' with {rate}' if rate else ''}"
         return made
@@ -174,60 +158,6 @@ def _best_rate(scene: Scene, trials: Mapping[str | None, Member]) -> tuple[str |
     losses = {str(rate).partition("=")[2]: _after(found[rate]).loss if rate in found else None for rate in trials}
     ranks = {rate: _rank(scene, result) for rate, result in found.items()}
     return min(ranks, key=ranks.__getitem__, default=next(iter(trials))), losses
-
-
-def group_of(path: str) -> str:
-    """Return the last name in an unknown's path: `size` of `bodies.arm.shape.box.size.1`."""
-    return [key for key in path.split(".") if not key.isdigit()][-1]
-
-
-def variants_of(scene: Scene) -> list[Variant]:
-    """Return the variants of a scene, control alone first and all unknowns last; UsageError without unknowns."""
-    if not scene.unknowns:
-        raise UsageError("--ablate compares unknowns of a design: this scene has no `unknowns`")
-    if not scene.objective:
-        raise UsageError("--ablate compares the first term of the objective: this scene has no `objective`")
-    paths = list(scene.unknowns)
-    for path in paths:
-        _require_same_bodies(scene, path)
-    groups = list(dict.fromkeys(group_of(canonical(scene, path)) for path in paths))
-    chosen: list[tuple[str, ...]] = [(), *((group,) for group in groups)]
-    if len(groups) <= MOST_GROUPS:
-        chosen = [free for k in range(len(groups) + 1) for free in itertools.combinations(groups, k)]
-    elif len(groups) > 1:
-        chosen.append(tuple(groups))
-    found = []
-    for free in chosen:
-        fixed = [path for path in paths if group_of(canonical(scene, path)) not in free]
-        name = CONTROL if not free else ALL if len(free) == len(groups) > 1 else " + ".join(free)
-        starts = [f"{p}={value!r}" for path in fixed for p, value in tied(scene, path, start(scene, path)).items()
-                  if differ(value, leaf(scene, p).value)]  # fmt: skip
-        found.append(Variant(name, free, (*(f"unknowns.{path}=null" for path in fixed), *starts)))
-    return found
-
-
-def _require_same_bodies(scene: Scene, path: str) -> None:
-    """Refuse an unknown whose start is another body than the scene's: kept fixed, it is of all particles in the body.
-
-    A new shape would be sampled anew; of an unknown a group, particles in no group would start elsewhere.
-    """
-    for other, value in tied(scene, path, start(scene, path)).items():
-        own, groups = leaf(scene, other).value, scene.unknowns[path].per == "group"
-        if (shapes_a_body(other) or groups) and differ(value, own):
-            would = "start otherwise in particles without a group" if groups else "be of other particles"
-            raise UsageError(
-                f"--ablate: '{other}' starts at {value:g}, but the scene has {own:g}; variants that keep it would "
-                f"{would}: give it that value in the scene, -o {other}={value:g}"
-            )
-
-
-def _rate_overrides(scene: Scene, rates: Sequence[float]) -> list[str | None]:
-    if not rates:
-        return [None]
-    if scene.optimizer is None or not hasattr(scene.optimizer.value, "learning_rate"):
-        named = "none" if scene.optimizer is None else scene.optimizer.name
-        raise UsageError(f"--rate: the scene's optimizer, {named}, has no learning_rate: leave out --rate")
-    return [f"optimizer.{scene.optimizer.name}.learning_rate={rate!r}" for rate in rates]
 
 
 def _run(members: Sequence[Member], at_once: int, what: str, talk: Reporter, of_seed: int = 0) -> None:

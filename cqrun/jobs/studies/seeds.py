@@ -22,15 +22,15 @@ import numpy as np
 
 from cqrun.errors import UsageError
 from cqrun.fitting.uncertainty import interval_of_mean
-from cqrun.jobs.control import optimizer_of, prepare
-from cqrun.jobs.report import number, table
+from cqrun.jobs.control import CONTROL, Learning
 from cqrun.learning.agent import Agent
 from cqrun.learning.episodes import EpisodeProblem
 from cqrun.learning.learned import STAGES, blown_up
 from cqrun.running.fleet import Member, run_fleet
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter, Silent
-from cqrun.running.runs import EXTENDED, run_scene
+from cqrun.running.runs import EXTENDED, optimizer_of, run_scene
+from cqrun.running.tables import number, table
 from cqrun.running.threads import cores
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
@@ -55,7 +55,7 @@ def run_seeds(
     seeds: int,
     fresh: bool = False,
     threads: int | None = None,
-    job: str = "control",
+    job: Learning = CONTROL,
     jobs: int | None = None,
     allow_plugins: bool = False,
     reporter: Reporter | None = None,
@@ -76,18 +76,18 @@ def run_seeds(
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
     at_once = min(seeds, n_threads if jobs is None else jobs)
-    problem = prepare(load_scene(source, overrides), 1, talk, job)
-    scene, optimizer = problem.built.scene, optimizer_of(problem.built)
+    problem = job.prepare(load_scene(source, overrides), 1, talk)
+    scene, optimizer = problem.built.scene, optimizer_of(problem.built.scene)
     warn_if_alike(problem, seeds, talk)
     compile_kernels([problem.built], talk, adjoint=optimizer.gradients)
-    words = command_of(job, source, out, n_threads // at_once, fresh, allow_plugins)
-    all_of_them = [member(words, source, scene, overrides, k, out, job) for k in range(seeds)]
+    words = command_of(job.name, source, out, n_threads // at_once, fresh, allow_plugins)
+    all_of_them = [member(words, source, scene, overrides, k, out, job.name) for k in range(seeds)]
     talk.phase(f"learning from {seeds} seeds, {at_once} at once")
     run_fleet(all_of_them, at_once, "seeds", talk)
     good = [s for s in all_of_them if s.failure is None]
     if talk.stop.asked and len(good) < seeds:
         raise talk.stop.stopped(f"{len(good)} of {seeds} seeds are finished; the same command continues the others")
-    path = out / source.stem / f"summary-{inputs_of(source, scene, None, job).digest()}-{seeds}.json"
+    path = out / source.stem / f"summary-{inputs_of(source, scene, None, job.name).digest()}-{seeds}.json"
     summary = _summary(source.stem, all_of_them)
     write_study(path, summary)
     write_table(path.with_suffix(".csv"), _table(summary))
@@ -107,7 +107,7 @@ def require_seeds(overrides: Sequence[str], seeds: int, jobs: int | None) -> Non
 
 def warn_if_alike(problem: EpisodeProblem, seeds: int, talk: Reporter) -> None:
     """Warn of seeds that change nothing."""
-    if seeds > 1 and not optimizer_of(problem.built).draws and starts_alike(problem):
+    if seeds > 1 and not optimizer_of(problem.built.scene).draws and starts_alike(problem):
         talk.warn(
             f"--seeds {seeds}: nothing in this scene is drawn from its seed, so every run will be the same; give "
             "the controller a random start, such as open_loop's `noise`"

@@ -1,4 +1,4 @@
-"""What is known beforehand of a scene that acts: what it sees, decides, drives and is after."""
+"""A scene that acts in words: what it sees, decides, drives and is after, and whether its constraints are met."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from typing import Any
 
 from cqrun.explain import listed
-from cqrun.jobs.bodies import point
-from cqrun.jobs.control import differentiated, optimizer_of
-from cqrun.jobs.report import number
 from cqrun.learning.agent import CONTROLLER, Agent
-from cqrun.learning.episodes import EpisodeProblem
+from cqrun.learning.episodes import EpisodeProblem, differentiated
 from cqrun.learning.record_memory import record_bytes
+from cqrun.running.bodies import point
+from cqrun.running.runs import optimizer_of
+from cqrun.running.tables import number
+from cqrun.store.result import ConstraintValue
 from cqrun.units import format_bytes
 
 
@@ -39,7 +40,7 @@ def control_lines(agent: Agent, learned: EpisodeProblem | None) -> Iterator[str]
     for name, held in scene.constraints.items():
         ends = {"at least": held.at_least, "at most": held.at_most, "equal to": held.equals}
         told = ", ".join(f"{word} {number(end)}" for word, end in ends.items() if end is not None)
-        optimizer: Any = optimizer_of(agent.built)
+        optimizer: Any = optimizer_of(agent.built.scene)
         within = number(optimizer.constraint_tolerance * held.scale)
         yield line("constraint", f"{name} ({held.of.name}): {told}, met when missed by no more than {within}")
 
@@ -62,7 +63,7 @@ def _controller(agent: Agent, functions: int) -> Iterator[str]:
 
 
 def _episodes(problem: EpisodeProblem) -> Iterator[str]:
-    episodes, optimizer = problem.built.scene.episodes, optimizer_of(problem.built)
+    episodes, optimizer = problem.built.scene.episodes, optimizer_of(problem.built.scene)
     how = "one, as no goal is drawn"
     if problem.stochastic:
         how = f"{problem.n_episodes}, with fresh goals at every iteration"
@@ -75,3 +76,10 @@ def _episodes(problem: EpisodeProblem) -> Iterator[str]:
 
 def _count(n: int, what: str) -> str:
     return f"{n:,} {what}" + ("" if n == 1 else "s")
+
+
+def constraint_cells(found: ConstraintValue) -> tuple[str, ...]:
+    """Return what a constraint asks for, and its numbers: before where there is one, now, and the violation."""
+    ends = {"at least": found.at_least, "at most": found.at_most, "": found.equals}
+    wanted = ", ".join(f"{word} {number(end)}".strip() for word, end in ends.items() if end is not None)
+    return wanted, *(number(n) for n in (found.start, found.value, found.violation) if n is not None)
