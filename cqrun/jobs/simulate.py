@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -75,15 +76,10 @@ class Simulate(Job[Simulation, SimulateResult]):
 
     def work(self, run: RunDirectory, prepared: Simulation, talk: Reporter) -> None:
         """Run a scene into a run directory, under its controller if it has one, else with values beside the scene's."""
-        built, agent, values, threads = prepared.built, prepared.agent, prepared.values, prepared.threads
+        built, agent = prepared.built, prepared.agent
         compile_kernels([built], talk, adjoint=False)
-        run.begin(threads)
-        if agent is None:
-            rollout = Rollout(built.model, built.assembly.inputs(values), threads=threads)
-            seen = as_found(values)
-        else:
-            rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, threads)
-            seen = agent.wanted(agent.goals_in_the_middle)
+        run.begin(prepared.threads)
+        rollout, provenance = _rollout(prepared)
         otherwise = [] if agent is None else agent.otherwise
         for sentence in otherwise:
             talk.warn(sentence)
@@ -103,7 +99,7 @@ class Simulate(Job[Simulation, SimulateResult]):
             path = run.path / "trajectory.h5"
             try:
                 records, complete = write_trajectory(
-                    path, built, rollout, should_stop=lambda: talk.stop.asked, progress=observe, provenance=seen
+                    path, built, rollout, should_stop=lambda: talk.stop.asked, progress=observe, provenance=provenance
                 )
             except RolloutError as error:
                 write_result(run.path, _result(built, watch, "failed", str(error), reached))
@@ -192,6 +188,16 @@ def run_simulate(
         acting.stem, acting.scene, out, files=acting.files, fresh=fresh, threads=threads, reporter=talk
     )
     return raise_if_failed(run)
+
+
+def _rollout(prepared: Simulation) -> tuple[Rollout, dict[str, Any]]:
+    """Return the rollout that is simulated, and what its trajectory says of where it comes from."""
+    built, agent, threads = prepared.built, prepared.agent, prepared.threads
+    if agent is None:
+        inputs = built.assembly.inputs(prepared.values)
+        return Rollout(built.model, inputs, threads=threads), as_found(prepared.values)
+    goals = agent.goals_in_the_middle
+    return agent.rollout(agent.acting, goals, threads), agent.wanted(goals)
 
 
 def _tell_acted(result: SimulateResult, run: RunDirectory, agent: Agent, rollout: Rollout, records: Records) -> None:
