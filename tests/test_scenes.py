@@ -18,9 +18,9 @@ from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.jobs.control import run_control
 from cqrun.jobs.gradcheck import run_gradcheck
-from cqrun.jobs.report import report_lines
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
+from cqrun.jobs.table import report_lines
 from cqrun.jobs.validate import validate
 from cqrun.measurements.recording import Recording
 from cqrun.scene.load import load_scene
