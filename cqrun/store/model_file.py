@@ -49,7 +49,7 @@ def _complaint(text: bytes, error: ValidationError) -> str:
     if first["type"] == "union_tag_invalid":
         return f"job: must be one of {first['ctx']['expected_tags']}, is {shown(first['ctx']['tag'])}"
     if not first["loc"]:
-        return "holds no result: it must be a mapping with the key `job`"
+        return "is not a result: it must be a mapping with the key `job`"
     place = _place(json.loads(text), first["loc"][1:], missing=first["type"] == "missing")
     words = "unknown key" if first["type"] == "extra_forbidden" else in_words(first)
     return f"{'.'.join(map(str, place))}: {words}"

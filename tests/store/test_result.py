@@ -136,8 +136,8 @@ def changed(**changes: Any) -> dict[str, Any]:
     ("content", "message"),
     [
         ("{", "unreadable (EOF while parsing an object at line 1 column 1)"),
-        ([], "holds no result: it must be a mapping with the key `job`"),
-        ({"loss": 1.0}, "holds no result: it must be a mapping with the key `job`"),
+        ([], "is not a result: it must be a mapping with the key `job`"),
+        ({"loss": 1.0}, "is not a result: it must be a mapping with the key `job`"),
         (changed(job="fit"), "job: must be one of 'sysid', 'control', 'codesign', 'simulate', 'gradcheck', is 'fit'"),
         (changed(iterations=2.5), "iterations: must be a whole number, is 2.5"),
         (changed(los=1.0), "los: unknown key"),
