@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,7 +14,7 @@ from cqrun.objectives.term import BoundTerm, ObjectiveTerm, Track, TrackBar
 from cqrun.observers.matter import A_GROUP, Matter
 from cqrun.observers.rows import means
 from cqrun.plugin.contract import Array, vector
-from cqrun.plugin.reference import BodyName, GoalName, GroupName, Position
+from cqrun.plugin.reference import BodyName, GoalName, GroupName, NamesGroup, Position
 from cqrun.plugin.registry import plugin
 
 
@@ -32,7 +32,9 @@ class Reach(ObjectiveTerm):
     goal: GoalName | None = Field(description="Name of the goal", default=None)
     position: Position | None = vector("m", "Position where it should be", default=None)
     target: BodyName | None = Field(description="Body whose centroid it should reach", default=None)
-    target_group: str | None = Field(description="Group of that body; the whole body if absent", default=None)
+    target_group: Annotated[str, NamesGroup(of="target")] | None = Field(
+        description="Group of that body; the whole body if absent", default=None
+    )
     squared: bool = Field(description="Whether the distance is squared", default=True)
 
     @model_validator(mode="after")

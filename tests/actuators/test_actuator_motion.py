@@ -31,7 +31,7 @@ def run(
         x, size=[1.0] * x.shape[1], dx=DX, substeps=steps, controls=1, actuators=(act,),
         activation=np.full((1, 1), activation), **{"dt": DT, "volume": 0.05 ** x.shape[1]} | options,
     )  # fmt: skip
-    inputs.strength[[a.kernel is act.kind for a in model.actuators]] = spec.full
+    inputs.strength[[a.kernel is act.kind for a in model.parts]] = getattr(spec, spec.scale)
     inputs.state = start or inputs.state
     seen: dict[int, State] = {}
     Rollout(model, inputs).run(observe=seen.__setitem__)

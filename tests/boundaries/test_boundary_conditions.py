@@ -78,7 +78,7 @@ class _Strange(NamedTuple):
 
 def test_a_condition_without_an_adjoint_fails(monkeypatch):
     strange = _Strange((1.0, 0.0), 0.0)
-    monkeypatch.setitem(conditions._PROJECT, _Strange, lambda condition, v: v)
+    monkeypatch.setitem(conditions._PROJECT.bodies, _Strange, (lambda condition, v: v, "condition, v"))
     assert project(strange, (1.0, 2.0)) == (1.0, 2.0)
     with pytest.raises(KeyError):
         project_vjp(strange, (1.0, 2.0), (1.0, 1.0))

@@ -87,7 +87,7 @@ class Shuffler:
             walls=[Wall(Friction, (0.0, 1.0), below(1, 0.2), 0.5)],
             actuators=tuple(Acting.of(spec, members, self.x) for spec, members in specs),
         )  # fmt: skip
-        inputs.strength[:4] = [spec.full for spec, _ in specs]
+        inputs.strength[:4] = [getattr(spec, spec.scale) for spec, _ in specs]
         return model, inputs
 
     def with_probe(self, model: Model) -> Model:

@@ -120,7 +120,7 @@ def test_what_is_not_finite_is_found_in_the_first_substeps(kind, bad, threads):
     model, inputs = rich(2)
     array = arrays(inputs)[KINDS.index(kind)]
     # the walls' first coefficient is of the floor; a muscle holds particle 18, the second of the second body
-    array[0 if kind.split(".")[0] in ("friction", *ACTUATORS) else 18] = bad
+    array[0 if kind.split(".")[0] in ("friction", "spring", *ACTUATORS) else 18] = bad
     error = outcome(lambda: Rollout(model, inputs, threads=threads).run())
     assert isinstance(error, RolloutError)
     assert error.time <= 2 * model.dt + 1e-12
