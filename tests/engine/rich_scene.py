@@ -114,7 +114,7 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
     s.C, s.F = rng.normal(size=s.C.shape) * 0.2, s.F + rng.normal(size=s.F.shape) * 0.05
     s.memory = rng.normal(size=4)
     inputs.strength[:9] = rng.uniform(0.8, 1.2, 9)
-    inputs.strength[SPRINGS] = STIFFNESS[dim]
+    inputs.strength[SPRINGS] = 0.2 * STIFFNESS[dim]
     inputs.strength[ACTUATORS["cable"]] *= STIFFNESS[dim]
     inputs.fields.force[:] = mass[:, None] * rng.normal(size=s.x.shape)
     inputs.weights = rng.uniform(0.5, 1.5, model.weight_slices[-1].stop)
