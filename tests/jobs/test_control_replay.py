@@ -283,7 +283,7 @@ def test_a_resumed_run_keeps_what_was_better(trained):
     saved = []
     problem = SimpleNamespace(
         built=build(load_scene(trained / "scene.yaml")), stochastic=False, values=lambda x: x,
-        save=lambda path, x: saved.append((path.name, float(x[0]))),
+        agent=SimpleNamespace(save=lambda path, x: saved.append((path.name, float(x[0])))),
         constraint_names=[], c_low=np.zeros(0), c_high=np.zeros(0), scales=np.zeros(0),
     )  # fmt: skip
     keep = Keeping(RunDirectory.resume(trained), problem, Silent())

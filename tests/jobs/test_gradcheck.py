@@ -14,8 +14,7 @@ from cqrun.jobs.gradcheck import ALL, SUMMARY, run_gradcheck
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.table import report_lines
 from cqrun.running import finite_differences
-from cqrun.running.finite_differences import STEPS, TOO_ROUGH, check_direction, extrapolated, plateau
-from cqrun.running.state_loss import Loss
+from cqrun.running.finite_differences import STEPS, TOO_ROUGH
 from cqrun.store.run import read_record
 
 
@@ -133,22 +132,6 @@ def test_too_little_memory_is_refused_before_there_is_a_run(fit, tmp_path):
     assert not (tmp_path / "fit").exists()
 
 
-def test_extrapolation_is_of_fourth_order_and_its_plateau_is_found_blind():
-    def central(h: float) -> float:
-        return float((np.exp(0.3 + h) - np.exp(0.3 - h)) / (2 * h))
-
-    scan = extrapolated(central)
-    errors = np.abs(scan / np.exp(0.3) - 1)
-    assert errors[0] < 1e-10  # h = 0.01: fourth order; second order leaves 2e-5
-    assert errors[plateau(scan)] < 1e-11
-
-
-def test_a_plateau_is_found_beside_rollouts_that_failed():
-    scan = np.array([np.nan, np.nan, 3.0, 2.0, 2.001, 2.0005, 2.5, 1.0])
-    assert plateau(scan) == 4
-    assert plateau(np.full(5, np.nan)) == 4
-
-
 def test_a_direction_whose_steps_all_fail_disagrees(fit, tmp_path, monkeypatch):
     monkeypatch.setattr(finite_differences, "_central", lambda loss, d, h: float("nan"))
     run, agrees, found = check(fit, tmp_path)
@@ -171,59 +154,3 @@ def test_differences_that_are_too_rough_do_not_agree(fit, tmp_path, monkeypatch)
     assert lines[-1] == read_record(run)["reason"] == SUMMARY[TOO_ROUGH]
     with pytest.raises(RunError, match="too rough to tell whether the adjoint is right"):
         run_resume(run, [], threads=1)
-
-
-def checked(value, x, adjoint):
-    """Return what differences of a function of one number at x say of a derivative."""
-    loss = Loss("f", Params(()), np.array([x]), lambda x: float(value(x[0])), lambda x: (0.0, np.zeros(1)), 1.0)
-    return check_direction("x", loss, float(value(x)), np.array([adjoint]), np.ones(1), "float64")
-
-
-@pytest.mark.parametrize("slope", [1e4, 1e6, 1e8])
-def test_a_loss_that_saturates_at_large_steps(slope):
-    """There E is its range by the step, and so least where the step is largest."""
-
-    def value(x):
-        return np.tanh(slope * (x - 0.4)) + 1.0
-
-    right, wrong = checked(value, 0.4, slope), checked(value, 0.4, 1.001 * slope)
-    assert (right.verdict, wrong.verdict) == ("agrees", "disagrees")
-    assert right.differences == pytest.approx(slope, rel=1e-6)
-
-
-def test_a_loss_with_steps_of_all_sizes():
-    """As contacts, sticks and slips make them, on a slope of 1."""
-
-    def value(x):
-        return x + sum(2.0**-k * (np.floor(x * 3.7 * 2.0**k + 0.37 * k) % 2) for k in range(1, 50))
-
-    for adjoint in (1.0, -3.0, 20.0):
-        assert not checked(value, 0.4137, adjoint).agrees
-    assert checked(value, 0.4137, 1.0).verdict == TOO_ROUGH
-
-
-@pytest.mark.parametrize(("off", "agrees"), [(0.0, True), (1.5e-5, True), (1e-3, False)])
-def test_a_gradient_within_the_scatter_of_its_differences(off, agrees):
-    """Differences that scatter by 2e-5 cannot tell an error of that size, but one of a thousandth."""
-    # f(x) = x, with an error of its differences at every step that does not fall with it
-    error = 2e-5 * (-1.0) ** np.arange(len(STEPS))
-    at = {round(float(np.log(h)), 6): e for h, e in zip(STEPS, error, strict=True)}
-
-    def value(x: np.ndarray) -> float:
-        h = float(x[0])
-        return h * (1.0 + at[round(float(np.log(abs(h))), 6)])
-
-    loss = Loss("x", Params(()), np.zeros(1), value, lambda x: (0.0, np.ones(1)), 0.0)
-    row = check_direction("x", loss, 0.0, np.array([1.0 + off]), np.ones(1), "float64")
-    assert row.noise > 1e-5
-    assert bool(row.agrees) is agrees
-
-
-def test_a_scan_that_is_rounding_alone_is_flat(rng):
-    """Larger rounding than the loss lets expect: differences tell nothing below their own scatter."""
-    noise = iter(1e-9 * rng.normal(size=1000))
-    loss = Loss("noise", Params(()), np.zeros(1), lambda x: 1.0 + next(noise), lambda x: (1.0, np.zeros(1)), 1.0)
-    flat = check_direction("a", loss, 1.0, np.array([1e-9]), np.ones(1), "float64")
-    assert flat.agrees
-    assert flat.noise >= abs(flat.differences)
-    assert not check_direction("a", loss, 1.0, np.array([1.0]), np.ones(1), "float64").agrees

@@ -51,7 +51,7 @@ def test_variants_are_all_combinations_of_three_groups(tmp_path):
     ]  # fmt: skip
     assert found[0].overrides == tuple(f"unknowns.{path}=null" for path in (E, NU, RHO))
     assert found[1].overrides == tuple(f"unknowns.{path}=null" for path in (NU, RHO))
-    assert (found[0].job, found[7].job, found[7].overrides) == ("control", "codesign", ())
+    assert (found[0].job.name, found[7].job.name, found[7].overrides) == ("control", "codesign", ())
     assert group_of("bodies.arm.shape.box.size.1") == "size"
 
 
