@@ -1,9 +1,9 @@
-"""The density that CQ1's collision task finds, over ten samplings of the balls and two substeps, beside a scan.
+"""Find the density in CQ1's collision task for ten samplings of the balls and two substeps, beside a scan.
 
     python -m benchmarks.collision_seeds
 
-The paper reports 2.26 for one sampling of unknown seed. The gradient's optimum is compared with a brute-force
-scan of the loss (41 densities, then a bracketed search between the best one's neighbours).
+The paper reports 2.26 for one sampling of unknown seed. The gradient's optimum is compared with a scan of the loss:
+41 densities, then a bracketed search between the neighbours of the best one.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ UNKNOWN = "bodies.a.material.density"
 
 
 def problem_of(seed: int, substeps: int) -> tuple[FitProblem, Any]:
-    """Return the fit of one sampling, and the scene's optimizer."""
+    """Return the fit problem of one sampling, and the scene's optimizer."""
     seeds = [f"bodies.{body}.sampling.random.seed={2 * seed + k}" for k, body in enumerate("ab")]
     scene = load_scene(SCENE, [*seeds, f"time.substeps={substeps}"])
     assert scene.optimizer is not None
@@ -45,7 +45,7 @@ def by_gradient(seed: int, substeps: int) -> float:
 
 
 def by_scan(seed: int, substeps: int) -> float:
-    """Return the density with the least loss, by forward runs alone."""
+    """Return the density with the least loss, from forward runs alone."""
     problem, _ = problem_of(seed, substeps)
     case = problem.cases[0]
 

@@ -1,8 +1,8 @@
-"""CQ2 Fig 5: the finger's Young's modulus, Poisson's ratio and density, from its motion with noise and without.
+"""Fit the finger of CQ2 Fig 5: Young's modulus, Poisson's ratio and density, from its motion with noise and without.
 
     python benchmarks/finger_material.py [--runs DIR] [--out FILE]
 
-Each fit is a run of `cqrun sysid` below `--runs`: one that was stopped goes on, one that is finished is read.
+Each fit is a run of `cqrun sysid` below `--runs`. A stopped fit continues, and a finished one is read.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ SCENE = ROOT / "scenes" / "sysid" / "finger_material.yaml"
 FITS: dict[str, list[str]] = {"with noise": [], "without noise": ["data.synthetic.noise=0.0"]}
 TRUTH = {"youngs_modulus": 20.0, "poissons_ratio": 0.25, "density": 2.33}
 WANTED = {"with noise": 0.03, "without noise": 0.01}
-"""The greatest relative error that is allowed."""
+"""The largest relative error that is allowed."""
 
 
 def fit(name: str, runs: Path) -> dict[str, Any]:
-    """Run one fit, or go on with it; return what it found."""
+    """Run one fit, or continue it; return what it found."""
     run = run_sysid(SCENE, FITS[name], runs)
     result = json.loads((run / "result.json").read_text())
     words = ["cqrun", "sysid", str(SCENE.relative_to(ROOT)), *(f"-o {each}" for each in FITS[name])]
@@ -41,7 +41,7 @@ def fit(name: str, runs: Path) -> dict[str, Any]:
 
 
 def worst_error(unknowns: dict[str, Any]) -> float:
-    """Return the greatest relative distance of a value from the truth."""
+    """Return the largest relative error of a value."""
     return max(abs(entry["value"] / TRUTH[path.rpartition(".")[2]] - 1.0) for path, entry in unknowns.items())
 
 

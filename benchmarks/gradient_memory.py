@@ -1,10 +1,10 @@
-"""Does a gradient stay within its budget? 10,000 substeps of 64,000 particles in 3D with 2 GiB for states.
+"""Measure the memory of one gradient: 10,000 substeps of 64,000 particles in 3D, with a budget of 2 GiB for states.
 
     python benchmarks/gradient_memory.py [--substeps 10000] [--edge 40] [--budget-mib 2048] [--out FILE]
 
-A block at rest, strained at random, swings freely; the loss is the mean of all final positions. Writes how many
-states were kept, how often a substep was repeated, the process's greatest memory, and the time. The gradient is
-known: momentum is conserved, so each of N equal particles adds its velocity times the time, over N.
+A block at rest with random strain swings freely. The loss is the mean of all final positions. The file says how many
+states were kept, how often a substep was repeated, the peak memory of the process, and the time. The exact gradient by
+each of the N velocities is the time over N, because momentum is conserved.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from cqrun.store.atomic import write_json
 
 
 def main() -> None:
-    """Run one gradient and write the figures."""
+    """Compute one gradient and write the file."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--substeps", type=int, default=10_000)
     parser.add_argument("--edge", type=int, default=40)

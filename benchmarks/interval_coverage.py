@@ -1,8 +1,8 @@
-"""Do 95 % intervals cover the truth? Fits of scenes/sysid/beam_twin.yaml over many draws of the noise.
+"""Count how often 95 % intervals cover the truth, in fits of scenes/sysid/beam_twin.yaml to many draws of the noise.
 
     python benchmarks/interval_coverage.py [--draws 50] [--out benchmarks/measured/beam_twin_coverage.json]
 
-A run that was stopped goes on: draws that are in the file already are not repeated.
+A stopped command continues: draws that are in the file are not repeated.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SCENE = Path(__file__).parents[1] / "scenes" / "sysid" / "beam_twin.yaml"
 
 
 class Memory:
-    """A session that keeps nothing (optimizers/base.py)."""
+    """A session of an optimizer (optimizers/base.py) that writes nothing."""
 
     seed = 0
 
@@ -54,7 +54,7 @@ class Memory:
 
 
 def draw(seed: int, overrides: list[str]) -> dict[str, Any]:
-    """Fit one draw of the noise; return truth, value and interval of every unknown."""
+    """Fit one draw of the noise; return the truth, the value and the interval of every unknown."""
     scene = load_scene(SCENE, [f"data.synthetic.seed={seed}", *overrides])
     assert scene.data is not None
     assert scene.data.synthetic is not None
@@ -65,17 +65,17 @@ def draw(seed: int, overrides: list[str]) -> dict[str, Any]:
     outcome = optimizer.minimise(problem, Memory())
     unknowns = list_unknowns(problem, outcome.x)
     jacobian = find_jacobian(problem, outcome.x, unknowns)
-    found = intervals(jacobian, problem.residuals(outcome.x), problem.series(), unknowns)
+    uncertainty = intervals(jacobian, problem.residuals(outcome.x), problem.series(), unknowns)
     truth = scene.data.synthetic.truth
     return {
         "seed": seed,
         "status": outcome.status,
-        "unknowns": {u.name: [truth[u.name], u.value, found.intervals[u.name]] for u in unknowns},
+        "unknowns": {u.name: [truth[u.name], u.value, uncertainty.intervals[u.name]] for u in unknowns},
     }
 
 
 def summary(draws: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the share of intervals that cover the truth, by unknown and in all."""
+    """Return the share of intervals that cover the truth, for all unknowns and for each."""
     covered: dict[str, list[bool]] = {}
     for entry in draws:
         for name, (truth, _, interval) in entry["unknowns"].items():
@@ -85,7 +85,7 @@ def summary(draws: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run the draws that are missing, and write the file after each."""
+    """Fit the draws that are missing, and write the file after each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=50)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/measured/beam_twin_coverage.json"))

@@ -1,10 +1,10 @@
-"""The real beam: its material from the swing and from rest, on two grids, and what the bare beam says of the other.
+"""Fit the material of the real beam to its swing and to its rest, on two grids; predict the loaded beam.
 
     python benchmarks/real_beam.py --recordings DIR [--only swing rest ...] [--runs DIR] [--out FILE]
 
 DIR holds beam_gravity_V2_a.c3d and beam_load101_V2_a.c3d (srl-ethz/diffPD_sim2real, MIT licence). Each fit is a run of
-`cqrun sysid` below `--runs`: one that was stopped goes on, one that is finished is read. On two cores the swing takes a
-quarter of an hour at 5 mm and two at 3.75 mm, the rest a minute and five.
+`cqrun sysid` below `--runs`. A stopped fit continues, and a finished one is read. On two cores, a fit at 5 mm takes a
+quarter of an hour (swing) or a minute (rest). A fit at 3.75 mm takes two hours (swing) or five minutes (rest).
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ NEAR = [
     "data.recordings.loaded.start=0.5256",
     "world.gravity.1=-0.569",
 ]
-"""Near to where an earlier fit at 3.75 mm stood, which began at the one at 5 mm: an iteration takes ten minutes."""
+"""A start near an earlier fit at 3.75 mm, which itself started at the fit at 5 mm: an iteration takes ten minutes."""
 
 ROOM = ["unknowns.bodies.beam.material.viscosity.shear.bounds=[20, 400]", "time.substeps=800"]
-"""The viscosity lies beyond the bound that is ample at 5 mm; so many substeps are stable with it."""
+"""The viscosity lies beyond the bounds for 5 mm, and needs this many substeps to be stable."""
 FITS: dict[str, tuple[Path, list[str]]] = {
     "swing": (SWING, []),
     "swing_bare": (SWING, [*HELD_OUT, "unknowns.data.recordings.loaded.start=null"]),
@@ -58,21 +58,21 @@ SIDEWAYS = "world.gravity.1"
 
 
 def fit(name: str, recordings: Sequence[str], runs: Path) -> dict[str, Any]:
-    """Run one fit, or go on with it; return what it found."""
+    """Run one fit, or continue it; return what it found."""
     scene, overrides = FITS[name]
     run = run_sysid(scene, [*recordings, *overrides], runs / name)
-    found = json.loads((run / "result.json").read_text())
+    result = json.loads((run / "result.json").read_text())
     facts = json.loads((run / "run.json").read_text())
-    told = [word for override in overrides for word in ("-o", override)]
+    words = [word for override in overrides for word in ("-o", override)]
     return {
-        "command": shlex.join(["cqrun", "sysid", f"scenes/sysid/{scene.name}", *told]),
+        "command": shlex.join(["cqrun", "sysid", f"scenes/sysid/{scene.name}", *words]),
         "engine": facts["engine"],
-        **{key: found[key] for key in ("status", "iterations", "unknowns", "recordings", "findings")},
+        **{key: result[key] for key in ("status", "iterations", "unknowns", "recordings", "findings")},
     }
 
 
 def predicted_rest(found: Mapping[str, Any], recordings: Sequence[str]) -> dict[str, float]:
-    """Return the RMSE [mm] of both beams at rest with what the swing of the bare one alone said."""
+    """Return the RMSE [mm] of both beams at rest, with the values from the swing of the bare beam alone."""
     values = {path: found["unknowns"][path]["value"] for path in (MODULUS, SIDEWAYS)}
     built = build(load_scene(REST, [*recordings, *(f"{path}={value!r}" for path, value in values.items())]))
     errors = {}
@@ -83,7 +83,7 @@ def predicted_rest(found: Mapping[str, Any], recordings: Sequence[str]) -> dict[
 
 
 def main() -> None:
-    """Run the fits that are asked for, and write the file after each."""
+    """Run the fits, and write the file after each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=Path, required=True)
     parser.add_argument("--only", nargs="+", choices=list(FITS), default=list(FITS))
@@ -96,8 +96,8 @@ def main() -> None:
         result[name] = fit(name, recordings, options.runs)
         if name == "swing_bare":
             result["rest_predicted_from_swing_bare_mm"] = predicted_rest(result[name], recordings)
-        told = {"command": "python benchmarks/real_beam.py --recordings DIR", "engine": engine_hash()}
-        write_json(options.out, {**result, **told})
+        source = {"command": "python benchmarks/real_beam.py --recordings DIR", "engine": engine_hash()}
+        write_json(options.out, {**result, **source})
         errors = {k: round(v["rmse_mm"], 3) for k, v in result[name]["recordings"].items()}
         print(f"{name}: E {result[name]['unknowns'][MODULUS]['value'] / 1e3:.1f} kPa, RMSE [mm] {errors}", flush=True)
 

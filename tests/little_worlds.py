@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-import relaxation
 from numba import config
 from scipy import sparse
 
@@ -28,20 +27,24 @@ from cqrun.engine.model import ActuatorModel, ConditionModel, GroupModel, Inputs
 from cqrun.engine.setting import grid_shape, node_positions
 from cqrun.forces import spring
 from cqrun.materials import fixed_corotated, incompressibility, neo_hookean, viscosity
-from cqrun.state import Layout, ParticleFields, State
+from cqrun.state import Layout, ParticleFields, State, StateField
 
 TERMS = (
     lambda theta: fixed_corotated.FixedCorotatedKernel(theta, (0, 0)),
     lambda theta: neo_hookean.NeoHookeanKernel(theta, (0, 0)),
     lambda theta: viscosity.ViscosityKernel(theta, (0, 0)),
     lambda theta: incompressibility.IncompressibilityKernel(theta, (0, 0), 2),
-    lambda theta: relaxation.RelaxationKernel(theta, (0, 0), ()),
 )
 """The terms of every body, in the order of `Inputs.terms`; active stresses follow."""
 
-STRAIN = "relaxation.strain"
-HISTORY = ((), (), (), (), (STRAIN,))
-"""The fields of the state that the terms have."""
+
+class Extra(NamedTuple):
+    """One more term of the stress, with a history: what makes its kernels' view, its parameters, its fields."""
+
+    make: Callable[[np.ndarray], Any]
+    theta: np.ndarray
+    history: tuple[StateField, ...]
+
 
 CONDITIONS = (Friction,) * 4 + (Slip,) * 3 + (Separate, Sticky)
 """The kinds of boundary condition of every model, in the order of `Inputs.coefficients`."""
@@ -123,7 +126,7 @@ def conditions(walls: list[Wall], size: np.ndarray, dx: float) -> tuple[tuple[Co
 def world(
     x: np.ndarray | list[np.ndarray], *, size: list[float], dx: float, dt: float, substeps: int, controls: int,
     mass: Any = 1.0, volume: Any = 1.0, E: Any = 0.0, nu: Any = 0.3, neo_hookean: Any = 0.0, eta: Any = 0.0,
-    zeta: Any = 0.0, incompressible: Any = 0.0, relaxing: Any = 0.0, relaxation_time: Any = 1.0,
+    zeta: Any = 0.0, incompressible: Any = 0.0, extra: Extra | None = None,
     damping: Any = 0.0, gravity: Any = None,
     walls: list[Wall] | None = None, muscles: tuple[tuple[np.ndarray, np.ndarray], ...] = (),
     actuators: tuple[Acting, ...] = (), springs: tuple[Acting, ...] = (),
@@ -139,8 +142,7 @@ def world(
     bodies = x if isinstance(x, list) else [x]
     x = np.concatenate(bodies)
     (n, dim), size_ = x.shape, np.asarray(size, float)
-    fields_ = tuple(f._replace(name=STRAIN) for f in relaxation.Relaxation(modulus=0, time=1).history(dim))
-    layout = Layout(dim, tuple(len(b) for b in bodies), fields_)
+    layout = Layout(dim, tuple(len(b) for b in bodies), extra.history if extra else ())
     planes, coefficients = conditions(walls or [], size_, dx)
     wanted = [Acting(muscle.MuscleKernel, np.asarray(p), symmetric_rows(np.asarray(S, float))) for p, S in muscles]
     acting, chosen = every_kind([*wanted, *actuators], dim)
@@ -149,17 +151,21 @@ def world(
         tuple(ActuatorModel(f"{name} {k}", a.kind, a.particles, a.constants) for k, a in enumerate(of))
         for name, of in (("actuator", acting), ("spring", passive))
     )
+    makers = (*TERMS, extra.make) if extra else TERMS
+    history = (*((),) * len(TERMS), tuple(f.name for f in extra.history)) if extra else ()
+    group = GroupModel(tuple(range(len(bodies))), makers, STRESSES, history)
     model = Model(
         size_, dx, dt, substeps, controls, tuple(f"body {k}" for k in range(len(bodies))), layout,
-        (GroupModel(tuple(range(len(bodies))), TERMS, STRESSES, HISTORY),), planes, parts,
+        (group,), planes, parts,
         None if probe is None else sparse.csr_array(probe), real, budget, more,
     )  # fmt: skip
     fields = ParticleFields.zeros(n, dim)
     fields.mass[:], fields.volume[:], fields.damping[:] = mass, volume, damping
     if gravity is not None:
         fields.force[:] = fields.mass[:, None] * np.asarray(gravity, float)
-    pairs = ((E, nu), (neo_hookean, nu), (eta, zeta), (incompressible, nu), (relaxing, relaxation_time))
+    pairs = ((E, nu), (neo_hookean, nu), (eta, zeta), (incompressible, nu))
     terms = [np.array([np.broadcast_to(np.asarray(a, float), n) for a in pair]) for pair in pairs]
+    terms += [extra.theta] if extra else []
     signals = np.zeros((controls, len(acting)))
     if activation is not None:
         signals[:, chosen] = activation

@@ -1,8 +1,8 @@
 """python -m benchmarks.peers [--sizes 2d_6400 ...] [--repeat 7] [--core 0] [--output FILE]
 
-Every implementation that is installed runs in a process of its own on the same core, one after the other, in turns;
-a time is the median over the turns. All have to agree on the loss and on the norms of both gradients. A size that is
-measured again takes its own place in FILE; the others stay.
+Each installed implementation has a process of its own, all on the same core. They run in turns, and a time is the
+median over the turns. All have to agree on the loss and on the norms of both gradients. A size that is measured again
+replaces its entry in FILE; other sizes stay.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from cqrun.store.atomic import make_directory, write_json
 
 PACKAGES = {"cqrun": "cqrun", "cqrun_float32": "cqrun", "warp": "warp", "taichi": "taichi", "jax": "jax"}
 WANTED = {"2d": {"taichi": 8.0, "warp": 4.0, "jax": 15.0}, "3d": {"taichi": 10.0, "warp": 4.0, "jax": 15.0}}
-"""How many times faster cqrun is to be, forward and backward together."""
+"""How many times as fast as a peer cqrun has to be, forward and backward together."""
 
 AGREE = 2e-4
-"""Relative difference that float32 is allowed."""
+"""Relative difference that is allowed in float32."""
 
 ROOT = Path(__file__).parents[2]
 
 
 class Worker:
-    """A process that holds one implementation."""
+    """A process that runs one implementation."""
 
     def __init__(self, name: str, size: str, core: int) -> None:
         words = [sys.executable, "-m", "benchmarks.peers.worker", name, size, str(core)]
-        self.said = tempfile.TemporaryFile("w+")  # noqa: SIM115  (closed by `end`; compilers talk a lot: shown if it ends badly)
+        self.log = tempfile.TemporaryFile("w+")  # noqa: SIM115  (closed by `end`; shown only if the process fails)
         self.process = subprocess.Popen(
-            words, cwd=ROOT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.said
+            words, cwd=ROOT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.log
         )
         self.first = self.read()["first"]
 
@@ -53,29 +53,29 @@ class Worker:
         line = self.process.stdout.readline()
         if not line:
             self.process.communicate()
-            with self.said:
-                self.said.seek(0)
-                last_words = self.said.read()[-2000:]
+            with self.log:
+                self.log.seek(0)
+                tail = self.log.read()[-2000:]
             command = " ".join(self.process.args)  # type: ignore[arg-type]
-            raise SystemExit(f"{command} ended with {self.process.returncode}\n{last_words}")
+            raise SystemExit(f"{command} ended with {self.process.returncode}\n{tail}")
         answer: dict[str, Any] = json.loads(line)
         return answer
 
-    def ask(self, what: str) -> dict[str, Any]:
-        """Ask for something and return the answer."""
+    def ask(self, request: str) -> dict[str, Any]:
+        """Send a request and return the answer."""
         assert self.process.stdin is not None
-        self.process.stdin.write(what + "\n")
+        self.process.stdin.write(request + "\n")
         self.process.stdin.flush()
         return self.read()
 
     def end(self) -> None:
         """End the process."""
         self.process.communicate()
-        self.said.close()
+        self.log.close()
 
 
 def compare(size: str, names: Sequence[str], repeat: int, core: int) -> list[dict[str, Any]]:
-    """Return a row for each implementation: ms a substep forward, backward and together, and cqrun's ratio."""
+    """Return a row for each implementation: ms a substep forward, backward and together, and its ratio to cqrun's."""
     workers = {name: Worker(name, size, core) for name in names}
     seconds: dict[str, dict[str, list[float]]] = {name: {"forward": [], "backward": []} for name in names}
     for _ in range(repeat):
@@ -84,16 +84,16 @@ def compare(size: str, names: Sequence[str], repeat: int, core: int) -> list[dic
                 times.append(worker.ask(way)["seconds"])
     rows = []
     for name, worker in workers.items():
-        found = worker.ask("results")
+        results = worker.ask("results")
         worker.end()
         ways = {way: 1e3 * float(np.median(times)) / SUBSTEPS for way, times in seconds[name].items()}
         both = np.array(seconds[name]["backward"])
-        if not found["backward_holds_forward"]:
+        if not results["backward_holds_forward"]:
             both = both + np.array(seconds[name]["forward"])
         rows.append({
             "size": size, "name": name, "precision": PRECISIONS.get(name, "float32"), **ways,
             "together": 1e3 * float(np.median(both)) / SUBSTEPS, "first_call_s": worker.first,
-            **{key: found[key] for key in ("loss", "by_v", "by_E")}, "load": os.getloadavg()[0],
+            **{key: results[key] for key in ("loss", "by_v", "by_E")}, "load": os.getloadavg()[0],
         })  # fmt: skip
     ours = next(row for row in rows if row["name"] == "cqrun")
     for row in rows:
@@ -102,8 +102,8 @@ def compare(size: str, names: Sequence[str], repeat: int, core: int) -> list[dic
     return rows
 
 
-def told(row: dict[str, Any]) -> str:
-    """Return a row as a line."""
+def line(row: dict[str, Any]) -> str:
+    """Return a row as a line of text."""
     wanted = WANTED[row["size"][:2]].get(row["name"])
     asked = f"  (asked {wanted:g})" if wanted else ""
     return (
@@ -122,19 +122,19 @@ def main() -> None:
     parser.add_argument("--core", type=int, default=0)
     parser.add_argument("--output", type=Path, default=ROOT / "benchmarks" / "measured" / "peers.json")
     options = parser.parse_args()
-    here = [name for name in options.names if importlib.util.find_spec(PACKAGES[name]) is not None]
-    if missing := [name for name in options.names if name not in here]:
-        print(f"left out: {', '.join(missing)}, not installed: pip install 'cqrun[peers]'")
-    if set(here) <= set(PRECISIONS):
-        print("no peer is there to be measured beside")
+    installed = [name for name in options.names if importlib.util.find_spec(PACKAGES[name]) is not None]
+    if missing := [name for name in options.names if name not in installed]:
+        print(f"not installed, and not measured: {', '.join(missing)} (pip install 'cqrun[peers]')")
+    if set(installed) <= set(PRECISIONS):
+        print("nothing to compare with: no peer is installed")
         return
     make_directory(options.output.parent)
     for size in options.sizes:
-        rows = compare(size, [name for name in here if name != "cqrun"] + ["cqrun"], options.repeat, options.core)
+        rows = compare(size, [name for name in installed if name != "cqrun"] + ["cqrun"], options.repeat, options.core)
         for row in rows:
-            print(told(row), flush=True)
+            print(line(row), flush=True)
             if row["disagreement"] > AGREE:
-                raise SystemExit(f"{row['name']} does not compute the same: {row}")
+                raise SystemExit(f"{row['name']} and cqrun disagree by more than {AGREE:g}: {row}")
         measured = json.loads(options.output.read_text()) if options.output.exists() else {}
         write_json(options.output, measured | {size: {"engine": engine_hash(), "machine": machine(), "rows": rows}})
 

@@ -1,4 +1,4 @@
-"""cqrun itself, one thread."""
+"""The substep in cqrun itself, on one thread."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cqrun.state import State
 
 
 class Cqrun:
-    """One size in one precision."""
+    """The block of a size in one precision."""
 
     def __init__(self, size: str, precision: str) -> None:
         self.rollout = Rollout(*model_of(size, np.dtype(precision)), threads=1, adjoint=True)
@@ -35,7 +35,7 @@ class Cqrun:
         self.pass_back.run(0, SUBSTEPS, self.states)
 
     def results(self) -> Mapping[str, float]:
-        """Return loss and norms."""
+        """Return the loss and the norms of both gradients."""
         bar = self.pass_back.inputs_bar()
         by_v, by_E = bar.state.v, bar.terms[0][0][0]
         loss = 0.5 * float((self.last.x**2).sum(axis=1).mean())
@@ -48,4 +48,4 @@ def make(size: str, precision: str) -> Cqrun:
 
 
 BACKWARD_HOLDS_FORWARD = False
-"""Whether `backward` runs the substeps forward itself, so that `forward` counts no second time."""
+"""Whether `backward` also runs the substeps forward. If so, the time of `forward` is not added."""

@@ -1,4 +1,4 @@
-"""The substep for JAX: whole arrays, scatter-add, one compiled function for the loss and one for its gradient."""
+"""The substep in JAX: whole arrays, scatter-add, one compiled function for the loss and one for its gradient."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NEWTON = 5
 
 
 class Jax:
-    """One size."""
+    """The block in arrays, and its compiled functions."""
 
     def __init__(self, block: Block) -> None:
         self.block = block
@@ -69,11 +69,11 @@ class Jax:
         self.value = self.loss(*self.start).block_until_ready()
 
     def backward(self) -> None:
-        """Run all substeps and their adjoint: JAX has no adjoint alone."""
+        """Run all substeps and their adjoint, because JAX cannot run the adjoint alone."""
         self.value, self.gradients = jax.block_until_ready(self.gradient(*self.start))
 
     def results(self) -> Mapping[str, float]:
-        """Return loss and norms."""
+        """Return the loss and the norms of both gradients."""
         by_v, by_E = (np.asarray(g, np.float64) for g in self.gradients)
         return {"loss": float(self.value), "by_v": float(np.linalg.norm(by_v)), "by_E": float(np.linalg.norm(by_E))}
 
@@ -97,4 +97,4 @@ def make(block: Block) -> Jax:
 
 
 BACKWARD_HOLDS_FORWARD = True
-"""Whether `backward` runs the substeps forward itself, so that `forward` counts no second time."""
+"""Whether `backward` also runs the substeps forward. If so, the time of `forward` is not added."""

@@ -1,11 +1,11 @@
-"""What is computed: a block of fixed-corotated material, each particle with its own modulus, falls for a few substeps.
+"""What is computed: a block of fixed-corotated material falls for a few substeps; each particle has its own modulus.
 
     momentum   (m v)_i = sum_p w_ip (m_p v_p + dt m_p g + (m_p C_p - dt 4 / dx^2 V_p tau_p) (x_i - x_p))
     stress     tau = 2 mu (F - R) F^T + lambda (J - 1) J I, F = R S
     motion     v_p = sum_i w_ip v_i, C_p = 4 / dx^2 sum_i w_ip v_i (x_i - x_p)^T, x_p += dt v_p, F_p = (I + dt C_p) F_p
 
-with quadratic B-splines (MLS-MPM; CQ1 eqs 1 to 12). The loss is the mean of |x|^2 / 2 at the end; its gradients are by
-every particle's velocity at the start and by its modulus.
+with quadratic B-splines (MLS-MPM; CQ1 eqs 1 to 12). The loss is the mean of |x|^2 / 2 at the end. Its gradients
+are by every particle's initial velocity and by its modulus.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SIZES = {"2d_6400": (2, 80), "2d_102400": (2, 320), "3d_8000": (3, 20), "3d_6400
 """Name -> (dimension, particles along an edge)."""
 
 SUBSTEPS = 40
-"""Of a call: what a call costs once is spread over them, as over the hundreds of a rollout."""
+"""In one call. The fixed cost of a call is spread over them, as over the hundreds of substeps of a rollout."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Block:
 
 
 class Implementation(Protocol):
-    """One way to compute it."""
+    """An implementation of the block."""
 
     def forward(self) -> None:
         """Run all substeps, and keep what the gradient needs."""
@@ -65,11 +65,11 @@ class Implementation(Protocol):
         """Run the adjoint of all substeps."""
 
     def results(self) -> Mapping[str, float]:
-        """Return loss, and the norms of the gradients by velocity and by modulus, after both."""
+        """Return the loss and the norms of the gradients by velocity and by modulus, after forward and backward."""
 
 
 def model_of(size: str, real: Any = np.float64) -> tuple[Model, Inputs]:
-    """Return cqrun's model of a size in a precision; that of `cqrun bench`, for more substeps."""
+    """Return cqrun's model of a size in a precision: that of `cqrun bench`, with more substeps."""
     model, inputs = falling_block(*SIZES[size], real)
     return replace(model, substeps=SUBSTEPS), inputs
 

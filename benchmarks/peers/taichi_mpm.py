@@ -1,4 +1,4 @@
-"""The substep for Taichi on the CPU, as DiffTaichi writes it: kernels and their generated adjoints, grids recomputed.
+"""The substep in Taichi on the CPU, as in DiffTaichi: kernels with generated adjoints, and grids computed again.
 
 Without `from __future__ import annotations`: Taichi reads annotations as objects.
 """
@@ -17,7 +17,7 @@ NEWTON = 5
 
 @ti.data_oriented
 class Taichi:
-    """One size: fields for every substep, one grid."""
+    """The block in fields for every substep, with one grid."""
 
     def __init__(self, block: Block) -> None:
         self.n, self.dim = len(block.x), block.dim
@@ -144,7 +144,7 @@ class Taichi:
         ti.sync()
 
     def backward(self) -> None:
-        """Run the adjoints; each substep's grid is computed again."""
+        """Run the adjoint of all substeps; the grid of each is computed again."""
         self.clear_gradients()
         self.loss.grad[None] = 1
         self.measure.grad()
@@ -158,7 +158,7 @@ class Taichi:
         ti.sync()
 
     def results(self) -> Mapping[str, float]:
-        """Return loss and norms."""
+        """Return the loss and the norms of both gradients."""
         by_v = self.v.grad.to_numpy()[0].astype(np.float64)
         by_E: Any = self.E.grad.to_numpy().astype(np.float64)
         loss = float(self.loss[None])
@@ -172,4 +172,4 @@ def make(block: Block) -> Taichi:
 
 
 BACKWARD_HOLDS_FORWARD = False
-"""Whether `backward` runs the substeps forward itself, so that `forward` counts no second time."""
+"""Whether `backward` also runs the substeps forward. If so, the time of `forward` is not added."""

@@ -1,4 +1,4 @@
-"""The substep for NVIDIA Warp on the CPU: kernels over particles and nodes, their adjoints from a tape."""
+"""The substep in NVIDIA Warp on the CPU: kernels over particles and nodes, with adjoints from a tape."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def improved(R: wp.mat33) -> wp.mat33:
 
 @wp.func
 def rotation3(F: wp.mat33) -> wp.mat33:
-    # written out: a loop that overwrites R would lose what its adjoint needs
+    # no loop: a loop that overwrites R would lose what its adjoint needs
     R1 = improved(F)
     R2 = improved(R1)
     R3 = improved(R2)
@@ -183,7 +183,7 @@ def loss3(x: wp.array(dtype=wp.vec3), scale: float, out: wp.array(dtype=float)):
 
 
 class Warp:
-    """One size: arrays for every substep, as a tape needs them."""
+    """The block in arrays for every substep, as a tape needs them."""
 
     def __init__(self, block: Block) -> None:
         self.block, n, d = block, len(block.x), block.dim
@@ -206,7 +206,7 @@ class Warp:
         self.n = n
 
     def forward(self) -> None:
-        """Run all substeps onto a tape."""
+        """Run all substeps, and record them on a tape."""
         b = self.block
         p2g, grid, g2p, loss = self.kernels
         self.tape = wp.Tape()
@@ -225,13 +225,13 @@ class Warp:
             wp.launch(loss, self.n, inputs=[self.states[-1][0], 0.5 / self.n], outputs=[self.loss], device="cpu")
 
     def backward(self) -> None:
-        """Run the tape back; what the last one left is cleared first, which the new tape does not know of."""
+        """Run the tape backward. Gradients of an earlier tape are cleared first."""
         for array in (self.E, self.loss, *(a for held in (*self.states, *self.grids) for a in held)):
             array.grad.zero_()
         self.tape.backward(self.loss)
 
     def results(self) -> Mapping[str, float]:
-        """Return loss and norms."""
+        """Return the loss and the norms of both gradients."""
         by_v, by_E = (np.asarray(a.grad.numpy(), np.float64) for a in (self.states[0][1], self.E))
         loss = float(self.loss.numpy()[0])
         return {"loss": loss, "by_v": float(np.linalg.norm(by_v)), "by_E": float(np.linalg.norm(by_E))}
@@ -244,4 +244,4 @@ def make(block: Block) -> Warp:
 
 
 BACKWARD_HOLDS_FORWARD = False
-"""Whether `backward` runs the substeps forward itself, so that `forward` counts no second time."""
+"""Whether `backward` also runs the substeps forward. If so, the time of `forward` is not added."""

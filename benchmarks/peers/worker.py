@@ -1,8 +1,8 @@
-"""One implementation in a process of its own, pinned to one core; it does what it reads from standard input.
+"""Run one implementation in a process of its own, pinned to one core, as standard input says.
 
     python -m benchmarks.peers.worker NAME SIZE CORE
 
-A line `forward` or `backward` is answered by the seconds it took, `results` by a JSON object.
+The answer to a line `forward` or `backward` is the seconds it took; the answer to `results` is a JSON object.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import sys
 import time
 
 PRECISIONS = {"cqrun": "float64", "cqrun_float32": "float32"}
-"""Of the names that are cqrun; the peers compute in float32."""
+"""Of cqrun's implementations; the peers compute in float32."""
 
 NAMES = dict.fromkeys(PRECISIONS, "cqrun_mpm") | {"warp": "warp_mpm", "taichi": "taichi_mpm", "jax": "jax_mpm"}
 
 
 def main(name: str, size: str, core: int) -> None:
-    """Make the implementation, warm it up, and answer."""
+    """Make the implementation, warm it up, and answer requests."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = "1"
     os.sched_setaffinity(0, {core})
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what libraries print is no answer
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # so that what libraries print is not read as an answer
     from benchmarks.peers.problem import block_of
 
     module = importlib.import_module(f"benchmarks.peers.{NAMES[name]}")

@@ -1,1 +1,1 @@
-"""From a scene to the engine's model and back: particles, regions, rest shapes, actuation, and the checks that need particles."""
+"""From a scene to the engine's model and back, and the checks that need particles."""

@@ -1,4 +1,4 @@
-"""The actuation of a scene: the parts of its actuators and forces, their limits and strengths, and the open-loop signals.
+"""The actuation of a scene: parts of actuators and forces, their limits and strengths, and the open-loop signals.
 
 Every part of an actuator has one activation per control step. An open-loop signal is given by knots, which are spread
 over the run or over the time `over`. With `interpolate: hold` each knot lasts for an equal part of that time. With
@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from cqrun.actuators.actuator import held_to
-from cqrun.plugin.choice import Chosen
-from cqrun.plugin.contract import Array, Plugin
+from cqrun.build.particles import Particles
 from cqrun.engine.model import ActuatorModel
 from cqrun.errors import Problem, SceneError
-from cqrun.build.particles import Particles
+from cqrun.plugin.choice import Chosen
+from cqrun.plugin.contract import Array, Plugin
 from cqrun.scene.activation import Activation
 from cqrun.scene.schema import Scene
 

@@ -12,17 +12,17 @@ from typing import Any, cast
 
 import numpy as np
 
-from cqrun.plugin.contract import Array, Plugin, is_differentiable
+from cqrun.build.actuation import Actuation
+from cqrun.build.particles import Particles, stress_key
+from cqrun.build.regions import boundary
+from cqrun.build.rest_shape import Geometry
 from cqrun.engine.model import Inputs
 from cqrun.errors import UsageError
 from cqrun.explain import listed
 from cqrun.loads.gravity import Gravity
 from cqrun.loads.load import Load
 from cqrun.objectives.design import DESIGN, MASS, RATIO, STIFFNESS, VOLUME
-from cqrun.build.actuation import Actuation
-from cqrun.build.rest_shape import Geometry
-from cqrun.build.particles import Particles, stress_key
-from cqrun.build.regions import boundary
+from cqrun.plugin.contract import Array, Plugin, is_differentiable
 from cqrun.scene.schema import Scene
 from cqrun.state import ParticleFields, State
 
@@ -196,7 +196,7 @@ class Assembly:
         return np.cross(np.eye(3)[None, :, :], r[:, None, :]).transpose(0, 2, 1)
 
     def _velocities_vjp(self, x: Array, values: Values, bar: Inputs, out: dict[str, Array]) -> Array:
-        """Add to the gradients in `out`, and return the cotangent of the rest positions (N, D): v_bar x spin minus its mean."""
+        """Add to the gradients in `out`; return that of the rest positions (N, D): v_bar x spin minus its mean."""
         x_bar = np.zeros(x.shape)
         for body in self.particles.names:
             part, base = self.particles.of(body), f"bodies.{body}"
@@ -288,7 +288,7 @@ class Assembly:
             bar.terms[g][0][row, columns] += design_bar[quantity, part]
 
     def _elastic_rows(self) -> Iterator[tuple[int, slice, int, int, slice]]:
-        """Yield (row of the design, particles of a body, its group, row of its elastic term, its particles in that row)."""
+        """Yield (row of the design, particles of a body, its group, row of its elastic term, its columns there)."""
         for g, bodies in enumerate(self._groups()):
             begin = self.particles.of(bodies[0]).start
             for body in bodies:

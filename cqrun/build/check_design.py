@@ -1,4 +1,4 @@
-"""Check the bounds of geometric unknowns: within them no body may leave the world, overlap another or become too thin."""
+"""Check the bounds of geometric unknowns: no body may leave the world, overlap another or become too thin."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from cqrun.plugin.contract import Array
+from cqrun.build.check_particles import outside_world, overlapping_bodies, overlapping_parts
+from cqrun.build.particles import Particles
+from cqrun.build.rest_shape import Geometry
 from cqrun.design.spread import mirrored
 from cqrun.errors import MissingExtra, Problem, SceneError, UsageError
-from cqrun.build.check_particles import outside_world, overlapping_bodies, overlapping_parts
-from cqrun.build.rest_shape import Geometry
-from cqrun.build.particles import Particles
+from cqrun.plugin.contract import Array
 from cqrun.scene.paths import canonical, cuts, leaf, shapes_a_body, with_values
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import body_of, start, tied
@@ -80,7 +80,9 @@ def design_warnings(scene: Scene, particles: Particles) -> list[Problem]:
         for other, value in list(tied(scene, path, start(scene, path)).items())[1:]:
             in_scene = leaf(scene, other).value
             if differ(value, in_scene):
-                message = f"{other} starts at {value:g}, because of `also`, and not at its value {in_scene:g} in the scene"
+                message = (
+                    f"{other} starts at {value:g}, because of `also`, and not at its value {in_scene:g} in the scene"
+                )
                 warnings.append(Problem(scene.where(key), key, message))
     return warnings
 
@@ -112,7 +114,8 @@ def _ungrouped(scene: Scene, particles: Particles, path: str) -> Iterator[str]:
     body = body_of(scene, canonical(scene, path))
     count = np.sum([points for points in particles.points[body].groups.values()], axis=0)
     if (count == 0).any():
-        yield f"{(count == 0).sum():,} of {count.size:,} particles of '{body}' are in no group: their values do not change"
+        lost = (count == 0).sum()
+        yield f"{lost:,} of {count.size:,} particles of '{body}' are in no group: their values do not change"
     if (count > 1).any():
         yield f"{(count > 1).sum():,} particles of '{body}' are in several groups, and have the value of the last"
 
@@ -123,8 +126,8 @@ def _asymmetric(scene: Scene, particles: Particles, path: str, mirror: str) -> I
     outside = np.mean(~scene.bodies[body].whole().inside(image))
     if outside > ASYMMETRIC:
         yield (
-            f"'{body}' is not its own mirror image across {mirror}: the mirror images of {outside:.0%} of its particles "
-            "lie outside it, so the values of these particles follow places without material"
+            f"'{body}' is not its own mirror image across {mirror}: the mirror images of {outside:.0%} of its "
+            "particles lie outside it, so the values of these particles follow places without material"
         )
 
 

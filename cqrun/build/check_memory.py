@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from cqrun.build.particles import Particles
 from cqrun.engine.setting import grid_shape
 from cqrun.errors import Problem
-from cqrun.build.particles import Particles
 from cqrun.scene.schema import Scene
 from cqrun.units import format_bytes
 

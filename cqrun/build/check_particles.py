@@ -13,18 +13,18 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cqrun.boundaries.condition import BoundaryCondition
-from cqrun.plugin.choice import Choice, Chosen
-from cqrun.plugin.contract import Array
-from cqrun.plugin.reference import NamesBody, body_of, marked_fields
+from cqrun.build.regions import BodyPoints, boundary
 from cqrun.errors import Problem, UsageError
 from cqrun.geometry.file_shape import FileShape
 from cqrun.geometry.half_space import HalfSpace
 from cqrun.geometry.place import Place
 from cqrun.geometry.region import Region
 from cqrun.geometry.shape import Shape, cell_centres, counted_volume, finite_bounds
-from cqrun.scene.keypath import joined
-from cqrun.build.regions import BodyPoints, boundary
+from cqrun.plugin.choice import Choice, Chosen
+from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import NamesBody, body_of, marked_fields
 from cqrun.scene.files import unreadable_files
+from cqrun.scene.keypath import joined
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import marked, parts
 
@@ -140,7 +140,7 @@ def _placement_path(scene: Scene, body: str) -> str:
 
 
 def overlapping_parts(scene: Scene, points: Points) -> Iterator[Problem]:
-    """Yield a problem for each pair of parts that overlap: parts are filled separately, so space would be filled twice."""
+    """Yield a problem for each pair of parts that overlap: filled separately, they would fill space twice."""
     for name, body in scene.bodies.items():
         place, particles = body.place or Place(), points[name]
         x = [place.to_local(particles.world[particles.piece == k]) for k in range(len(body.pieces))]
@@ -276,7 +276,9 @@ def volume_errors(scene: Scene, points: Points, volumes: Mapping[str, Array]) ->
                     f"{particle_volumes.sum() / expected - 1:+.1%} from the {expected:.4g} {unit} of the shape, and so "
                     "does its mass: "
                 )
-                yield _problem(scene, f"bodies.{name}.{path}", message + _volume_advice(scale * (upper - lower), spacing))
+                yield _problem(
+                    scene, f"bodies.{name}.{path}", message + _volume_advice(scale * (upper - lower), spacing)
+                )
 
 
 def _chance(count: int, dim: int) -> float:

@@ -9,20 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.plugin.contract import Array
-from cqrun.engine.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, push_limit, wave_limit
-from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
-from cqrun.materials.term import is_stress
-from cqrun.errors import Problem, SceneError
 from cqrun.build.actuation import Actuation
 from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_memory import memory_problems
 from cqrun.build.history import fields_of
+from cqrun.build.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, push_limit, wave_limit
 from cqrun.build.particles import Particles, sample, stress_key
+from cqrun.build.regions import boundary
+from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
+from cqrun.errors import Problem, SceneError
+from cqrun.materials.term import is_stress
+from cqrun.plugin.contract import Array
 from cqrun.plugin.reference import body_of
 from cqrun.scene.paths import with_values
-from cqrun.build.regions import boundary
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import bounds_of, start, tied, truths
 
@@ -62,7 +62,12 @@ def build(scene: Scene) -> Built:
         raise SceneError(problems)
     assembly = Assembly(scene, particles)
     limits = _possible(scene, _stiffest(scene, particles, assembly))
-    warnings = [*particles.warnings, *_unused_episodes(scene), *_plugin_warnings(scene), *design_warnings(scene, particles)]
+    warnings = [
+        *particles.warnings,
+        *_unused_episodes(scene),
+        *_plugin_warnings(scene),
+        *design_warnings(scene, particles),
+    ]
     warnings += [*_truths_out_of_reach(scene), *_loose_constraints(scene)]
     if scene.time.substeps == "auto":
         bounds = [*limits, *_possible(scene, _limits_of_data(scene, particles, assembly))]
@@ -306,7 +311,7 @@ def _possible(scene: Scene, limits: list[Limit]) -> list[Limit]:
 
 
 def _check_substeps(scene: Scene, limits: list[Limit]) -> list[Problem]:
-    """Raise a SceneError if the given substeps would blow up; return a warning if they are close to it or far too many."""
+    """Raise a SceneError if the given substeps would blow up; return a warning if they nearly do, or are too many."""
     least = min(limits, key=lambda limit: limit.dt)
     dt = scene.time.control_step / int(scene.time.substeps)
     share = dt / least.dt

@@ -7,21 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.plugin.contract import Array
-from cqrun.engine.blocks import BLOCK
-from cqrun.errors import Problem, SceneError, UsageError
-from cqrun.geometry.place import Place
 from cqrun.build.check_particles import (
     bodies_too_close,
     file_problems,
     geometry_problems,
-    volume_errors,
     planes_between_nodes,
     sparse_bodies,
+    volume_errors,
     walls_outside,
 )
 from cqrun.build.history import history_of
 from cqrun.build.regions import BodyPoints
+from cqrun.engine.blocks import BLOCK
+from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.geometry.place import Place
+from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 from cqrun.state import Layout
 
@@ -56,7 +56,7 @@ class Particles:
         return self.layout.slices()[self.names.index(body)]
 
     def inside(self, body: str | None, region: Any) -> Array:
-        """Return the indices of the particles of a body, or of all bodies, in a region, a named region, or everywhere."""
+        """Return the indices of the particles of a body, or of all bodies, in a region, a named one, or everywhere."""
         bodies = self.names if body is None else (body,)
         picked = [self.of(name).start + np.flatnonzero(self.points[name].pick(region)) for name in bodies]
         return np.concatenate(picked)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from cqrun.boundaries.condition import BoundaryCondition
-from cqrun.plugin.choice import Chosen
-from cqrun.plugin.contract import Array
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.geometry.named import Named
 from cqrun.geometry.region import Region
 from cqrun.geometry.shape import Shape, coloured_parts
+from cqrun.plugin.choice import Chosen
+from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
 

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.build.particles import Particles
+from cqrun.geometry.place import Place
 from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Array, Spec
-from cqrun.geometry.place import Place
-from cqrun.build.particles import Particles
-from cqrun.scene.paths import shapes_a_body
 from cqrun.scene.body import Body
+from cqrun.scene.paths import shapes_a_body
 from cqrun.scene.schema import Scene
 
 STEP = 1e-30

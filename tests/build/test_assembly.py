@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cqrun.build.model import Built, build
 from cqrun.engine.model import Inputs
 from cqrun.errors import SceneError, UsageError
-from cqrun.running.unknowns import make_params
 from cqrun.loads.point_force import PointForce
-from cqrun.build.model import Built, build
+from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf, leaves
 

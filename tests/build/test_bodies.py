@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cqrun.errors import SceneError
 from cqrun.build.assembly import Assembly
-from cqrun.scene.load import load_scene
 from cqrun.build.particles import Particles, sample
+from cqrun.errors import SceneError
+from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 
 BIPED = {

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import yaml
 
+from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.fitting.cases import make_cases
 from cqrun.jobs.gradcheck import run_gradcheck
 from cqrun.jobs.report import report_lines
 from cqrun.running.unknowns import make_params
-from cqrun.build.model import build
 from cqrun.scene.load import load_scene
 
 E = "material.elastic.neo_hookean.youngs_modulus"
@@ -197,7 +197,7 @@ def test_bad_unknowns(name):
 
 @pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
 def test_the_length_of_a_cable_follows_its_body(dim, tmp_path):
-    """Compare gradients with differences for a taut, bent cable and a slack one on a bar of variable shape and density."""
+    """Compare gradients with differences for a taut, bent cable and a slack one on a bar of variable shape."""
     ends = [0.2] * (dim - 2)
 
     def cable(*route: list[float]) -> dict[str, Any]:
@@ -245,7 +245,7 @@ def test_tied_values_of_bodies_that_do_not_match_are_refused():
 
 @pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
 def test_gradients_by_geometry_through_a_rollout(dim, tmp_path):
-    """Compare with differences for every number in the shapes of two falling and spinning bodies, one of them placed."""
+    """Compare with differences for every number in the shapes of two falling, spinning bodies, one of them placed."""
     ends = [0.2] * (dim - 2)
     place = {"offset": [0.45, 0.5, *[0.3] * (dim - 2)], **({"angle": 20} if dim == 2 else {"rotation": [10, 0, 20]})}
     ball = {"ball": {"center": [0.0] * dim, "radius": 0.12}}

@@ -8,16 +8,16 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from cqrun.build import check_particles as check
+from cqrun.build.particles import fill
+from cqrun.build.regions import BodyPoints
+from cqrun.errors import SceneError
+from cqrun.geometry.shape import ChosenShape
 from cqrun.plugin import registry
 from cqrun.plugin.contract import Plugin
 from cqrun.plugin.reference import BodyName
-from cqrun.errors import SceneError
-from cqrun.geometry.shape import ChosenShape
-from cqrun.build import check_particles as check
 from cqrun.scene.load import load_scene
-from cqrun.build.particles import fill
 from cqrun.scene.paths import with_values
-from cqrun.build.regions import BodyPoints
 from cqrun.scene.schema import Scene
 
 
@@ -104,7 +104,7 @@ def test_the_error_of_an_empty_group_says_where_the_body_is() -> None:
     }
     (message,) = problems(two_balls(groups=groups))
     assert message.startswith("scene: bodies.right.groups.out: holds no particle: 'right' lies within (0.505, ")
-    (placed,) = problems(two_balls(groups=groups, place={"offset": [0.1, 0.0]}))  # groups are in the shape's coordinates
+    (placed,) = problems(two_balls(groups=groups, place={"offset": [0.1, 0.0]}))  # groups are in shape coordinates
     assert "'right' lies within (0.505, " in placed
     assert placed.endswith("m before it is placed")
 
@@ -126,7 +126,10 @@ def volume_warnings(**body: Any) -> list[str]:
 def test_particles_with_another_volume_than_their_shape_are_a_warning() -> None:
     thin = {"box": {"corner": [0.5, 0.45], "size": [0.2, 0.025]}}  # 20 x 3 particles
     (message,) = volume_warnings(shape=thin)
-    assert "bodies.right.shape: its particles have a volume of 0.006 m^2, which differs by +20.0% from the 0.005" in message
+    assert (
+        "bodies.right.shape: its particles have a volume of 0.006 m^2, which differs by +20.0% from the 0.005"
+        in message
+    )
     assert "0.025 m along y is not a multiple of the spacing of 0.01 m; give a size that is one, another" in message
     small = {"corner": [0, 0], "size": [0.4, 0.05]}
     assert "+20.0%" in volume_warnings(shape={"box": small}, place={"scale": 0.5, "offset": [0.5, 0.45]})[0]

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cqrun.build.model import build
+from cqrun.build.particles import sample
 from cqrun.engine.setting import grid_shape, node_positions
 from cqrun.errors import SceneError
-from cqrun.build.model import build
 from cqrun.scene.load import dump, load_scene, resolve
-from cqrun.build.particles import sample
 from cqrun.scene.schema import Scene
 
 MATERIAL = {"density": 2.0, "elastic": {"neo_hookean": {"youngs_modulus": 10.0, "poissons_ratio": 0.3}}}

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cqrun.errors import MissingExtra, UsageError
 from cqrun.build.assembly import Assembly
-from cqrun.build.rest_shape import Geometry, replaced
-from cqrun.scene.load import load_scene
 from cqrun.build.particles import sample
+from cqrun.build.rest_shape import Geometry, replaced
+from cqrun.errors import MissingExtra, UsageError
+from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf, leaves, shapes_a_body, with_values
 from cqrun.scene.schema import Scene
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from little_worlds import STRAIN
 
 from cqrun.actuators import body_force, cable, muscle, pressure
 from cqrun.engine.model import ActuatorModel, Inputs, Model, Records
@@ -147,7 +146,7 @@ def active_force(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Ar
 
 def kirchhoff(model: Model, inputs: Inputs, s: Moving, step: int) -> Array:
     """Return tau of every particle, (N, D, D) [Pa]."""
-    (fixed, neo, viscous, penalty, relaxing), F, eye = inputs.terms[0], s.F, np.eye(model.dim)
+    (fixed, neo, viscous, penalty, *more), F, eye = inputs.terms[0], s.F, np.eye(model.dim)
     J, F_inv_t = determinant(F)[:, None, None], t(np.linalg.inv(F))
     P = first_piola(*fixed, F, "fixed_corotated") + first_piola(*neo, F, "neo_hookean")
     E, nu = (a[:, None, None] for a in penalty)
@@ -157,9 +156,9 @@ def kirchhoff(model: Model, inputs: Inputs, s: Moving, step: int) -> Array:
     eta, zeta = (a[:, None, None] for a in viscous)
     d = (s.C + t(s.C)) / 2
     tr = np.trace(d, axis1=1, axis2=2)[:, None, None]
-    behind = relaxing[0] * (strain(F) - s.history[STRAIN])
-    relaxed = behind[:, None, None] * F @ t(F)
-    return P @ t(F) + relaxed - p * J * eye + J * (2 * eta * (d - tr / 3 * eye) + zeta * tr * eye)
+    for (modulus, _), relaxed_to in zip(more, s.history.values(), strict=True):
+        P = P + (modulus * (strain(F) - relaxed_to))[:, None, None] * F
+    return P @ t(F) - p * J * eye + J * (2 * eta * (d - tr / 3 * eye) + zeta * tr * eye)
 
 
 def strain(F: Array) -> Array:
@@ -245,9 +244,11 @@ def substep(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Moving,
         B += share[:, :, None] * arm[:, None, :]
     C = 4 / model.dx**2 * B
     F = s.F + dt * C @ s.F
-    time = inputs.terms[0][4][1]
-    relaxed = (time * s.history[STRAIN] + dt * strain(F)) / (time + dt)
-    return Moving(s.x + dt * v, v, C, F, {STRAIN: relaxed}), taut + branches
+    relaxed = {
+        name: (time * relaxed_to + dt * strain(F)) / (time + dt)
+        for (name, relaxed_to), (_, time) in zip(s.history.items(), inputs.terms[0][4:], strict=True)
+    }
+    return Moving(s.x + dt * v, v, C, F, relaxed), taut + branches
 
 
 def rollout(
@@ -271,8 +272,8 @@ def rollout(
         branches.append(taken)
     rows.append(seen(W, s))
     inputs.state.memory = memory
-    x, v, C, F, relaxed = (np.array([r[name] for r in rows]) for name in (*"xvCF", STRAIN))
-    return Records(x, v, C, F, {STRAIN: relaxed}), s, branches
+    x, v, C, F, *relaxed = (np.array([r[name] for r in rows]) for name in rows[0])
+    return Records(x, v, C, F, dict(zip(state.history, relaxed, strict=True))), s, branches
 
 
 def seen(W: Array, s: Moving) -> dict[str, Array]:
@@ -283,4 +284,4 @@ def seen(W: Array, s: Moving) -> dict[str, Array]:
 
 def flat(record: dict[str, Array]) -> Array:
     """Return the sums as the engine's rows (rows, K): x, v, C, F, row-major, and the history."""
-    return np.concatenate([record[name].reshape(len(record["x"]), -1) for name in (*"xvCF", STRAIN)], axis=1).T
+    return np.concatenate([record[name].reshape(len(record["x"]), -1) for name in record], axis=1).T

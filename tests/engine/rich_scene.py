@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from little_worlds import STRAIN, Acting, Wall, above, below, world
+from little_worlds import TERMS, Acting, Wall, above, below, world
 
 from cqrun.actuators import body_force, cable, pressure
 from cqrun.boundaries.friction import Friction
@@ -118,17 +118,17 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
     inputs.strength[ACTUATORS["cable"]] *= STIFFNESS[dim]
     inputs.fields.force[:] = mass[:, None] * rng.normal(size=s.x.shape)
     inputs.weights = rng.uniform(0.5, 1.5, model.weight_slices[-1].stop)
-    inputs.terms[0][4][:] = rng.uniform(2, 3, n), rng.uniform(0.01, 0.03, n)
-    s.history[STRAIN] += 0.05 * rng.normal(size=n)
+    for strain in s.history.values():
+        strain += 0.05 * rng.normal(size=n)
     return model, inputs
 
 
 KINDS = (
     "x", "v", "C", "F", "mass", "volume", "damping", "force", "fixed_corotated.E", "fixed_corotated.nu",
     "neo_hookean.E", "neo_hookean.nu", "viscosity.shear", "viscosity.bulk", "incompressibility.E",
-    "incompressibility.nu", "relaxation.modulus", "relaxation.time", "friction",
+    "incompressibility.nu", "friction",
     *(f"{kind}.{what}" for kind in ACTUATORS for what in ("activation", "strength")),
-    "weights", "cable.rest", "spring.strength", "spring.rest", "relaxation.strain",
+    "weights", "cable.rest", "spring.strength", "spring.rest",
 )  # fmt: skip
 """What a rollout depends on, in the order of `arrays`."""
 
@@ -136,10 +136,10 @@ KINDS = (
 def arrays(inputs: Inputs) -> list[np.ndarray]:
     """Return the arrays of inputs or of a cotangent, views where they are rows, one for each of KINDS."""
     s, f = inputs.state, inputs.fields
-    terms = [row for theta in inputs.terms[0] for row in theta]
+    terms = [row for theta in inputs.terms[0][: len(TERMS)] for row in theta]
     drive = [a for at in ACTUATORS.values() for a in (inputs.activation[:, at], inputs.strength[at])]
     fields, last = [f.mass, f.volume, f.damping, f.force], [inputs.weights, inputs.rest[ACTUATORS["cable"]]]
-    last += [inputs.strength[SPRINGS], inputs.rest[SPRINGS], s.history[STRAIN]]
+    last += [inputs.strength[SPRINGS], inputs.rest[SPRINGS]]
     return [s.x, s.v, s.C, s.F, *fields, *terms, inputs.coefficients, *drive, *last]
 
 

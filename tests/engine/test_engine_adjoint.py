@@ -113,7 +113,7 @@ def test_dot_product_where_bodies_have_other_terms(rng):
     """A body of one material beside a body of another, the second one alone with muscles."""
     model, inputs = rich(2)
     first, second = model.layout.slices()
-    fixed, neo, viscous, _, _ = inputs.terms[0]
+    fixed, neo, viscous, _ = inputs.terms[0]
     keep = [a for a in model.actuators if a.name == "actuator 0"]
     keep = [replace(a, particles=a.particles[a.particles >= second.start]) for a in keep]
     groups = (GroupModel((0,), (TERMS[0], TERMS[2])), GroupModel((1,), (TERMS[1],), (muscle.MuscleKernel,)))
@@ -121,7 +121,7 @@ def test_dot_product_where_bodies_have_other_terms(rng):
     inputs.activation, inputs.strength, inputs.weights = inputs.activation[:, :1], inputs.strength[:1], np.zeros(0)
     inputs.rest = inputs.rest[:1]
     one = [a.copy() for a in inputs.terms[0]]
-    one[0][0, second], one[1][0, first], one[2][:, second], one[3][0], one[4][0] = 0.0, 0.0, 0.0, 0.0, 0.0
+    one[0][0, second], one[1][0, first], one[2][:, second], one[3][0] = 0.0, 0.0, 0.0, 0.0
     inputs.terms = [[fixed[:, first], viscous[:, first]], [neo[:, second]]]
     records_bar = random_records(Records.zeros(model.n_controls, 3, 2, model.layout.history), rng)
     _, bar = Rollout(apart, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar))

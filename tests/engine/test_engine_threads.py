@@ -46,7 +46,7 @@ def crowd(dim: int, rng: np.random.Generator):
         muscles=((np.arange(0, 600, 3), np.eye(dim)),), activation=0.1 * rng.random((4, 4)),
         actuators=(*(Acting(cable.CableKernel, r, np.zeros(0), 0.1) for r in routes[:2]),
                    Acting(body_force.BodyForceKernel, np.arange(0, 600, 5), np.eye(dim)[0])),
-        springs=(Acting(spring.SpringKernel, routes[2], np.zeros(0), 0.1),), relaxing=0.5, relaxation_time=0.02,
+        springs=(Acting(spring.SpringKernel, routes[2], np.zeros(0), 0.1),),
     )  # fmt: skip
     inputs.strength[2:] = 0.02
     # faces of blocks lie every .2 m: particles cross some, and are sorted before their turn

@@ -1,4 +1,4 @@
-"""Figures of one kind: what they draw and judge, of walkers and of their materials, and the curves behind them."""
+"""Families of figures: what they draw and judge of walkers and their materials, and the curves behind them."""
 
 from __future__ import annotations
 
@@ -8,48 +8,49 @@ import numpy as np
 import pytest
 import yaml
 
-from benchmarks.papers import kept, wholeness
-from benchmarks.papers.ablations import ORDER, Ablation
 from benchmarks.papers.catalogue import FIGURES
-from benchmarks.papers.figure import Judgement, Size, read_table, stacked, write_table
-from benchmarks.papers.histories import Run, curves, first_below, settled, smooth
-from benchmarks.papers.learning import Distances
+from benchmarks.papers.families import integrity
+from benchmarks.papers.families.ablations import ORDER, Ablation
+from benchmarks.papers.families.distances import Distances
+from benchmarks.papers.families.histories import Run, curves, ended_or_all, first_below, moving_mean
+from benchmarks.papers.figure import Judgement, Size, read_table, table_of, write_table
+from benchmarks.papers.machinery.archive import TEXT
 from cqrun.figures.style import styled
 from cqrun.store.atomic import write_json
 
-WHOLE = {"fracture": 0.0, "least_volume_ratio": 0.5}
-"""What the last row of a seed says of its best run, where that stays of one piece."""
+INTACT = {"fracture": 0.0, "least_volume_ratio": 0.5}
+"""In the last row of a seed whose body holds together in its best motion."""
 
 
-def not_whole(table):
-    """Return the table with bodies that tear, that turn inside out, that nobody watched, and one seed's unwatched."""
+def not_intact(table):
+    """Return the table with torn bodies, with inverted particles, without records of that, and without one seed's."""
     last = np.flatnonzero(np.isfinite(table["fracture"]))
     some = table["fracture"].copy()
     some[last[0]] = np.nan
-    none = {name: column for name, column in table.items() if name not in WHOLE}
-    torn, inside_out = table["fracture"] + 0.01, table["least_volume_ratio"] - 0.6
-    return {**table, "fracture": torn}, {**table, "least_volume_ratio": inside_out}, none, {**table, "fracture": some}
+    none = {name: column for name, column in table.items() if name not in INTACT}
+    torn, inverted = table["fracture"] + 0.01, table["least_volume_ratio"] - 0.6
+    return {**table, "fracture": torn}, {**table, "least_volume_ratio": inverted}, none, {**table, "fracture": some}
 
 
 @pytest.mark.parametrize("figure", [f for f in FIGURES.values() if isinstance(f, Distances)], ids=lambda f: f.id)
 @pytest.mark.parametrize("size", Size)
 def test_distances_are_drawn_and_judged(figure, size):
-    """Two seeds of every variant that the size has, which walk as far as the paper's, and stay whole or do not."""
+    """Two seeds of every variant that the size has; they walk as far as the paper's, and hold together or do not."""
     labels = [variant.label for variant in figure.variants if size in variant.seeds]
     far = 0.5 * figure.final
     rows = [
         {"variant": label, "seed": seed, "iteration": k, "seconds": 9.0 * k, "value": far * k + 0.01 * seed}
-        | (WHOLE if k == 2 else {})
+        | (INTACT if k == 2 else {})
         for label in labels for seed in range(2) for k in range(3)
     ]  # fmt: skip
-    table = stacked(iter(rows))
+    table = table_of(iter(rows))
     assert figure.judge(table, size).judgement is Judgement.MET
     flew = {**table, "value": 9.0 * table["value"]}
     if size is Size.PAPER:
         assert figure.judge(flew, size).judgement is Judgement.EXCEEDED
-    for changed in not_whole(flew):
+    for changed in not_intact(flew):
         assert figure.judge(changed, size).judgement is Judgement.PARTLY
-    stood = {**table, "value": 0.0 * table["value"]}  # and stays whole, which does not make up for it
+    stood = {**table, "value": 0.0 * table["value"]}  # it holds together, which does not make up for it
     assert figure.judge(stood, size).judgement is Judgement.MISSED
     with styled():
         (axes,) = figure.draw(table, size, {}).axes
@@ -64,32 +65,32 @@ def test_distances_are_drawn_and_judged(figure, size):
     ("name", "last", "found"),
     [("cq2_fig11", 0.0, [True]), ("cq2_fig11", 1e-3, [True]), ("cq2_fig11", -1.0, [False]), ("cq2_fig14", 0.0, [])],
 )
-def test_what_ties_in_print_has_no_order(name, last, found):
-    """The biped's printed distances say that nu adds as much as mass, to what can be read off a plot, and E more.
+def test_equal_printed_values_have_no_order(name, last, found):
+    """In the biped's plot nu adds as much as mass, as far as it can be read, and E adds more.
 
-    The octopod's are all too near each other to have an order, which is then not asked.
+    In the octopod's plot all values are too near each other, and no order is asked for.
     """
     far = dict(zip(ORDER, FIGURES[name].printed, strict=True))
     far["E"] += last
     rows = [{"variant": v, "seed": s, "iteration": 0, "value": far[v], "seconds": 0.0} for v in ORDER for s in (0, 1)]
-    checks = FIGURES[name].judge(stacked(iter(rows)), Size.PAPER).checks
-    assert [met for told, met in checks.items() if told.startswith("what each adds")] == found
+    checks = FIGURES[name].judge(table_of(iter(rows)), Size.PAPER).checks
+    assert [met for text, met in checks.items() if text.startswith("what each adds")] == found
 
 
 @pytest.mark.parametrize("figure", [f for f in FIGURES.values() if isinstance(f, Ablation)], ids=lambda f: f.id)
 @pytest.mark.parametrize("size", Size)
 def test_ablations_are_drawn_and_judged(figure, size):
-    """Two seeds of every combination, which walk as far as the paper's; then all as far as control alone."""
+    """Two seeds of every combination; they walk as far as the paper's, then all as far as control alone."""
     fewer = size is Size.PAPER and figure.particles
     best, beyond = (Judgement.PARTLY, Judgement.PARTLY) if fewer else (Judgement.MET, Judgement.EXCEEDED)
     rows = [
         {"variant": label, "seed": seed, "iteration": k, "seconds": 9.0 * k, "value": 0.5 * far * k + 1e-3 * seed}
-        | (WHOLE if k == 2 and label in (ORDER[0], ORDER[-1]) else {})
+        | (INTACT if k == 2 and label in (ORDER[0], ORDER[-1]) else {})
         for label, far in zip(ORDER, figure.printed, strict=True) for seed in range(2) for k in range(3)
     ]  # fmt: skip
-    table = stacked(iter(rows))
+    table = table_of(iter(rows))
     assert figure.judge(table, size).judgement is best
-    for changed in not_whole(table):
+    for changed in not_intact(table):
         assert figure.judge(changed, size).judgement is Judgement.PARTLY
     first = table["value"][table["variant"] == ORDER[0]]
     same = {**table, "value": np.tile(first, len(ORDER))}
@@ -105,16 +106,16 @@ def test_ablations_are_drawn_and_judged(figure, size):
         nearly = {**table, "value": 0.97 * table["value"]}  # seeds are a millimetre apart: so is their interval
         assert figure.judge(nearly, size).judgement is Judgement.MISSED
     lacking = {name: column[(table["variant"] != ORDER[-1]) | (table["seed"] == 0)] for name, column in table.items()}
-    assert figure.judge(lacking, size).judgement is best  # of a seed that blew up, none is compared
+    assert figure.judge(lacking, size).judgement is best  # a seed that blew up in one variant is not compared
     none = {name: column[table["variant"] != ORDER[-1]] for name, column in table.items()}
     assert figure.judge(none, size).judgement is Judgement.MISSED
     assert "wall time of 'all' [s]" in left.get_xlabel()
-    (told,) = right.get_legend().get_texts()
-    assert (told.get_text() == "paper") == (size is Size.PAPER)
+    (legend,) = right.get_legend().get_texts()
+    assert (legend.get_text() == "paper") == (size is Size.PAPER)
 
 
-def test_a_part_of_an_ablation_is_of_the_runs_that_ended(tmp_path):
-    """An ablation takes hours, and its own table is written in the end."""
+def test_an_unfinished_ablation_shows_the_runs_that_ended(tmp_path):
+    """An ablation takes hours, and cqrun writes its table only in the end."""
     E, nu = (f"bodies.biped.material.elastic.neo_hookean.{name}" for name in ("youngs_modulus", "poissons_ratio"))
     mass = "bodies.biped.material.density"
     begun = ((), "done"), ((nu, E), "iteration_limit"), ((E, nu, mass), "stalled"), ((E,), "stopped"), ((nu,), "failed")
@@ -131,7 +132,7 @@ def test_a_part_of_an_ablation_is_of_the_runs_that_ended(tmp_path):
     np.testing.assert_array_equal(table["seconds"], [0, 3] * 3)
 
 
-def test_a_body_that_is_torn_or_inside_out_or_was_not_watched_is_not_whole():
+def test_a_torn_or_inverted_or_unrecorded_body_is_not_intact():
     crawler = FIGURES["cq1_crawler"]
     path = {"time": np.arange(2.0), **dict(zip("xyz", np.array([[0.7, 1.4], [0.2, 0.4], [0.5, 0.5]]), strict=True))}
 
@@ -144,34 +145,34 @@ def test_a_body_that_is_torn_or_inside_out_or_was_not_watched_is_not_whole():
     assert judgement() is Judgement.PARTLY
 
 
-def test_what_was_seen_of_a_motion_is_noted_beside_the_run(tmp_path, monkeypatch):
-    """Motions are not packed for other machines, and what a finished run's was like is."""
+def test_the_integrity_of_a_motion_is_noted_beside_the_run(tmp_path, monkeypatch):
+    """Motions are not packed for other machines, but the note on a finished run is."""
     write_json(tmp_path / "run.json", {"status": "running", "seconds": 5.0})
-    monkeypatch.setattr(wholeness, "read_run", lambda run: run)
+    monkeypatch.setattr(integrity, "read_run", lambda run: run)
     seen = {"least_volume_ratio": np.array([0.9, 0.4]), "fracture": np.array([0.0, 0.2])}
-    monkeypatch.setattr(wholeness, "watched", lambda run, body: seen)
+    monkeypatch.setattr(integrity, "watch", lambda run, body: seen)
     found = {"least_volume_ratio": 0.4, "fracture": 0.2}
-    assert wholeness.worst(tmp_path, "a") == {}
+    assert integrity.worst(tmp_path, "a") == {}
     (tmp_path / "trajectory.h5").touch()
-    assert wholeness.worst(tmp_path, "a") == found
-    assert not (tmp_path / wholeness.NOTE).exists()  # it goes on
+    assert integrity.worst(tmp_path, "a") == found
+    assert not (tmp_path / integrity.NOTE).exists()  # it is not finished
     write_json(tmp_path / "run.json", {"status": "iteration_limit", "seconds": 5.0})
-    assert wholeness.worst(tmp_path, "a") == found
-    seen["fracture"] = np.array([0.0, 0.3])  # run again, it moves otherwise
+    assert integrity.worst(tmp_path, "a") == found
+    seen["fracture"] = np.array([0.0, 0.3])  # run again, it moves differently
     found["fracture"] = 0.3
-    assert wholeness.worst(tmp_path, "a") == found
+    assert integrity.worst(tmp_path, "a") == found
     (tmp_path / "trajectory.h5").unlink()
-    assert wholeness.worst(tmp_path, "a") == found
-    assert (tmp_path / wholeness.NOTE).suffix in kept.TEXT
+    assert integrity.worst(tmp_path, "a") == found
+    assert (tmp_path / integrity.NOTE).suffix in TEXT
 
 
-def test_volumes_that_are_no_numbers_are_not_whole():
+def test_volumes_that_are_not_numbers_are_not_intact():
     table = {"fracture": np.zeros(2), "least_volume_ratio": np.array([0.5, np.nan])}
-    assert list(wholeness.checks(table, 2).values()) == [True, False]
+    assert list(integrity.checks(table, 2).values()) == [True, False]
 
 
 def test_a_table_comes_back(tmp_path):
-    table = stacked(iter([{"name": "a, b", "x": 1.5}, {"name": "c", "y": 2.0}]))
+    table = table_of(iter([{"name": "a, b", "x": 1.5}, {"name": "c", "y": 2.0}]))
     write_table(table, tmp_path / "t.csv")
     again = read_table(tmp_path / "t.csv")
     assert list(again["name"]) == ["a, b", "c"]
@@ -179,9 +180,9 @@ def test_a_table_comes_back(tmp_path):
     np.testing.assert_array_equal(again["y"], [np.nan, 2.0])
 
 
-def test_a_seed_that_has_ended_stays_where_it_ended():
+def test_a_seed_that_has_ended_keeps_its_last_value():
     rows = [(0, 0, 1.0), (0, 1, 2.0), (1, 0, 3.0)]
-    table = stacked(
+    table = table_of(
         {"variant": "a", "seed": seed, "iteration": k, "seconds": float(k), "value": v} for seed, k, v in rows
     )
     found = curves(table, "a")
@@ -191,12 +192,12 @@ def test_a_seed_that_has_ended_stays_where_it_ended():
 
 
 def test_means_over_a_window():
-    np.testing.assert_allclose(smooth(np.array([1.0, 3.0, 5.0]), 2), [1.0, 2.0, 4.0])
+    np.testing.assert_allclose(moving_mean(np.array([1.0, 3.0, 5.0]), 2), [1.0, 2.0, 4.0])
     assert first_below(np.array([3.0, 1.0, 0.5]), 1.0) == 2
     assert first_below(np.array([3.0]), 1.0) is None
 
 
-def test_a_seed_that_goes_on_is_left_out_beside_one_that_is_done():
+def test_an_unfinished_seed_is_not_used_beside_a_finished_one():
     runs = [Run(Path(), seed, {}, finished) for seed, finished in ((0, True), (1, False))]
-    assert [run.seed for run in settled(runs)] == [0]
-    assert settled(runs[1:]) == runs[1:]
+    assert [run.seed for run in ended_or_all(runs)] == [0]
+    assert ended_or_all(runs[1:]) == runs[1:]

@@ -1,4 +1,4 @@
-"""Verdicts of learners, of constrained robots and of seconds: what is asked of them, and what is not enough."""
+"""Verdicts on learners, on constrained robots and on seconds: what they ask for, and what is not enough."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.catalogue import FIGURES
-from benchmarks.papers.figure import Judgement, Size, stacked
-from benchmarks.papers.learners import GRADIENT, PPO
-from benchmarks.papers.page import _done
-from benchmarks.papers.violations import DESIGNED, effort_ratio
+from benchmarks.papers.families.learners import GRADIENT, PPO
+from benchmarks.papers.families.violations import DESIGNED, effort_ratio
+from benchmarks.papers.figure import Judgement, Size, table_of
 
 
 def learned(ends):
-    """Return the table of CQ1 Fig 7, middle, where each method is at an end (episode, measure) and stays there."""
-    return stacked(
+    """Return a table of CQ1 Fig 7, middle, where each method reaches its end (episode, measure) and stays there."""
+    return table_of(
         {"method": method, "seed": 0, "episode": k + 1, "measure": 0.1 if k + 1 < episode else measure}
         for method, (episode, measure) in ends.items()
         for k in range(1500)
@@ -27,7 +26,7 @@ def learned(ends):
         ((10, 0.001), (400, 0.004), Judgement.EXCEEDED),
         ((30, 0.0024), (400, 0.004), Judgement.MET),  # the end is the paper's
         ((30, 0.0026), (400, 0.0022), Judgement.PARTLY),  # PPO ends nearer, which it does not in the paper
-        ((30, 0.004), (400, 0.0049), Judgement.PARTLY),  # less near than the paper's
+        ((30, 0.004), (400, 0.0049), Judgement.PARTLY),  # farther away than the paper's
         ((120, 0.0024), (400, 0.004), Judgement.PARTLY),  # later than the paper's
         ((10, 0.001), None, Judgement.PARTLY),  # PPO was not run
     ],
@@ -38,61 +37,50 @@ def test_what_is_asked_of_the_gradient_beside_ppo(ours, ppo, found):
     assert figure.judge(table, Size.PAPER).judgement is found
 
 
-def test_what_there_is_of_learners_is_judged_before_all_is_there():
-    """Of a figure that is not finished, checks are shown: none of them met by what has not been run."""
+def test_unfinished_learners_are_judged_by_the_episodes_so_far():
+    """An unfinished figure shows its checks; what has not been run meets none of them."""
     figure = FIGURES["cq1_fig7_random"]
     for ends in ({PPO: (400, 0.004)}, {GRADIENT: (10, 0.001), PPO: (400, 0.004)}):
         table = learned(ends)
         early = {name: column[table["episode"] <= 1000] for name, column in table.items()}
         checks = figure.judge(early, Size.PAPER).checks
-        assert [met for told, met in checks.items() if told.startswith("after 1500")] == [False]
-        assert [met for told, met in checks.items() if told.startswith("nearer than PPO")] == [False]
-        assert all(met is (GRADIENT in ends) for told, met in checks.items() if told.startswith("below"))
+        assert [met for text, met in checks.items() if text.startswith("after 1500")] == [False]
+        assert [met for text, met in checks.items() if text.startswith("nearer than PPO")] == [False]
+        assert all(met is (GRADIENT in ends) for text, met in checks.items() if text.startswith("below"))
         assert figure.draw(early, Size.PAPER, {}).axes
 
 
 def test_ppo_may_end_nearer_where_it_does_in_the_paper():
     checks = FIGURES["cq1_fig7_fixed"].judge(learned({GRADIENT: (5, 0.001), PPO: (50, 0.0005)}), Size.PAPER).checks
     assert all(checks.values())
-    assert not any("nearer than PPO" in told for told in checks)
+    assert not any("nearer than PPO" in text for text in checks)
 
 
-def test_efforts_are_compared_after_as_many_iterations_as_the_paper_has():
-    """They fall on and on: a design's was the lower one after 93 iterations, and more than twice the other after 45."""
+def test_efforts_are_compared_after_as_many_iterations_as_in_the_paper():
+    """They keep falling: one design's was lower after 93 iterations, and more than twice the other after 45."""
     efforts = {DESIGNED: {14: 0.95, 93: 0.17}, "fixed 100 %": {30: 0.40}}
-    table = stacked(
+    table = table_of(
         {"robot": robot, "iteration": k, "violation": 0.0 if k in met else 1.0, "effort": met.get(k, 0.01)}
         for robot, met in efforts.items()
         for k in range(101)
     )
     figure = FIGURES["cq1_fig8"]
     assert effort_ratio(figure, table, "fixed 100 %", 0.955, 45) == {
-        "least effort in 45 iterations 2.375 of fixed 100 % (0.425 where their searches end), paper 0.955": False
+        "least effort in 45 iterations 2.375 of fixed 100 % (0.425 at the end of the searches), paper 0.955": False
     }
     assert list(effort_ratio(figure, table, "fixed 100 %", 0.955, 100).values()) == [True]
-    assert list(effort_ratio(figure, table, "fixed 100 %", 0.955, 20).values()) == [False]  # not both are there
-    (told,) = figure.compared(table)
-    assert "co-design 14, fixed 100 % 30" in told
+    assert list(effort_ratio(figure, table, "fixed 100 %", 0.955, 20).values()) == [
+        False
+    ]  # not both meet the constraints
+    (text,) = figure.designed_is_first(table)
+    assert "co-design 14, fixed 100 % 30" in text
 
 
-def test_quick_seconds_are_asked_for_their_order_alone():
+def test_of_quick_seconds_only_the_order_is_judged():
     figure = FIGURES["cq2_seconds"]
     rows = [{"robot": "a", "printed": 12.0, "ns": 400.0, "steps": 1e8}, {"robot": "b", "printed": 6.0, "ns": 300.0}]
-    table = stacked(iter([rows[0], rows[1] | {"steps": 1e8}]))
+    table = table_of(iter([rows[0], rows[1] | {"steps": 1e8}]))
     assert figure.judge(table, Size.QUICK).judgement is Judgement.MET
     slow = {**table, "ns": np.array([400.0, 500.0])}
     assert figure.judge(slow, Size.QUICK).judgement is Judgement.MISSED
     assert len(figure.draw({**table, "seconds": np.ones(2)}, Size.QUICK, {}).axes) == 1
-
-
-@pytest.mark.parametrize(
-    ("done", "as_asked", "told"),
-    [
-        ([1, 2], True, "1 of 2 parts of the work are done"),
-        ([1, 2], False, "1 of 2 parts of the work are done; what is asked has changed since"),
-        ([2, 2], False, "what is asked has changed since"),
-        ([2, 2], True, ""),
-    ],
-)
-def test_the_page_says_what_is_missing(done, as_asked, told):
-    assert _done({"done": done}, as_asked) == told

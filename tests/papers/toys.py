@@ -1,4 +1,4 @@
-"""A figure and work that take no time."""
+"""A figure and tasks that take no time."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.papers.figure import Figure, Size, judged, stacked
-from benchmarks.papers.measurement import Measurement
-from benchmarks.papers.work import Runs
+from benchmarks.papers.figure import Figure, Size, Verdict, table_of
+from benchmarks.papers.machinery.measurement import Measurement
+from benchmarks.papers.machinery.runs import Runs
 from cqrun.figures.style import new_figure
 
 TEAR = Runs("tear", 0.1, "simulate", "simulate/tear", ("time.duration=0.04", "time.substeps=8"))
@@ -18,29 +18,29 @@ class Toy(Figure):
     """Three numbers, one after the other."""
 
     id, title, source, paper = "toy", "three numbers", "nowhere", "1 2 3"
-    tolerance = dict.fromkeys(Size, "they grow")
+    criteria = dict.fromkeys(Size, "they grow")
 
-    def __init__(self, *works):
-        self.works = works
+    def __init__(self, *tasks):
+        self.all_tasks = tasks
 
-    def work(self, size):
-        return self.works
+    def tasks(self, size):
+        return self.all_tasks
 
-    def table(self, found, size):
-        files = sorted(file for folder in found.values() for file in folder.glob("*.txt"))
-        return stacked({"k": float(file.stem), "label": file.read_text()} for file in files)
+    def table(self, folders, size):
+        files = sorted(file for folder in folders.values() for file in folder.glob("*.txt"))
+        return table_of({"k": float(file.stem), "label": file.read_text()} for file in files)
 
-    def draw(self, table, size, found):
+    def draw(self, table, size, folders):
         picture = new_figure(2.0, 2.0)
         picture.add_subplot().plot(table["k"])
         return picture
 
     def judge(self, table, size):
-        return judged({"they grow": bool(np.all(np.diff(table["k"]) > 0)), "there are three": len(table["k"]) == 3})
+        return Verdict.of({"they grow": bool(np.all(np.diff(table["k"]) > 0)), "there are three": len(table["k"]) == 3})
 
 
 def counting(folder: Path, deadline: float) -> bool:
-    """Write the next of three files; say whether all are there."""
+    """Write the next of three files; return whether all are there."""
     k = len(list(folder.glob("*.txt")))
     (folder / f"{k}.txt").write_text("odd" if k % 2 else "even")
     return k == 2

@@ -166,7 +166,7 @@ def test_ppo_of_the_figures_learns_the_same_whatever_runs_beside_it(tmp_path):
     files = [tmp_path / str(k) / "curve.csv" for k in range(3)]  # one trainer works in a folder
     for file in files:
         file.parent.mkdir()
-    words = [sys.executable, "-m", "benchmarks.papers.train_ppo", FINGER, "25"]
+    words = [sys.executable, "-m", "benchmarks.papers.families.train_ppo", FINGER, "25"]
     children = [
         subprocess.Popen([*words, seed, str(file), "head", *SMALL, "objective.tip.reach.squared=false"])
         for seed, file in zip("770", files, strict=True)

@@ -1,4 +1,4 @@
-"""The papers' PPO, killed and begun again, finds what it would have found (extra `rl`; `make test-rl`)."""
+"""The papers' PPO, killed and started again, gives the same result (extra `rl`; `make test-rl`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.papers import train_ppo as training
+from benchmarks.papers.families import train_ppo as training
 from cqrun.store.atomic import write_bytes
 
 pytestmark = pytest.mark.rl
@@ -36,13 +36,13 @@ def explosive(monkeypatch):
 
 
 @pytest.mark.parametrize("after", [1, 2])
-def test_killed_and_begun_again_it_finds_the_same(tmp_path, monkeypatch, after):
+def test_killed_and_started_again_it_finds_the_same(tmp_path, monkeypatch, after):
     finds_the_same(tmp_path, monkeypatch, after)
 
 
 @pytest.mark.parametrize("after", [1, 2])
 def test_an_episode_that_was_cut_short_does_not_end_checkpoints(tmp_path, monkeypatch, explosive, after):
-    """The next ones begin between two updates of the networks, and were not kept any more."""
+    """The next episodes begin between two updates of the networks, and once had no checkpoints."""
     finds_the_same(tmp_path, monkeypatch, after)
 
 
@@ -56,10 +56,10 @@ def finds_the_same(tmp_path, monkeypatch, after):
         if len(written) == after:
             raise Killed
 
-    kept = tmp_path / "half.checkpoint"
+    checkpoint = tmp_path / "half.checkpoint"
     monkeypatch.setattr(training, "write_bytes", write)
     with pytest.raises(Killed):
-        training.train_ppo(SCENE, SMALL, 40, 3, kept)
-    assert 0 < training.episodes_in(kept) < 40
-    assert training.train_ppo(SCENE, SMALL, 40, 3, kept) == whole
+        training.train_ppo(SCENE, SMALL, 40, 3, checkpoint)
+    assert 0 < training.episodes_in(checkpoint) < 40
+    assert training.train_ppo(SCENE, SMALL, 40, 3, checkpoint) == whole
     assert len(whole) == 40

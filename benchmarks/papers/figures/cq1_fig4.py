@@ -1,9 +1,11 @@
 """CQ1 Fig 4: a biped walks."""
 
-from benchmarks.papers.figure import Size, Table, Verdict, judged, lowered
-from benchmarks.papers.frames import Frames
-from benchmarks.papers.wholeness import WHOLE, checks
-from benchmarks.papers.work import Runs
+from collections.abc import Sequence
+
+from benchmarks.papers.families.frames import Frames
+from benchmarks.papers.families.integrity import INTACT, checks
+from benchmarks.papers.figure import Size, Table, Verdict
+from benchmarks.papers.machinery.runs import Runs
 
 QUICK = ("bodies.biped.sampling.lattice.count=10", "world.dx=0.04", "optimizer.sgd.max_iterations=60")
 LENGTH = 0.6
@@ -17,24 +19,25 @@ class Biped(Frames):
     title = "A biped walks"
     source = "CQ1 Fig 4"
     paper = "onion-skin frames of 600 steps: a walk to the right; no number is printed"
-    tolerance = {
-        Size.QUICK: f"the head of the best seed comes farther than .2 m, a third of the body's length; {WHOLE}",
-        Size.PAPER: f"the head of the best seed comes farther than the body's length, .6 m; {WHOLE}",
+    criteria = {
+        Size.QUICK: f"the head of the best seed moves farther than 0.2 m, a third of the body's length; {INTACT}",
+        Size.PAPER: f"the head of the best seed moves farther than the body's length, 0.6 m; {INTACT}",
     }
-    left_open = (
-        "the learning rate: at the paper's .03 six of ten seeds only lean forward; here it is 1, with the gradient "
-        "cut to a length of .1"
+    notes = (
+        "With the paper's learning rate of 0.03, six of ten seeds only lean forward. Here the rate is 1, and the "
+        "gradient is clipped to a length of 0.1"
     )
     name, term, body, group = "biped_walk", "far", "biped", "head"
 
-    def work(self, size: Size) -> list[Runs]:
+    def tasks(self, size: Size) -> Sequence[Runs]:
         """Return the seeds."""
         if size is Size.QUICK:
             return [Runs(self.name, 2.0, "control", "control/biped", QUICK, 4)]
         return [Runs(self.name, 7.0, "control", "control/biped", (), 10)]
 
     def judge(self, table: Table, size: Size) -> Verdict:
-        """Judge how far the head came, and in how many pieces."""
-        far = float(table["x"][-1] - table["x"][0])
+        """Judge how far the head moves, and whether the body holds together."""
+        distance = float(table["x"][-1] - table["x"][0])
         wanted = LENGTH / 3.0 if size is Size.QUICK else LENGTH
-        return lowered(judged({f"the head went {far:.2f} m, asked {wanted:g}": far > wanted}), checks(table))
+        verdict = Verdict.of({f"the head moves {distance:.2f} m, asked {wanted:g}": distance > wanted})
+        return verdict.also(checks(table))

@@ -1,7 +1,7 @@
 """CQ2 Fig 6: a biped walks on four cables."""
 
+from benchmarks.papers.families.distances import SINGLE, Distances, Variant
 from benchmarks.papers.figure import Size
-from benchmarks.papers.learning import SINGLE, Distances, Variant
 
 CABLES = ("back_left", "back_right", "front_left", "front_right")
 QUICK = ("bodies.biped.spacing=0.00625", "optimizer.adam.max_iterations=40")
@@ -12,21 +12,22 @@ def _stiffness(value: float) -> tuple[str, ...]:
 
 
 class CableBiped(Distances):
-    """Its distance against the iteration, at our stiffness of the cables and at half and double of it."""
+    """The distance against the iteration, with our stiffness of the cables, half of it, and double of it."""
 
     id = "cq2_fig6"
     title = "A biped walks on four cables"
     source = "CQ2 Fig 6"
     paper = (
-        "from -.10 to .58 m in 100 iterations, at its peak .65 (90 %: .47 to .80, most likely there); 12 s each; mean "
-        "of 10 runs; its text: two body lengths in 5 minutes"
+        "from -0.10 to 0.58 m in 100 iterations; 0.65 m at its peak (90 % interval 0.47 to 0.80, probably at the "
+        "peak); 12 s an iteration; mean of 10 runs. The text says two body lengths in 5 minutes"
     )
-    left_open = (
-        "the cables' stiffness: 4.3e5, at which u = 0 leaves .70 of a leg; half and double are shown too. At quick "
-        "size the biped tears in the last .2 of its 4 s, as it lunges; at the paper's size nobody watched as it ran"
+    notes = (
+        "We chose the cables' stiffness, 4.3e5, with which 0.70 of a leg is left at u = 0; half and double of it are "
+        "shown, too. At quick size the biped tears in the last 0.2 s of its 4 s, as it lunges. When it ran at paper "
+        "size, it was not recorded whether it holds together"
     )
     scene, body = "control/biped_cable", "biped"
-    start, final, interval, interval_at, seconds = -0.10, 0.58, (0.47, 0.80), "at its peak of .65: ", 12.0
+    start, final, interval, interval_at, seconds = -0.10, 0.58, (0.47, 0.80), "at its peak of 0.65: ", 12.0
     variants = (
         Variant("stiffness 4.3e5", {Size.QUICK: QUICK, Size.PAPER: SINGLE}, {Size.QUICK: 2, Size.PAPER: 10},
                 {Size.QUICK: 2.2, Size.PAPER: 70}),

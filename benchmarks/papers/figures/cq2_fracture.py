@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.observed import observables
-from benchmarks.papers.work import Found, Runs, Work
+from benchmarks.papers.families.histories import observables
+from benchmarks.papers.figure import Figure, Folders, Size, Table, Verdict, table_of
+from benchmarks.papers.machinery.runs import Runs
+from benchmarks.papers.machinery.task import Task
 from cqrun.figures.style import COLOURS, new_figure, titled
 
 if TYPE_CHECKING:
@@ -19,33 +20,33 @@ COUNTS = (1, 4, 9, 16)
 """Particles a cell."""
 
 GREATEST = 150.0
-"""Acceleration of the bar's end at the end of the run; it grows in proportion to the time [m/s^2]."""
+"""Acceleration of the bar's end at the end of the run [m/s^2]; it grows linearly from 0."""
 
 DURATION = 4.0
 
 
 class Fracture(Figure):
-    """Neighbours that have lost sight of each other on the grid, against the pull."""
+    """Pairs of neighbours that no longer share a node of the grid, against the pull."""
 
     id = "cq2_fracture"
-    title = "More particles a cell put numerical fracture off"
+    title = "More particles a cell delay numerical fracture"
     source = "CQ2, video"
-    paper = "numerical fracture is put off by more particles a cell (shown, no numbers)"
-    tolerance = {
-        size: "all four bars tear, and the pull at which they do grows with the particles a cell" for size in Size
+    paper = "more particles a cell delay numerical fracture (shown, without numbers)"
+    criteria = {
+        size: "all four bars tear, and the pull at which they tear grows with the particles a cell" for size in Size
     }
-    left_open = "everything but that: the bar, its material and the pull are ours"
+    notes = "The bar, its material and the pull are ours"
 
-    def work(self, size: Size) -> Sequence[Work]:
-        """Return a run for each number, the same at both sizes."""
+    def tasks(self, size: Size) -> Sequence[Task]:
+        """Return a run for each number of particles, the same at both sizes."""
         return [
             Runs(f"tear_{n}", 0.1, "simulate", "simulate/tear", (f"bodies.bar.particles_per_cell={n}",)) for n in COUNTS
         ]
 
-    def table(self, found: Found, size: Size) -> Table:
-        """Return particles_per_cell, pull [m/s^2], lost (pairs of neighbours, over the most that ever are)."""
+    def table(self, folders: Folders, size: Size) -> Table:
+        """Return particles_per_cell, pull [m/s^2], lost (pairs of neighbours, over their maximum)."""
         rows: list[dict[str, object]] = []
-        for name, folder in found.items():
+        for name, folder in folders.items():
             seen = observables(folder)
             lost = seen["bar.fracture"] / max(1.0, seen["bar.fracture"].max())
             pull = GREATEST * seen["time"] / DURATION
@@ -53,23 +54,23 @@ class Fracture(Figure):
             rows += (
                 {"particles_per_cell": n, "pull": float(a), "lost": float(b)} for a, b in zip(pull, lost, strict=True)
             )
-        return stacked(iter(rows))
+        return table_of(iter(rows))
 
     def tears(self, table: Table) -> dict[int, float]:
-        """Return the pull at which neighbours are lost first, infinite if none is, by particles a cell."""
+        """Return the pull at which the first pair is lost, by particles a cell; infinite if none is lost."""
         first = {}
         for n in np.unique(table["particles_per_cell"]):
-            own = (table["particles_per_cell"] == n) & (table["lost"] > 0)
-            first[int(n)] = float(table["pull"][own].min()) if own.any() else np.inf
+            torn = (table["particles_per_cell"] == n) & (table["lost"] > 0)
+            first[int(n)] = float(table["pull"][torn].min()) if torn.any() else np.inf
         return first
 
-    def draw(self, table: Table, size: Size, found: Found) -> Picture:
-        """Draw what is lost, and the pull at which the bar tears."""
+    def draw(self, table: Table, size: Size, folders: Folders) -> Picture:
+        """Draw the lost pairs, and the pull at which the bar tears."""
         picture = new_figure(7.6, 3.2)
         left, right = picture.subplots(1, 2)
         for colour, n in zip(COLOURS, np.unique(table["particles_per_cell"]), strict=False):
-            own = table["particles_per_cell"] == n
-            left.plot(table["pull"][own], 100 * table["lost"][own], color=colour, label=f"{n:g} a cell")
+            rows = table["particles_per_cell"] == n
+            left.plot(table["pull"][rows], 100 * table["lost"][rows], color=colour, label=f"{n:g} a cell")
         left.set_xlabel("pull on the bar's end [m/s$^2$]")
         left.set_ylabel("lost neighbours [% of the most]")
         picture.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=4)
@@ -84,6 +85,11 @@ class Fracture(Figure):
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge the order."""
         tears = self.tears(table)
-        told = ", ".join(f"{n}: {pull:.3g}" for n, pull in tears.items())
+        text = ", ".join(f"{n}: {pull:.3g}" for n, pull in tears.items())
         ordered = list(tears) == list(COUNTS) and bool(np.all(np.diff(list(tears.values())) > 0))
-        return judged({f"tears at {told} m/s^2": ordered and bool(np.isfinite(list(tears.values())).all())})
+        return Verdict.of(
+            {
+                f"particles a cell and pull at which they tear: {text} m/s^2": ordered
+                and bool(np.isfinite(list(tears.values())).all())
+            }
+        )

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.histories import first_below, runs_below
-from benchmarks.papers.work import Found, Runs, Work
+from benchmarks.papers.families.histories import first_below, runs_below
+from benchmarks.papers.figure import Figure, Folders, Size, Table, Verdict, table_of
+from benchmarks.papers.machinery.runs import Runs
+from benchmarks.papers.machinery.task import Task
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
 
 if TYPE_CHECKING:
@@ -23,47 +24,49 @@ NEAR = 1e-3
 
 
 class LengthArm(Figure):
-    """Distance of the tip to its goal against the step, with the length free and fixed."""
+    """Distance of the tip to its goal against the step, with a free and a fixed length."""
 
     id = "cq2_length_arm"
     title = "An arm learns how long it should be"
     source = "CQ2 5.3.1"
-    paper = "the tip comes within .001 of its goal in 100 steps (video only)"
-    tolerance = {
-        size: "below .001 within 100 steps where the length is free; where it is fixed, not in 200" for size in Size
+    paper = "the tip comes within 0.001 of its goal in 100 steps (video only)"
+    criteria = {
+        size: "with a free length the distance is below 0.001 within 100 steps; with a fixed length it is not in 200 "
+        "steps"
+        for size in Size
     }
-    left_open = "everything but that: size, material, muscles and goal are ours"
+    notes = "The size, material, muscles and goal are ours"
 
-    def work(self, size: Size) -> Sequence[Work]:
-        """Return both runs, which are small enough to be the same at both sizes."""
+    def tasks(self, size: Size) -> Sequence[Task]:
+        """Return both runs, the same at both sizes."""
         return [
             Runs("arm_length_free", 0.4, "codesign", SCENE),
             Runs("arm_length_fixed", 0.2, "control", SCENE, ("unknowns={}", "optimizer.adam.max_iterations=200")),
         ]
 
-    def table(self, found: Found, size: Size) -> Table:
+    def table(self, folders: Folders, size: Size) -> Table:
         """Return variant, step, distance [m], length [m]."""
-        return stacked(
+        return table_of(
             {
                 "variant": name.rpartition("_")[2],
                 "step": k,
                 "distance": float(np.sqrt(gap)),
                 "length": float(run.history[LENGTH][k]) if LENGTH in run.history else START,
             }
-            for name, folder in found.items()
+            for name, folder in folders.items()
             for run in runs_below(folder)
             for k, gap in enumerate(run.history["tip"])
         )
 
-    def draw(self, table: Table, size: Size, found: Found) -> Picture:
-        """Draw both distances, with .001 as a line, and the length."""
+    def draw(self, table: Table, size: Size, folders: Folders) -> Picture:
+        """Draw both distances, with a line at 0.001, and the length."""
         picture = new_figure(6.6, 3.2)
         distance, length = picture.subplots(1, 2)
         for colour, name in zip(COLOURS, dict.fromkeys(table["variant"]), strict=False):
-            own = table["variant"] == name
-            distance.plot(table["step"][own], table["distance"][own], color=colour, label=LABELS[name])
-            length.plot(table["step"][own], table["length"][own], color=colour)
-        distance.axhline(NEAR, color=GREY, lw=1.0, ls="--", label="paper: .001 by step 100")
+            rows = table["variant"] == name
+            distance.plot(table["step"][rows], table["distance"][rows], color=colour, label=LABELS[name])
+            length.plot(table["step"][rows], table["length"][rows], color=colour)
+        distance.axhline(NEAR, color=GREY, lw=1.0, ls="--", label="paper: 0.001 by step 100")
         distance.set_yscale("log")
         distance.set_ylabel("distance of the tip [m]")
         length.set_ylabel("length of the arm [m]")
@@ -74,10 +77,10 @@ class LengthArm(Figure):
         return picture
 
     def judge(self, table: Table, size: Size) -> Verdict:
-        """Judge when the tip came near."""
+        """Judge when the tip is near its goal."""
         free, fixed = (table["distance"][table["variant"] == name] for name in ("free", "fixed"))
         near, enough = first_below(free, NEAR), len(fixed) > 200
-        return judged({
-            f"free: below .001 at step {near}, ends at {free[-1]:.2g}": near is not None and near <= 100,
+        return Verdict.of({
+            f"free: below 0.001 at step {near}, ends at {free[-1]:.2g}": near is not None and near <= 100,
             f"fixed: {fixed.min():.2g} at best in {len(fixed) - 1} steps": enough and bool(fixed.min() > NEAR),
         })  # fmt: skip

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.observed import observables
-from benchmarks.papers.work import Found, Runs, Work
+from benchmarks.papers.families.histories import observables
+from benchmarks.papers.figure import Figure, Folders, Size, Table, Verdict, table_of
+from benchmarks.papers.machinery.runs import Runs
+from benchmarks.papers.machinery.task import Task
 from cqrun.build.particles import sample
 from cqrun.figures.run_data import read_run
 from cqrun.figures.style import COLOURS, new_figure, titled
@@ -30,13 +31,14 @@ class Oscillator(Figure):
     paper = (
         "neo-Hookean and fixed corotated side by side on an oscillating, nearly incompressible actuator (no numbers)"
     )
-    tolerance = {
-        size: "neither is turned inside out; neo-Hookean keeps its volume better where it is pressed most"
+    criteria = {
+        size: "no particle is inverted with either law; the most compressed particle keeps more of its volume with "
+        "neo-Hookean"
         for size in Size
     }
-    left_open = "everything but that: body, muscles, nu = .48 and their rhythm are ours"
+    notes = "The body, its muscles, nu = 0.48 and the rhythm are ours"
 
-    def work(self, size: Size) -> Sequence[Work]:
+    def tasks(self, size: Size) -> Sequence[Task]:
         """Return a run for each law, the same at both sizes."""
         parameters = "{youngs_modulus: 10, poissons_ratio: 0.48}"
         return [
@@ -44,10 +46,10 @@ class Oscillator(Figure):
             for law in LAWS
         ]
 
-    def table(self, found: Found, size: Size) -> Table:
+    def table(self, folders: Folders, size: Size) -> Table:
         """Return law, time [s], tip_x and tip_y [m], least_volume_ratio."""
         rows: list[dict[str, object]] = []
-        for name, folder in found.items():
+        for name, folder in folders.items():
             law = name.removeprefix("oscillator_")
             (path,) = (file.parent for file in folder.rglob("trajectory.h5"))
             run, seen = read_run(path), observables(folder)
@@ -58,16 +60,16 @@ class Oscillator(Figure):
                 {"law": law, "time": float(t), "tip_x": float(x), "tip_y": float(y), "least_volume_ratio": float(J)}
                 for t, (x, y), J in zip(trajectory.time, tip, least, strict=True)
             )
-        return stacked(iter(rows))
+        return table_of(iter(rows))
 
-    def draw(self, table: Table, size: Size, found: Found) -> Picture:
-        """Draw both."""
+    def draw(self, table: Table, size: Size, folders: Folders) -> Picture:
+        """Draw the tip's path and the least volume ratio."""
         picture = new_figure(8.0, 3.2)
         left, right = picture.subplots(1, 2)
         for colour, (law, label) in zip(COLOURS, LAWS.items(), strict=False):
-            own = table["law"] == law
-            left.plot(table["time"][own], table["tip_x"][own], color=colour, label=label)
-            right.plot(table["time"][own], table["least_volume_ratio"][own], color=colour)
+            rows = table["law"] == law
+            left.plot(table["time"][rows], table["tip_x"][rows], color=colour, label=label)
+            right.plot(table["time"][rows], table["least_volume_ratio"][rows], color=colour)
         left.set_ylabel("x of the tip [m]")
         right.set_ylabel("least volume ratio of a particle")
         for axes in (left, right):
@@ -77,15 +79,15 @@ class Oscillator(Figure):
         return picture
 
     def judge(self, table: Table, size: Size) -> Verdict:
-        """Judge volumes."""
-        lasted = {law: float(table["time"][table["law"] == law].max(initial=0.0)) for law in LAWS}
-        if min(lasted.values()) < max(lasted.values()):
-            return judged({f"both last as long: {lasted}": False})
+        """Judge the least volume ratios."""
+        durations = {law: float(table["time"][table["law"] == law].max(initial=0.0)) for law in LAWS}
+        if min(durations.values()) < max(durations.values()):
+            return Verdict.of({f"both motions have the same duration: {durations}": False})
         least = {law: float(table["least_volume_ratio"][table["law"] == law].min()) for law in LAWS}
+        neo, corotated = least["neo_hookean"], least["fixed_corotated"]
         tips = [table["tip_x"][table["law"] == law] for law in LAWS]
         apart = float(np.abs(tips[0] - tips[1]).max() / np.ptp(tips[0]))
-        return judged({
-            f"neither is turned inside out, tips {100 * apart:.1f} % of the swing apart": min(least.values()) > 0,
-            f"least volume ratio {least['neo_hookean']:.3f} beside {least['fixed_corotated']:.3f}": least["neo_hookean"]
-            > least["fixed_corotated"],
+        return Verdict.of({
+            f"no particle is inverted; the tips are {100 * apart:.1f} % of the swing apart": min(least.values()) > 0,
+            f"least volume ratio {neo:.3f} (neo-Hookean), {corotated:.3f} (fixed corotated)": neo > corotated,
         })  # fmt: skip

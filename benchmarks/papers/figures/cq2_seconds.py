@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import math
 import os
 import shlex
 import sys
-import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.papers.figure import Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.learning import SINGLE
-from benchmarks.papers.measurement import Measurement
-from benchmarks.papers.process import STOPPED, with_memory
-from benchmarks.papers.work import SCENES, Found, Work, WorkError
+from benchmarks.papers.families.distances import SINGLE
+from benchmarks.papers.figure import Figure, Folders, Size, Table, Verdict, table_of
+from benchmarks.papers.machinery.measurement import Measurement, Row, measure_rows, read_rows
+from benchmarks.papers.machinery.process import STOPPED, run_command
+from benchmarks.papers.machinery.runs import SCENES
+from benchmarks.papers.machinery.task import Task, TaskError
 from cqrun.build.model import build
 from cqrun.figures.style import COLOURS, INK, log_ticks, new_figure, titled
 from cqrun.plugin.contract import Array
 from cqrun.scene.load import load_scene
-from cqrun.store.atomic import write_json
+from cqrun.store.history import read_history
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
@@ -35,15 +34,13 @@ PRINTED = {
     "codesign/biped_codesign": 5.9, "codesign/quadruped_codesign": 6.2, "codesign/hexapod_codesign": 8.8,
     "codesign/octopod_codesign": 11.3,
 }  # fmt: skip
-"""Seconds an iteration on a GTX 1080: wall time on the figures' upper axes over iterations."""
-
-SOURCES = tuple(SCENES / f"{name}.yaml" for name in PRINTED)
+"""Seconds an iteration on a GTX 1080: wall time on the upper axes of the figures, over iterations."""
 
 SMALL = {
     "control/biped_cable": ("bodies.biped.spacing=0.00625", "time.duration=1"),
     "codesign/biped_codesign": ("bodies.biped.sampling.lattice.count=15", "time.duration=1"),
 }
-"""What is timed at quick size, and its overrides."""
+"""The scenes at quick size, and their overrides."""
 
 
 class Seconds(Figure):
@@ -53,61 +50,52 @@ class Seconds(Figure):
     title = "How long an iteration takes"
     source = "CQ2, Appendix D"
     paper = "on a GTX 1080 " + ", ".join(f"{name.rpartition('/')[2]} {s:g} s" for name, s in PRINTED.items())
-    tolerance = {
-        Size.QUICK: "of the two robots in 2D, that one takes longer which does in the paper: what a particle and "
-        "substep takes, times as many as the paper's size has",
-        Size.PAPER: "on two cores in float32, no slower than the paper's GPU",
+    criteria = {
+        Size.QUICK: "the two robots in 2D have the paper's order. Their times are extrapolated: the time a particle "
+        "and substep, times the particles and substeps of the paper's size",
+        Size.PAPER: "on two cores in float32, no robot is slower than on the paper's GPU",
     }
-    left_open = (
-        "seconds are wall time over iterations, read off the figures' upper axes. Those extrapolated from quick size "
-        "are up to half above those at the paper's, and only their order is judged (settled after the runs). Ours "
-        "depend on the host and its day: these are of one with AVX2, which on a slow day took 4.85, 15.4, 76.7, 46.2, "
-        "2.93, 11.5, 15.8 and 19.0 s. One with AVX-512 took 1.8, 6.7, 47, 24, 1.2, 5.9, 9.3 and 10.3 s, the last four "
-        "with finer cells than they have now (1/64 the biped's, 1/30 the others'). benchmarks/measured/profiles says "
-        "what takes the time of the last three, pass by pass, on the host of this table (cqrun bench SCENE -o "
-        "precision=float32 -o memory=8GiB --threads 2 --output FILE): most of a gradient is the two passes that "
-        "gather from nodes, with the material law in the one, and the two that scatter to them. Of the hills' 20,000 "
-        "substeps, .8 are run twice, for their states do not fit"
+    notes = (
+        "The printed seconds are wall time over iterations, read off the figures' upper axes. Seconds extrapolated "
+        "from quick size are up to one half above those at paper size, so only their order is judged (decided after "
+        "the runs). Ours depend on the machine and the day. These are of a machine with AVX2, which on a slow day "
+        "took 4.85, 15.4, 76.7, 46.2, 2.93, 11.5, 15.8 and 19.0 s. A machine with AVX-512 took 1.8, 6.7, 47, 24, 1.2, "
+        "5.9, 9.3 and 10.3 s, the last four with finer cells than today (1/64 for the biped, 1/30 for the others). "
+        "benchmarks/measured/profiles shows where the time of the last three goes, pass by pass, on the machine of "
+        "this table (cqrun bench SCENE -o precision=float32 -o memory=8GiB --threads 2 --output FILE). Most of a "
+        "gradient is spent in the two passes that gather from nodes, one of which evaluates the material law, and in "
+        "the two that scatter to them. Of the hills' 20,000 substeps, a share of 0.8 is run twice, because their "
+        "states do not fit into memory"
     )
 
-    def work(self, size: Size) -> Sequence[Work]:
+    def tasks(self, size: Size) -> Sequence[Task]:
         """Return the measurement."""
-        told = f"python -m benchmarks.papers --size {size} --only {self.id}"
-        minutes = 1.3 if size is Size.QUICK else 19.0
-        return [
-            Measurement(
-                "seconds",
-                minutes,
-                lambda folder, end: _measure(folder, end, size),
-                told,
-                SOURCES,
-                (*SINGLE, f"{ITERATIONS} iterations", *((repr(SMALL),) if size is Size.QUICK else ())),
-                alone=True,
-            )
-        ]
+        minutes, measure = 1.3 if size is Size.QUICK else 19.0, partial(_measure, size)
+        scenes = tuple(SCENES / f"{name}.yaml" for name in PRINTED)
+        settings = (*SINGLE, f"{ITERATIONS} iterations", *((repr(SMALL),) if size is Size.QUICK else ()))
+        return [Measurement("seconds", minutes, measure, self.command(size), scenes, settings, exclusive=True)]
 
-    def table(self, found: Found, size: Size) -> Table:
+    def table(self, folders: Folders, size: Size) -> Table:
         """Return robot, particles, substeps, seconds, printed [s], ns a particle and substep, memory [GB], load.
 
-        `steps` is what the paper's size has of particles times substeps.
+        `steps` is the number of particles times substeps at paper size.
         """
-        files = sorted(found["seconds"].glob("row-*.json"))
-        return stacked(json.loads(file.read_text()) for file in files)
+        return table_of(read_rows(folders["seconds"]))
 
-    def draw(self, table: Table, size: Size, found: Found) -> Picture:
-        """Draw ours as bars and the printed ones as diamonds."""
+    def draw(self, table: Table, size: Size, folders: Folders) -> Picture:
+        """Draw our seconds as bars, and the printed ones as diamonds."""
         picture = new_figure(7.2, 3.6)
         axes = picture.add_subplot()
         at = np.arange(len(table["robot"]))
-        ours = table["seconds"] if size is Size.PAPER else _whole(table)
-        told = "" if size is Size.PAPER else ", extrapolated to the paper's size"
-        axes.bar(at, ours, 0.6, color=COLOURS[0], label=f"cqrun, two cores, float32{told}")
+        ours = table["seconds"] if size is Size.PAPER else _extrapolated(table)
+        how = "" if size is Size.PAPER else ", extrapolated to the paper's size"
+        axes.bar(at, ours, 0.6, color=COLOURS[0], label=f"cqrun, two cores, float32{how}")
         axes.plot(at, table["printed"], "D", color=INK, mec="white", ms=7, label="paper, GTX 1080")
         axes.set_xticks(at, [str(robot).replace("_", "\n") for robot in table["robot"]], fontsize=8)
         axes.set_yscale("log")
         axes.set_ylim(bottom=0.5 * min(ours))
         foot = axes.get_ylim()[0]
-        for x, seconds in zip(at, ours, strict=True):  # where no diamond covers them
+        for x, seconds in zip(at, ours, strict=True):  # at the foot, where no diamond covers them
             axes.annotate(f"{seconds:.3g}", (x, foot), (0, 3), textcoords="offset points", ha="center", color="white")
         log_ticks(axes.yaxis, *axes.get_ylim())
         axes.set_ylabel("seconds an iteration")
@@ -116,67 +104,60 @@ class Seconds(Figure):
         return picture
 
     def judge(self, table: Table, size: Size) -> Verdict:
-        """Judge every robot, at quick size which takes longer."""
+        """Judge every robot; at quick size, only which of the two takes longer."""
         if size is Size.QUICK:
-            whole, printed = _whole(table), np.asarray(table["printed"])
-            told = ", ".join(
-                f"{robot} {seconds:.3g} s ({ns:.0f} ns a particle and substep), paper {theirs:g}"
-                for robot, seconds, ns, theirs in zip(table["robot"], whole, table["ns"], printed, strict=True)
+            ours, printed = _extrapolated(table), np.asarray(table["printed"])
+            text = ", ".join(
+                f"{robot} {seconds:.3g} s ({ns:.0f} ns a particle and substep), paper {paper:g}"
+                for robot, seconds, ns, paper in zip(table["robot"], ours, table["ns"], printed, strict=True)
             )
-            same = np.array_equal(np.argsort(whole), np.argsort(printed))
-            return judged({f"the order of the paper: {told}": len(whole) == len(SMALL) and same})
+            same = np.array_equal(np.argsort(ours), np.argsort(printed))
+            return Verdict.of({f"the paper's order: {text}": len(ours) == len(SMALL) and same})
         rows = zip(table["robot"], table["seconds"], table["printed"], table["memory"], strict=True)
-        return judged({
-            f"{robot} {ours:.3g} s, paper {theirs:g}; {memory:.2g} GB at most": ours <= theirs
-            for robot, ours, theirs, memory in rows
+        return Verdict.of({
+            f"{robot} {ours:.3g} s, paper {paper:g}; at most {memory:.2g} GB": ours <= paper
+            for robot, ours, paper, memory in rows
         })  # fmt: skip
 
 
-def _whole(table: Table) -> Array:
+def _extrapolated(table: Table) -> Array:
     """Return the seconds that the paper's numbers of particles and substeps would take."""
     return np.asarray(1e-9 * table["ns"] * table["steps"])
 
 
-def _measure(folder: Path, deadline: float, size: Size) -> bool:
-    """Time what is missing, a file each; say whether all is there."""
-    for k, (scene, printed) in enumerate(PRINTED.items()):
-        file = folder / f"row-{k}.json"
-        if file.exists() or (size is Size.QUICK and scene not in SMALL):
-            continue
-        if time.monotonic() > deadline:
-            return False
-        overrides = (*SINGLE, *(SMALL[scene] if size is Size.QUICK else ()))
-        steps = math.prod(_counts(scene, SINGLE))
-        timed = _timed(scene, overrides, folder, deadline)
-        if timed is None:
-            return False
-        write_json(file, {"robot": scene.rpartition("/")[2], "printed": printed, "steps": steps} | timed)
-    return True
+def _measure(size: Size, folder: Path, deadline: float) -> bool:
+    """Time an iteration of each robot; return whether all are timed."""
+    rows = {
+        str(k): partial(_row, scene, SMALL.get(scene, ()) if size is Size.QUICK else (), folder, deadline)
+        for k, scene in enumerate(PRINTED)
+        if size is Size.PAPER or scene in SMALL
+    }
+    return measure_rows(folder, deadline, rows)
 
 
-def _timed(name: str, overrides: Sequence[str], folder: Path, deadline: float) -> dict[str, object] | None:
-    """Run a few iterations of a scene alone on all cores; return what they took, the median, or None out of time."""
-    path = SCENES / f"{name}.yaml"
+def _row(name: str, smaller: Sequence[str], folder: Path, deadline: float) -> Row | None:
+    """Run a few iterations of a scene alone on all cores; return the median time, or None if the time is over."""
+    path, overrides = SCENES / f"{name}.yaml", (*SINGLE, *smaller)
     scene = load_scene(path, list(overrides))
     assert scene.optimizer is not None
+    assert scene.job is not None
     words = [*overrides, f"optimizer.{scene.optimizer.name}.max_iterations={ITERATIONS}"]
     out = folder / path.stem
-    assert scene.job is not None
     command = [sys.executable, "-m", "cqrun", scene.job, str(path), "--quiet", "--fresh", "--out", str(out)]
     command += [word for override in words for word in ("-o", override)]
     load = os.getloadavg()[0]
-    code, said, memory = with_memory(path.stem, command, deadline)
-    if code == STOPPED:
+    ended = run_command(path.stem, command, deadline)
+    if ended.status == STOPPED:
         return None
-    if code:
-        raise WorkError(f"{shlex.join(command)} ended with {code}\n{said}")
+    if ended.status:
+        raise TaskError(f"{shlex.join(command)} ended with {ended.status}\n{ended.output}")
     (history,) = out.rglob("history.csv")
-    with history.open(newline="") as lines:
-        seconds = float(np.median(np.diff([float(row["seconds"]) for row in csv.DictReader(lines)])))
+    seconds = float(np.median(np.diff(read_history(history)["seconds"])))
     particles, substeps = _counts(name, overrides)
     return {
+        "robot": path.stem, "printed": PRINTED[name], "steps": math.prod(_counts(name, SINGLE)),
         "particles": particles, "substeps": substeps, "seconds": seconds,
-        "ns": seconds / (particles * substeps) * 1e9, "memory": memory, "load": load,
+        "ns": seconds / (particles * substeps) * 1e9, "memory": ended.memory, "load": load,
     }  # fmt: skip
 
 

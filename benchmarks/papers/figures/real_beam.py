@@ -1,4 +1,4 @@
-"""cqrun's own: a real silicone beam, identified from motion capture, and predicted."""
+"""cqrun's own: a real silicone beam, fitted to motion capture, and predicted."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.papers.figure import OWN, Figure, Size, Table, Verdict, judged, stacked
-from benchmarks.papers.measurement import Measurement
-from benchmarks.papers.process import ROOT
-from benchmarks.papers.work import Found, Work
+from benchmarks.papers.figure import NOT_PRINTED, Figure, Folders, Size, Table, Verdict, table_of
+from benchmarks.papers.machinery.measurement import Measurement
+from benchmarks.papers.machinery.process import ROOT
+from benchmarks.papers.machinery.task import Task
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
 from cqrun.store.atomic import write_json
 
@@ -27,19 +27,19 @@ LABELS = {
 }  # fmt: skip
 LIMITS = {"bare": 0.6, "loaded": 2.0}
 PREDICTED = 2.5
-"""Largest root mean square error that is asked where a recording is predicted [mm]."""
+"""Largest root mean square error of a predicted recording [mm]."""
 
 RANGE = (230.0, 360.0)
-"""Young's moduli that published measurements of Dragon Skin 10 leave room for [kPa]."""
+"""Young's moduli that agree with published measurements of Dragon Skin 10 [kPa]."""
 
 
 class Reading(Measurement):
-    """What another command has measured, by the engine that did."""
+    """What another command has measured, with its engine."""
 
     def engine(self, folder: Path) -> str:
         return str(json.loads(MEASURED.read_text())["engine"])
 
-    def go_on(self, folder: Path, seconds: float, jobs: int, share: float) -> bool:
+    def advance(self, folder: Path, seconds: float, jobs: int, share: float) -> bool:
         return self.measure(folder, seconds)
 
 
@@ -48,25 +48,27 @@ class RealBeam(Figure):
 
     id = "real_beam"
     title = "A real silicone beam, fitted and predicted"
-    source = OWN
+    source = NOT_PRINTED
     paper = "not in the papers; recordings of the Soft Robotics Lab, ETH Zurich (MIT licence), srl-ethz/diffPD_sim2real"
-    tolerance = {
-        size: "fitted: .6 mm bare and 2.0 mm loaded at most; predicted: 2.5 mm; E from 230 to 360 kPa" for size in Size
+    criteria = {
+        size: "fitted: at most 0.6 mm bare and 2.0 mm loaded; predicted: at most 2.5 mm; E from 230 to 360 kPa"
+        for size in Size
     }
-    left_open = (
-        "the fits take hours and need the recordings: what `python benchmarks/real_beam.py` found is shown. Those on "
-        "3.75 mm are of an older engine, whose intervals took an error that stays for several, and were too narrow"
+    notes = (
+        "The fits take hours and need the recordings, so this shows what `python benchmarks/real_beam.py` has found. "
+        "The fits on 3.75 mm are of an older engine. That engine treated a persistent error as several independent "
+        "ones, so its intervals are too narrow"
     )
 
-    def work(self, size: Size) -> Sequence[Work]:
-        """Return the reading of what was measured."""
-        told = "python benchmarks/real_beam.py --recordings DIR"
-        return [Reading("real_beam", 0.1, _read, told, (MEASURED,))]
+    def tasks(self, size: Size) -> Sequence[Task]:
+        """Return the task that reads what was measured."""
+        typed = "python benchmarks/real_beam.py --recordings DIR"
+        return [Reading("real_beam", 0.1, _read, typed, (MEASURED,))]
 
-    def table(self, found: Found, size: Size) -> Table:
-        """Return fit, E, low, high [kPa], bare and loaded [mm], holdout (1 where the loaded one was predicted)."""
-        fits = json.loads((found["real_beam"] / "fits.json").read_text())
-        return stacked(
+    def table(self, folders: Folders, size: Size) -> Table:
+        """Return fit, E, low, high [kPa], bare and loaded [mm], holdout (1 if the loaded beam was predicted)."""
+        fits = json.loads((folders["real_beam"] / "fits.json").read_text())
+        return table_of(
             {
                 "fit": label,
                 "E": 1e-3 * entry["unknowns"][MODULUS]["value"],
@@ -79,22 +81,22 @@ class RealBeam(Figure):
             if (entry := fits.get(name)) is not None
         )
 
-    def draw(self, table: Table, size: Size, found: Found) -> Picture:
-        """Draw moduli with their intervals, and errors beside what is asked."""
+    def draw(self, table: Table, size: Size, folders: Folders) -> Picture:
+        """Draw moduli with their intervals, and errors beside their limits."""
         picture = new_figure(8.4, 3.4)
         left, right = picture.subplots(1, 2, sharey=True)
-        place = -np.arange(len(table["fit"]))
+        y = -np.arange(len(table["fit"]))
         bars = np.stack([table["E"] - table["low"], table["high"] - table["E"]])
-        left.errorbar(table["E"], place, xerr=np.nan_to_num(bars), fmt="o", color=COLOURS[0], capsize=3)
+        left.errorbar(table["E"], y, xerr=np.nan_to_num(bars), fmt="o", color=COLOURS[0], capsize=3)
         left.axvspan(*RANGE, color=GREY, alpha=0.12, lw=0)
-        left.set_yticks(place, table["fit"])
+        left.set_yticks(y, table["fit"])
         left.set_xlabel("Young's modulus [kPa], 95 % interval")
         for colour, name in zip(COLOURS, LIMITS, strict=False):
-            right.plot(table[name], place, "o", color=colour, label=f"{name}")
+            right.plot(table[name], y, "o", color=colour, label=name)
             right.axvline(LIMITS[name], color=colour, lw=0.8, ls=":")
         right.axvline(PREDICTED, color=COLOURS[1], lw=0.8, ls="--")
-        held = table["holdout"] == 1
-        right.plot(table["loaded"][held], place[held], "o", mfc="none", mec=COLOURS[1], ms=10, label="predicted")
+        holdout = table["holdout"] == 1
+        right.plot(table["loaded"][holdout], y[holdout], "o", mfc="none", mec=COLOURS[1], ms=10, label="predicted")
         right.set_xlabel("error (RMS) [mm]; dotted and dashed: what is asked")
         right.set_xlim(left=0)
         right.legend()
@@ -103,13 +105,13 @@ class RealBeam(Figure):
 
     def judge(self, table: Table, size: Size) -> Verdict:
         """Judge errors and moduli."""
-        fitted, held = table["holdout"] == 0, table["holdout"] == 1
+        fitted, holdout = table["holdout"] == 0, table["holdout"] == 1
         bare, loaded = float(table["bare"].max()), float(table["loaded"][fitted].max())
-        predicted, E = float(table["loaded"][held].max()), table["E"]
-        return judged({
-            f"bare {bare:.2f} mm at most": bare <= LIMITS["bare"],
-            f"loaded, fitted, {loaded:.2f} mm at most": loaded <= LIMITS["loaded"],
-            f"loaded, predicted, {predicted:.2f} mm at most": predicted <= PREDICTED,
+        predicted, E = float(table["loaded"][holdout].max()), table["E"]
+        return Verdict.of({
+            f"bare at most {bare:.2f} mm": bare <= LIMITS["bare"],
+            f"loaded, fitted, at most {loaded:.2f} mm": loaded <= LIMITS["loaded"],
+            f"loaded, predicted, at most {predicted:.2f} mm": predicted <= PREDICTED,
             f"E {E.min():.0f} to {E.max():.0f} kPa": bool(E.min() >= RANGE[0] and E.max() <= RANGE[1]),
         })  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""A family of figures: frames of a motion side by side, and the path of a part of the body (CQ1 Figs 3, 4 and 6)."""
+"""Figures with frames of a motion side by side, and the path of a part of the body (CQ1 Figs 3, 4 and 6)."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from benchmarks.papers.figure import Figure, Size, Table
-from benchmarks.papers.histories import kept, runs_below
-from benchmarks.papers.wholeness import watched
-from benchmarks.papers.work import Found
+from benchmarks.papers.families.histories import runs_below
+from benchmarks.papers.families.integrity import watch
+from benchmarks.papers.figure import Figure, Folders, Size, Table
 from cqrun.build.particles import sample
 from cqrun.figures.bodies import plot_body, snapshots, window_of
 from cqrun.figures.quantities import length_unit
@@ -22,66 +21,56 @@ from cqrun.plugin.contract import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-WIDE = 9.0
-"""Width of the picture [inch]."""
+WIDTH = 9.0
+"""Of the picture [inch]."""
 
 GROUND = 2.0
-"""Cells below the lowest particle that are seen at least: a body rests about one above its floor."""
+"""Cells below the lowest particle that are shown at least: a body rests about one cell above its floor."""
 
 
 class Frames(Figure):
-    """Frames of one run.
-
-    Attributes:
-        name: of the work whose best run is shown.
-        term: of its objective that says which run is best; the first run if empty.
-        greatest: whether the term is to be great.
-        body, group: whose path is in the table.
-        count: frames.
-        columns: frames side by side.
-        unit: of the scene's lengths.
-    """
+    """Frames of one run."""
 
     needs_runs = True
-    name: ClassVar[str]
-    term: ClassVar[str] = ""
-    greatest: ClassVar[bool] = True
+    name: ClassVar[str]  # of the task whose best run is shown
+    term: ClassVar[str] = ""  # of its objective that says which run is best; if empty, the first run is shown
+    greatest: ClassVar[bool] = True  # whether the best run has the greatest term, or the least
     body: ClassVar[str]
-    group: ClassVar[str | None] = None
-    count: ClassVar[int] = 6
-    columns: ClassVar[int] = 3
-    unit: ClassVar[str] = "m"
+    group: ClassVar[str | None] = None  # of the body, whose path is in the table
+    count: ClassVar[int] = 6  # of frames
+    columns: ClassVar[int] = 3  # frames side by side
+    unit: ClassVar[str] = "m"  # of the scene's lengths
 
-    def best(self, found: Found) -> RunData | None:
-        """Return the run that is shown, or None while none has its trajectory."""
-        runs = [run for run in runs_below(found[self.name]) if (run.path / "trajectory.h5").exists()]
-        paths = [path.parent for path in sorted(Path(found[self.name]).rglob("trajectory.h5"))]
+    def best(self, folders: Folders) -> RunData | None:
+        """Return the run that is shown, or None while no run has a trajectory."""
+        paths = [path.parent for path in sorted(Path(folders[self.name]).rglob("trajectory.h5"))]
+        runs = [run for run in runs_below(folders[self.name]) if run.has_trajectory]
         if not paths:
             return None
         if not self.term or not runs:
             return read_run(paths[0])
         sign = 1.0 if self.greatest else -1.0
-        return read_run(max(runs, key=lambda run: sign * kept(run, self.term)).path)
+        return read_run(max(runs, key=lambda run: sign * run.at_least_loss(self.term)).path)
 
-    def table(self, found: Found, size: Size) -> Table:
-        """Return time [s], the mean place of the group, and how whole the body is, at each frame."""
-        run = self.best(found)
+    def table(self, folders: Folders, size: Size) -> Table:
+        """Return time [s], the mean position of the group, and how well the body holds together, for each frame."""
+        run = self.best(folders)
         if run is None:
             return {}
         trajectory, particles = run.trajectory(), sample(run.scene)
         part = particles.of(self.body)
-        own = np.arange(part.start, part.stop) if self.group is None else particles.groups(self.body)[self.group]
-        path = trajectory.fields["x"][:, own].mean(axis=1)
+        group = np.arange(part.start, part.stop) if self.group is None else particles.groups(self.body)[self.group]
+        path = trajectory.fields["x"][:, group].mean(axis=1)
         table = {"time": np.asarray(trajectory.time), **{"xyz"[d]: path[:, d] for d in range(path.shape[1])}}
-        return table | watched(run, self.body)
+        return table | watch(run, self.body)
 
     def moments(self, table: Table) -> Array:
-        """Return which of the table's frames are drawn: spread over the time, unless more is known."""
+        """Return the indices of the frames that are drawn: evenly spread over the time."""
         return np.round(np.linspace(0, len(table["time"]) - 1, self.count)).astype(int)
 
-    def draw(self, table: Table, size: Size, found: Found) -> Picture:
+    def draw(self, table: Table, size: Size, folders: Folders) -> Picture:
         """Draw the moments side by side."""
-        run = self.best(found)
+        run = self.best(folders)
         assert run is not None
         with run.frames() as frames:
             shots = snapshots(frames, self.moments(table).tolist())
@@ -90,9 +79,9 @@ class Frames(Figure):
         corners = window_of(run.scene, shots, look)
         corners[0, 1] = min(corners[0, 1], window(x, look, GROUND * run.scene.world.dx)[0, 1])
         rows = -(-self.count // self.columns)
-        each = WIDE / self.columns
-        tall = each * float(np.clip((corners[1, 1] - corners[0, 1]) / (corners[1, 0] - corners[0, 0]), 0.2, 1.6))
-        picture = new_figure(WIDE + 0.9, rows * (tall + 0.55))
+        width = WIDTH / self.columns
+        height = width * float(np.clip((corners[1, 1] - corners[0, 1]) / (corners[1, 0] - corners[0, 0]), 0.2, 1.6))
+        picture = new_figure(WIDTH + 0.9, rows * (height + 0.55))
         panels = picture.subplots(rows, self.columns, squeeze=False).ravel()
         largest, unit = max(float(shot.moved.max()) for shot in shots), length_unit(float(np.max(corners)))
         for axes, shot in zip(panels, shots, strict=False):
@@ -107,8 +96,8 @@ class Frames(Figure):
             axes.set_ylabel(axes.get_ylabel().replace("(m)", f"[{self.unit}]"))
         for axes in panels[self.count :]:
             axes.remove()
-        picture.legend([line], [f"path of the {self.group or self.body}'s middle"], loc="outside lower center")
+        picture.legend([line], [f"path of the middle of the {self.group or self.body}"], loc="outside lower center")
         colours = picture.colorbar(dots, ax=list(panels[: self.count]), shrink=0.85, pad=0.015, aspect=28)
-        colours.set_label(f"moved by [{self.unit}]")
+        colours.set_label(f"displacement [{self.unit}]")
         colours.outline.set_visible(False)
         return picture

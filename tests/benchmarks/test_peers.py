@@ -1,4 +1,4 @@
-"""The peers' substep: cqrun's and theirs, where they are installed, give the same loss and gradients."""
+"""The substep of cqrun and of the installed peers gives the same loss and gradients."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import importlib.util
 import numpy as np
 import pytest
 
-from benchmarks.peers.__main__ import AGREE, PACKAGES, Worker, compare, told
+from benchmarks.peers.__main__ import AGREE, PACKAGES, Worker, compare, line
 from benchmarks.peers.problem import SUBSTEPS, block_of
 from benchmarks.peers.worker import NAMES, PRECISIONS
 
@@ -25,16 +25,16 @@ def test_the_block_is_what_cqrun_runs():
 
 
 def test_cqrun_in_its_process():
-    """The gradient by velocity: moving all particles alike moves x by T, so it sums to the mean of x times T."""
+    """The gradient by all velocities sums to T times the mean of x: the same velocity for all moves x by T."""
     (row,) = compare(SIZE, ["cqrun"], 1, 0)
     block = block_of(SIZE)
     T = SUBSTEPS * block.dt
     centre = block.x.mean(axis=0) + T * block.v.mean(axis=0)
-    # every particle's share is about T centre / N
+    # for each particle it is about T centre / N
     assert row["by_v"] == pytest.approx(T * np.linalg.norm(centre) / np.sqrt(len(block.x)), rel=0.05)
     assert row["by_E"] > 0
     assert row["ratio"] == 1.0
-    assert "1.00 times cqrun" in told(row)
+    assert "1.00 times cqrun" in line(row)
 
 
 def test_cqrun_in_the_peers_precision_gives_the_same():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cqrun.build.limits import motion_limit, wave_limit
 from cqrun.build.model import build
-from cqrun.engine.limits import motion_limit, wave_limit
 from cqrun.errors import SceneError
 from cqrun.scene.load import load_scene
 from cqrun.scene.unknowns import truths

@@ -1,0 +1,1 @@
+"""What does the work behind figures, and publishes what came of it."""
