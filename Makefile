@@ -13,7 +13,7 @@ PYTEST := NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 PARALLEL := -n 2 --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help setup lint types test test-nojit test-slow test-rl test-render bench profile demo reproduce-figures clean-cache clean
+.PHONY: help setup lint types pytest test test-nojit test-slow test-rl test-render bench profile demo reproduce-figures clean-cache clean
 
 help: ## list all targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-17s %s\n", $$1, $$2}'
@@ -34,7 +34,9 @@ lint: $(READY) ## run ruff
 types: $(READY) ## run mypy
 	$(BIN)/mypy
 
-test: $(READY) ## run the fast tests, ruff and mypy
+test: lint types pytest ## run ruff, mypy and the fast tests
+
+pytest: $(READY) ## run the fast tests alone
 	$(PYTEST) $(PARALLEL)
 
 test-nojit: $(READY) ## run the fast tests without whole jobs in plain Python: slow, but index errors show

@@ -8,13 +8,13 @@ Each fit is a run of `cqrun sysid` below `--runs`. A stopped fit continues, and 
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.sysid import run_sysid
 from cqrun.store.atomic import write_json
+from cqrun.store.result import SysidResult, require_result
 
 ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "scenes" / "sysid" / "finger_material.yaml"
@@ -27,16 +27,15 @@ WANTED = {"with noise": 0.03, "without noise": 0.01}
 def fit(name: str, runs: Path) -> dict[str, Any]:
     """Run one fit, or continue it; return what it found."""
     run = run_sysid(SCENE, FITS[name], runs)
-    result = json.loads((run / "result.json").read_text())
+    result = require_result(run, SysidResult)
+    unknowns = {path: entry.model_dump(include={"value", "interval"}) for path, entry in result.unknowns.items()}
     words = ["cqrun", "sysid", str(SCENE.relative_to(ROOT)), *(f"-o {each}" for each in FITS[name])]
     return {
         "command": " ".join(words),
-        "status": result["status"],
-        "loss": result["loss"],
-        "unknowns": {
-            path: {key: entry[key] for key in ("value", "interval")} for path, entry in result["unknowns"].items()
-        },
-        "error": worst_error(result["unknowns"]),
+        "status": result.status,
+        "loss": result.loss,
+        "unknowns": unknowns,
+        "error": worst_error(unknowns),
     }
 
 

@@ -25,6 +25,7 @@ from cqrun.jobs.sysid import run_sysid
 from cqrun.running.threads import cores
 from cqrun.scene.load import load_scene
 from cqrun.store.atomic import write_json
+from cqrun.store.result import SysidResult, require_result
 
 ROOT = Path(__file__).parents[1]
 SWING, REST = (ROOT / "scenes" / "sysid" / f"{name}.yaml" for name in ("real_beam", "real_beam_rest"))
@@ -61,13 +62,13 @@ def fit(name: str, recordings: Sequence[str], runs: Path) -> dict[str, Any]:
     """Run one fit, or continue it; return what it found."""
     scene, overrides = FITS[name]
     run = run_sysid(scene, [*recordings, *overrides], runs / name)
-    result = json.loads((run / "result.json").read_text())
+    result = require_result(run, SysidResult)
     facts = json.loads((run / "run.json").read_text())
     words = [word for override in overrides for word in ("-o", override)]
     return {
         "command": shlex.join(["cqrun", "sysid", f"scenes/sysid/{scene.name}", *words]),
         "engine": facts["engine"],
-        **{key: result[key] for key in ("status", "iterations", "unknowns", "recordings", "findings")},
+        **result.model_dump(include={"status", "iterations", "unknowns", "recordings", "findings"}),
     }
 
 

@@ -111,10 +111,10 @@ def reworded(error: ErrorDetails, prefix: Loc = (), **hints: Any) -> InitErrorDe
     kind = {"missing": MISSING, "extra_forbidden": KEY}.get(error["type"], VALUE)
     if loc and loc[-1] == "[key]":
         kind, loc = KEY, loc[:-1]
-    return finding(_words(error, **hints), loc, kind=kind)
+    return finding(in_words(error, **hints), loc, kind=kind)
 
 
-def _words(error: ErrorDetails, *, keys: Iterable[str] = (), about: str = "", unit: str | None = None) -> str:
+def in_words(error: ErrorDetails, *, keys: Iterable[str] = (), about: str = "", unit: str | None = None) -> str:
     """Return what is wrong; `keys` are the legal keys, `about` and `unit` describe the field."""
     kind, value, context = error["type"], error["input"], error.get("ctx", {})
     if kind == "missing":

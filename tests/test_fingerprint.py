@@ -60,8 +60,8 @@ def test_every_listed_source_exists():
 
 
 AFTERWARDS = {
-    "ablate", "api", "bench", "bench_scene", "bodies", "compress", "excerpt", "export", "fleet", "kernels",
-    "observables", "report", "reporter", "runs", "seeds", "selfcheck", "threads", "trajectories", "validate", "warmup",
+    "ablation", "api", "bench", "bodies", "compress", "excerpt", "export", "fleet", "kernels", "observables",
+    "reporter", "runs", "seeds", "selfcheck", "threads", "trajectories", "validate", "warmup",
 }  # fmt: skip
 """Modules of jobs and of running that compute before a run, after it, or without one."""
 
@@ -70,7 +70,7 @@ def test_every_job_that_computes_a_run_is_listed():
     """Otherwise a run that another engine started would continue and mix the results of two engines."""
     package = Path(fingerprint.__file__).parent
     uses = re.compile(r"^\s*(import numpy|from cqrun\.(engine\.rollout|design\.params))", re.MULTILINE)
-    sources = [*(package / "jobs").glob("*.py"), *(package / "running").glob("*.py")]
+    sources = [*(package / "jobs").rglob("*.py"), *(package / "running").rglob("*.py")]
     computing = {p.stem for p in sources if uses.search(p.read_text())}
     listed = {Path(entry).stem for entry in fingerprint.NUMERIC if entry.startswith(("jobs/", "running/"))}
     assert computing - listed <= AFTERWARDS

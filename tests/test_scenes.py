@@ -16,11 +16,11 @@ from small_beam import result_of
 import cqrun
 from cqrun.build.model import build
 from cqrun.errors import SceneError
-from cqrun.jobs.control import run_control
+from cqrun.jobs.control import run_codesign, run_control
 from cqrun.jobs.gradcheck import run_gradcheck
-from cqrun.jobs.report import report_lines
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
+from cqrun.jobs.table import report_lines
 from cqrun.jobs.validate import validate
 from cqrun.measurements.recording import Recording
 from cqrun.scene.load import load_scene
@@ -250,7 +250,8 @@ def of_job(*jobs: str) -> pytest.MarkDecorator:
 def test_a_shortened_scene_learns(path, tmp_path):
     overrides = [*shortened(path, tmp_path), *loosened(path)]
     scene = load_scene(path, overrides)
-    run = run_control(path, overrides, tmp_path, threads=1, job=path.parent.name)
+    learn = {"control": run_control, "codesign": run_codesign}[path.parent.name]
+    run = learn(path, overrides, tmp_path, threads=1)
     result = result_of(run)
     if (result["status"], result["iterations"]) != (
         "iteration_limit",

@@ -29,8 +29,7 @@ def bench(
     """
     from cqrun.cli.progress import reporting
     from cqrun.errors import UsageError
-    from cqrun.jobs.bench import run_bench
-    from cqrun.jobs.bench_scene import run_bench_scene
+    from cqrun.jobs.bench import run_bench, run_bench_scene
     from cqrun.scene.plugin_files import plugins_allowed
 
     if scene is None:

@@ -41,9 +41,9 @@ def codesign(
         require_seeds_for_jobs,
     )
     from cqrun.errors import UsageError
-    from cqrun.jobs.ablate import run_ablation
-    from cqrun.jobs.control import run_control
-    from cqrun.jobs.seeds import run_seeds
+    from cqrun.jobs.control import CODESIGN, run_codesign
+    from cqrun.jobs.studies.ablation import run_ablation
+    from cqrun.jobs.studies.seeds import run_seeds
     from cqrun.scene.plugin_files import plugins_allowed
 
     if rates and not ablate:
@@ -59,13 +59,11 @@ def codesign(
                 )  # fmt: skip
             elif seeds is not None:
                 summary, succeeded = run_seeds(
-                    scene, overrides or [], out, seeds=seeds, job="codesign", jobs=jobs, fresh=fresh, threads=threads,
+                    scene, overrides or [], out, seeds=seeds, job=CODESIGN, jobs=jobs, fresh=fresh, threads=threads,
                     allow_plugins=allow_plugins, reporter=reporter,
                 )  # fmt: skip
             else:
-                run = run_control(
-                    scene, overrides or [], out, fresh=fresh, threads=threads, job="codesign", reporter=reporter
-                )
+                run = run_codesign(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
         if ablate:
             draw_and_print_ablation(comparison, succeeded)
         elif seeds is not None:

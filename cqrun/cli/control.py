@@ -23,7 +23,7 @@ def control(
     from cqrun.cli.progress import reporting
     from cqrun.cli.results import draw_and_print_run, infeasible_shown, print_seeds, require_seeds_for_jobs
     from cqrun.jobs.control import run_control
-    from cqrun.jobs.seeds import run_seeds
+    from cqrun.jobs.studies.seeds import run_seeds
     from cqrun.scene.plugin_files import plugins_allowed
 
     require_seeds_for_jobs(seeds, jobs)

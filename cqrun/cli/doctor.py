@@ -22,7 +22,7 @@ REQUIREMENT = re.compile(r"""^([A-Za-z0-9_.-]+)[^;]*(?:;.*extra\s*==\s*['"]([^'"
 
 def doctor(out: Out = DEFAULT_OUT) -> None:
     """Print versions, cores, threads and directories, and run a test kernel; exit 1 if something fails."""
-    from cqrun.jobs.selfcheck import check_kernel
+    from cqrun.running.selfcheck import check_kernel
 
     failures = 0
     for name, value in _machine():

@@ -15,7 +15,7 @@ PICTURES = "CQRUN_PICTURES"
 
 def print_run(run: Path) -> None:
     """Print the results of a run, and its directory."""
-    from cqrun.jobs.report import report_lines
+    from cqrun.jobs.table import report_lines
 
     for line in report_lines(run):
         typer.echo(line)
@@ -39,7 +39,7 @@ def draw_and_print_run(run: Path) -> None:
 def draw_and_print_ablation(comparison: Path, succeeded: bool) -> None:
     """Draw and print the comparison of variants; exit with 1 if a run failed. Raises as `draw_and_print_run`."""
     from cqrun.figures.ablation import draw_ablation
-    from cqrun.jobs.ablate import ablation_lines
+    from cqrun.jobs.studies.ablation import ablation_lines
 
     try:
         _draw(lambda: draw_ablation(comparison), f"the numbers are in {comparison}")
@@ -86,7 +86,7 @@ def require_seeds_for_jobs(seeds: int | None, jobs: int | None) -> None:
 
 def print_seeds(summary: Path, succeeded: bool) -> None:
     """Print the results of several seeds; exit with 1 if one failed."""
-    from cqrun.jobs.seeds import summary_lines
+    from cqrun.jobs.studies.seeds import summary_lines
 
     for line in summary_lines(summary):
         typer.echo(line)

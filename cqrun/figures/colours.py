@@ -20,6 +20,7 @@ from cqrun.learning.replay import IDENTIFIED, kept_of_identified, kept_values
 from cqrun.plugin.contract import Array
 from cqrun.running.unknowns import values_found
 from cqrun.store.frames import Frames
+from cqrun.store.result import values_in
 
 MATERIAL = {
     "stiffness": ("youngs_modulus", "Young's modulus", "Pa"),
@@ -173,7 +174,7 @@ def _run_values(run: RunData, particles: Particles) -> dict[str, Array]:
         return kept_values(run.path / FILE)
     if run.job == "simulate" and run.has(IDENTIFIED):
         return kept_of_identified(run.path / IDENTIFIED, run.scene, particles)
-    return values_found(run.scene, particles, (run.result or {}).get("unknowns") or {})
+    return values_found(run.scene, particles, values_in(run.result))
 
 
 def _weight(actuation: Actuation, values: Mapping[str, Array], n: int) -> Array:

@@ -17,6 +17,7 @@ from cqrun.optimizers.constrained import VIOLATION
 from cqrun.plugin.contract import Array
 from cqrun.scene.paths import canonical, leaf
 from cqrun.scene.unknowns import groups_of
+from cqrun.store.result import Designed, Identified, Interval, LearnedResult, SysidResult
 from cqrun.units import Unit
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def unknown_curves(run: RunData) -> list[UnknownCurve]:
     paths = [canonical(scene, path) for path in scene.unknowns]
     synthetic = scene.synthetic
     truths = {canonical(scene, p): v for p, v in synthetic.truth.items()} if synthetic is not None else {}
-    results = (run.result or {}).get("unknowns", {})
+    results = run.result.unknowns if isinstance(run.result, SysidResult | LearnedResult) else {}
     curves = []
     for path, label, unknown in zip(paths, labels(paths, scene.dim), scene.unknowns.values(), strict=True):
         lower, upper = unknown.bounds
@@ -108,15 +109,15 @@ def _names(run: RunData, path: str, per: str, count: int, final: Array | None) -
     return tuple(str(i) for i in range(count))
 
 
-def _result(entry: dict[str, Any] | None, unit: Unit) -> tuple[Array | None, tuple[tuple[float, float] | None, ...]]:
-    if entry is None:
+def _result(unknown: Identified | Designed | None, unit: Unit) -> tuple[Array | None, tuple[Interval | None, ...]]:
+    """Return the resulting numbers in their unit, with an interval or None for each."""
+    if unknown is None:
         return None, ()
-    final = unit.factor * np.atleast_1d(np.array(entry["value"], dtype=float))
-    intervals = entry.get("interval")
-    if intervals is None or not isinstance(intervals[0], list | None):
-        intervals = [intervals]
-    scaled = [None if pair is None else (unit.factor * pair[0], unit.factor * pair[1]) for pair in intervals]
-    return final, tuple(scaled) if len(scaled) == final.size else (None,) * final.size
+    final = unit.factor * np.atleast_1d(np.array(unknown.value, dtype=float))
+    if isinstance(unknown, Designed):
+        return final, (None,) * final.size
+    _, intervals, _ = unknown.numbers()
+    return final, tuple(pair and (unit.factor * pair[0], unit.factor * pair[1]) for pair in intervals)
 
 
 # --- drawing ------------------------------------------------------------------------------------------------

@@ -22,17 +22,18 @@ from cqrun.figures.views import of_equal_width, room_around, views, window
 from cqrun.plugin.contract import Array
 from cqrun.scene.paths import canonical, shapes_a_body
 from cqrun.scene.unknowns import body_of, start, tied
+from cqrun.store.result import values_in
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 def designed_quantities(run: RunData) -> dict[str, Array]:
-    """Return the quantities of MATERIAL that the unknowns of a codesign run vary between particles, (N,) each.
+    """Return the quantities of MATERIAL that the unknowns of a run vary between particles, (N,) each.
 
     They are NaN in bodies whose values the unknowns do not change.
     """
-    if run.job != "codesign" or not (run.result or {}).get("unknowns"):
+    if not values_in(run.result):
         return {}
     particles = sample(run.scene)
     paths = [path for unknown, spec in run.scene.unknowns.items() for path in (unknown, *spec.also)]
@@ -48,13 +49,13 @@ def designed_quantities(run: RunData) -> dict[str, Array]:
 
 
 def has_new_shape(run: RunData) -> bool:
-    """Return whether the unknowns of a codesign run change the shape of a body."""
-    return run.job == "codesign" and bool(_shape_before(run))
+    """Return whether the unknowns of a run change the shape of a body."""
+    return bool(_shape_before(run))
 
 
 def _shape_before(run: RunData) -> dict[str, float]:
     """Return the start values of the geometric unknowns and of the values tied to them, by path."""
-    unknowns = (run.result or {}).get("unknowns") or {}
+    unknowns = values_in(run.result)
     paths = [path for path in run.scene.unknowns if canonical(run.scene, path) in unknowns]
     starts = [tied(run.scene, path, start(run.scene, path)) for path in paths if run.scene.unknowns[path].per == "body"]
     return {path: value for each in starts for path, value in each.items() if shapes_a_body(path)}

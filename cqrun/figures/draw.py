@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,19 +14,17 @@ from cqrun.figures.convergence import draw_convergence
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.losses import LOSS
 from cqrun.figures.overview import draw_overview
-from cqrun.figures.run_data import HISTORY, RESULT, TRAJECTORY, RunData, read_run
+from cqrun.figures.run_data import HISTORY, TRAJECTORY, RunData, read_run
 from cqrun.figures.style import save, styled
 from cqrun.figures.tracks import draw_recording
+from cqrun.jobs.table import JOBS, job_of
 from cqrun.store.atomic import make_directory
-from cqrun.store.run import read_record
+from cqrun.store.result import RESULT, SysidResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURES = "figures"
-
-DRAWN = ("sysid", "control", "codesign", "simulate")
-"""Jobs with pictures."""
 
 MOST_NAMES = 5
 """Largest number of scenes in the name of a comparison."""
@@ -36,7 +34,7 @@ INCOMPLETE = "although the run has finished: the directory is incomplete, run it
 
 def has_pictures(path: Path) -> bool:
     """Return whether the job of a run has pictures; raise a UsageError if the path is not a run."""
-    return read_record(path).get("job") in DRAWN
+    return bool(job_of(path).pictures)
 
 
 def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
@@ -70,8 +68,9 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
 
 def require_files(run: RunData) -> None:
     """Raise a UsageError if a run lacks files that are needed to draw it."""
-    if run.job not in DRAWN:
-        drawn = f"{', '.join(DRAWN[:-1])} and {DRAWN[-1]}"
+    if not job_of(run.path).pictures:
+        *most, last = (name for name, job in JOBS.items() if job.pictures)
+        drawn = f"{', '.join(most)} and {last}"
         raise UsageError(f"{run.path}: a run of '{run.job}' has no pictures; runs of {drawn} have them")
     if run.job != "simulate":
         run.require(HISTORY, "so there is no convergence to draw")
@@ -81,28 +80,56 @@ def require_files(run: RunData) -> None:
             run.require(RESULT, INCOMPLETE)
         if run.succeeded and run.job == "sysid":
             run.require(TRAJECTORY, INCOMPLETE)
-            if (run.result or {}).get("recordings"):
+            if isinstance(run.result, SysidResult) and run.result.recordings:
                 run.require_tables(INCOMPLETE)
     elif not run.has_trajectory():
         raise UsageError(f"{run.path}: there is no {TRAJECTORY}: nothing to draw before the first frame")
 
 
 def _figures(run: RunData) -> list[tuple[str, Figure]]:
-    """Return names and pictures of everything that a run has."""
-    drawn: list[tuple[str, Figure]] = []
+    """Return names and pictures of everything that a run has, of the pictures of its job."""
+    return [drawn for picture in job_of(run.path).pictures for drawn in PICTURES[picture](run)]
+
+
+def _convergence(run: RunData) -> Iterator[tuple[str, Figure]]:
     if run.history:
-        drawn.append(("convergence", draw_convergence(run)))
+        yield "convergence", draw_convergence(run)
+
+
+def _tracks(run: RunData) -> Iterator[tuple[str, Figure]]:
     if run.has_tables():
-        drawn += [(f"tracks_{tracks.recording}", draw_recording(tracks, run.name)) for tracks in run.tracks()]
+        yield from ((f"tracks_{tracks.recording}", draw_recording(tracks, run.name)) for tracks in run.tracks())
+
+
+def _bodies(run: RunData) -> Iterator[tuple[str, Figure]]:
     if run.has_trajectory():
-        drawn.append(("bodies", draw_bodies(run)))
-        if shown := designed_quantities(run):
-            drawn.append(("design", draw_design(run, shown)))
-        if has_new_shape(run):
-            drawn.append(("shape", draw_shape(run)))
+        yield "bodies", draw_bodies(run)
+
+
+def _design(run: RunData) -> Iterator[tuple[str, Figure]]:
+    if run.has_trajectory() and (shown := designed_quantities(run)):
+        yield "design", draw_design(run, shown)
+
+
+def _shape(run: RunData) -> Iterator[tuple[str, Figure]]:
+    if run.has_trajectory() and has_new_shape(run):
+        yield "shape", draw_shape(run)
+
+
+def _overview(run: RunData) -> Iterator[tuple[str, Figure]]:
     if run.history and run.succeeded:
-        drawn.append(("overview", draw_overview(run)))
-    return drawn
+        yield "overview", draw_overview(run)
+
+
+PICTURES: dict[str, Callable[[RunData], Iterator[tuple[str, Figure]]]] = {
+    "convergence": _convergence,
+    "tracks": _tracks,
+    "bodies": _bodies,
+    "design": _design,
+    "shape": _shape,
+    "overview": _overview,
+}
+"""Pictures by the names that jobs give them; each yields a name and a picture if a run has what it shows."""
 
 
 def draw_several(

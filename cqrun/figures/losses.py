@@ -13,6 +13,7 @@ from cqrun.figures.quantities import capitalised
 from cqrun.figures.run_data import HISTORY, RunData
 from cqrun.optimizers.constrained import CONSTRAINT, KKT, VIOLATION
 from cqrun.plugin.contract import Array
+from cqrun.store.result import Search
 from cqrun.units import Unit
 
 LOSS = "loss"
@@ -100,7 +101,7 @@ def term_curve(run: RunData, name: str) -> LossCurve:
 
 
 def _best_row(run: RunData) -> int | None:
-    best, loss = (run.result or {}).get("loss"), run.history["loss"]
+    loss, best = run.history["loss"], run.result.loss if isinstance(run.result, Search) else None
     rows = np.flatnonzero(loss == (np.nan if best is None else best))
     return int(rows[-1]) if len(rows) and rows[-1] != len(loss) - 1 else None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,11 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.store.frames import Frames, part_path
 from cqrun.store.history import read_history
+from cqrun.store.result import Result, read_result
 from cqrun.store.run import FINISHED, read_record
 from cqrun.store.trajectory import Trajectory, read_trajectory
 
-HISTORY, RESULT, TRAJECTORY, SCENE = "history.csv", "result.json", "trajectory.h5", "scene.yaml"
+HISTORY, TRAJECTORY, SCENE = "history.csv", "trajectory.h5", "scene.yaml"
 
 
 @dataclass(frozen=True)
@@ -76,14 +76,14 @@ class RunData:
         record: content of run.json.
         scene: the resolved scene.
         history: columns by name (K,); empty if there are no rows yet.
-        result: content of result.json, or None if there is none yet.
+        result: result of the run, or None if there is none yet.
     """
 
     path: Path
     record: dict[str, Any]
     scene: Scene
     history: dict[str, Array]
-    result: dict[str, Any] | None
+    result: Result | None
 
     @property
     def job(self) -> str:
@@ -171,7 +171,7 @@ def read_run(path: Path) -> RunData:
     if not scene_file.is_file():
         raise UsageError(f"{path}: there is no {SCENE}; the run is incomplete, run its scene again with --fresh")
     scene = load_scene(scene_file, (), Path(record.get("base") or "."))
-    return RunData(path, record, scene, _history(path / HISTORY), _result(path / RESULT))
+    return RunData(path, record, scene, _history(path / HISTORY), read_result(path))
 
 
 def _history(path: Path) -> dict[str, Array]:
@@ -183,18 +183,6 @@ def _history(path: Path) -> dict[str, Array]:
         raise UsageError(f"{path}: unreadable ({error}); run the scene again with --fresh") from error
     rows = {name: np.array(column) for name, column in columns.items()}
     return rows if rows and len(rows["iteration"]) else {}
-
-
-def _result(path: Path) -> dict[str, Any] | None:
-    if not path.is_file():
-        return None
-    try:
-        result = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: unreadable ({error}); run the scene again with --fresh") from error
-    if not isinstance(result, dict):
-        raise UsageError(f"{path}: is not a result; run the scene again with --fresh")
-    return result
 
 
 def read_tracks(

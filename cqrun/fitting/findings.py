@@ -27,48 +27,40 @@ from cqrun.running.observables import fracture_of
 from cqrun.running.trajectories import as_found, write_trajectory
 from cqrun.state import State
 from cqrun.store.atomic import write_table
+from cqrun.store.result import Identified, Interval, RecordingError, SysidResult, Value, write_result
 from cqrun.store.run import RunDirectory
 from cqrun.units import format_bytes
 
 
-def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome) -> dict[str, Any]:
+def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome) -> SysidResult:
     """Write result.json and, unless the run failed or was stopped, tables and trajectory; return the result."""
     params = problem.params
     values = params.unpack(outcome.x)
-    result: dict[str, Any] = {
-        "job": "sysid",
-        "status": outcome.status,
-        "message": outcome.message,
-        "loss": problem.unit * outcome.loss if np.isfinite(outcome.loss) else None,
-        "iterations": outcome.iterations,
-        "unknowns": {
-            b.path: {"initial": _plain(b.initial), "value": _plain(values[b.path]), "interval": None}
-            for b in params.blocks
-        },
-        "recordings": None,
-        "fracture": None,
-        "findings": [],
-    }
+    result = SysidResult(
+        status=outcome.status,
+        message=outcome.message,
+        loss=problem.unit * outcome.loss if np.isfinite(outcome.loss) else None,
+        iterations=outcome.iterations,
+        unknowns={b.path: Identified(initial=_plain(b.initial), value=_plain(values[b.path])) for b in params.blocks},
+    )
     if outcome.status == "stopped":
         _no_intervals(result, "the run was stopped; the values are those of where it stands")
     elif outcome.status != "failed":
         _add_intervals(result, problem, outcome)
         records = _predict(cases, values, problem, result)
-        result["loss"] = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
-        result["recordings"] = _errors(cases, records, values)
+        result.loss = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
+        result.recordings = _errors(cases, records, values)
         _write_tables(run, cases, records, values)
         first = next(case for case in cases if not case.holdout)  # one held out may blow up
         rollout = Rollout(first.built.model, first.inputs(values), threads=problem.threads)
         told = as_found(values) | first.comparisons[0].wanted()
         write_trajectory(run.path / "trajectory.h5", first.built, rollout, provenance=told)
     if outcome.status in ("iteration_limit", "stalled"):
-        result["findings"].append(
-            f"{outcome.status.replace('_', ' ')}: values and intervals are those of where it ended"
-        )
-    for sentence in result["findings"]:
+        result.findings.append(f"{outcome.status.replace('_', ' ')}: values and intervals are those of where it ended")
+    for sentence in result.findings:
         run.log(sentence)
     _tell_effort(run, problem)
-    run.write_result(result)
+    write_result(run.path, result)
     return result
 
 
@@ -93,14 +85,14 @@ def _tell_effort(run: RunDirectory, problem: FitProblem) -> None:
         run.add_facts(gradient={"recompute_factor": effort.recompute, "peak_bytes": effort.peak})
 
 
-def _plain(value: Array) -> Any:
+def _plain(value: Array) -> Value:
     return float(value) if np.ndim(value) == 0 else np.asarray(value).tolist()
 
 
 # --- intervals ----------------------------------------------------------------------------------------------
 
 
-def _add_intervals(result: dict[str, Any], problem: FitProblem, outcome: Outcome) -> None:
+def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -> None:
     unknowns = list_unknowns(problem, outcome.x)
     if problem.cases[0].built.scene.data is None:
         _no_intervals(result, "an objective is met or missed: there is no noise to compute an interval from")
@@ -119,17 +111,16 @@ def _add_intervals(result: dict[str, Any], problem: FitProblem, outcome: Outcome
     found = intervals(jacobian, problem.residuals(outcome.x), problem.series(), unknowns)
     for block in problem.params.blocks:
         names = _names(block)
-        entry = result["unknowns"][block.path]
+        entry = result.unknowns[block.path]
         if isinstance(block, Spread):
-            entry["reason"] = "its values follow from fewer numbers, of a field or of mirrored pairs, and have no own"
+            entry.reason = "its values follow from fewer numbers, of a field or of mirrored pairs, and have no own"
             continue
-        entry["interval"] = (
-            [_pair(found.intervals[n]) for n in names] if block.initial.ndim else _pair(found.intervals[names[0]])
-        )
+        pairs = [_pair(found.intervals[n]) for n in names]
+        entry.interval = pairs if block.initial.ndim else pairs[0]
         reasons = {n: found.reasons[n] for n in names if n in found.reasons}
         if reasons:
-            entry["reason"] = "; ".join(dict.fromkeys(reasons.values()))
-    result["findings"] += [*found.findings, *_of_the_substep(problem, outcome.x, jacobian, unknowns, found)]
+            entry.reason = "; ".join(dict.fromkeys(reasons.values()))
+    result.findings += [*found.findings, *_of_the_substep(problem, outcome.x, jacobian, unknowns, found)]
 
 
 def _of_the_substep(
@@ -156,13 +147,13 @@ def _of_the_substep(
             )
 
 
-def _no_intervals(result: dict[str, Any], reason: str) -> None:
-    for entry in result["unknowns"].values():
-        entry["reason"] = reason
+def _no_intervals(result: SysidResult, reason: str) -> None:
+    for entry in result.unknowns.values():
+        entry.reason = reason
 
 
-def _pair(interval: tuple[float, float] | None) -> list[float] | None:
-    return None if interval is None else [float(interval[0]), float(interval[1])]
+def _pair(interval: Interval | None) -> Interval | None:
+    return None if interval is None else (float(interval[0]), float(interval[1]))
 
 
 def _names(block: Block) -> list[str]:
@@ -201,7 +192,7 @@ def find_jacobian(problem: FitProblem, x: Array, unknowns: Sequence[Unknown]) ->
 
 
 def _predict(
-    cases: list[Case], values: Mapping[str, Array], problem: FitProblem, result: dict[str, Any]
+    cases: list[Case], values: Mapping[str, Array], problem: FitProblem, result: SysidResult
 ) -> list[Records | None]:
     """Return every case's records with the values found, None where a held-out one blows up; note fractures."""
     records: list[Records | None] = []
@@ -218,23 +209,25 @@ def _predict(
             if not case.holdout:
                 raise
             records.append(None)
-            result["findings"].append(f"{case.name}: held out, and it blows up with the values found: {error}")
+            result.findings.append(f"{case.name}: held out, and it blows up with the values found: {error}")
         most |= {name: max(most[name], number) for name, number in fracture.most.items()}
-        result["findings"] += [f"{case.name}: {sentence}" for sentence in fracture.findings()]
-    result["fracture"] = most
+        result.findings += [f"{case.name}: {sentence}" for sentence in fracture.findings()]
+    result.fracture = most
     return records
 
 
-def _errors(cases: list[Case], records: list[Records | None], values: Mapping[str, Array]) -> dict[str, Any] | None:
+def _errors(
+    cases: list[Case], records: list[Records | None], values: Mapping[str, Array]
+) -> dict[str, RecordingError] | None:
     """Return RMSE, in all and by channel, and facts of the recording, by its name; None where there are no data."""
-    found: dict[str, Any] = {}
+    found: dict[str, RecordingError] = {}
     for case, record in zip(cases, records, strict=True):
         data = case.built.scene.data
         if data is None:
             return None
         measured = data.measurement(case.name)
         rmse, factor = measured.error_key("rmse"), measured.shown.factor
-        entry: dict[str, Any] = {"holdout": case.holdout, rmse: None}
+        entry: dict[str, Any] = {rmse: None}
         for comparison in case.comparisons:
             entry |= comparison.facts()
         if record is not None:
@@ -244,7 +237,7 @@ def _errors(cases: list[Case], records: list[Records | None], values: Mapping[st
                 entry[measured.error_key(f"{measured.channel}s")] = {
                     name: None if np.isnan(own) else factor * own for name, own in misfits[0].channels.items()
                 }
-        found[case.name] = entry
+        found[case.name] = RecordingError(holdout=case.holdout, **entry)
     return found
 
 

@@ -1,1 +1,1 @@
-"""Jobs: simulate, sysid, gradcheck."""
+"""One file a command; those that make runs are jobs (job.py), and table.py lists them."""

@@ -19,7 +19,6 @@ A run goes on from here: its scene, and what it found.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -50,6 +49,7 @@ from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import body_of, groups_of
 from cqrun.state import State
+from cqrun.store.result import read_result, values_in
 from cqrun.store.run import read_record
 
 Values = Mapping[str, Any]
@@ -102,11 +102,10 @@ class Experiment:
         self._auto = scene.time.substeps == "auto"
         self.built: Built = build(scene)
         self.threads = cores(threads)
-        self._agent: Agent | None = None
-        if has_episodes(self.scene):
-            self._agent = EpisodeProblem(self.built, threads=self.threads, trained=trained)
-        elif self.scene.controller is not None:
-            self._agent = Agent(self.built, trained)
+        self._agent = None if self.scene.controller is None else Agent(self.built, trained)
+        self._episodes: EpisodeProblem | None = None
+        if self._agent is not None and has_episodes(self.scene):
+            self._episodes = EpisodeProblem(self._agent, threads=self.threads)
         self._params = make_params(self.built) if self._agent is None else self._agent.params
         self.params: dict[str, Any] = {b.path: _plain(b.initial) for b in self._params.blocks}
 
@@ -157,8 +156,8 @@ class Experiment:
             return self._value_and_grad(params)
 
     def _value_and_grad(self, params: Values | None) -> tuple[float, dict[str, Any], dict[str, Any]]:
-        if isinstance(self._agent, EpisodeProblem):
-            loss, gradient, aux = self._episodes(self._agent, self._stable(params))
+        if self._episodes is not None:
+            loss, gradient, aux = _of_episodes(self._episodes, self._stable(params))
             return loss, self._with_followers(gradient, params), aux
         if self.scene.data is None and not self.scene.objective:
             raise UsageError(
@@ -170,20 +169,6 @@ class Experiment:
         effort = {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak}
         aux = {"losses": losses, "gradient": effort}
         return float(sum(losses.values())), self._with_followers(gradient, params), aux
-
-    def _episodes(
-        self, agent: EpisodeProblem, values: dict[str, Array]
-    ) -> tuple[float, dict[str, Array], dict[str, Any]]:
-        goals = agent.goals(None)
-        found, (gradient,) = agent.attempts_with_gradients(values, goals)
-        aux = {
-            "losses": {f"episode {k}": float(attempt.loss) for k, attempt in enumerate(found)},
-            "terms": {name: float(np.mean([a.terms[name] for a in found])) for name in agent.summands},
-            "constraints": {name: float(np.mean([a.held[name] for a in found])) for name in agent.constraint_names},
-            "goals": [{name: goal.copy() for name, goal in drawn.items()} for drawn in goals],
-            "gradient": {"recompute_factor": agent.effort.recompute, "peak_bytes": agent.effort.peak},
-        }
-        return float(np.mean([a.loss for a in found])), gradient, aux
 
     def simulate(self, params: Values | None = None, goals: Mapping[str, Any] | None = None) -> Motion:
         """Run the scene forward, under its controller if it has one.
@@ -316,6 +301,20 @@ class Experiment:
         return value
 
 
+def _of_episodes(problem: EpisodeProblem, values: dict[str, Array]) -> tuple[float, dict[str, Array], dict[str, Any]]:
+    """Return the mean loss of the first iteration's episodes, its gradient, and what else is known."""
+    goals = problem.goals(None)
+    found, (gradient,) = problem.attempts_with_gradients(values, goals)
+    aux = {
+        "losses": {f"episode {k}": float(attempt.loss) for k, attempt in enumerate(found)},
+        "terms": {name: float(np.mean([a.terms[name] for a in found])) for name in problem.summands},
+        "constraints": {name: float(np.mean([a.held[name] for a in found])) for name in problem.constraint_names},
+        "goals": [{name: goal.copy() for name, goal in drawn.items()} for drawn in goals],
+        "gradient": {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak},
+    }
+    return float(np.mean([a.loss for a in found])), gradient, aux
+
+
 def _followed(block: Block, value: Array) -> Array:
     """Return the value of an unknown that others follow, entry by entry: one number stands for all."""
     if value.shape not in ((), block.initial.shape):
@@ -332,10 +331,7 @@ def _found_in(run: Path) -> dict[str, Any]:
     if (run / FILE).is_file():
         parameters, meta = read_controller(run / FILE)
         return {CONTROLLER + name: value for name, value in parameters.items()} | meta.get("unknowns", {})
-    if not (run / "result.json").is_file():
-        return {}
-    unknowns = json.loads((run / "result.json").read_text()).get("unknowns", {})
-    return {path: entry["value"] for path, entry in unknowns.items()}
+    return dict(values_in(read_result(run)))
 
 
 def _numbers(path: str, value: Any) -> Array:

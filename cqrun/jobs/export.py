@@ -8,7 +8,6 @@ surface_BODY.stl the surface of a 3D body (marching cubes, extra `mesh`); in 2D 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ import numpy as np
 from cqrun.build.model import Built, build
 from cqrun.design.spread import field
 from cqrun.errors import MissingExtra, UsageError
-from cqrun.jobs.control import JOBS
 from cqrun.learning.agent import FILE
 from cqrun.learning.replay import learned_in
 from cqrun.plugin.contract import Array
@@ -27,6 +25,7 @@ from cqrun.running.runs import scene_in
 from cqrun.running.unknowns import values_found
 from cqrun.scene.paths import leaf
 from cqrun.store.atomic import make_directory, write_bytes, write_table
+from cqrun.store.result import LEARNED, read_result, values_in
 from cqrun.store.run import FINISHED, read_record
 from cqrun.store.vtkhdf import write_points
 
@@ -68,10 +67,11 @@ def designed(run: Path, reporter: Reporter | None = None) -> tuple[Built, dict[s
     Raises:
         UsageError: it is no run, has found nothing, or a file that its scene is read with has changed since.
     """
-    record, result, best = read_record(run), run / "result.json", run / FILE
+    record, best = read_record(run), run / FILE
     status, job = record["status"], record["job"]
-    so_far = status not in FINISHED and job in JOBS and best.is_file()
-    if not so_far and not result.is_file():
+    so_far = status not in FINISHED and job in LEARNED and best.is_file()
+    result = None if so_far else read_result(run)
+    if not so_far and result is None:
         raise UsageError(f"{run}: has no design yet ({status}); the command that began it goes on with it")
     scene = scene_in(run)
     if not scene.unknowns:
@@ -79,8 +79,8 @@ def designed(run: Path, reporter: Reporter | None = None) -> tuple[Built, dict[s
     if so_far:
         (reporter or Silent()).phase("the run is not finished: its best design so far is exported")
         return build(scene), learned_in(best)
-    found = json.loads(result.read_text()).get("unknowns")
-    if found is None:
+    found = values_in(result)
+    if not found:
         raise UsageError(f"{run}: is a run of {job}, which designs nothing: export the run that it replays")
     built = build(scene)
     return built, values_found(scene, built.particles, found)

@@ -1,14 +1,7 @@
 """`cqrun gradcheck`: the adjoint of a scene's own loss against differences, direction by direction.
 
-A direction d moves one block of values (one unknown; for many numbers, a random direction), or all of them. Central
-differences D(h) = (f(x + h d) - f(x - h d)) / 2h are taken over a scan of steps and extrapolated to fourth order,
-
-    E(h) = (16 D(h/4) - D(h)) / 15.
-
-Large steps err by curvature, small ones by rounding; in between lies a plateau. It is found without looking at the
-adjoint, where E changes least from one step to the next for its size, and there the two must agree. Where a branch
-changes between the points (contact, stick and slip) the plateau begins at smaller steps, so the scan goes on below its
-usual end while rounding is far off. Where there is none, differences are too rough to tell right from nearly right.
+A direction moves one block of values (one unknown; for many numbers, a random direction), or all of them;
+running/finite_differences.py compares along it.
 
 With data the loss is that of the fit, its unknowns in scaled coordinates (bounds are 1 apart). With a controller and
 an objective it is that of the first episode, by the controller's parameters as they are, and the unknowns. Without, it
@@ -17,10 +10,9 @@ is a random linear function of the final state, by every number of the scene tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -29,50 +21,33 @@ from cqrun.design.params import Params
 from cqrun.errors import RolloutError, RunError
 from cqrun.fitting.case import Case
 from cqrun.fitting.cases import given_cases, is_fit, made_cases
-from cqrun.jobs.checked_losses import Loss, episode_loss, fit_loss, state_loss
+from cqrun.fitting.fit_loss import fit_loss
+from cqrun.jobs.job import NO_FILES, Job
+from cqrun.learning.agent import Agent
+from cqrun.learning.episode_loss import episode_loss
 from cqrun.learning.episodes import EpisodeProblem, has_episodes
 from cqrun.optimizers.base import TrialFailed
 from cqrun.plugin.contract import Array
+from cqrun.running.finite_differences import (
+    AGREES,
+    ALL_STEPS,
+    DISAGREES,
+    FLAT,
+    STEPS,
+    TOO_ROUGH,
+    check_direction,
+)
 from cqrun.running.gradient_memory import gradient_plan
 from cqrun.running.kernels import compile_kernels
-from cqrun.running.reporter import Reporter, Silent
-from cqrun.running.runs import (
-    build_and_warn,
-    finished_already,
-    open_run,
-    raise_if_failed,
-    refuse_overrides,
-    require_same_data,
-    saved_scene,
-)
-from cqrun.running.threads import cores
+from cqrun.running.reporter import Reporter
+from cqrun.running.runs import build_and_warn
+from cqrun.running.state_loss import state_loss
 from cqrun.scene.load import load_scene
-from cqrun.store.atomic import write_json
-from cqrun.store.run import RunDirectory
+from cqrun.scene.schema import Scene
+from cqrun.store.result import Direction, GradcheckResult, Verdict, write_result
+from cqrun.store.run import RunDirectory, read_record
 
-ALL_STEPS = 1e-2 * 4.0 ** -np.arange(19)
-"""Steps of the central differences in scaled coordinates, 1e-2 to 1e-13."""
-
-STEPS = ALL_STEPS[:11]
-"""Those that are always taken, down to 1e-8."""
-
-TOLERANCE = {"float64": 1e-5, "float32": 5e-2}
-"""Largest relative difference on the plateau."""
-
-NOISE = 100.0
-"""Rounding errors of the loss that count as noise."""
-
-ROUGH = 1e-4
-"""Largest relative scatter of a plateau within which adjoint and differences count as equal."""
-
-MOST = 10.0
-"""Times the root of the precision, the largest part of the loss that can be rounding."""
-
-FAR = 3.0
-"""Times a plateau's scatter beyond which an adjoint is wrong, however rough the differences are."""
-
-AGREES, FLAT, TOO_ROUGH, DISAGREES = "agrees", "flat", "too rough", "disagrees"
-TOLD = {
+TOLD: dict[Verdict, str] = {
     AGREES: "",
     FLAT: "flat: nothing to compare",
     TOO_ROUGH: "TOO ROUGH TO TELL",
@@ -80,44 +55,98 @@ TOLD = {
 }
 """Verdicts, and what the table says."""
 
-SUMMARY = {
+SUMMARY: dict[Verdict, str] = {
     AGREES: "adjoint and differences agree",
     TOO_ROUGH: "differences are too rough to tell whether the adjoint is right",
     DISAGREES: "adjoint and differences disagree",
 }
 
-FILE = "gradcheck.json"
 ALL = "all together"
 
 
 @dataclass(frozen=True)
-class Row:
-    """One direction.
+class GradientCheck:
+    """A scene whose gradient is ready to be checked.
 
     Attributes:
-        block: key path that is moved, or `all together`.
-        count: how many numbers it has.
-        adjoint: directional derivative by the adjoint.
-        differences: the same by differences, on the plateau; None where every step's rollout failed.
-        error: |adjoint - differences| / the larger of the two, or None.
-        step: of the plateau.
-        noise: what rounding can make of a difference there, or the scan's own scatter.
-        scan: E at every step; None where a rollout failed.
-        verdict: AGREES; FLAT: both are below what rounding makes, and there is nothing to compare; TOO_ROUGH: they
-            differ by no more than a few times the scan's scatter, which is large, or it is as large as they; DISAGREES.
-        agrees: the verdict is one of the first two.
+        cases: of its fit, if it has one; None also while the data are yet to be made.
+        episodes: that it learns from, if it does.
     """
 
-    block: str
-    count: int
-    adjoint: float
-    differences: float | None
-    error: float | None
-    step: float
-    noise: float
-    scan: list[float | None]
-    verdict: str
-    agrees: bool
+    built: Built
+    cases: list[Case] | None
+    episodes: EpisodeProblem | None
+    threads: int
+
+
+@dataclass(frozen=True)
+class Gradcheck(Job[GradientCheck, GradcheckResult]):
+    """Check the adjoint of a scene's own loss."""
+
+    def prepare(
+        self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES
+    ) -> GradientCheck:
+        """Build a scene, and read its data if it has a fit; SceneError also where gradients do not fit the memory."""
+        built = build_and_warn(scene, talk)
+        gradient_plan(built)
+        cases = given_cases(built) if has_data(built.scene) else None
+        episodes = EpisodeProblem(Agent(built), threads=threads) if has_episodes(built.scene) else None
+        return GradientCheck(built, cases, episodes, threads)
+
+    def reads_data(self, scene: Scene) -> bool:
+        """Say whether the scene has a fit to differentiate."""
+        return has_data(scene)
+
+    def work(self, run: RunDirectory, prepared: GradientCheck, talk: Reporter) -> None:
+        """Check every direction, from the first one on.
+
+        Raises:
+            RunError: the scene blows up at its start. Stopped: asked to stop.
+        """
+        built, cases, episodes, threads = prepared.built, prepared.cases, prepared.episodes, prepared.threads
+        compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=True)
+        run.begin(threads)
+        if has_data(built.scene) and cases is None:
+            talk.phase("making data")
+            cases = made_cases(run, built)
+        try:
+            if episodes is not None:
+                loss = episode_loss(episodes)
+            else:
+                loss = state_loss(built, threads) if cases is None else fit_loss(built, cases, threads)
+            value, gradient = loss.value_and_grad(loss.x)
+        except (RolloutError, TrialFailed) as error:
+            run.finish("failed", f"at the start itself: {error}")
+            raise RunError(f"{run.path}: at the start itself: {error}") from error
+        talk.phase(f"checking {len(loss.params.blocks)} blocks by {2 * len(STEPS)} rollouts each")
+        chosen = directions(loss.params, np.random.default_rng(built.scene.seed))
+        rows: list[Direction] = []
+        for number, (block, d) in enumerate(chosen.items()):
+            if talk.stop.asked:
+                run.finish("stopped", f"stopped after {number} of {len(chosen)} directions")
+                raise talk.stop.stopped(f"{run.record['reason']}; `cqrun resume {run.path}` starts again")
+            talk.advance(number, len(chosen), f"{number} of {len(chosen)} directions, now {block}")
+            rows.append(check_direction(block, loss, value, gradient, d, built.scene.precision))
+        agrees, steps = all(row.agrees for row in rows), ALL_STEPS[: max(len(row.scan) for row in rows)].tolist()
+        write_result(run.path, GradcheckResult(agrees=agrees, loss=value, of=loss.words, steps=steps, rows=rows))
+        run.finish("done" if agrees else "failed", SUMMARY[_worst(row.verdict for row in rows)])
+
+    def lines(self, run: Path, result: GradcheckResult) -> Iterator[str]:
+        """Yield a line for every direction, and the verdict on all."""
+        width = max(len(row.block) for row in result.rows)
+        yield f"gradient of {result.of} = {result.loss:.6g}"
+        yield f"{'block':{width}}  numbers  {'adjoint':>14}  {'differences':>14}  {'error':>8}  {'step':>8}"
+        for row in result.rows:
+            head = f"{row.block:{width}}  {row.count:7d}  {row.adjoint:14.7e}"
+            if row.differences is None:
+                yield f"{head}  every step's rollout failed: DISAGREES"
+            else:
+                told = TOLD[row.verdict]
+                yield f"{head}  {row.differences:14.7e}  {row.error:8.1e}  {row.step:8.1e}  {told}".rstrip()
+        yield SUMMARY[_worst(row.verdict for row in result.rows)].replace("disagree", "DISAGREE")
+
+
+GRADCHECK = Gradcheck("gradcheck", GradcheckResult)
 
 
 def run_gradcheck(
@@ -134,86 +163,21 @@ def run_gradcheck(
     Raises:
         SceneError, UsageError: bad input. RunError: the scene blows up at its start. Stopped: asked to stop.
     """
-    source, out = Path(source), Path(out)
-    talk = reporter or Silent()
-    built = build_and_warn(load_scene(source, overrides), talk)
-    gradient_plan(built)
-    n_threads = cores(threads)
-    with_data = has_data(built)
-    cases = given_cases(built) if with_data else None
-    episodes = _episodes(built, n_threads)
-    with open_run(
-        source.stem, built.scene, out, job="gradcheck", threads=n_threads, fresh=fresh, with_data=with_data
-    ) as run:
-        if finished_already(run, talk):
-            return run.path, run.status == "done"
-        return check_gradient(run, built, cases, episodes, n_threads, talk)
+    source = Path(source)
+    scene = load_scene(source, overrides)
+    run = GRADCHECK.start(source.stem, scene, out, fresh=fresh, threads=threads, reporter=reporter)
+    return run, read_record(run)["status"] == "done"
 
 
-def resume_gradcheck(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
-    """Do a check that was stopped again, from its beginning.
-
-    Raises:
-        RunError: adjoint and differences disagree.
-    """
-    refuse_overrides(run, overrides)
-    if not run.finished:
-        built = build_and_warn(saved_scene(run), talk)
-        if has_data(built):
-            require_same_data(run)
-        cases = given_cases(built) if has_data(built) else None
-        check_gradient(run, built, cases, _episodes(built, threads), threads, talk)
-    return raise_if_failed(run)
-
-
-def has_data(built: Built) -> bool:
+def has_data(scene: Scene) -> bool:
     """Say whether a scene has a fit to differentiate."""
-    return is_fit(built.scene)
+    return is_fit(scene)
 
 
-def _episodes(built: Built, threads: int) -> EpisodeProblem | None:
-    return EpisodeProblem(built, threads=threads) if has_episodes(built.scene) else None
-
-
-def check_gradient(
-    run: RunDirectory, built: Built, cases: list[Case] | None, episodes: EpisodeProblem | None, threads: int,
-    talk: Reporter,
-) -> tuple[Path, bool]:  # fmt: skip
-    """Check every direction; write gradcheck.json."""
-    compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=True)
-    run.begin(threads)
-    if has_data(built) and cases is None:
-        talk.phase("making data")
-        cases = made_cases(run, built)
-    try:
-        if episodes is not None:
-            loss = episode_loss(episodes)
-        else:
-            loss = state_loss(built, threads) if cases is None else fit_loss(built, cases, threads)
-        value, gradient = loss.value_and_grad(loss.x)
-    except (RolloutError, TrialFailed) as error:
-        run.finish("failed", f"at the start itself: {error}")
-        raise RunError(f"{run.path}: at the start itself: {error}") from error
-    talk.phase(f"checking {len(loss.params.blocks)} blocks by {2 * len(STEPS)} rollouts each")
-    chosen = directions(loss.params, np.random.default_rng(built.scene.seed))
-    rows: list[Row] = []
-    for number, (block, d) in enumerate(chosen.items()):
-        if talk.stop.asked:
-            run.finish("stopped", f"stopped after {number} of {len(chosen)} directions")
-            raise talk.stop.stopped(f"{run.record['reason']}; `cqrun resume {run.path}` starts again")
-        talk.advance(number, len(chosen), f"{number} of {len(chosen)} directions, now {block}")
-        rows.append(check_direction(block, loss, value, gradient, d, built.scene.precision))
-    agrees, steps = all(row.agrees for row in rows), ALL_STEPS[: max(len(row.scan) for row in rows)].tolist()
-    found = {"job": "gradcheck", "agrees": agrees, "loss": value, "of": loss.words, "steps": steps}
-    write_json(run.path / FILE, found | {"rows": [asdict(row) for row in rows]})
-    run.finish("done" if agrees else "failed", SUMMARY[_worst(row.verdict for row in rows)])
-    return run.path, agrees
-
-
-def _worst(verdicts: Iterable[str]) -> str:
+def _worst(verdicts: Iterable[Verdict]) -> Verdict:
     """Return the verdict on all directions together."""
     held = set(verdicts)
-    return next((verdict for verdict in (DISAGREES, TOO_ROUGH) if verdict in held), AGREES)
+    return DISAGREES if DISAGREES in held else TOO_ROUGH if TOO_ROUGH in held else AGREES
 
 
 def directions(params: Params, rng: np.random.Generator) -> dict[str, Array]:
@@ -231,112 +195,3 @@ def directions(params: Params, rng: np.random.Generator) -> dict[str, Array]:
     if len(found) > 1:
         found[ALL] = rng.uniform(-1.0, 1.0, len(params.start))
     return found
-
-
-def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Array, precision: str) -> Row:
-    """Return what differences along one direction say of the gradient (n,)."""
-    adjoint, count = float(gradient @ d), int(np.count_nonzero(d))
-    eps, large = float(np.finfo(precision).eps), float(max(abs(value), loss.scale))
-    rounding = NOISE * eps * large
-    scan = extrapolated(lambda h: _central(loss, d, h), rounding)
-    floor = max(rounding, rounding_alone(scan, MOST * eps**0.5 * large)) / ALL_STEPS[: len(scan)]
-    best = plateau(scan, floor)
-    differences, step = float(scan[best]), float(ALL_STEPS[best])
-    noise = max(float(floor[best]), scatter(scan, best))
-    shown = [float(e) if np.isfinite(e) else None for e in scan]
-    if not np.isfinite(differences):
-        return Row(block, count, adjoint, None, None, step, noise, shown, DISAGREES, False)
-    size, off = max(abs(adjoint), abs(differences)), abs(adjoint - differences)
-    error = off / size if size > 0 else 0.0
-    if size <= floor[best]:
-        verdict = FLAT
-    elif error <= TOLERANCE[precision] or off <= noise <= ROUGH * size:
-        verdict = AGREES
-    elif noise > ROUGH * size and (off <= FAR * noise or noise > max(float(floor[best]), abs(differences))):
-        verdict = TOO_ROUGH
-    else:
-        verdict = DISAGREES
-    return Row(block, count, adjoint, differences, error, step, noise, shown, verdict, verdict in (AGREES, FLAT))
-
-
-def _central(loss: Loss, d: Array, h: float) -> float:
-    try:
-        return (loss.value(loss.x + h * d) - loss.value(loss.x - h * d)) / (2.0 * h)
-    except (RolloutError, TrialFailed):
-        return float("nan")  # this step is too long for the scene; a shorter one serves
-
-
-def extrapolated(central: Callable[[float], float], rounding: float = np.inf) -> Array:
-    """Return E(h) at every step but the last, NaN where a rollout failed.
-
-    Args:
-        central: the central difference D(h).
-        rounding: error of the loss that is expected; while its part in E is small and there is no plateau, steps go on.
-    """
-    D = [central(float(h)) for h in STEPS]
-    scan = _of_fourth_order(D)
-    for h in ALL_STEPS[len(STEPS) :]:
-        if _settled(scan, rounding / ALL_STEPS[: len(scan)]):
-            break
-        D.append(central(float(h)))
-        scan = _of_fourth_order(D)
-    return scan
-
-
-def _of_fourth_order(D: Sequence[float]) -> Array:
-    return np.asarray((16.0 * np.array(D[1:]) - np.array(D[:-1])) / 15.0)
-
-
-def _settled(scan: Array, floor: Array) -> bool:
-    """Say whether smaller steps would tell no more: there is a plateau, or what changes is rounding, or they fail."""
-    if not np.abs(np.diff(scan[-3:])).max() > floor[-1]:
-        return True
-    best = plateau(scan, floor)
-    return bool(max(scatter(scan, best), float(floor[best])) <= ROUGH * abs(scan[best]))
-
-
-def rounding_alone(scan: Array, most: float) -> float:
-    """Return the loss's error, as seen, where a scan shows nothing else: E h is of one size everywhere; else 0.
-
-    So it is where a loss saturates, with an error larger than `most`.
-    """
-    level = np.nan_to_num(np.abs(scan) * ALL_STEPS[: len(scan)])
-    half = len(scan) // 2
-    seen = 3.0 * float(level[half:].max())
-    return seen if level[:half].max() <= seen <= most else 0.0
-
-
-def plateau(scan: Array, floor: Array | float = 0.0) -> int:
-    """Return where a scan changes least to both its neighbours, for its size; `floor` is what rounding makes of it."""
-    change, floor = np.abs(np.diff(scan)), np.broadcast_to(floor, scan.shape)[1:-1]
-    both = np.maximum(np.maximum(change[1:], change[:-1]), floor)
-    size = np.maximum(np.abs(scan[1:-1]), floor)
-    relative = np.divide(both, size, out=np.where(both == 0, 0.0, np.inf), where=size > 0)
-    return 1 + int(np.nanargmin(relative)) if np.isfinite(relative).any() else len(scan) - 1
-
-
-def scatter(scan: Array, best: int) -> float:
-    """Return how far a scan's plateau is from its neighbours: no smaller difference can be told from it."""
-    change = np.abs(np.diff(scan[max(0, best - 1) : best + 2]))
-    return float(np.nanmax(change)) if np.isfinite(change).any() else 0.0
-
-
-def lines_of(found: dict[str, Any]) -> list[str]:
-    """Return the table of a gradcheck.json."""
-    width = max(len(row["block"]) for row in found["rows"])
-    lines = [f"gradient of {found['of']} = {found['loss']:.6g}"]
-    lines.append(f"{'block':{width}}  numbers  {'adjoint':>14}  {'differences':>14}  {'error':>8}  {'step':>8}")
-    for row in found["rows"]:
-        head = f"{row['block']:{width}}  {row['count']:7d}  {row['adjoint']:14.7e}"
-        if row["differences"] is None:
-            lines.append(f"{head}  every step's rollout failed: DISAGREES")
-            continue
-        told = TOLD[_verdict(row)]
-        lines.append(f"{head}  {row['differences']:14.7e}  {row['error']:8.1e}  {row['step']:8.1e}  {told}".rstrip())
-    lines.append(SUMMARY[_worst(map(_verdict, found["rows"]))].replace("disagree", "DISAGREE"))
-    return lines
-
-
-def _verdict(row: dict[str, Any]) -> str:
-    """Return a row's verdict; runs of older engines have none."""
-    return str(row.get("verdict", AGREES if row["agrees"] else DISAGREES))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cqrun.build.model import Built
 from cqrun.errors import Problem, SceneError
@@ -12,75 +12,137 @@ from cqrun.fitting.case import Case
 from cqrun.fitting.cases import given_cases, made_cases, own_warnings, remarks
 from cqrun.fitting.findings import write_findings
 from cqrun.fitting.problem import FitProblem
-from cqrun.jobs.bodies import tell_bodies
-from cqrun.optimizers.base import Optimizer, Outcome
+from cqrun.jobs.job import NO_FILES, Job, Need
+from cqrun.optimizers.base import Outcome
+from cqrun.running.bodies import tell_bodies
 from cqrun.running.gradient_memory import gradient_plan
 from cqrun.running.kernels import compile_kernels
-from cqrun.running.reporter import Reporter, Silent
-from cqrun.running.runs import (
-    Progress,
-    build_and_warn,
-    finished_already,
-    open_run,
-    raise_if_failed,
-    require_extension,
-    require_same_data,
-    saved_scene,
-    stopping,
-)
-from cqrun.running.threads import cores
+from cqrun.running.reporter import Reporter
+from cqrun.running.runs import Progress, build_and_warn, optimizer_of, stopping
+from cqrun.running.tables import number, table
 from cqrun.running.unknowns import make_params
-from cqrun.scene.load import dump, load_scene, resolve
+from cqrun.scene.load import load_scene
+from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import groups_of
-from cqrun.store.run import RunDirectory
+from cqrun.store.result import Identified, Interval, SysidResult
+from cqrun.store.run import RunDirectory, read_record
 from cqrun.store.session import RunSession
+
+MANY = 8
+"""A block of more numbers is told by its range."""
 
 FEW = 10
 """Up to this many unknowns, data is fitted by least squares unless the scene says otherwise."""
 
-NEEDED = {
-    "unknowns": "name what shall be found, by key path, with bounds",
-    "data": "say what it is fitted to, or give an `objective` that is made small",
-}
-"""What a scene must have, and the advice where it is missing."""
+
+@dataclass(frozen=True)
+class Identification:
+    """A fit that is ready to run: scene and cases, None while the data are yet to be made."""
+
+    built: Built
+    cases: list[Case] | None
+    threads: int
 
 
-def run_sysid(
-    source: Path | str,
-    overrides: Sequence[str],
-    out: Path | str,
-    *,
-    fresh: bool = False,
-    threads: int | None = None,
-    reporter: Reporter | None = None,
-) -> Path:
-    """Identify a scene's unknowns; return the run's directory.
+@dataclass(frozen=True)
+class Sysid(Job[Identification, SysidResult]):
+    """Find a scene's unknowns from data."""
 
-    Raises:
-        SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
-    """
-    source, out = Path(source), Path(out)
-    talk = reporter or Silent()
-    built = prepare(load_scene(source, overrides), talk)
-    cases, n_threads = given_cases(built), cores(threads)
-    with open_run(source.stem, built.scene, out, job="sysid", threads=n_threads, fresh=fresh) as run:
-        if finished_already(run, talk):
-            return raise_if_failed(run)
-        if run.record.get("extended"):
-            built = prepare(saved_scene(run), talk)
-        return identify(run, built, cases, n_threads, talk)
+    def prepare(
+        self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES
+    ) -> Identification:
+        """Build a scene, its optimizer chosen, and read its data.
+
+        Raises:
+            SceneError: it has no unknowns, neither data nor an objective, or too little memory for gradients.
+        """
+        self.require_sections(scene)
+        _refuse_parts(scene)
+        scene = with_optimizer(scene)
+        if scene.data is None and optimizer_of(scene).squares:
+            path = f"optimizer.{optimizer_of(scene).name}"
+            message = "fits data by least squares; for an objective take lbfgs, adam, sgd or cma_es"
+            raise SceneError([Problem(scene.where(path), path, message)])
+        if scene.precision == "float32" and not uses_gradients(scene) and optimizer_of(scene).squares:
+            path = f"optimizer.{optimizer_of(scene).name}"
+            message = (
+                "its Jacobian is by differences, for which `precision: float32` is too coarse: use lbfgs, or float64"
+            )
+            raise SceneError([Problem(scene.where(path), path, message)])
+        built = build_and_warn(scene, talk)
+        if uses_gradients(built.scene):
+            gradient_plan(built)
+        _require_batches(built.scene)
+        return Identification(built, given_cases(built), threads)
+
+    def reads_data(self, scene: Scene) -> bool:
+        """Say yes."""
+        return True
+
+    def work(self, run: RunDirectory, prepared: Identification, talk: Reporter) -> None:
+        """Run or continue the identification."""
+        built, cases = prepared.built, prepared.cases
+        scene, optimizer = built.scene, optimizer_of(built.scene)
+        compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=uses_gradients(scene))
+        run.begin(prepared.threads)
+        tell_bodies(built, run, talk)
+        if cases is None:
+            talk.phase("making data")
+            cases = made_cases(run, built)
+        for warning in own_warnings(built, cases):
+            talk.warn(warning)
+        for sentence in remarks(cases):
+            run.log(sentence)
+        params = make_params(built)
+        problem = FitProblem(cases, params, threads=prepared.threads)
+        talk.phase(f"fitting {len(params.start)} unknowns")
+        talk.begin(optimizer.max_iterations)
+        session = RunSession(
+            run, seed=scene.seed, blocks=params.slices, physical=params.physical, loss_unit=problem.unit,
+            stop=lambda: talk.stop.asked, progress=Progress(run, talk),
+        )  # fmt: skip
+        _conclude(run, cases, problem, optimizer.minimise(problem, session), talk)
+
+    def lines(self, run: Path, result: SysidResult) -> Iterator[str]:
+        """Yield every unknown with its interval, the errors by recording, and what the data leave open."""
+        scene = load_scene(run / "scene.yaml", (), Path(str(read_record(run).get("base", ""))))
+        yield f"{result.status} after {result.iterations} iterations: {result.message}"
+        yield ""
+        yield from table(
+            ("unknown", "value", "95 % interval", "unit", "from"),
+            [row for path, found in result.unknowns.items() for row in _unknown(scene, path, found)],
+        )
+        reasons = {path: found.reason for path, found in result.unknowns.items() if found.reason}
+        if reasons:
+            yield ""
+            if len(reasons) == len(result.unknowns) and len(set(reasons.values())) == 1:
+                yield f"no intervals: {next(iter(reasons.values()))}"
+            else:
+                yield from (f"no interval for {path}: {reason}" for path, reason in reasons.items())
+        yield ""
+        yield from _errors(scene, result)
+        yield from (f"note: {sentence}" for sentence in result.findings)
 
 
-def prepare(scene: Scene, talk: Reporter) -> Built:
-    """Build a scene for sysid, its optimizer chosen.
+SYSID = Sysid(
+    "sysid",
+    SysidResult,
+    needs=(
+        Need("unknowns", "name what shall be found, by key path, with bounds"),
+        Need("data", "say what it is fitted to, or give an `objective` that is made small", instead="objective"),
+    ),
+    pictures=("convergence", "tracks", "bodies", "overview"),
+    extensible=True,
+)
+run_sysid = SYSID.run
 
-    Raises:
-        SceneError: it has no unknowns, neither data nor an objective, or too little memory for gradients.
-    """
-    missing = [key for key in NEEDED if not getattr(scene, key) and not (key == "data" and scene.objective)]
-    if missing:
-        raise SceneError([Problem(scene.where(key), key, f"sysid needs it: {NEEDED[key]}") for key in missing])
+
+# --- before the fit ---------------------------------------------------------------------------------------------------
+
+
+def _refuse_parts(scene: Scene) -> None:
+    """Refuse parts of a scene that a fit would have to leave out."""
     if scene.controller is not None:
         message = (
             "sysid drives actuators by `activation` alone, and this would not act: take it out, `-o controller=null`, "
@@ -94,20 +156,6 @@ def prepare(scene: Scene, talk: Reporter) -> Built:
     for name in scene.constraints:
         path, message = f"constraints.{name}", "sysid honours none: bound its unknowns instead"
         raise SceneError([Problem(scene.where(path), path, message)])
-    scene = with_optimizer(scene)
-    if scene.data is None and _optimizer(scene).squares:
-        path = f"optimizer.{scene.optimizer.name}"  # type: ignore[union-attr]
-        message = "fits data by least squares; for an objective take lbfgs, adam, sgd or cma_es"
-        raise SceneError([Problem(scene.where(path), path, message)])
-    if scene.precision == "float32" and not uses_gradients(scene) and _optimizer(scene).squares:
-        path = f"optimizer.{scene.optimizer.name}"  # type: ignore[union-attr]
-        message = "its Jacobian is by differences, for which `precision: float32` is too coarse: use lbfgs, or float64"
-        raise SceneError([Problem(scene.where(path), path, message)])
-    built = build_and_warn(scene, talk)
-    if uses_gradients(built.scene):
-        gradient_plan(built)
-    _require_batches(built.scene)
-    return built
 
 
 def _require_batches(scene: Scene) -> None:
@@ -124,11 +172,7 @@ def _require_batches(scene: Scene) -> None:
 
 def uses_gradients(scene: Scene) -> bool:
     """Say whether a scene's optimizer asks for gradients; the Jacobian of least squares is by differences."""
-    return scene.optimizer is None or _optimizer(scene).gradients
-
-
-def _optimizer(scene: Scene) -> Any:
-    return None if scene.optimizer is None else scene.optimizer.value
+    return scene.optimizer is None or optimizer_of(scene).gradients
 
 
 def with_optimizer(scene: Scene) -> Scene:
@@ -150,34 +194,10 @@ def _numbers(scene: Scene) -> float:
     return count
 
 
-def identify(run: RunDirectory, built: Built, cases: list[Case] | None, threads: int, talk: Reporter) -> Path:
-    """Run or continue the identification in a run directory."""
-    scene = built.scene
-    optimizer: Any = scene.optimizer.value if scene.optimizer is not None else None
-    assert isinstance(optimizer, Optimizer)
-    compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=uses_gradients(scene))
-    run.begin(threads)
-    tell_bodies(built, run, talk)
-    if cases is None:
-        talk.phase("making data")
-        cases = made_cases(run, built)
-    for warning in own_warnings(built, cases):
-        talk.warn(warning)
-    for sentence in remarks(cases):
-        run.log(sentence)
-    params = make_params(built)
-    problem = FitProblem(cases, params, threads=threads)
-    talk.phase(f"fitting {len(params.start)} unknowns")
-    talk.begin(optimizer.max_iterations)
-    session = RunSession(
-        run, seed=scene.seed, blocks=params.slices, physical=params.physical, loss_unit=problem.unit,
-        stop=lambda: talk.stop.asked, progress=Progress(run, talk),
-    )  # fmt: skip
-    outcome = optimizer.minimise(problem, session)
-    return conclude(run, cases, problem, outcome, talk)
+# --- after it ---------------------------------------------------------------------------------------------------------
 
 
-def conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome, talk: Reporter) -> Path:
+def _conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome, talk: Reporter) -> None:
     """Write what was found and end the run as the outcome says."""
     if outcome.status == "stopped":
         write_findings(run, cases, problem, outcome)
@@ -188,16 +208,43 @@ def conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome:
     problem.interrupt = stopping(run, talk)
     write_findings(run, cases, problem, outcome)
     run.finish(outcome.status, outcome.message)
-    return raise_if_failed(run)
 
 
-def resume_sysid(run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
-    """Continue a run from its directory; overrides may only extend the optimizer's iterations."""
-    require_extension(run, overrides)
-    require_same_data(run)
-    built = prepare(saved_scene(run, overrides), talk)
-    if overrides:
-        run.extend(dump(resolve(built.scene)), list(overrides))
-    elif finished_already(run, talk, asked_by_scene=False):
-        return raise_if_failed(run)
-    return identify(run, built, given_cases(built), threads, talk)
+def _unknown(scene: Scene, path: str, found: Identified) -> Iterator[tuple[str, ...]]:
+    unit = leaf(scene, path).unit
+    values, intervals, initials = found.numbers()
+    if len(values) > MANY:
+        ends = f"{number(min(values))} ... {number(max(values))}"
+        yield path, ends, f"{len(values)} numbers", unit, number(initials[0])
+        return
+    for k, (value, interval, initial) in enumerate(zip(values, intervals, initials, strict=True)):
+        name = f"{path}[{k}]" if isinstance(found.value, list) else path
+        yield name, number(value), _interval(interval), unit, number(initial)
+
+
+def _interval(pair: Interval | None) -> str:
+    return "none" if pair is None else f"{number(pair[0])} to {number(pair[1])}"
+
+
+def _errors(scene: Scene, result: SysidResult) -> Iterator[str]:
+    if result.recordings is None:
+        if result.loss is not None:
+            yield f"loss {result.loss:.6g} {scene.loss_unit}".rstrip()
+        return
+    assert scene.data is not None
+    tables: dict[str, list[tuple[str, ...]]] = {}
+    heads: dict[str, tuple[str, ...]] = {}
+    for name, found in result.recordings.items():
+        measured = scene.data.measurement(name)
+        unit = f" [{measured.shown.name}]" if measured.shown.name else ""
+        heads[measured.name] = ("recording", "", f"RMSE{unit}", f"by {measured.channel}{unit}")
+        rmse, each = found.number(measured.error_key("rmse")), found.numbers(measured.error_key(f"{measured.channel}s"))
+        told = [f"{key} {'unseen' if e is None else format(e, measured.digits)}" for key, e in each.items()]
+        kind = "held out" if found.holdout else "fitted"
+        row = (name, kind, "blew up" if rmse is None else format(rmse, measured.digits))
+        tables.setdefault(measured.name, []).append((*row, ", ".join(told) if len(told) <= 12 else ""))
+    for kind, rows in tables.items():
+        yield from table(heads[kind], rows)
+    for name, found in result.recordings.items():
+        if away := [e for e in found.numbers("alignment_mm").values() if e is not None]:
+            yield f"{name}: aligned to the rest positions within {min(away):.2f} to {max(away):.2f} mm"

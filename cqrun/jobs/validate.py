@@ -13,21 +13,22 @@ from cqrun.errors import SceneError
 from cqrun.explain import listed
 from cqrun.fitting.case import Case
 from cqrun.fitting.cases import given_cases, is_fit, own_warnings
-from cqrun.jobs.bodies import lies, made_of
-from cqrun.jobs.control import JOBS, differentiated, optimizer_of
-from cqrun.jobs.control import prepare as prepare_control
-from cqrun.jobs.gradcheck import has_data
-from cqrun.jobs.report import number
-from cqrun.jobs.sysid import prepare, with_optimizer
-from cqrun.jobs.validate_control import control_lines, line, objective_lines
+from cqrun.jobs.control import CODESIGN, CONTROL
+from cqrun.jobs.sysid import SYSID, with_optimizer
+from cqrun.jobs.table import JOBS
 from cqrun.learning.agent import Agent
-from cqrun.learning.episodes import EpisodeProblem, has_episodes
+from cqrun.learning.description import control_lines, line, objective_lines
+from cqrun.learning.episodes import EpisodeProblem, differentiated, has_episodes
+from cqrun.running.bodies import lies, made_of
 from cqrun.running.gradient_memory import GRADIENT, gradient_plan, state_bytes
 from cqrun.running.reporter import Silent
+from cqrun.running.runs import optimizer_of
+from cqrun.running.tables import number
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start
+from cqrun.store.result import LEARNED
 from cqrun.units import format_bytes
 
 NANOSECONDS = {2: 30.0, 3: 95.0}
@@ -42,9 +43,8 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     Raises:
         SceneError, UsageError: everything that a run would be refused for.
     """
-    built, agent = _prepared(load_scene(scene_path, overrides))
+    built, agent, episodes, cases = _prepared(load_scene(scene_path, overrides))
     scene = built.scene
-    cases = given_cases(built) if _reads_data(built) else None
     yield f"{scene_path}: a valid scene" + (f": {scene.title}" if scene.title else "")
     yield from _world(built)
     for name in built.particles.names:
@@ -55,25 +55,24 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
         yield from _unknowns(built)
     yield from _data(built, cases)
     if agent is not None:
-        yield from control_lines(agent)
-    yield from _cost(built, agent)
+        yield from control_lines(agent, episodes)
+    yield from _cost(built, episodes)
     for warning in (*built.warnings, *own_warnings(built, cases or [])):
         yield f"warning: {warning}"
 
 
-def _prepared(scene: Scene) -> tuple[Built, Agent | None]:
-    """Return what the scene's job would run, and what acts in it."""
-    if scene.job in JOBS or has_episodes(scene):
-        problem = prepare_control(scene, 1, Silent(), scene.job if scene.job in JOBS else "control")
-        return problem.built, problem
-    built = prepare(scene, Silent()) if _fits(scene) else build(scene)
-    return built, None if scene.controller is None else Agent(built)
-
-
-def _reads_data(built: Built) -> bool:
-    """Say whether a scene's job, if it names one, reads its recordings."""
-    job = built.scene.job
-    return (job in (None, "sysid") and not has_episodes(built.scene)) or (job == "gradcheck" and has_data(built))
+def _prepared(scene: Scene) -> tuple[Built, Agent | None, EpisodeProblem | None, list[Case] | None]:
+    """Return what the scene's job would run, what acts in it, and what is learned from or fitted to."""
+    if scene.job in LEARNED or has_episodes(scene):
+        problem = (CODESIGN if scene.job == CODESIGN.name else CONTROL).prepare(scene, 1, Silent())
+        return problem.built, problem.agent, problem, None
+    if _fits(scene):
+        fit = SYSID.prepare(scene, 1, Silent())
+        return fit.built, None, None, fit.cases
+    built = build(scene)
+    agent = None if scene.controller is None else Agent(built)
+    reads_data = scene.job is None or JOBS[scene.job].reads_data(scene)
+    return built, agent, None, given_cases(built) if reads_data else None
 
 
 def _fits(scene: Scene) -> bool:
@@ -174,7 +173,7 @@ def _recording(case: Case) -> Iterator[str]:
 # --- cost ---------------------------------------------------------------------------------------------------
 
 
-def _cost(built: Built, agent: Agent | None) -> Iterator[str]:
+def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     model = built.model
     one, budget = state_bytes(model), format_bytes(model.memory_budget)
     forward = 1e-9 * NANOSECONDS[model.dim] * model.layout.n_particles * model.n_steps
@@ -196,20 +195,20 @@ def _cost(built: Built, agent: Agent | None) -> Iterator[str]:
         f"an estimate, for one core: {_seconds(forward)} forward, {_seconds(backward)} with the gradient "
         f"({NANOSECONDS[model.dim]:g} ns a particle and substep; `cqrun bench` measures this machine)",
     )
-    if isinstance(agent, EpisodeProblem):
-        optimizer = optimizer_of(built)
+    if learned is not None:
+        optimizer = optimizer_of(built.scene)
         if optimizer.gradients:
-            episodes = min(agent.n_episodes, getattr(optimizer, "batch_size", None) or agent.n_episodes)
+            episodes = min(learned.n_episodes, getattr(optimizer, "batch_size", None) or learned.n_episodes)
             of = f"{episodes} {'episode' if episodes == 1 else 'episodes'} with the gradient"
-            held = differentiated(agent) - 1
+            held = differentiated(learned) - 1
             sweeps = held * (GRADIENT - 1.0) * forward
             if held:
                 of += f" and {'that' if held == 1 else 'those'} of {held} constraint{'s' if held > 1 else ''}, at most"
             once, cost = "a trial" if held else "an iteration", _seconds(episodes * (backward + sweeps))
             yield line("", f"{once} of {optimizer.name}: {of}{' ' if held else ', '}{cost}")
         else:
-            of = f"{agent.n_episodes} {'episode' if agent.n_episodes == 1 else 'episodes'} forward"
-            yield line("", f"a trial of {optimizer.name}: {of}, {_seconds(agent.n_episodes * forward)}")
+            of = f"{learned.n_episodes} {'episode' if learned.n_episodes == 1 else 'episodes'} forward"
+            yield line("", f"a trial of {optimizer.name}: {of}, {_seconds(learned.n_episodes * forward)}")
 
 
 def _seconds(seconds: float) -> str:

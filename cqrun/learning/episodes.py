@@ -9,20 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from cqrun.build.model import Built
 from cqrun.design.params import REGULARISER
 from cqrun.errors import UsageError
 from cqrun.learning.agent import Agent, Attempt, Goals, Mix, Values
 from cqrun.optimizers.base import TrialFailed
+from cqrun.optimizers.constrained import ReplayedConstrained
 from cqrun.plugin.contract import Array
 from cqrun.running.gradient_memory import gradients_at_once
+from cqrun.running.runs import optimizer_of
 from cqrun.running.side_by_side import Effort, side_by_side, the_value, trial
 from cqrun.scene.schema import Scene
-from cqrun.state import State
 
 UNSEEN = 1_000_003
 """Where the seeds of unseen goals begin, far from any iteration's."""
@@ -38,25 +37,24 @@ def loss_alone(attempt: Attempt) -> list[Mix]:
     return [Mix(1.0, {})]
 
 
-class EpisodeProblem(Agent):
+class EpisodeProblem:
     """A `Problem` (optimizers/base.py) over the episodes of a scene.
 
     Args:
-        built: a scene with actuators, a controller and an objective.
+        agent: what acts in them, of a scene with an objective or constraints. The problem starts where the scene does,
+            also where the agent acts as a file has it.
         threads: cores to use.
-        trained: file of a controller, as `Agent` takes it; the problem starts where the scene does all the same.
 
     Attributes:
+        built, params: the agent's scene, and the numbers that are learned.
         summands: names of what the loss is a sum of.
         saw: what the controller got in the episodes of the last evaluation, (T, Z) each.
-
-    Raises:
-        SceneError: something is missing, or names what is not there.
     """
 
-    def __init__(self, built: Built, *, threads: int = 1, trained: Path | None = None) -> None:
-        super().__init__(built, trained)
-        scene, self.threads = built.scene, threads
+    def __init__(self, agent: Agent, *, threads: int = 1) -> None:
+        self.agent, self.threads = agent, threads
+        self.built, self.params = agent.built, agent.params
+        scene = self.built.scene
         self.start = self.params.start
         self.lower, self.upper = self.params.bounds
         self.stochastic = scene.episodes.fresh and any(g.drawn for g in scene.goals.values())
@@ -75,11 +73,9 @@ class EpisodeProblem(Agent):
 
     # --- regularisers: of the unknowns, and so no part of what an agent sees ------------------------------------
 
-    def attempt(
-        self, values: Values, goals: Goals, threads: int, observe: Callable[[int, State], None] | None = None
-    ) -> Attempt:
+    def attempt(self, values: Values, goals: Goals, threads: int) -> Attempt:
         """Run one episode forward; its loss and terms with the unknowns' regularisers."""
-        return self._regularised(super().attempt(values, goals, threads, observe), values)
+        return self._regularised(self.agent.attempt(values, goals, threads), values)
 
     def attempt_with_gradients(
         self, values: Values, goals: Goals, threads: int, budget: int, mixes: Callable[[Attempt], Sequence[Mix]]
@@ -91,7 +87,7 @@ class EpisodeProblem(Agent):
             asked.extend(mixes(attempt))
             return asked
 
-        attempt, gradients = super().attempt_with_gradients(values, goals, threads, budget, noted)
+        attempt, gradients = self.agent.attempt_with_gradients(values, goals, threads, budget, noted)
         for mix, gradient in zip(asked, gradients, strict=True):
             for path, bar in self.params.departure_vjp(values, mix.loss).items():
                 gradient[path] = gradient[path] + bar
@@ -164,8 +160,8 @@ class EpisodeProblem(Agent):
         Raises:
             RolloutError: one blows up.
         """
-        at_once = gradients_at_once([self.model] * len(goals), self.threads)
-        budget = self.model.memory_budget // at_once
+        at_once = gradients_at_once([self.agent.model] * len(goals), self.threads)
+        budget = self.agent.model.memory_budget // at_once
 
         def task(goal: Goals) -> Callable[[int], tuple[Attempt, list[dict[str, Array]]]]:
             def run(threads: int) -> tuple[Attempt, list[dict[str, Array]]]:
@@ -256,7 +252,7 @@ class EpisodeProblem(Agent):
         """Keep the means of the terms, where the first episode's gradient grew fastest [s], what controllers saw."""
         means = [float(np.mean([a.terms[name] for a in attempts])) for name in self.summands]
         control = attempts[0].growth_at
-        self._terms = np.array([*means, control * self.matter.control_step if control >= 0 else np.nan])
+        self._terms = np.array([*means, control * self.agent.matter.control_step if control >= 0 else np.nan])
         self.saw = [a.saw for a in attempts]
 
     def term_values(self) -> Array:
@@ -270,3 +266,11 @@ class EpisodeProblem(Agent):
     def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
         """Refuse, as `residuals`."""
         raise UsageError("least squares fits data; for an objective take adam, sgd, lbfgs or cma_es")
+
+
+def differentiated(problem: EpisodeProblem) -> int:
+    """Return of how many functions of an episode the scene's optimizer takes gradients, all in one backward run."""
+    optimizer = optimizer_of(problem.built.scene)
+    if not optimizer.gradients:
+        return 0
+    return 1 + (len(problem.constraint_names) if isinstance(optimizer, ReplayedConstrained) else 0)

@@ -9,7 +9,7 @@ result.json       the objective's terms at the start and at the end, on goals th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,12 +24,22 @@ from cqrun.optimizers.constrained import AT_BOUND
 from cqrun.plugin.contract import Array
 from cqrun.running.side_by_side import side_by_side
 from cqrun.running.trajectories import as_found, write_activation, write_trajectory
-from cqrun.scene.constraint import ENDS
 from cqrun.scene.schema import Scene
+from cqrun.store.result import (
+    AtBounds,
+    ConstraintValue,
+    Designed,
+    Episode,
+    LearnedResult,
+    LostEpisode,
+    Stage,
+    StageName,
+    write_result,
+)
 from cqrun.store.run import RunDirectory
 
-STAGES = {"start": "before", "trained": "learned", "unseen": "on unseen goals"}
-"""Parts of a result that hold the terms, and what they are called."""
+STAGES: dict[StageName, str] = {"start": "before", "trained": "learned", "unseen": "on unseen goals"}
+"""Stages of a result (`LearnedResult.stages`), and what they are called."""
 
 
 @dataclass(frozen=True)
@@ -43,56 +53,51 @@ class Lost:
 Tried = Sequence[Attempt | Lost]
 
 
-def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) -> dict[str, Any]:
+def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) -> LearnedResult:
     """Write the controller, its first episode and result.json; return the result.
 
     Raises:
         RolloutError: under what was learned every episode that it was learned from blows up.
     """
     values, failed = problem.values(outcome.x), outcome.status == "failed"
-    result: dict[str, Any] = {
-        "job": run.record["job"],
-        "status": outcome.status,
-        "message": outcome.message,
-        "loss": float(outcome.loss) if np.isfinite(outcome.loss) else None,
-        "iterations": outcome.iterations,
-        "unknowns": {
-            b.path: _found(b, values[b.path]) for b in problem.params.blocks if not b.path.startswith(CONTROLLER)
+    result = LearnedResult(
+        job=run.record["job"],
+        status=outcome.status,
+        message=outcome.message,
+        loss=float(outcome.loss) if np.isfinite(outcome.loss) else None,
+        iterations=outcome.iterations,
+        unknowns={
+            b.path: _designed(b, values[b.path]) for b in problem.params.blocks if not b.path.startswith(CONTROLLER)
         },
-        **dict.fromkeys(STAGES),
-        "constraints": {},
-        "blew_up": {},
-    }
+    )
     if not failed:
-        problem.save(run.path / FILE, values)
+        problem.agent.save(run.path / FILE, values)
         goals, unseen = problem.goals(None), problem.unseen()
-        tried: dict[str, Tried] = {"start": _run_all(problem, problem.values(problem.start), goals)}
+        tried: dict[StageName, Tried] = {"start": _run_all(problem, problem.values(problem.start), goals)}
         learned = _run_all(problem, values, [*goals, *unseen])
         tried |= {"trained": learned[: len(goals)], "unseen": learned[len(goals) :]}
-        result |= {stage: _summary(problem, _done(attempts)) for stage, attempts in tried.items()}
-        result["blew_up"] = {stage: lost for stage, attempts in tried.items() if (lost := _lost(attempts))}
-        result["constraints"] = _before_and_after(problem, _done(tried["start"]), _done(tried["trained"]))
+        result.start, result.trained, result.unseen = (_stage(problem, _done(tried[name])) for name in STAGES)
+        result.blew_up = {stage: lost for stage, attempts in tried.items() if (lost := _lost(attempts))}
+        result.constraints = _before_and_after(problem, _done(tried["start"]), _done(tried["trained"]))
         shown = next((a for a in tried["trained"] if isinstance(a, Attempt)), None)
         if shown is None:
             raise next(a.error for a in learned if isinstance(a, Lost))
         write_activation(run.path / "activation.csv", problem.built, shown.activation)
-        rollout = problem.rollout(values, shown.goals, problem.threads)
+        rollout = problem.agent.rollout(values, shown.goals, problem.threads)
         found = {path: value for path, value in values.items() if not path.startswith(CONTROLLER)}
-        told = problem.wanted(shown.goals) | as_found(found)
+        told = problem.agent.wanted(shown.goals) | as_found(found)
         write_trajectory(run.path / "trajectory.h5", problem.built, rollout, provenance=told)
-    run.write_result(result)
+    write_result(run.path, result)
     return result
 
 
-def blown_up(result: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a sentence on each part of a result in which episodes blew up."""
-    for stage, lost in result.get("blew_up", {}).items():
-        done = result[stage]["episodes"] if result[stage] else []
+def blown_up(result: LearnedResult) -> Iterator[str]:
+    """Yield a sentence on each stage of a result in which episodes blew up."""
+    for name, lost in result.blew_up.items():
+        stage = result.stages().get(name)
+        total = len(lost) + (0 if stage is None else len(stage.episodes))
         one = "is" if len(lost) == 1 else "are"
-        yield (
-            f"{STAGES[stage]}: {len(lost)} of {len(lost) + len(done)} episodes blew up and {one} in no mean: "
-            f"{lost[0]['message']}"
-        )
+        yield f"{STAGES[name]}: {len(lost)} of {total} episodes blew up and {one} in no mean: {lost[0].message}"
 
 
 def _run_all(problem: EpisodeProblem, values: dict[str, Array], goals: Sequence[Goals]) -> list[Attempt | Lost]:
@@ -113,45 +118,47 @@ def _done(tried: Tried) -> list[Attempt]:
     return [attempt for attempt in tried if isinstance(attempt, Attempt)]
 
 
-def _found(block: Block, value: Array) -> dict[str, Any]:
+def _designed(block: Block, value: Array) -> Designed:
     """Return an unknown's values, first and last, and how many of these are at its lower and upper bound."""
     scaled = block.to_scaled(np.asarray(value, float))
-    ends = {"lower": int(np.sum(scaled <= AT_BOUND)), "upper": int(np.sum(scaled >= 1 - AT_BOUND))}
-    return {"initial": np.asarray(block.initial).tolist(), "value": np.asarray(value).tolist(), "at_bounds": ends}
+    ends = AtBounds(lower=int(np.sum(scaled <= AT_BOUND)), upper=int(np.sum(scaled >= 1 - AT_BOUND)))
+    return Designed(initial=np.asarray(block.initial).tolist(), value=np.asarray(value).tolist(), at_bounds=ends)
 
 
-def _lost(tried: Tried) -> list[dict[str, Any]]:
-    return [{"goals": _plain(a.goals), "message": str(a.error)} for a in tried if isinstance(a, Lost)]
+def _lost(tried: Tried) -> list[LostEpisode]:
+    return [LostEpisode(goals=_plain(a.goals), message=str(a.error)) for a in tried if isinstance(a, Lost)]
 
 
-def _plain(goals: Goals) -> dict[str, Any]:
+def _plain(goals: Goals) -> dict[str, list[float]]:
     return {name: goal.tolist() for name, goal in goals.items()}
 
 
-def constraints_of(scene: Scene, attempts: Sequence[Attempt]) -> dict[str, dict[str, float]]:
+def constraints_of(scene: Scene, attempts: Sequence[Attempt]) -> dict[str, ConstraintValue]:
     """Return every constraint's ends, its mean over episodes, and by how much that violates it."""
     found = {}
     for name, held in scene.constraints.items() if attempts else ():
         value = float(np.mean([a.held[name] for a in attempts]))
-        ends = {end: getattr(held, end) for end in ENDS if getattr(held, end) is not None}
-        found[name] = ends | {"value": value, "violation": max(0.0, held.low - value, value - held.high)}
+        found[name] = ConstraintValue(
+            at_least=held.at_least, at_most=held.at_most, equals=held.equals,
+            value=value, violation=max(0.0, held.low - value, value - held.high),
+        )  # fmt: skip
     return found
 
 
 def _before_and_after(
     problem: EpisodeProblem, before: Sequence[Attempt], after: Sequence[Attempt]
-) -> dict[str, dict[str, float]]:
+) -> dict[str, ConstraintValue]:
     """Return `constraints_of` the end, with the value at the start."""
     start, end = (constraints_of(problem.built.scene, attempts) for attempts in (before, after))
-    return {name: end[name] | {"start": start[name]["value"]} for name in start if name in end}
+    return {name: end[name].model_copy(update={"start": start[name].value}) for name in start if name in end}
 
 
-def _summary(problem: EpisodeProblem, attempts: Sequence[Attempt]) -> dict[str, Any] | None:
+def _stage(problem: EpisodeProblem, attempts: Sequence[Attempt]) -> Stage | None:
     """Return the mean loss and terms over episodes, and those of each with its goals; None without any."""
     if not attempts:
         return None
-    return {
-        "loss": float(np.mean([a.loss for a in attempts])),
-        "terms": {name: float(np.mean([a.terms[name] for a in attempts])) for name in problem.summands},
-        "episodes": [{"goals": _plain(a.goals), "loss": a.loss, "terms": a.terms} for a in attempts],
-    }
+    return Stage(
+        loss=float(np.mean([a.loss for a in attempts])),
+        terms={name: float(np.mean([a.terms[name] for a in attempts])) for name in problem.summands},
+        episodes=[Episode(goals=_plain(a.goals), loss=a.loss, terms=a.terms) for a in attempts],
+    )

@@ -5,10 +5,8 @@ The file is a controller's, with what was learned beside it, or the result of a 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,6 +20,7 @@ from cqrun.running.unknowns import values_found
 from cqrun.scene.paths import canonical, leaf, shapes_a_body
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import tied
+from cqrun.store.result import Value, read_result_file, values_in
 
 IDENTIFIED = "identified.json"
 """Where a replay of a run of sysid keeps that run's result."""
@@ -43,10 +42,10 @@ def identified_in(result: Path, scene: Scene) -> dict[str, Array]:
         result: the run's.
         scene: its own, without overrides.
     """
-    found, values = _unknowns(result), dict[str, Array]()
+    found, values = _identified(result), dict[str, Array]()
     for path in scene.unknowns:
         name = canonical(scene, path)
-        value = found[name]["value"]
+        value = found[name]
         of_path = {name: value} if isinstance(value, list) else tied(scene, path, value)
         values |= {other: np.array(own, float) for other, own in of_path.items()}
     return values
@@ -120,7 +119,7 @@ def kept_values(controller: Path) -> dict[str, Array]:
 
 def kept_of_identified(result: Path, scene: Scene, particles: Particles) -> dict[str, Array]:
     """Return the same values of a run of sysid, from its result."""
-    values = values_found(scene, particles, _unknowns(result))
+    values = values_found(scene, particles, _identified(result))
     return {path: value for path, value in values.items() if is_kept_in_file(path, value)}
 
 
@@ -140,10 +139,6 @@ def require_fitting(file: Path, kept: Learned, params: Params) -> None:
             )
 
 
-def _unknowns(result: Path) -> dict[str, Any]:
-    """Return the unknowns of a run's result: path -> its entry."""
-    try:
-        found: dict[str, Any] = json.loads(result.read_text())["unknowns"]
-    except (OSError, ValueError, KeyError) as error:
-        raise UsageError(f"{result}: unreadable ({error}); run the scene again with --fresh") from error
-    return found
+def _identified(result: Path) -> dict[str, Value]:
+    """Return the values of the unknowns in the file of a run's result, by path."""
+    return values_in(read_result_file(result))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Self, cast
+from dataclasses import dataclass
+from typing import Self, cast, final
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from cqrun.errors import UsageError
-from cqrun.optimizers.adam import Adam
-from cqrun.optimizers.base import Outcome, Problem, Session, refuse_stochastic, require_finite, terms_of
+from cqrun.optimizers.adam import AdamSteps
+from cqrun.optimizers.base import Outcome, Problem, refuse_stochastic, require_finite, terms_of
 from cqrun.optimizers.constrained import (
     ConstrainedOptimizer,
     ConstrainedProblem,
@@ -22,7 +23,7 @@ from cqrun.optimizers.constrained import (
     require_constraints,
     violation,
 )
-from cqrun.optimizers.descent import DescentState
+from cqrun.optimizers.first_order import DescentState, Merit
 from cqrun.optimizers.quadratic_program import LowRank, quadratic_program
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
@@ -38,7 +39,7 @@ VIOLATION_WEIGHT = 1e6
 
 
 @plugin("optimizer", "augmented_lagrangian")
-class AugmentedLagrangian(ConstrainedOptimizer, Adam):
+class AugmentedLagrangian(ConstrainedOptimizer, AdamSteps):
     """Adam on f + sum |c - p + y / rho|^2 rho / 2, where p is the allowed value nearest to c + y / rho.
 
     Its gradient is that of f + w.c with w = y + rho (c - p); a single backward run gives it for all constraints. Every
@@ -75,35 +76,34 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
         if self.batch_size is not None:
             raise UsageError("constraints apply to the whole set: remove `batch_size`")
 
-    def minimise(self, problem: Problem, session: Session) -> Outcome:
-        """Minimise with exact resume through the session's state file; UsageError as `require`."""
-        outcome = super().minimise(problem, session)
-        if outcome.status in ("failed", "stopped"):
-            return outcome
-        constrained = _with_constraints(problem)
-        _, c = constrained.values_and_constraints(outcome.x)
-        if most_violated(c, constrained.c_low, constrained.c_high) <= self.constraint_tolerance:
-            return outcome
-        return infeasible(constrained, outcome, c, self.constraint_tolerance)
+    @final
+    def merit(self, problem: Problem) -> Merit:
+        """Return the augmented Lagrangian of a problem, which `require` has checked for constraints."""
+        return LagrangianMerit(self, cast(ConstrainedProblem, problem))
 
-    def initial_memory(self, problem: Problem, x: Array) -> dict[str, Array]:
-        """Return Adam's moments, the multipliers, the penalty, and the values that decide on their next update."""
-        m = len(_with_constraints(problem).constraint_names)
-        return super().initial_memory(problem, x) | {
-            "multipliers": np.zeros(m),
-            "penalty": np.array(self.penalty),
+
+@dataclass(frozen=True)
+class LagrangianMerit(Merit):
+    """Augmented Lagrangian of a problem, with the parameters of its method."""
+
+    method: AugmentedLagrangian
+    problem: ConstrainedProblem
+
+    def initial_memory(self, x: Array) -> dict[str, Array]:
+        """Return the multipliers, the penalty, and the values that decide on their next update."""
+        return {
+            "multipliers": np.zeros(len(self.problem.constraint_names)),
+            "penalty": np.array(self.method.penalty),
             "restoring": np.array(0),
             "last": np.array(np.inf),
             "violation": np.array(np.inf),
             "best": np.full(3, np.inf),
         }
 
-    def evaluate(
-        self, problem: Problem, x: Array, batch: tuple[int, ...] | None, memory: dict[str, Array]
-    ) -> dict[str, Array]:
+    def evaluate(self, x: Array, batch: tuple[int, ...] | None, memory: dict[str, Array]) -> dict[str, Array]:
         """Return f, the gradient of the augmented Lagrangian, constraints c and weights w (m,), and the terms."""
         y, rho = memory["multipliers"], memory["penalty"]
-        constrained = _with_constraints(problem)
+        constrained, tolerance = self.problem, self.method.constraint_tolerance
         low, high = constrained.c_low, constrained.c_high
 
         def weigh(c: Array) -> Array:
@@ -115,73 +115,75 @@ class AugmentedLagrangian(ConstrainedOptimizer, Adam):
             f, g, c, J = constrained.gradients_and_constraints(x)
             require_finite(x, constraints=c, jacobian=J)
             g = g + weigh(c) @ J
-            normal = {"normal": self._normal_step(constrained, x, c, J)}
+            normal = {"normal": self._normal_step(x, c, J)}
         else:
             f, c, g = constrained.lagrangian(x, weigh)
         require_finite(x, loss=np.asarray(f), constraints=c, gradient=g)
-        terms = np.array(problem.term_values(), float)
+        terms = np.array(constrained.term_values(), float)
         progress = {
             "violation": np.array(most_violated(c, low, high)),
-            "rank": np.array(ranked(violation(c, low, high), float(f), self.constraint_tolerance)),
+            "rank": np.array(ranked(violation(c, low, high), float(f), tolerance)),
         }
         return {"f": np.array(f, float), "g": g, "c": c, "w": weigh(c), "terms": terms} | progress | normal
 
-    def _normal_step(self, problem: ConstrainedProblem, x: Array, c: Array, J: Array) -> Array:
+    def _normal_step(self, x: Array, c: Array, J: Array) -> Array:
         """Return the shortest step (n,) in the box that meets the linearised constraints, cut to `LONGEST_STEP`."""
+        problem = self.problem
         # slightly inside the limits, not on them; an equality stays one
-        inside = np.minimum(0.5 * self.constraint_tolerance, 0.5 * (problem.c_high - problem.c_low))
+        inside = np.minimum(0.5 * self.method.constraint_tolerance, 0.5 * (problem.c_high - problem.c_low))
         ends = problem.c_low + inside - c, problem.c_high - inside - c
         box = np.maximum(problem.lower - x, -1.0), np.minimum(problem.upper - x, 1.0)
         d, _ = quadratic_program(LowRank(1.0), np.zeros(len(x)), J, ends, box, VIOLATION_WEIGHT)
         return np.asarray(d * min(1.0, LONGEST_STEP / max(float(np.max(np.abs(d), initial=0.0)), LONGEST_STEP)))
 
-    def stride(self, iteration: int, direction: Array, answer: dict[str, Array], scale: float) -> Array:
-        """Return Adam's step, or minus the restoration step, which is not scaled: a part of it would never help."""
-        return -answer["normal"] if "normal" in answer else super().stride(iteration, direction, answer, scale)
-
-    def direction(self, iteration: int, grad: Array, memory: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
-        """Return Adam's direction, and the whole memory."""
-        step, moments = super().direction(iteration, grad, memory)
-        return step, memory | moments
-
     def update_memory(self, iteration: int, answer: dict[str, Array], memory: dict[str, Array]) -> dict[str, Array]:
         """Return the memory after an evaluation; every `inner` iterations with new multipliers and penalty."""
+        method = self.method
         memory = memory | {
             "best": np.array(min(tuple(memory["best"]), tuple(answer["rank"]))),
             "restoring": np.array(self._remaining_steps(memory, float(answer["violation"]))),
             "last": answer["violation"],
         }
-        if iteration == 0 or iteration % self.inner:
+        if iteration == 0 or iteration % method.inner:
             return memory
         rho = memory["penalty"]
-        if answer["violation"] > max(self.constraint_tolerance, self.enough * memory["violation"]):
-            rho = np.minimum(self.growth * rho, self.penalty_limit)
+        if answer["violation"] > max(method.constraint_tolerance, method.enough * memory["violation"]):
+            rho = np.minimum(method.growth * rho, method.penalty_limit)
         return memory | {
             "multipliers": answer["w"], "penalty": rho, "violation": answer["violation"],
             # one more, because the step to the next point is still Adam's and counts as one that does not help
-            "restoring": np.array(self.restoring + (self.restoring > 0)),
+            "restoring": np.array(method.restoring + (method.restoring > 0)),
         }  # fmt: skip
 
     def _remaining_steps(self, memory: dict[str, Array], excess: float) -> int:
         """Return how many restoration steps that do not help may still follow."""
-        if excess <= self.constraint_tolerance:
+        if excess <= self.method.constraint_tolerance:
             return 0
         return max(0, int(memory["restoring"]) - (excess > HELPFUL * float(memory["last"])))
+
+    def step(self, usual: Array, answer: dict[str, Array]) -> Array:
+        """Return Adam's step, or minus the restoration step, which is not scaled: a part of it would never help."""
+        return -answer["normal"] if "normal" in answer else usual
 
     def better(self, state: DescentState, answer: dict[str, Array]) -> bool:
         """Return whether an evaluation is the best so far: least violation first, then lowest loss."""
         return tuple(answer["rank"]) < tuple(state.memory["best"])
 
-    def history_columns(self, problem: Problem, x: Array, answer: dict[str, Array]) -> dict[str, float]:
+    def history_columns(self, x: Array, answer: dict[str, Array]) -> dict[str, float]:
         """Return the terms and the columns of the constraints, with the weights as multipliers."""
-        optimality = Kkt(answer["w"], projected_norm(problem, x, answer["g"]))
-        return terms_of(problem, answer["terms"]) | columns_of(_with_constraints(problem), answer["c"], optimality)
+        optimality = Kkt(answer["w"], projected_norm(self.problem, x, answer["g"]))
+        return terms_of(self.problem, answer["terms"]) | columns_of(self.problem, answer["c"], optimality)
 
-    def _converged(self, state: DescentState, problem: Problem) -> bool:
-        """Return whether the last point, not only the best one, meets the constraints, and the gradient vanishes."""
-        return float(state.memory["last"]) <= self.constraint_tolerance and super()._converged(state, problem)
+    def may_converge(self, memory: dict[str, Array]) -> bool:
+        """Return whether the last point, not only the best one, meets the constraints."""
+        return float(memory["last"]) <= self.method.constraint_tolerance
 
-
-def _with_constraints(problem: Problem) -> ConstrainedProblem:
-    """Return a problem that `require` has checked as one with constraints."""
-    return cast(ConstrainedProblem, problem)
+    def concluded(self, outcome: Outcome) -> Outcome:
+        """Return the outcome, with status `infeasible` and a message if its point violates constraints."""
+        if outcome.status in ("failed", "stopped"):
+            return outcome
+        problem, tolerance = self.problem, self.method.constraint_tolerance
+        _, c = problem.values_and_constraints(outcome.x)
+        if most_violated(c, problem.c_low, problem.c_high) <= tolerance:
+            return outcome
+        return infeasible(problem, outcome, c, tolerance)

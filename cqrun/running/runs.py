@@ -13,6 +13,7 @@ import yaml
 
 from cqrun.build.model import Built, build
 from cqrun.errors import InfeasibleError, Problem, RunError, SceneError, UsageError
+from cqrun.optimizers.base import Optimizer
 from cqrun.optimizers.constrained import VIOLATION
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter
@@ -33,6 +34,14 @@ def build_and_warn(scene: Scene, talk: Reporter) -> Built:
     for warning in built.warnings:
         talk.warn(str(warning))
     return built
+
+
+def optimizer_of(scene: Scene) -> Optimizer:
+    """Return a scene's optimizer, which a job has chosen where the scene names none."""
+    assert scene.optimizer is not None
+    optimizer = scene.optimizer.value
+    assert isinstance(optimizer, Optimizer)
+    return optimizer
 
 
 def open_run(
@@ -179,13 +188,14 @@ def refuse_overrides(run: RunDirectory, overrides: Sequence[str]) -> None:
         )
 
 
-def raise_if_failed(run: RunDirectory) -> Path:
-    """Return the run's path, or raise the error that it ended with."""
-    if run.status == "infeasible":
-        raise InfeasibleError(run.path, run.record["reason"])
-    if run.status == "failed":
-        raise RunError(f"{run.path}: {run.record['reason']}")
-    return run.path
+def raise_if_failed(run: Path) -> Path:
+    """Return the directory of a run, or raise the error that it ended with."""
+    record = read_record(run)
+    if record["status"] == "infeasible":
+        raise InfeasibleError(run, record["reason"])
+    if record["status"] == "failed":
+        raise RunError(f"{run}: {record['reason']}")
+    return run
 
 
 def require_extension(run: RunDirectory, overrides: Sequence[str]) -> None:

@@ -18,6 +18,7 @@ from cqrun.scene.data import Unknown
 from cqrun.scene.paths import canonical
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import body_of, start
+from cqrun.store.result import Value
 
 RESOLUTION = 4
 """Number of cells of a field along the longest edge of its body, if the unknown gives no resolution."""
@@ -33,13 +34,13 @@ def blocks_of(scene: Scene, particles: Particles) -> tuple[Block, ...]:
     return tuple(_block(scene, particles, path, unknown) for path, unknown in scene.unknowns.items())
 
 
-def values_found(scene: Scene, particles: Particles, entries: Mapping[str, Any]) -> dict[str, Array]:
+def values_found(scene: Scene, particles: Particles, found: Mapping[str, Value]) -> dict[str, Array]:
     """Return the values of the unknowns in a result, and of the values tied to them, by path.
 
     Args:
-        entries: `unknowns` of a result: path -> an entry with `value`.
+        found: by path, as `values_in` has them.
     """
-    values = {path: np.array(entry["value"], float) for path, entry in entries.items()}
+    values = {path: np.array(value, float) for path, value in found.items()}
     blocks = [block for block in blocks_of(scene, particles) if block.path in values]
     return values | {f.path: f.of(values[b.path]) for b in blocks for f in b.followers}
 

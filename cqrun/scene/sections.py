@@ -20,15 +20,16 @@ from cqrun.scene.world_and_time import Time, World
 if TYPE_CHECKING:
     from cqrun.measurements.measurement import Measurement
 
+JobName = Literal["simulate", "sysid", "control", "codesign", "gradcheck"]
+"""What can be run of a scene; jobs/table.py has what each does."""
+
 
 class Sections(Spec):
     """The sections of a scene, each validated alone."""
 
     cqrun: Literal[1] = Field(description="Version of the scene format")
     title: str = Field(description="One line that describes the scene", default="")
-    job: Literal["simulate", "sysid", "control", "codesign", "gradcheck"] | None = Field(
-        description="Command that the scene is made for", default=None
-    )
+    job: JobName | None = Field(description="Command that the scene is made for", default=None)
     plugins: list[str] = Field(
         description="Python files with your own plug-ins, beside the scene; run only with --allow-plugins",
         default_factory=list,

@@ -204,10 +204,6 @@ class RunDirectory:
             return _hash_of(self.resolved) in self.record["scenes"]
         return _digest(self.record["job"], self.resolved, self.record["files"]) == self.path.name
 
-    def write_result(self, result: Mapping[str, Any]) -> None:
-        """Write result.json."""
-        write_json(self.path / "result.json", dict(result))
-
     def log(self, text: str) -> None:
         """Append a line to log.txt."""
         path = self.path / "log.txt"

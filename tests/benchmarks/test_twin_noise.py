@@ -7,13 +7,12 @@ all three are found within twice that share, Poisson's ratio the least well.
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
 import cqrun
 from cqrun.jobs.sysid import run_sysid
+from cqrun.store.result import SysidResult, require_result
 
 TRUTH = {"youngs_modulus": 4.0e4, "poissons_ratio": 0.3, "density": 1000.0}
 TWIN = """
@@ -53,11 +52,11 @@ def test_modulus_ratio_and_density_are_found(percent, error, tmp_path):
     scene = tmp_path / "twin.yaml"
     scene.write_text(text.replace("NOISE", repr(percent / 100 * moved)))
     run = run_sysid(scene, (), tmp_path / "out", threads=1)
-    found = json.loads((run / "result.json").read_text())
-    assert found["status"] == "converged"
+    found = require_result(run, SysidResult)
+    assert found.status == "converged"
     for name, value in TRUTH.items():
-        entry = found["unknowns"][PATHS[name]]
-        assert entry["value"] == pytest.approx(value, rel=error), name
+        entry = found.unknowns[PATHS[name]]
+        assert entry.value == pytest.approx(value, rel=error), name
         if percent:
-            low, high = entry["interval"]
+            low, high = entry.interval
             assert low <= value <= high, name

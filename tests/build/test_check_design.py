@@ -14,7 +14,7 @@ from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.fitting.cases import make_cases
 from cqrun.jobs.gradcheck import run_gradcheck
-from cqrun.jobs.report import report_lines
+from cqrun.jobs.table import report_lines
 from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
 

@@ -82,7 +82,9 @@ def history(rows: int, unknowns: dict[str, Array | None]) -> dict[str, Array]:
 
 
 def write_result(run: Path, unknowns: dict[str, dict], recordings: dict | None) -> None:
-    result = {"job": "sysid", "status": "converged", "unknowns": unknowns, "recordings": recordings}
+    result = {"job": "sysid", "status": "converged", "message": "", "loss": None, "iterations": 5}
+    result["unknowns"] = {path: {"initial": entry["value"], **entry} for path, entry in unknowns.items()}
+    result["recordings"] = recordings and {name: {"rmse_mm": None, **entry} for name, entry in recordings.items()}
     (run / "result.json").write_text(json.dumps(result))
 
 

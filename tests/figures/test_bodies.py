@@ -141,8 +141,8 @@ def test_a_body_that_does_not_move_is_drawn(tmp_path):
 def test_a_wanted_place_is_marked(tmp_path):
     objective = {"there": {"track": {"body": "b", "keys": [[0.4, 0.1, 0.05]]}}}
     path = write_run(tmp_path, plane_scene({}, data=None, objective=objective), status="converged")
-    told = {"goals": {}, "courses": {"there": [[0.1, 0.05]]}}
-    write_trajectory(path, np.array([[[0.02, 0.02], [0.12, 0.06]]]), np.array([0.0]), told=told)
+    provenance = {"goals": {}, "courses": {"there": [[0.1, 0.05]]}}
+    write_trajectory(path, np.array([[[0.02, 0.02], [0.12, 0.06]]]), np.array([0.0]), provenance=provenance)
     with styled():
         axes = draw_bodies(read_run(path)).axes[0]
     np.testing.assert_allclose(axes.lines[0].get_xydata(), [[100, 50]])

@@ -146,9 +146,15 @@ def test_terms_that_the_optimizer_does_not_report_are_omitted(tmp_path):
 def test_an_ablation_is_drawn_if_the_optimizer_reports_no_terms(tmp_path):
     run = make_control_run(tmp_path, "a" * 12, seed=0, far=np.full(3, np.nan))
     value = {"mean": 0.5, "low": 0.4, "high": 0.6}
-    variants = {"control": {"runs": [str(run.path)], "terms": {"far": value}, "gain": None}}
+    variants = {
+        "control": {
+            "free": [], "runs": [str(run.path)], "failed": {}, "feasible": None, "terms": {"far": value},
+            "constraints": {}, "gain": None, "rate": None,
+        }
+    }  # fmt: skip
     path = tmp_path / "ablation-1.json"
-    path.write_text(json.dumps({"compared": "far", "confidence": 0.9, "variants": variants}))
+    facts = {"scene": "biped", "confidence": 0.9, "compared": "far", "better": "greater", "effects": {}}
+    path.write_text(json.dumps(facts | {"variants": variants}))
     assert draw_ablation(path) == [tmp_path / "ablation-1.png"]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from cqrun.figures.design import designed_quantities, draw_design, draw_shape, h
 from cqrun.figures.draw import draw_run
 from cqrun.figures.render import RenderOptions, render
 from cqrun.figures.run_data import read_run
-from cqrun.jobs.control import run_control
+from cqrun.jobs.control import run_codesign
 from cqrun.running.reporter import Silent
 
 E, RHO = (f"bodies.finger.material.{name}" for name in ("elastic.fixed_corotated.youngs_modulus", "density"))
@@ -29,7 +30,7 @@ def run(tmp_path_factory):
     unknowns = f"unknowns:\n  {E}: {{bounds: [5, 20], per: particle}}\n  {RHO}: {{bounds: [0.5, 2]}}\n"
     path.write_text(FINGER.replace("job: control", "job: codesign") + unknowns)
     changed(path, "duration: 0.1", "duration: 0.04")
-    return run_control(path, [], path.parent / "out", threads=1, job="codesign")
+    return run_codesign(path, [], path.parent / "out", threads=1)
 
 
 def test_quantities_that_vary_between_particles_are_shown(run):
@@ -42,10 +43,8 @@ def test_a_body_that_is_not_designed_has_no_colour(run, tmp_path):
     """Otherwise its other stiffness would stretch the colour range, and the designed body would look uniform."""
     ball = "{shape: {box: {corner: [0.7, 0.2], size: [0.1, 0.1]}}, particles_per_cell: 4, material: {density: 1, "
     ball += "elastic: {fixed_corotated: {youngs_modulus: 100, poissons_ratio: 0.3}}}}"
-    both = run_control(
-        run / "scene.yaml", [f"bodies.ball={ball}", "optimizer.adam.max_iterations=1"], tmp_path, threads=1,
-        job="codesign",
-    )  # fmt: skip
+    more = [f"bodies.ball={ball}", "optimizer.adam.max_iterations=1"]
+    both = run_codesign(run / "scene.yaml", more, tmp_path, threads=1)
     data = read_run(both)
     values = designed_quantities(data)["stiffness"]
     assert np.isnan(values).sum() == 4
@@ -74,7 +73,7 @@ def test_a_new_shape_is_drawn_next_to_the_old_one(run, tmp_path):
     unknown = f"unknowns:\n  {size}: {{bounds: [0.6, 1.0], initial: 0.8}}\n"
     path.write_text(FINGER.replace("job: control", "job: codesign") + unknown)
     changed(path, "duration: 0.1", "duration: 0.04")
-    shaped = run_control(path, [], tmp_path / "out", threads=1, job="codesign")
+    shaped = run_codesign(path, [], tmp_path / "out", threads=1)
     data = read_run(shaped)
     assert designed_quantities(data) == {}
     assert (has_new_shape(data), has_new_shape(read_run(run))) == (True, False)
@@ -90,17 +89,18 @@ def test_a_new_shape_is_drawn_next_to_the_old_one(run, tmp_path):
 
 
 def test_a_control_run_has_no_design(run, tmp_path):
-    record = json.loads((run / "run.json").read_text())
-    (run / "run.json").write_text(json.dumps(record | {"job": "control"}))
-    assert designed_quantities(read_run(run)) == {}
-    (run / "run.json").write_text(json.dumps(record))
+    copy = tmp_path / "run"
+    shutil.copytree(run, copy, ignore=shutil.ignore_patterns("figures"))
+    record = json.loads((copy / "run.json").read_text())
+    (copy / "run.json").write_text(json.dumps(record | {"job": "control"}))
+    assert {path.stem for path in draw_run(copy)} == {"convergence", "bodies", "overview"}
 
 
 def test_the_weights_of_a_muscle_are_shown(tmp_path):
     path, weight = tmp_path / "finger.yaml", "actuators.muscle.muscle.weight"
     unknown = f"unknowns:\n  {weight}: {{bounds: [0, 1], initial: 0.5, per: particle}}\n"
     path.write_text(FINGER.replace("job: control", "job: codesign") + unknown)
-    run = run_control(path, [], tmp_path / "out", threads=1, job="codesign")
+    run = run_codesign(path, [], tmp_path / "out", threads=1)
     (shown,) = (data := designed_quantities(read_run(run))).values()
     assert list(data) == ["weight"]
     tip = sample(read_run(run).scene).groups("finger")["tip"]
@@ -123,7 +123,7 @@ def test_muscle_weights_per_group_are_learned_and_drawn(tmp_path):
     _, gradient, _ = problem.value_and_grad(problem.params)
     groups = len(problem.scene.bodies["finger"].group_names)
     assert gradient[weight].shape == problem.params[weight].shape == (groups,)
-    run = run_control(path, [], tmp_path / "out", threads=1, job="codesign")
+    run = run_codesign(path, [], tmp_path / "out", threads=1)
     (curve,) = unknown_curves(read_run(run))
     assert curve.names == problem.scene.bodies["finger"].group_names
     assert draw_run(run)

@@ -11,7 +11,7 @@ from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.fitting.cases import given_cases
 from cqrun.fitting.problem import FitProblem
-from cqrun.jobs.sysid import prepare
+from cqrun.jobs.sysid import SYSID
 from cqrun.running.reporter import Silent
 from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
@@ -66,4 +66,4 @@ def test_what_is_no_distance_of_a_motion_is_refused(term, message):
 def test_least_squares_are_for_data():
     scene = load_scene(f"{BEAM}objective: {{there: {THERE}}}\n{UNKNOWNS}optimizer: {{least_squares: {{}}}}\n")
     with pytest.raises(SceneError, match=r"least_squares: fits data by least squares; for an objective take lbfgs"):
-        prepare(scene, Silent())
+        SYSID.prepare(scene, 1, Silent())

@@ -13,11 +13,9 @@ from cqrun.build.model import build
 from cqrun.engine import forward_run
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RunError, SceneError, Stopped, UsageError
-from cqrun.jobs import bench as blocks
-from cqrun.jobs import bench_scene
-from cqrun.jobs.bench import excerpt_of_block, run_bench
-from cqrun.jobs.bench_scene import excerpt_of, run_bench_scene, shares
-from cqrun.jobs.simulate import make_agent
+from cqrun.jobs import bench
+from cqrun.jobs.bench import excerpt_of, excerpt_of_block, run_bench, run_bench_scene, shares
+from cqrun.learning.acting import make_agent
 from cqrun.running.reporter import Silent
 from cqrun.scene.load import load_scene
 
@@ -41,9 +39,8 @@ PULLED = PUSHED.replace(
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
     """Measure each pass twice."""
-    for module in (blocks, bench_scene):
-        monkeypatch.setattr(module, "REPEAT", 1)
-    monkeypatch.setattr(blocks, "COPIED", 1 << 20)
+    monkeypatch.setattr(bench, "REPEAT", 1)
+    monkeypatch.setattr(bench, "COPIED", 1 << 20)
 
 
 @pytest.mark.parametrize(
@@ -101,8 +98,8 @@ def test_what_is_measured_is_the_scenes_own_rollout(text):
 
 
 def test_blocks(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(blocks, "SIZES", ((2, 6),))
-    monkeypatch.setattr(blocks, "CORNERS_LIMIT", 4)
+    monkeypatch.setattr(bench, "SIZES", ((2, 6),))
+    monkeypatch.setattr(bench, "CORNERS_LIMIT", 4)
     output = tmp_path / "bench.json"
     told = run_bench(output, threads=1)
     assert json.loads(output.read_text()) == told

@@ -14,10 +14,10 @@ from cqrun.build.model import build
 from cqrun.cli.results import infeasible_shown
 from cqrun.design.spread import mirrored
 from cqrun.errors import InfeasibleError, RunError, SceneError, UsageError
-from cqrun.jobs.control import prepare, run_control
-from cqrun.jobs.report import report_lines
+from cqrun.jobs.control import CODESIGN, CONTROL, run_codesign, run_control
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.simulate import run_simulate
+from cqrun.jobs.table import report_lines
 from cqrun.jobs.validate import validate
 from cqrun.running.reporter import Silent
 from cqrun.scene.load import load_scene
@@ -42,7 +42,7 @@ def finger(tmp_path):
 @pytest.fixture(scope="module")
 def problem():
     """Return its problem, with constraints on the motion and on the design."""
-    return prepare(load_scene(DESIGN, MORE), 1, Silent(), "codesign")
+    return CODESIGN.prepare(load_scene(DESIGN, MORE), 1, Silent())
 
 
 @pytest.fixture
@@ -52,8 +52,8 @@ def somewhere(problem, rng):
     return np.clip(x, problem.lower + 0.05, problem.upper - 0.05), rng.standard_normal(x.shape)
 
 
-def learn(scene, out, *overrides, job="codesign"):
-    return run_control(scene, overrides, out, threads=1, job=job)
+def learn(scene, out, *overrides, job=CODESIGN):
+    return job.run(scene, overrides, out, threads=1)
 
 
 # --- gradients ----------------------------------------------------------------------------------------------------
@@ -132,7 +132,7 @@ def test_a_replay_tells_what_becomes_of_the_constraints(finger, tmp_path):
 
 def test_constraints_alone_are_something_to_learn(finger, tmp_path):
     listener = Listener()
-    run = run_control(finger, ["objective=null"], tmp_path, threads=1, job="codesign", reporter=listener)
+    run = run_codesign(finger, ["objective=null"], tmp_path, threads=1, reporter=listener)
     assert result_of(run)["constraints"]["tip"]["violation"] <= 1e-8
     assert not [line for line in listener.said if "nothing was learned" in line]
 
@@ -277,7 +277,7 @@ def test_neither_objective_nor_constraints_may_look_at_the_motion(finger, tmp_pa
 
 
 def test_control_honours_constraints_too(finger, tmp_path):
-    run = learn(finger, tmp_path, f"unknowns.{STIFFNESS}=null", job="control")
+    run = learn(finger, tmp_path, f"unknowns.{STIFFNESS}=null", job=CONTROL)
     assert result_of(run)["job"] == "control"
     assert result_of(run)["constraints"]["tip"]["violation"] <= 1e-8
 

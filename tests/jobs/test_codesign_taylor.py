@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_finger import DESIGN
 
-from cqrun.jobs.control import prepare
+from cqrun.jobs.control import CODESIGN
 from cqrun.running.reporter import Silent
 from cqrun.scene.load import load_scene
 
@@ -47,7 +47,7 @@ STEPS = 0.004 * 0.5 ** np.arange(4)
 @pytest.mark.parametrize("kind", UNKNOWNS)
 def test_remainders_are_of_second_order(kind, rng):
     more = [] if kind == "a stiffness a particle" else ["unknowns={}", UNKNOWNS[kind]]
-    problem = prepare(load_scene(DESIGN, [*OTHERS, *more]), 1, Silent(), "codesign")
+    problem = CODESIGN.prepare(load_scene(DESIGN, [*OTHERS, *more]), 1, Silent())
     here = problem.start + 0.05 * rng.standard_normal(problem.start.shape)
     x, way = np.clip(here, problem.lower + 0.1, problem.upper - 0.1), rng.standard_normal(here.shape)
     f, g, c, J = problem.gradients_and_constraints(x)

@@ -14,8 +14,8 @@ from cqrun.controllers.saved import read_controller
 from cqrun.errors import RolloutError, RunError, SceneError, Stopped, UsageError
 from cqrun.figures.draw import draw_run
 from cqrun.jobs.control import run_control
-from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
+from cqrun.jobs.table import report_lines
 from cqrun.learning.episodes import EpisodeProblem
 from cqrun.running.runs import EXTENDED
 from cqrun.store.history import read_history

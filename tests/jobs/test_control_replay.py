@@ -15,12 +15,13 @@ from cqrun.build.model import build
 from cqrun.controllers.saved import read_controller, save_controller
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.figures.render import RenderOptions, render
-from cqrun.jobs.control import Keeping, run_control
+from cqrun.jobs.control import run_control
 from cqrun.jobs.export import designed
-from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.simulate import UNTRAINED, run_simulate
+from cqrun.jobs.table import report_lines
 from cqrun.learning.agent import Agent
+from cqrun.learning.keeping import Keeping
 from cqrun.running.reporter import Silent
 from cqrun.running.runs import open_run, scene_in
 from cqrun.scene.load import load_scene

@@ -16,13 +16,13 @@ from cqrun.build.model import build
 from cqrun.errors import MissingExtra, Stopped, UsageError
 from cqrun.figures.colours import material_of
 from cqrun.figures.run_data import read_run
-from cqrun.jobs.bodies import point
-from cqrun.jobs.control import run_control
+from cqrun.jobs.control import run_codesign, run_control
 from cqrun.jobs.export import _outline, _surface, designed, export_design, table
-from cqrun.jobs.report import number
 from cqrun.jobs.simulate import run_simulate
 from cqrun.learning.agent import FILE
 from cqrun.learning.replay import learned_in
+from cqrun.running.bodies import point
+from cqrun.running.tables import number
 from cqrun.scene.load import load_scene
 
 E = "bodies.finger.material.elastic.fixed_corotated.youngs_modulus"
@@ -47,7 +47,7 @@ def scene(tmp_path_factory):
 @pytest.fixture(scope="module")
 def run(scene):
     """Return a run of the scene."""
-    return run_control(scene, [], scene.parent / "out", threads=1, job="codesign")
+    return run_codesign(scene, [], scene.parent / "out", threads=1)
 
 
 def test_the_table_has_the_designed_body(run, tmp_path):
@@ -71,7 +71,7 @@ def test_the_table_has_the_designed_body(run, tmp_path):
 
 def test_the_best_design_so_far_of_a_run_that_was_stopped(scene, tmp_path):
     with pytest.raises(Stopped):
-        run_control(scene, [], tmp_path, threads=1, job="codesign", reporter=Listener(stop_after=2))
+        run_codesign(scene, [], tmp_path, threads=1, reporter=Listener(stop_after=2))
     (stopped,) = (tmp_path / "finger").iterdir()
     listener = Listener()
     table, *_ = export_design(stopped, tmp_path / "design", listener)
@@ -82,7 +82,7 @@ def test_the_best_design_so_far_of_a_run_that_was_stopped(scene, tmp_path):
     best = learned_in(stopped / FILE)
     assert stiffness == best[E].tolist()
     assert np.ptp(stiffness) > 0
-    ended = run_control(scene, [], tmp_path, threads=1, job="codesign")
+    ended = run_codesign(scene, [], tmp_path, threads=1)
     assert result_of(ended)["unknowns"][E]["value"] != stiffness
 
 

@@ -10,11 +10,12 @@ from small_beam import E_PATH, SHEAR_PATH, Listener, changed, record, recorded
 
 from cqrun.design.params import Params
 from cqrun.errors import RunError, SceneError, Stopped, UsageError
-from cqrun.jobs import gradcheck
-from cqrun.jobs.checked_losses import Loss
-from cqrun.jobs.gradcheck import ALL, STEPS, SUMMARY, TOO_ROUGH, check_direction, extrapolated, plateau, run_gradcheck
-from cqrun.jobs.report import report_lines
+from cqrun.jobs.gradcheck import ALL, SUMMARY, run_gradcheck
 from cqrun.jobs.resume import run_resume
+from cqrun.jobs.table import report_lines
+from cqrun.running import finite_differences
+from cqrun.running.finite_differences import STEPS, TOO_ROUGH, check_direction, extrapolated, plateau
+from cqrun.running.state_loss import Loss
 from cqrun.store.run import read_record
 
 
@@ -149,7 +150,7 @@ def test_a_plateau_is_found_beside_rollouts_that_failed():
 
 
 def test_a_direction_whose_steps_all_fail_disagrees(fit, tmp_path, monkeypatch):
-    monkeypatch.setattr(gradcheck, "_central", lambda loss, d, h: float("nan"))
+    monkeypatch.setattr(finite_differences, "_central", lambda loss, d, h: float("nan"))
     run, agrees, found = check(fit, tmp_path)
     assert not agrees
     assert found["rows"][0]["scan"] == [None] * (len(STEPS) - 1)
@@ -158,7 +159,9 @@ def test_a_direction_whose_steps_all_fail_disagrees(fit, tmp_path, monkeypatch):
 
 def test_differences_that_are_too_rough_do_not_agree(fit, tmp_path, monkeypatch):
     """They scatter by more than they are, at every step: no adjoint could be told right by them, or wrong."""
-    monkeypatch.setattr(gradcheck, "_central", lambda loss, d, h: (-1.0) ** round(float(np.log(h) / np.log(4.0))))
+    monkeypatch.setattr(
+        finite_differences, "_central", lambda loss, d, h: (-1.0) ** round(float(np.log(h) / np.log(4.0)))
+    )
     run, agrees, found = check(fit, tmp_path)
     assert not agrees
     assert {row["verdict"] for row in found["rows"]} == {TOO_ROUGH}

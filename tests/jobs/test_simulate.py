@@ -11,10 +11,10 @@ import pytest
 from small_beam import Listener, assert_same, changed, result_of
 
 from cqrun.errors import RunError, Stopped, UsageError
-from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
+from cqrun.jobs.table import report_lines
 from cqrun.store.run import read_record
 from cqrun.store.trajectory import read_trajectory
 

@@ -13,10 +13,10 @@ from cqrun.build.model import build
 from cqrun.cli.results import draw_and_print_run
 from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.fitting.cases import make_cases
-from cqrun.jobs.report import report_lines
 from cqrun.jobs.resume import run_resume
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid, with_optimizer
+from cqrun.jobs.table import report_lines
 from cqrun.jobs.validate import validate
 from cqrun.scene.load import load_scene
 from cqrun.store.run import read_record

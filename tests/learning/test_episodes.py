@@ -12,7 +12,8 @@ from little_worlds import needs_jit
 
 from cqrun.build.model import build
 from cqrun.errors import SceneError, UsageError
-from cqrun.jobs.control import prepare
+from cqrun.jobs.control import CONTROL
+from cqrun.learning.agent import Agent
 from cqrun.learning.episodes import EpisodeProblem
 from cqrun.learning.record_memory import record_bytes
 from cqrun.optimizers.base import TrialFailed
@@ -28,7 +29,7 @@ SHIFT = 0.1
 
 def finger(*overrides: str, threads: int = 1) -> EpisodeProblem:
     """Return the finger with 108 particles and 8 control steps."""
-    return EpisodeProblem(build(load_scene(FINGER, [*SMALL, *overrides])), threads=threads)
+    return EpisodeProblem(Agent(build(load_scene(FINGER, [*SMALL, *overrides]))), threads=threads)
 
 
 def aims(problem: EpisodeProblem, batch: tuple[int, ...] | None = None) -> np.ndarray:
@@ -77,15 +78,15 @@ def test_the_loss_is_the_mean_over_episodes(rng):
 
 def test_every_term_is_evaluated_once(monkeypatch):
     problem, asked = finger(), []
-    for name, bound in problem.objective.terms.items():
+    for name, bound in problem.agent.objective.terms.items():
         monkeypatch.setattr(bound, "value", lambda track, name=name, own=bound.value: asked.append(name) or own(track))
     problem.value(problem.start)
-    assert asked == list(problem.objective.terms)
+    assert asked == list(problem.agent.objective.terms)
 
 
 def test_an_episode_that_is_done_keeps_no_grid(monkeypatch):
     problem, alive = finger(*DRAWN), []
-    rollout = problem.rollout
+    rollout = problem.agent.rollout
 
     def made(*args, **kwargs):
         assert not any(each() for each in alive), "the last one's arrays"
@@ -93,7 +94,7 @@ def test_an_episode_that_is_done_keeps_no_grid(monkeypatch):
         alive.append(weakref.ref(found))
         return found
 
-    monkeypatch.setattr(problem, "rollout", made)
+    monkeypatch.setattr(problem.agent, "rollout", made)
     problem.value_and_grad(problem.start)
     problem.value(problem.start)
     assert len(alive) == 2 * problem.n_episodes
@@ -101,8 +102,8 @@ def test_an_episode_that_is_done_keeps_no_grid(monkeypatch):
 
 def test_records_that_do_not_fit_are_refused(monkeypatch):
     scene = load_scene(FINGER, [*SMALL, "objective.whole={stretch: {body: finger}}", "optimizer={adam: {}}"])
-    problem = prepare(scene, 1, Silent())
-    need = record_bytes(problem, 1)
+    problem = CONTROL.prepare(scene, 1, Silent())
+    need = record_bytes(problem.agent, 1)
     for spare, refused in ((0, False), (-1, True)):
         memory = SimpleNamespace(available=need + spare, total=2 * need)
         with monkeypatch.context() as patch:
@@ -110,9 +111,9 @@ def test_records_that_do_not_fit_are_refused(monkeypatch):
             patch.setattr("psutil.virtual_memory", lambda memory=memory: memory)
             if refused:
                 with pytest.raises(SceneError, match=r"objective.whole: 108 of .* at 8 control steps, by 1 ep"):
-                    prepare(scene, 1, Silent())
+                    CONTROL.prepare(scene, 1, Silent())
             else:
-                prepare(scene, 1, Silent())
+                CONTROL.prepare(scene, 1, Silent())
 
 
 @needs_jit

@@ -30,8 +30,8 @@ from cqrun.fingerprint import has_kernels
 from cqrun.fitting.cases import given_cases
 from cqrun.fitting.problem import FitProblem
 from cqrun.jobs.gradcheck import run_gradcheck
-from cqrun.jobs.report import report_lines
 from cqrun.jobs.sysid import run_sysid
+from cqrun.jobs.table import report_lines
 from cqrun.jobs.validate import validate
 from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene

@@ -11,7 +11,7 @@ from toy_problems import Rosenbrock, history_rows, run_folder, solve
 from cqrun.errors import UsageError
 from cqrun.optimizers.adam import Adam
 from cqrun.optimizers.base import Optimizer, one_blas_thread
-from cqrun.optimizers.descent import HALVINGS
+from cqrun.optimizers.first_order import HALVINGS
 from cqrun.optimizers.lbfgs import Lbfgs
 from cqrun.optimizers.least_squares import LeastSquares
 from cqrun.optimizers.replayed import half_box

@@ -11,9 +11,11 @@ import pytest
 
 from cqrun.errors import RunError, Stopped, UsageError
 from cqrun.fingerprint import engine_hash
+from cqrun.store.result import SysidResult, read_result, write_result
 from cqrun.store.run import RunDirectory, RunScene, read_record
 
 ROOT = Path(__file__).parents[2]
+FOUND = SysidResult(status="converged", message="small enough", loss=1.0, iterations=3, unknowns={})
 
 
 @pytest.fixture
@@ -102,13 +104,13 @@ def test_running_again_continues_and_a_finished_run_is_recognised(scene, tmp_pat
         assert (run.status, run.finished) == ("running", False)
         run.history(["loss"])
         assert run.elapsed() >= 100.0
-        run.write_result({"loss": 1.0})
+        write_result(run.path, FOUND)
         run.finish("converged", "small enough")
     with RunDirectory.resume(run.path) as run:
         assert run.finished
         assert run.record["reason"] == "small enough"
         assert run.record["seconds"] >= 100.0
-        assert json.loads((run.path / "result.json").read_text()) == {"loss": 1.0}
+        assert read_result(run.path) == FOUND
 
 
 def test_temporary_files_of_a_killed_process_are_removed(scene, tmp_path):
@@ -136,7 +138,7 @@ def test_extending_a_finished_run_keeps_its_name(scene, tmp_path):
 def test_fresh_starts_over(scene, tmp_path):
     with start(scene, tmp_path) as run:
         run.finish("converged", "")
-        run.write_result({})
+        write_result(run.path, FOUND)
         (run.figures() / "convergence.png").write_text("")
         run.replay_log()
     with start(scene, tmp_path, fresh=True) as run:

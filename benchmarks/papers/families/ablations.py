@@ -16,8 +16,9 @@ from benchmarks.papers.families.integrity import IN_BEST, INTACT, checks, worst
 from benchmarks.papers.figure import Figure, Folders, Judgement, Size, Table, Verdict, table_of
 from benchmarks.papers.machinery.runs import Runs
 from cqrun.figures.style import COLOURS, INK, clock_ticks, new_figure, titled, whole_ticks
-from cqrun.jobs.ablate import ALL, CONTROL, effects, group_of
-from cqrun.jobs.seeds import interval
+from cqrun.jobs.studies.ablation import effects
+from cqrun.jobs.studies.seeds import interval
+from cqrun.jobs.studies.variants import ALL, CONTROL, group_of
 from cqrun.plugin.contract import Array
 from cqrun.store.run import read_record
 
@@ -137,15 +138,15 @@ class Ablation(Figure):
     def _beside_paper(self, table: Table, control: Array, everything: Array) -> dict[str, bool]:
         """Return the checks of control alone, the gain and the order, beside the paper's."""
         reach, printed = interval(control.tolist()), self.printed[0]
-        reaches = bool(max(reach["mean"] or 0.0, reach["high"] or 0.0) >= printed)
+        reaches = bool(max(reach.mean or 0.0, reach.high or 0.0) >= printed)
         gain = interval(((everything - control) / abs(control.mean())).tolist())
-        spread = f" ({_percent(gain['low'])} to {_percent(gain['high'])})" if gain["low"] is not None else ""
+        spread = f" ({_percent(gain.low)} to {_percent(gain.high)})" if gain.low is not None else ""
         seeds = _seeds(len(everything))
-        gains = f"gain of {seeds} {_percent(gain['mean'])}{spread}, paper {_percent(self.gain)}"
+        gains = f"gain of {seeds} {_percent(gain.mean)}{spread}, paper {_percent(self.gain)}"
         fewer = {f"at the paper's size: {self.particles}": False} if self.particles else {}
         return {
             f"control {control.mean():.2f} m, paper {printed:g}": reaches,
-            gains: reaches and float(gain["mean"] or 0.0) >= 0.9 * self.gain,
+            gains: reaches and float(gain.mean or 0.0) >= 0.9 * self.gain,
             **{text: reaches and agrees for text, agrees in self._order(table).items()},
             **fewer,
         }
@@ -203,6 +204,6 @@ def _percent(share: float | None) -> str:
 
 def _spread(values: Array) -> str:
     found = interval(values.tolist())
-    if found["low"] is None:
-        return f"{found['mean']:+.2f} m"
-    return f"{found['mean']:+.2f} m ({found['low']:+.2f} to {found['high']:+.2f})"
+    if found.low is None:
+        return f"{found.mean:+.2f} m"
+    return f"{found.mean:+.2f} m ({found.low:+.2f} to {found.high:+.2f})"

@@ -16,9 +16,11 @@ from typer.testing import CliRunner
 from cqrun.cli.app import app
 from cqrun.errors import RunError, SceneError, Stopped, UsageError
 from cqrun.figures.ablation import draw_ablation
-from cqrun.jobs import ablate
-from cqrun.jobs.ablate import _gain, ablation_lines, effects, group_of, run_ablation, variants_of
-from cqrun.jobs.seeds import run_seeds
+from cqrun.jobs.control import CODESIGN
+from cqrun.jobs.studies import ablation
+from cqrun.jobs.studies.ablation import _gain, ablation_lines, effects, run_ablation
+from cqrun.jobs.studies.seeds import run_seeds
+from cqrun.jobs.studies.variants import group_of, variants_of
 from cqrun.running.fleet import Member
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import get
@@ -77,8 +79,8 @@ def test_effects_and_gains_of_a_known_design(tmp_path):
     added = effects({frozenset(v.groups): np.array(values[v.name]) for v in variants})
     assert added["youngs_modulus"] == pytest.approx([3.25, 3.25])
     assert added["density"] == pytest.approx([-0.75, -0.75])  # the shift is of both sides
-    assert _gain([3.0, 5.0], [2.0, 2.0], -1.0)["mean"] == pytest.approx(1.0)  # greater is better
-    assert _gain([1.0, 1.5], [2.0, 3.0], 1.0)["mean"] == pytest.approx(0.5)  # smaller is better: still a gain
+    assert _gain([3.0, 5.0], [2.0, 2.0], -1.0).mean == pytest.approx(1.0)  # greater is better
+    assert _gain([1.0, 1.5], [2.0, 3.0], 1.0).mean == pytest.approx(0.5)  # smaller is better: still a gain
     assert _gain([1.0], [0.0], -1.0) is None
 
 
@@ -137,13 +139,14 @@ def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     assert draw_ablation(path)[0].stat().st_size > 10_000
     one, other = (Path(run) for run in variants["youngs_modulus"]["runs"])
     result = result_of(one)
-    terms = {name: value + 9.0 for name, value in result["trained"]["terms"].items()}
-    (one / "result.json").write_text(json.dumps(result | {"status": "infeasible", "trained": {"terms": terms}}))
+    trained = result["trained"]
+    trained["terms"] = {name: value + 9.0 for name, value in trained["terms"].items()}
+    (one / "result.json").write_text(json.dumps(result | {"status": "infeasible", "trained": trained}))
     members = {"youngs_modulus": [Member(run.name, run, [], 1) for run in (one, other)]}
     loaded = load_scene(scene)
     (variant,) = (v for v in variants_of(loaded) if v.name == "youngs_modulus")
-    means = ablate.summary("finger", loaded, [variant], members)["variants"]["youngs_modulus"]["terms"]
-    assert {name: mean["mean"] for name, mean in means.items()} == result_of(other)["trained"]["terms"]
+    means = ablation.summary("finger", loaded, [variant], members).variants["youngs_modulus"].terms
+    assert {name: mean.mean for name, mean in means.items()} == result_of(other)["trained"]["terms"]
 
 
 def test_that_no_run_meets_the_constraints_is_a_failure(tmp_path):
@@ -198,7 +201,7 @@ def test_what_cannot_be_compared(tmp_path, change, options, message):
 
 
 def test_seeds_of_a_codesign(tmp_path):
-    path, good = run_seeds(design(tmp_path, E), [], tmp_path / "out", threads=2, seeds=2, job="codesign")
+    path, good = run_seeds(design(tmp_path, E), [], tmp_path / "out", threads=2, seeds=2, job=CODESIGN)
     assert good
     assert len(json.loads(path.read_text())["seeds"]) == len(list(path.parent.glob("*/result.json"))) == 2
     assert {read_record(run)["job"] for run in path.parent.glob("*/")} == {"codesign"}
@@ -267,7 +270,7 @@ def test_stopped_it_says_of_how_many_seeds_it_can_compare_all(tmp_path, monkeypa
             run.failure = "not begun"
         talk.stop.ask(signal.SIGINT)
 
-    monkeypatch.setattr(ablate, "run_fleet", stopped)
+    monkeypatch.setattr(ablation, "run_fleet", stopped)
     for ended, now in ((1, ""), (5, "; with --seeds 2 it compares what there is")):
         told = rf"^{ended} of 6 runs are finished; the same command continues{now}$"
         with pytest.raises(Stopped, match=told):

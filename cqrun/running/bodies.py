@@ -8,9 +8,9 @@ import numpy as np
 
 from cqrun.build.model import Built
 from cqrun.engine.model import Inputs
-from cqrun.jobs.report import number
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter
+from cqrun.running.tables import number
 from cqrun.store.run import RunDirectory
 
 

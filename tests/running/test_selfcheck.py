@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from numba import config
 
-from cqrun.jobs import selfcheck
+from cqrun.running import selfcheck
 
 
 @pytest.mark.parametrize("n_threads", [1, 2, 3])

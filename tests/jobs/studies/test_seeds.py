@@ -16,11 +16,12 @@ from small_beam import Listener, assert_same, changed, result_of
 from small_finger import written
 
 from cqrun.errors import Stopped, UsageError
-from cqrun.jobs import seeds
 from cqrun.jobs.resume import run_resume
-from cqrun.jobs.seeds import _summary, interval, run_seeds, summary_lines
+from cqrun.jobs.studies import seeds
+from cqrun.jobs.studies.seeds import _summary, interval, run_seeds, summary_lines
 from cqrun.running.fleet import Member
 from cqrun.running.runs import EXTENDED
+from cqrun.store.study import Mean, SeedsSummary, write_study
 
 
 @pytest.fixture
@@ -35,8 +36,8 @@ def test_the_interval_is_students():
     """4 +- t_{0.95, 2} s / sqrt(3) with t = 2.919986 of the tables and s = 2."""
     found = interval([2.0, 4.0, 6.0])
     half = 2.919986 * 2.0 / np.sqrt(3.0)
-    assert [found[end] for end in ("mean", "low", "high")] == pytest.approx([4.0, 4.0 - half, 4.0 + half], rel=1e-6)
-    assert interval([3.0]) == {"mean": 3.0, "low": None, "high": None}
+    assert [found.mean, found.low, found.high] == pytest.approx([4.0, 4.0 - half, 4.0 + half], rel=1e-6)
+    assert interval([3.0]) == Mean(mean=3.0, low=None, high=None)
 
 
 def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
@@ -53,7 +54,7 @@ def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
     assert_same(run, alone)  # to the bit, also of its file of activations
     losses = [entry["trained"]["loss"] for entry in summary["seeds"].values()]
     assert losses[1] == result_of(alone)["trained"]["loss"] != losses[0]
-    assert summary["all"]["trained"]["loss"] == interval(losses)
+    assert summary["all"]["trained"]["loss"] == interval(losses).model_dump()
     assert set(summary["all"]) == {"start", "trained", "unseen"}
     assert set(summary["all"]["unseen"]) == {"tip", "effort", "loss"}
     rows = {row["seed"]: row for row in csv.DictReader(path.with_suffix(".csv").read_text().splitlines())}
@@ -67,14 +68,14 @@ def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
     # and with one that failed, or with one alone
     runs = [Member(f"seed {k}", Path(entry["run"]), [], 2) for k, entry in enumerate(summary["seeds"].values())]
     runs[0].failure = "blew up"
-    path.write_text(json.dumps(_summary("finger", runs)))
+    write_study(path, _summary("finger", runs))
     lines = summary_lines(path)
     assert lines[0].startswith("1 of 2 seeds learned")
     assert "seed 0 failed: blew up" in lines
     assert json.loads(path.read_text())["all"]["trained"]["loss"] == {"mean": losses[1], "low": None, "high": None}
     # and with one that went on for longer
     run_resume(run, ["optimizer.adam.max_iterations=3"], threads=1)
-    path.write_text(json.dumps(_summary("finger", runs)))
+    write_study(path, _summary("finger", runs))
     assert f"warning: seed 1: {EXTENDED}" in summary_lines(path)
 
 
@@ -84,33 +85,33 @@ def test_means_are_of_the_seeds_that_meet_their_constraints_if_any_does(tmp_path
         run = tmp_path / str(k)
         run.mkdir()
         stage = {"loss": loss, "terms": {"tip": loss}, "episodes": []}
-        whole = {"status": status, "iterations": 2, "start": stage, "trained": stage, "unseen": None}
-        (run / "result.json").write_text(json.dumps(whole))
+        facts = {"job": "control", "status": status, "message": "", "loss": loss, "iterations": 2, "unknowns": {}}
+        (run / "result.json").write_text(json.dumps(facts | {"start": stage, "trained": stage, "unseen": None}))
         (run / "run.json").write_text(json.dumps({"status": status, "seconds": 1.0}))
         made.append(Member(f"seed {k}", run, [], 2, failure=None if status == "converged" else "its constraints"))
     path, found = tmp_path / "summary.json", {}
     for name, some in (("mixed", made), ("infeasible", made[:1])):
         found[name] = _summary("finger", some)
-        path.write_text(json.dumps(found[name]))
+        write_study(path, found[name])
         lines = summary_lines(path)
         assert lines[0].startswith({"mixed": "2 of 3", "infeasible": "0 of 1 seeds meet"}[name])
         assert "seed 0 does not meet its constraints" in lines
-    assert found["mixed"]["all"]["trained"]["loss"] == interval([4.0, 6.0])
-    assert found["mixed"]["seeds"][0]["trained"] == {"tip": 1.0, "loss": 1.0}
-    assert found["infeasible"]["all"]["trained"]["loss"] == interval([1.0])
+    assert found["mixed"].all["trained"]["loss"] == interval([4.0, 6.0])
+    assert found["mixed"].seeds["0"].trained == {"tip": 1.0, "loss": 1.0}
+    assert found["infeasible"].all["trained"]["loss"] == interval([1.0])
 
 
 def test_seeds_that_change_nothing_are_told(tmp_path):
     same = {"mean": 2.0, "low": 2.0, "high": 2.0}
     seeds = {k: {"run": f"results/finger/{k}", "status": "converged"} for k in range(2)}
     path = tmp_path / "summary.json"
-    path.write_text(json.dumps({"confidence": 0.9, "seeds": seeds, "all": {"trained": {"loss": same}}}))
+    path.write_text(json.dumps({"scene": "s", "confidence": 0.9, "seeds": seeds, "all": {"trained": {"loss": same}}}))
     assert "note: every seed found the same: nothing in this scene is drawn from its seed" in summary_lines(path)
 
 
 def test_seeds_that_will_change_nothing_are_warned_of(finger, tmp_path, monkeypatch):
     monkeypatch.setattr(seeds, "run_fleet", lambda *rest: None)
-    monkeypatch.setattr(seeds, "_summary", lambda stem, all_of_them: {"seeds": {}, "all": {}})
+    monkeypatch.setattr(seeds, "_summary", lambda *rest: SeedsSummary(scene="s", confidence=0.9, seeds={}, all={}))
     warned = {}
     for controller, optimizer in itertools.product(
         ["{}", "{noise: 0.1}"], ["adam: {}", "adam: {mask: 0.2}", "cma_es: {}", "lbfgs: {}"]
@@ -137,7 +138,7 @@ def test_a_stopped_command_says_how_to_go_on(finger, tmp_path, monkeypatch):
 def test_permission_and_fresh_are_handed_on(finger, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(seeds, "run_fleet", lambda runs, at_once, *rest: asked.append((runs[2].command, at_once)))
-    monkeypatch.setattr(seeds, "_summary", lambda stem, all_of_them: {"seeds": {}, "all": {}})
+    monkeypatch.setattr(seeds, "_summary", lambda *rest: SeedsSummary(scene="s", confidence=0.9, seeds={}, all={}))
     run_seeds(finger, ["time.duration=0.05"], tmp_path, fresh=True, threads=4, seeds=3, jobs=2, allow_plugins=True)
     command, at_once = asked[0]
     assert at_once == 2

@@ -1,8 +1,8 @@
-"""What `cqrun gradcheck` differentiates: the loss of a fit or of an episode, or a function of the final state."""
+"""What `cqrun gradcheck` differentiates, and the loss of a scene that has none: a function of the final state."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,12 +11,7 @@ from cqrun.build.model import Built
 from cqrun.design.params import Block, Params
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
-from cqrun.fitting.case import Case
-from cqrun.fitting.problem import FitProblem
-from cqrun.learning.agent import Attempt, Mix
-from cqrun.learning.episodes import EpisodeProblem
 from cqrun.plugin.contract import Array
-from cqrun.running.unknowns import make_params
 from cqrun.scene.paths import canonical, leaf, leaves
 from cqrun.state import MOTION, State
 
@@ -46,55 +41,6 @@ class Loss:
     value: Callable[[Array], float]
     value_and_grad: Callable[[Array], tuple[float, Array]]
     scale: float
-
-
-def fit_loss(built: Built, cases: Sequence[Case], threads: int) -> Loss:
-    """Return the loss that `cqrun sysid` minimises, at the scene's start."""
-    params = make_params(built)
-    problem = FitProblem(cases, params, threads=threads)
-
-    def value(x: Array) -> float:
-        r = problem.residuals(x)
-        return 0.5 * float(r @ r)
-
-    x = np.clip(params.start, INSIDE, 1.0 - INSIDE)
-    moved = "" if np.array_equal(x, params.start) else ", a little inside the bounds"
-    words = f"the fit's loss, in units of {problem.unit_text}{moved},"
-    return Loss(words, params, x, value, problem.value_and_grad, 0.0)
-
-
-def episode_loss(problem: EpisodeProblem) -> Loss:
-    """Return the first episode's loss plus its constraints, by the controller's parameters and the unknowns.
-
-    They are at their start, and every constraint is counted in its scale.
-    """
-    lower, upper = problem.params.bounds
-    bounded = np.isfinite(lower) & np.isfinite(upper)
-    inset = INSIDE * np.where(bounded, upper, 0.0) - INSIDE * np.where(bounded, lower, 0.0)
-    x = np.clip(problem.params.start, lower + inset, upper - inset)
-    goals, budget = problem.goals(None)[0], problem.model.memory_budget
-
-    mix = Mix(1.0, dict(zip(problem.constraint_names, 1.0 / problem.scales, strict=True)))
-
-    def total(attempt: Attempt) -> float:
-        return attempt.loss + sum(factor * attempt.held[name] for name, factor in mix.constraints.items())
-
-    def value(x: Array) -> float:
-        return total(problem.attempt(problem.values(x), goals, problem.threads))
-
-    def value_and_grad(x: Array) -> tuple[float, Array]:
-        attempt, (gradient,) = problem.attempt_with_gradients(
-            problem.values(x), goals, problem.threads, budget, lambda attempt: [mix]
-        )
-        return total(attempt), problem.params.gradient(x, gradient)
-
-    first = problem.attempt(problem.values(x), goals, problem.threads)
-    parts = [problem.objective.factors.get(name, 1.0) * value for name, value in first.terms.items()]
-    parts += [factor * first.held[name] for name, factor in mix.constraints.items()]
-    scale = sum(map(abs, parts))
-    moved = "" if np.array_equal(x, problem.params.start) else ", a little inside the bounds"
-    words = "the first episode's loss" + (" and constraints" if mix.constraints else "")
-    return Loss(f"{words}{moved}", problem.params, x, value, value_and_grad, float(scale))
 
 
 def state_loss(built: Built, threads: int) -> Loss:

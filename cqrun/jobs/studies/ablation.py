@@ -18,20 +18,16 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from cqrun.build.check_design import differ
-from cqrun.errors import RunError, UsageError
+from cqrun.errors import RunError
 from cqrun.explain import listed
-from cqrun.jobs.control import optimizer_of, prepare
-from cqrun.jobs.report import table
-from cqrun.jobs.seeds import (
+from cqrun.jobs import control
+from cqrun.jobs.studies.seeds import (
     CONFIDENCE,
     INFEASIBLE,
     command_of,
@@ -43,40 +39,24 @@ from cqrun.jobs.seeds import (
     shown,
     warn_if_alike,
 )
+from cqrun.jobs.studies.variants import CONTROL, Variant, rate_overrides, variants_of
 from cqrun.optimizers.constrained import ranked
 from cqrun.plugin.contract import Array
 from cqrun.running.fleet import Member, run_fleet
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter, Silent
+from cqrun.running.runs import optimizer_of
+from cqrun.running.tables import table
 from cqrun.running.threads import cores
 from cqrun.scene.load import load_scene
-from cqrun.scene.paths import canonical, leaf, shapes_a_body
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import start, tied
-from cqrun.store.atomic import make_directory, write_json, write_table
+from cqrun.store.atomic import write_table
+from cqrun.store.result import LearnedResult, Stage, require_result
 from cqrun.store.run import RECORD, RunScene, read_record
+from cqrun.store.study import Ablation, Mean, VariantRuns, read_ablation, write_study
 
-MOST_GROUPS = 3
-"""All combinations of more are too many runs: none, each alone and all are compared instead."""
-
-NOTHING: dict[str, float | None] = {"mean": None, "low": None, "high": None}
+NOTHING = Mean(mean=None, low=None, high=None)
 """What a variant is of which every run has failed."""
-
-CONTROL, ALL = "control", "all"
-
-
-@dataclass(frozen=True)
-class Variant:
-    """What is free in it: its name, the groups, and the overrides that make it of the scene."""
-
-    name: str
-    groups: tuple[str, ...]
-    overrides: tuple[str, ...]
-
-    @property
-    def job(self) -> str:
-        """Whose command runs it."""
-        return "codesign" if self.groups else "control"
 
 
 def run_ablation(
@@ -107,8 +87,8 @@ def run_ablation(
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
     scene = load_scene(source, overrides)
-    variants, tried = variants_of(scene), _rate_overrides(scene, rates)
-    whole = prepare(scene, 1, Silent(), "codesign")
+    variants, tried = variants_of(scene), rate_overrides(scene, rates)
+    whole = control.CODESIGN.prepare(scene, 1, Silent())
     warn_if_alike(whole, seeds, talk)
     # `auto` follows from the bounds of what is free: variants of other time steps would not be comparable
     same_step = [f"time.substeps={whole.built.model.substeps}"] if scene.time.substeps == "auto" else []
@@ -131,12 +111,14 @@ def run_ablation(
     _run(everyone, at_once, "runs", talk, len(variants))
     result = summary(source.stem, scene, variants, runs)
     for v in variants:
-        result["variants"][v.name] |= {"rate": (best[v.name] or "").partition("=")[2] or None}
-        if searched:
-            result["variants"][v.name]["searched"] = searched[v.name]
-    path = out / source.stem / f"ablation-{_name(inputs_of(source, scene, None, 'codesign'), rates)}-{seeds}.json"
-    make_directory(path.parent)
-    write_json(path, result)
+        result.variants[v.name].rate = (best[v.name] or "").partition("=")[2] or None
+        result.variants[v.name].searched = searched.get(v.name)
+    path = (
+        out
+        / source.stem
+        / f"ablation-{_name(inputs_of(source, scene, None, control.CODESIGN.name), rates)}-{seeds}.json"
+    )
+    write_study(path, result)
     write_table(path.with_suffix(".csv"), _table(result))
     return path, all(map(has_ended, everyone)) and not _none_is_feasible(result)
 
@@ -160,11 +142,11 @@ class _Members:
 
     def __call__(self, variant: Variant, rate: str | None, seeds: Sequence[int], fresh: bool) -> list[Member]:
         own = [*self.overrides, *variant.overrides, *([rate] if rate else [])]
-        problem = prepare(load_scene(self.source, own), 1, self.talk, variant.job)
-        compile_kernels([problem.built], self.talk, adjoint=optimizer_of(problem.built).gradients)
-        words = command_of(variant.job, self.source, self.out, self.threads, fresh, self.allow_plugins)
+        problem = variant.job.prepare(load_scene(self.source, own), 1, self.talk)
+        compile_kernels([problem.built], self.talk, adjoint=optimizer_of(problem.built.scene).gradients)
+        words = command_of(variant.job.name, self.source, self.out, self.threads, fresh, self.allow_plugins)
         scene = problem.built.scene
-        made = [member(words, self.source, scene, own, seed, self.out, variant.job) for seed in seeds]
+        made = [member(words, self.source, scene, own, seed, self.out, variant.job.name) for seed in seeds]
         for run in made:
             run.name = f"{variant.name}, {run.name}{f' with {rate}' if rate else ''}"
         return made
@@ -172,64 +154,10 @@ class _Members:
 
 def _best_rate(scene: Scene, trials: Mapping[str | None, Member]) -> tuple[str | None, dict[str, float | None]]:
     """Return the override of the rate whose trial ended best, and every rate's loss, None where it failed."""
-    found = {rate: _result(trial.run) for rate, trial in trials.items() if has_ended(trial)}
-    losses = {str(rate).partition("=")[2]: found[rate]["trained"]["loss"] if rate in found else None for rate in trials}
+    found = {rate: require_result(trial.run, LearnedResult) for rate, trial in trials.items() if has_ended(trial)}
+    losses = {str(rate).partition("=")[2]: _after(found[rate]).loss if rate in found else None for rate in trials}
     ranks = {rate: _rank(scene, result) for rate, result in found.items()}
     return min(ranks, key=ranks.__getitem__, default=next(iter(trials))), losses
-
-
-def group_of(path: str) -> str:
-    """Return the last name in an unknown's path: `size` of `bodies.arm.shape.box.size.1`."""
-    return [key for key in path.split(".") if not key.isdigit()][-1]
-
-
-def variants_of(scene: Scene) -> list[Variant]:
-    """Return the variants of a scene, control alone first and all unknowns last; UsageError without unknowns."""
-    if not scene.unknowns:
-        raise UsageError("--ablate compares unknowns of a design: this scene has no `unknowns`")
-    if not scene.objective:
-        raise UsageError("--ablate compares the first term of the objective: this scene has no `objective`")
-    paths = list(scene.unknowns)
-    for path in paths:
-        _require_same_bodies(scene, path)
-    groups = list(dict.fromkeys(group_of(canonical(scene, path)) for path in paths))
-    chosen: list[tuple[str, ...]] = [(), *((group,) for group in groups)]
-    if len(groups) <= MOST_GROUPS:
-        chosen = [free for k in range(len(groups) + 1) for free in itertools.combinations(groups, k)]
-    elif len(groups) > 1:
-        chosen.append(tuple(groups))
-    found = []
-    for free in chosen:
-        fixed = [path for path in paths if group_of(canonical(scene, path)) not in free]
-        name = CONTROL if not free else ALL if len(free) == len(groups) > 1 else " + ".join(free)
-        starts = [f"{p}={value!r}" for path in fixed for p, value in tied(scene, path, start(scene, path)).items()
-                  if differ(value, leaf(scene, p).value)]  # fmt: skip
-        found.append(Variant(name, free, (*(f"unknowns.{path}=null" for path in fixed), *starts)))
-    return found
-
-
-def _require_same_bodies(scene: Scene, path: str) -> None:
-    """Refuse an unknown whose start is another body than the scene's: kept fixed, it is of all particles in the body.
-
-    A new shape would be sampled anew; of an unknown a group, particles in no group would start elsewhere.
-    """
-    for other, value in tied(scene, path, start(scene, path)).items():
-        own, groups = leaf(scene, other).value, scene.unknowns[path].per == "group"
-        if (shapes_a_body(other) or groups) and differ(value, own):
-            would = "start otherwise in particles without a group" if groups else "be of other particles"
-            raise UsageError(
-                f"--ablate: '{other}' starts at {value:g}, but the scene has {own:g}; variants that keep it would "
-                f"{would}: give it that value in the scene, -o {other}={value:g}"
-            )
-
-
-def _rate_overrides(scene: Scene, rates: Sequence[float]) -> list[str | None]:
-    if not rates:
-        return [None]
-    if scene.optimizer is None or not hasattr(scene.optimizer.value, "learning_rate"):
-        named = "none" if scene.optimizer is None else scene.optimizer.name
-        raise UsageError(f"--rate: the scene's optimizer, {named}, has no learning_rate: leave out --rate")
-    return [f"optimizer.{scene.optimizer.name}.learning_rate={rate!r}" for rate in rates]
 
 
 def _run(members: Sequence[Member], at_once: int, what: str, talk: Reporter, of_seed: int = 0) -> None:
@@ -255,74 +183,73 @@ def _blew_up(member: Member) -> bool:
     return (member.run / RECORD).exists() and read_record(member.run)["status"] == "failed"
 
 
-def _result(run: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((run / "result.json").read_text())
-    return found
+def _after(result: LearnedResult) -> Stage:
+    """Return the episodes after the training, which a run that has ended has."""
+    assert result.trained is not None
+    return result.trained
 
 
-def _rank(scene: Scene, result: dict[str, Any]) -> tuple[float, float, float]:
+def _rank(scene: Scene, result: LearnedResult) -> tuple[float, float, float]:
     """Return what orders results, as the optimizers order points."""
     assert scene.optimizer is not None
     tolerance = getattr(scene.optimizer.value, "constraint_tolerance", 0.0)
-    held = result["constraints"].items() if result["status"] == INFEASIBLE else ()
-    excess = np.array([entry["violation"] / scene.constraints[name].scale for name, entry in held])
-    return ranked(excess, float(result["trained"]["loss"]), tolerance)
+    held = result.constraints.items() if result.status == INFEASIBLE else ()
+    excess = np.array([found.violation / scene.constraints[name].scale for name, found in held])
+    return ranked(excess, _after(result).loss, tolerance)
 
 
 # --- what they say ------------------------------------------------------------------------------------------------
 
 
-def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str, list[Member]]) -> dict[str, Any]:
+def summary(stem: str, scene: Scene, variants: Sequence[Variant], runs: dict[str, list[Member]]) -> Ablation:
     """Return every variant's terms, gains over control alone, and effects of the groups on the first term."""
-    results = {v.name: [_result(run.run) for run in runs[v.name] if has_ended(run)] for v in variants}
+    results = {
+        v.name: [require_result(run.run, LearnedResult) for run in runs[v.name] if has_ended(run)] for v in variants
+    }
     compared = next(iter(scene.objective))
     sense = scene.objective[compared].value.sense  # type: ignore[attr-defined]
-    feasible = {name: [one for one in each if one["status"] != INFEASIBLE] for name, each in results.items()}
+    feasible = {name: [one for one in each if one.status != INFEASIBLE] for name, each in results.items()}
     met = {name: len(each) for name, each in feasible.items()}
     shown = {name: each or results[name] for name, each in feasible.items()}
     values = {
-        name: [one["trained"]["terms"][compared] for one in each]
+        name: [_after(one).terms[compared] for one in each]
         for name, each in results.items()
         if met[name] == len(runs[name])
     }
-    return {
-        "scene": stem,
-        "confidence": CONFIDENCE,
-        "compared": compared,
-        "better": "greater" if sense < 0 else "smaller",
-        "variants": {
-            v.name: {
-                "free": list(v.groups),
-                "runs": [str(run.run) for run in runs[v.name]],
-                "failed": {run.name: run.failure for run in runs[v.name] if not has_ended(run)},
-                "feasible": met[v.name] if scene.constraints else None,
-                "terms": _means(shown[v.name], scene.objective, lambda one, name: one["trained"]["terms"][name]),
-                "constraints": _means(
-                    results[v.name], scene.constraints, lambda one, name: one["constraints"][name]["value"]
-                ),
-                "gain": _gain(values.get(v.name), values.get(CONTROL), sense),
-            }
+    return Ablation(
+        scene=stem,
+        confidence=CONFIDENCE,
+        compared=compared,
+        better="greater" if sense < 0 else "smaller",
+        variants={
+            v.name: VariantRuns(
+                free=list(v.groups),
+                runs=[str(run.run) for run in runs[v.name]],
+                failed={run.name: str(run.failure) for run in runs[v.name] if not has_ended(run)},
+                feasible=met[v.name] if scene.constraints else None,
+                terms=_means(shown[v.name], scene.objective, lambda one, name: _after(one).terms[name]),
+                constraints=_means(results[v.name], scene.constraints, lambda one, name: one.constraints[name].value),
+                gain=_gain(values.get(v.name), values.get(CONTROL), sense),
+            )
             for v in variants
         },
-        "effects": {
+        effects={
             group: interval(added.tolist())
             for group, added in effects(
                 {frozenset(v.groups): np.array(values[v.name]) for v in variants if v.name in values}
             ).items()
         },
-    }
+    )
 
 
 def _means(
-    results: Sequence[dict[str, Any]], names: Iterable[str], value: Callable[[dict[str, Any], str], float]
-) -> dict[str, dict[str, float | None]]:
+    results: Sequence[LearnedResult], names: Iterable[str], value: Callable[[LearnedResult, str], float]
+) -> dict[str, Mean]:
     """Return means over the runs that have a result; of nothing, nothing."""
-    return {name: interval([value(one, name) for one in results]) if results else dict(NOTHING) for name in names}
+    return {name: interval([value(one, name) for one in results]) if results else NOTHING for name in names}
 
 
-def _gain(
-    values: Sequence[float] | None, control: Sequence[float] | None, sense: float
-) -> dict[str, float | None] | None:
+def _gain(values: Sequence[float] | None, control: Sequence[float] | None, sense: float) -> Mean | None:
     """Return by which part of control's mean the values are better, seed by seed; None where that is nought."""
     if values is None or control is None or float(np.mean(control)) == 0.0:
         return None
@@ -349,50 +276,50 @@ def effects(by_free: Mapping[frozenset[str], Array]) -> dict[str, Array]:
     return found
 
 
-def _table(result: dict[str, Any]) -> Iterator[list[object]]:
+def _table(result: Ablation) -> Iterator[list[object]]:
     """Yield a row a variant: mean and interval of every term, of every constraint and of the gain."""
-    for k, (name, entry) in enumerate(result["variants"].items()):
-        held = {f"constraint:{constraint}": found for constraint, found in entry["constraints"].items()}
-        numbers = {**entry["terms"], **held, "gain": entry["gain"] or {}}
+    for k, (name, entry) in enumerate(result.variants.items()):
+        held = {f"constraint:{constraint}": found for constraint, found in entry.constraints.items()}
+        numbers = {**entry.terms, **held, "gain": entry.gain or NOTHING}
         if k == 0:
             columns = [f"{column}:{end}" for column in numbers for end in ("mean", "low", "high")]
             yield ["variant", "rate", "seeds", *(["feasible"] if held else []), *columns]
-        ends = [n.get(end) for n in numbers.values() for end in ("mean", "low", "high")]
-        yield [name, entry["rate"], len(entry["runs"]), *([entry["feasible"]] if held else []), *ends]
+        ends = [end for n in numbers.values() for end in (n.mean, n.low, n.high)]
+        yield [name, entry.rate, len(entry.runs), *([entry.feasible] if held else []), *ends]
 
 
-def _none_is_feasible(result: Mapping[str, Any]) -> bool:
+def _none_is_feasible(result: Ablation) -> bool:
     """Say whether there are constraints, and no run of any variant meets them."""
-    counts = [entry["feasible"] for entry in result["variants"].values()]
+    counts = [entry.feasible for entry in result.variants.values()]
     return not any(counts) and any(count is not None for count in counts)
 
 
 def ablation_lines(path: Path) -> list[str]:
     """Return an ablation as lines for a terminal."""
-    result = json.loads(path.read_text())
-    compared, variants = result["compared"], result["variants"]
-    seeds = len(next(iter(variants.values()))["runs"])
+    result = read_ablation(path)
+    compared, variants = result.compared, result.variants
+    seeds = len(next(iter(variants.values())).runs)
     rows = [
         (
             name,
-            entry["rate"] or "",
-            "failed" if entry["terms"][compared]["mean"] is None else shown(entry["terms"][compared]),
-            "" if entry["gain"] is None or name == CONTROL else f"{entry['gain']['mean']:+.1%}",
-            *([] if entry["feasible"] is None else [f"{entry['feasible']} of {seeds}"]),
+            entry.rate or "",
+            "failed" if entry.terms[compared].mean is None else shown(entry.terms[compared]),
+            "" if entry.gain is None or name == CONTROL else f"{entry.gain.mean:+.1%}",
+            *([] if entry.feasible is None else [f"{entry.feasible} of {seeds}"]),
         )
         for name, entry in variants.items()
     ]
-    head, sure = ("free", "rate", compared, "gain", "feasible")[: len(rows[0])], f"{result['confidence']:.0%}"
-    effects = sorted(result["effects"].items(), key=lambda item: -abs(item[1]["mean"]))
-    lost = {name: [rate for rate, loss in entry.get("searched", {}).items() if loss is None]
+    head, sure = ("free", "rate", compared, "gain", "feasible")[: len(rows[0])], f"{result.confidence:.0%}"
+    effects = sorted(result.effects.items(), key=lambda item: -abs(item[1].mean or 0.0))
+    lost = {name: [rate for rate, loss in (entry.searched or {}).items() if loss is None]
             for name, entry in variants.items()}  # fmt: skip
     return [
         f"{len(variants)} variants from {'one seed' if seeds == 1 else f'{seeds} seeds; mean and {sure} interval'}; "
-        f"{result['better']} is better",
+        f"{result.better} is better",
         "",
         *table(head, rows),
         *(f"note: {name} failed with rate {listed(rates)}" for name, rates in lost.items() if rates),
-        *(f"{name} failed: {why.partition(';')[0]}" for e in variants.values() for name, why in e["failed"].items()),
+        *(f"{name} failed: {why.partition(';')[0]}" for e in variants.values() for name, why in e.failed.items()),
         *(["no run of any variant meets the constraints"] if _none_is_feasible(result) else []),
         *(["", *table(("freeing it adds", compared), [(name, shown(of)) for name, of in effects])] if effects else []),
         f"ablation: {path}",

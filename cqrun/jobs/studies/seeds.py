@@ -12,9 +12,8 @@ mean, unless none does.
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,20 +22,23 @@ import numpy as np
 
 from cqrun.errors import UsageError
 from cqrun.fitting.uncertainty import interval_of_mean
-from cqrun.jobs.control import optimizer_of, prepare
-from cqrun.jobs.report import number, table
+from cqrun.jobs.control import CONTROL, Learning
+from cqrun.learning.agent import Agent
 from cqrun.learning.episodes import EpisodeProblem
 from cqrun.learning.learned import STAGES, blown_up
 from cqrun.running.fleet import Member, run_fleet
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter, Silent
-from cqrun.running.runs import EXTENDED, run_scene
+from cqrun.running.runs import EXTENDED, optimizer_of, run_scene
+from cqrun.running.tables import number, table
 from cqrun.running.threads import cores
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
-from cqrun.store.atomic import make_directory, write_json, write_table
+from cqrun.store.atomic import write_table
+from cqrun.store.result import RESULT, LearnedResult, Stage, StageName, require_result
 from cqrun.store.run import RunScene, read_record
+from cqrun.store.study import Mean, Seed, SeedsSummary, read_seeds, write_study
 
 CONFIDENCE = 0.9
 """Of the intervals of means."""
@@ -53,7 +55,7 @@ def run_seeds(
     seeds: int,
     fresh: bool = False,
     threads: int | None = None,
-    job: str = "control",
+    job: Learning = CONTROL,
     jobs: int | None = None,
     allow_plugins: bool = False,
     reporter: Reporter | None = None,
@@ -74,21 +76,20 @@ def run_seeds(
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
     at_once = min(seeds, n_threads if jobs is None else jobs)
-    problem = prepare(load_scene(source, overrides), 1, talk, job)
-    scene, optimizer = problem.built.scene, optimizer_of(problem.built)
+    problem = job.prepare(load_scene(source, overrides), 1, talk)
+    scene, optimizer = problem.built.scene, optimizer_of(problem.built.scene)
     warn_if_alike(problem, seeds, talk)
     compile_kernels([problem.built], talk, adjoint=optimizer.gradients)
-    words = command_of(job, source, out, n_threads // at_once, fresh, allow_plugins)
-    all_of_them = [member(words, source, scene, overrides, k, out, job) for k in range(seeds)]
+    words = command_of(job.name, source, out, n_threads // at_once, fresh, allow_plugins)
+    all_of_them = [member(words, source, scene, overrides, k, out, job.name) for k in range(seeds)]
     talk.phase(f"learning from {seeds} seeds, {at_once} at once")
     run_fleet(all_of_them, at_once, "seeds", talk)
     good = [s for s in all_of_them if s.failure is None]
     if talk.stop.asked and len(good) < seeds:
         raise talk.stop.stopped(f"{len(good)} of {seeds} seeds are finished; the same command continues the others")
-    path = out / source.stem / f"summary-{inputs_of(source, scene, None, job).digest()}-{seeds}.json"
+    path = out / source.stem / f"summary-{inputs_of(source, scene, None, job.name).digest()}-{seeds}.json"
     summary = _summary(source.stem, all_of_them)
-    make_directory(path.parent)
-    write_json(path, summary)
+    write_study(path, summary)
     write_table(path.with_suffix(".csv"), _table(summary))
     return path, len(good) == seeds
 
@@ -106,7 +107,7 @@ def require_seeds(overrides: Sequence[str], seeds: int, jobs: int | None) -> Non
 
 def warn_if_alike(problem: EpisodeProblem, seeds: int, talk: Reporter) -> None:
     """Warn of seeds that change nothing."""
-    if seeds > 1 and not optimizer_of(problem.built).draws and starts_alike(problem):
+    if seeds > 1 and not optimizer_of(problem.built.scene).draws and starts_alike(problem):
         talk.warn(
             f"--seeds {seeds}: nothing in this scene is drawn from its seed, so every run will be the same; give "
             "the controller a random start, such as open_loop's `noise`"
@@ -116,7 +117,7 @@ def warn_if_alike(problem: EpisodeProblem, seeds: int, talk: Reporter) -> None:
 def starts_alike(problem: EpisodeProblem) -> bool:
     """Say whether another seed of the scene gives the same start."""
     built = problem.built
-    other = EpisodeProblem(replace(built, scene=with_values(built.scene, {"seed": built.scene.seed + 1})))
+    other = EpisodeProblem(Agent(replace(built, scene=with_values(built.scene, {"seed": built.scene.seed + 1}))))
     return bool(np.array_equal(other.start, problem.start))
 
 
@@ -148,94 +149,101 @@ def inputs_of(source: Path, scene: Scene, seed: int | None, job: str) -> RunScen
 def has_ended(member: Member) -> bool:
     """Say whether a run came to a result, be it one that violates its constraints."""
     return member.failure is None or (
-        (member.run / "result.json").exists() and read_record(member.run)["status"] == INFEASIBLE
+        (member.run / RESULT).exists() and read_record(member.run)["status"] == INFEASIBLE
     )
 
 
 # --- what they have in common -------------------------------------------------------------------------------------
 
 
-def interval(values: Sequence[float]) -> dict[str, float | None]:
+def interval(values: Sequence[float]) -> Mean:
     """Return the mean of values and its 90 % interval by Student's distribution, which one value alone has not."""
     x = np.array(values, float)
     if len(x) == 1:
-        return {"mean": float(x[0]), "low": None, "high": None}
+        return Mean(mean=float(x[0]), low=None, high=None)
     mean, half = map(float, interval_of_mean(x, CONFIDENCE))
-    return {"mean": mean, "low": mean - half, "high": mean + half}
+    return Mean(mean=mean, low=mean - half, high=mean + half)
 
 
-def _summary(stem: str, seeds: Sequence[Member]) -> dict[str, Any]:
+def _summary(stem: str, seeds: Sequence[Member]) -> SeedsSummary:
     """Return what every seed found, and means with intervals over those that went well."""
-    results = {k: json.loads((s.run / "result.json").read_text()) for k, s in enumerate(seeds) if has_ended(s)}
-    found = [result for result in results.values() if result["status"] != INFEASIBLE] or list(results.values())
-    stages = [stage for stage in STAGES if found and all(result[stage] is not None for result in found)]
-    return {
-        "scene": stem,
-        "confidence": CONFIDENCE,
-        "seeds": {
-            k: {"run": str(s.run), "status": "failed", "reason": s.failure}
-            if k not in results
-            else {"run": str(s.run)} | {key: results[k][key] for key in ("status", "iterations")}
-            | {"blew_up": list(blown_up(results[k])), "extended": bool(read_record(s.run).get("extended"))}
-            | {stage: _numbers(results[k][stage]) for stage in stages}
-            for k, s in enumerate(seeds)
+    results = {k: require_result(member.run, LearnedResult) for k, member in enumerate(seeds) if has_ended(member)}
+    found = [result for result in results.values() if result.status != INFEASIBLE] or list(results.values())
+    stages = [name for name in STAGES if found and all(name in result.stages() for result in found)]
+    return SeedsSummary(
+        scene=stem,
+        confidence=CONFIDENCE,
+        seeds={
+            str(k): _seed(member, results[k], stages)
+            if k in results
+            else Seed(run=str(member.run), status="failed", reason=member.failure)
+            for k, member in enumerate(seeds)
         },
-        "all": {
+        all={
             stage: {
-                name: interval([_numbers(result[stage])[name] for result in found])
-                for name in _numbers(found[0][stage])
+                name: interval([_numbers(result.stages()[stage])[name] for result in found])
+                for name in _numbers(found[0].stages()[stage])
             }
             for stage in stages
         },
-    }  # fmt: skip
+    )
 
 
-def _numbers(stage: Mapping[str, Any]) -> dict[str, float]:
-    """Return the terms of a part of a result, and the loss, as `loss`."""
-    return {**stage["terms"], "loss": stage["loss"]}
+def _seed(member: Member, result: LearnedResult, stages: Sequence[StageName]) -> Seed:
+    """Return what one seed's run found."""
+    numbers = {name: _numbers(result.stages()[name]) for name in stages}
+    return Seed(
+        run=str(member.run), status=result.status, iterations=result.iterations, blew_up=list(blown_up(result)),
+        extended=bool(read_record(member.run).get("extended")),
+        start=numbers.get("start"), trained=numbers.get("trained"), unseen=numbers.get("unseen"),
+    )  # fmt: skip
 
 
-def _table(summary: Mapping[str, Any]) -> Iterator[list[object]]:
+def _numbers(stage: Stage) -> dict[str, float]:
+    """Return the terms of a stage, and the loss, as `loss`."""
+    return {**stage.terms, "loss": stage.loss}
+
+
+def _table(summary: SeedsSummary) -> Iterator[list[object]]:
     """Yield a row a seed, and rows of the mean and of both ends of its interval."""
-    columns = [(stage, name) for stage, numbers in summary["all"].items() for name in numbers]
+    columns = [(stage, name) for stage, numbers in summary.all.items() for name in numbers]
     yield ["seed", "run", "status", "iterations", *(f"{stage}:{name}" for stage, name in columns)]
-    for seed, entry in summary["seeds"].items():
-        numbers = [entry[stage][name] if stage in entry else None for stage, name in columns]
-        yield [seed, entry["run"], entry["status"], entry.get("iterations"), *numbers]
+    for seed, entry in summary.seeds.items():
+        numbers = [(getattr(entry, stage) or {}).get(name) for stage, name in columns]
+        yield [seed, entry.run, entry.status, entry.iterations, *numbers]
     for end in ("mean", "low", "high"):
-        yield [end, None, None, None, *(summary["all"][stage][name][end] for stage, name in columns)]
+        yield [end, None, None, None, *(getattr(summary.all[stage][name], end) for stage, name in columns)]
 
 
 def summary_lines(path: Path) -> list[str]:
     """Return a summary as lines for a terminal."""
-    summary = json.loads(path.read_text())
-    seeds = list(summary["seeds"].values())
-    ended = [entry for entry in seeds if entry["status"] != "failed"]
-    good = [entry for entry in ended if entry["status"] != INFEASIBLE] or ended
-    told = f"mean and {summary['confidence']:.0%} interval over them"
+    summary = read_seeds(path)
+    seeds = summary.seeds.items()
+    ended = [entry for _, entry in seeds if entry.status != "failed"]
+    good = [entry for entry in ended if entry.status != INFEASIBLE] or ended
+    told = f"mean and {summary.confidence:.0%} interval over them"
     lines = [f"{len(good)} of {len(seeds)} seeds learned; {told}", ""]
-    if good and all(entry["status"] == INFEASIBLE for entry in good):
+    if good and all(entry.status == INFEASIBLE for entry in good):
         lines = [f"0 of {len(seeds)} seeds meet their constraints; {told} all the same", ""]
-    stages = list(summary["all"])
-    if stages:
+    if stages := list(summary.all):
         head = ("term", *(STAGES[stage] for stage in stages))
-        names = list(summary["all"][stages[0]])
-        lines += table(head, [(name, *(shown(summary["all"][stage][name]) for stage in stages)) for name in names])
-    lines += [
-        f"seed {k} does not meet its constraints" for k, e in summary["seeds"].items() if e["status"] == INFEASIBLE
-    ]
-    lines += [f"seed {k} failed: {e['reason']}" for k, e in summary["seeds"].items() if e["status"] == "failed"]
-    lines += [f"warning: seed {k}: {EXTENDED}" for k, e in summary["seeds"].items() if e.get("extended")]
-    lines += [f"seed {k}, {lost}" for k, e in summary["seeds"].items() for lost in e.get("blew_up", [])]
-    spread = summary["all"].get("trained", {}).get("loss", {})
-    if len(good) > 1 and spread["low"] == spread["high"]:
+        names = list(summary.all[stages[0]])
+        lines += table(head, [(name, *(shown(summary.all[stage][name]) for stage in stages)) for name in names])
+    lines += [f"seed {k} does not meet its constraints" for k, entry in seeds if entry.status == INFEASIBLE]
+    lines += [f"seed {k} failed: {entry.reason}" for k, entry in seeds if entry.status == "failed"]
+    lines += [f"warning: seed {k}: {EXTENDED}" for k, entry in seeds if entry.extended]
+    lines += [f"seed {k}, {lost}" for k, entry in seeds for lost in entry.blew_up or []]
+    spread = summary.all.get("trained", {}).get("loss")
+    if len(good) > 1 and spread is not None and spread.low == spread.high:
         lines.append("note: every seed found the same: nothing in this scene is drawn from its seed")
     if ended:
-        lines += ["", "draw them together: cqrun plot " + " ".join(entry["run"] for entry in ended)]
+        lines += ["", "draw them together: cqrun plot " + " ".join(entry.run for entry in ended)]
     return [*lines, f"summary: {path}"]
 
 
-def shown(entry: Mapping[str, float | None]) -> str:
-    mean, low, high = (entry[key] for key in ("mean", "low", "high"))
-    assert mean is not None
-    return number(mean) if low is None or high is None else f"{number(mean)} ({number(low)} to {number(high)})"
+def shown(mean: Mean) -> str:
+    """Return a mean with its interval, if it has one."""
+    assert mean.mean is not None
+    if mean.low is None or mean.high is None:
+        return number(mean.mean)
+    return f"{number(mean.mean)} ({number(mean.low)} to {number(mean.high)})"

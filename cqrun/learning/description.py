@@ -1,4 +1,4 @@
-"""What is known beforehand of a scene that acts: what it sees, decides, drives and is after."""
+"""A scene that acts in words: what it sees, decides, drives and is after, and whether its constraints are met."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from collections.abc import Iterator
 from typing import Any
 
 from cqrun.explain import listed
-from cqrun.jobs.bodies import point
-from cqrun.jobs.control import differentiated, optimizer_of
-from cqrun.jobs.report import number
 from cqrun.learning.agent import CONTROLLER, Agent
-from cqrun.learning.episodes import EpisodeProblem
+from cqrun.learning.episodes import EpisodeProblem, differentiated
 from cqrun.learning.record_memory import record_bytes
+from cqrun.running.bodies import point
+from cqrun.running.runs import optimizer_of
+from cqrun.running.tables import number
 from cqrun.scene.schema import Scene
+from cqrun.store.result import ConstraintValue
 from cqrun.units import format_bytes
 
 
@@ -21,23 +22,23 @@ def line(what: str, text: str) -> str:
     return f"  {what:10} {text}"
 
 
-def control_lines(agent: Agent) -> Iterator[str]:
-    """Yield lines on observers, controller, goals, episodes and objective."""
+def control_lines(agent: Agent, learned: EpisodeProblem | None) -> Iterator[str]:
+    """Yield lines on observers, controller, goals, objective, and the episodes that it is learned from, if it is."""
     scene, seen = agent.built.scene, agent.observation
     for name, place in seen.parts.items():
         size = place.stop - place.start
         yield line("observer", f"{name} ({scene.observers[name].name}): {_count(size, 'number')}")
-    yield from _controller(agent)
+    yield from _controller(agent, 0 if learned is None else differentiated(learned))
     for name, goal in scene.goals.items():
         spread = f", drawn within {point(goal.spread or [])} m to either side" if goal.drawn else ""
         yield line("goal", f"{name}: {point(goal.position)} m{spread}")
-    if isinstance(agent, EpisodeProblem):
-        yield from _episodes(agent)
+    if learned is not None:
+        yield from _episodes(learned)
     yield from objective_lines(scene)
     for name, held in scene.constraints.items():
         ends = {"at least": held.at_least, "at most": held.at_most, "equal to": held.equals}
         told = ", ".join(f"{word} {number(end)}" for word, end in ends.items() if end is not None)
-        optimizer: Any = optimizer_of(agent.built)
+        optimizer: Any = optimizer_of(agent.built.scene)
         within = number(optimizer.constraint_tolerance * held.scale)
         yield line("constraint", f"{name} ({held.of.name}): {told}, met when missed by no more than {within}")
 
@@ -50,7 +51,7 @@ def objective_lines(scene: Scene) -> Iterator[str]:
         yield line("objective", f"{name} ({chosen.name}): {spec.over}, weight {number(spec.weight)}, {aim}")
 
 
-def _controller(agent: Agent) -> Iterator[str]:
+def _controller(agent: Agent, functions: int) -> Iterator[str]:
     scene, low, high = agent.built.scene, agent.limits.low, agent.limits.high
     shapes = [
         f"{b.path.removeprefix(CONTROLLER)} {' x '.join(map(str, b.initial.shape)) or '1'}"
@@ -63,18 +64,17 @@ def _controller(agent: Agent) -> Iterator[str]:
     pairs = [f"{number(a)} to {number(b)}" for a, b in sorted(set(zip(low.tolist(), high.tolist(), strict=True)))]
     drives = f"{_count(len(low), 'activation')} within {listed(pairs)}"
     yield line("", f"from {sees} to {drives}, every {number(scene.time.control_step)} s")
-    functions = differentiated(agent) if isinstance(agent, EpisodeProblem) else 0
     kept = format_bytes(record_bytes(agent, functions))
     yield line("", f"beside its states an episode keeps {kept} of what is seen, remembered and judged")
 
 
-def _episodes(agent: EpisodeProblem) -> Iterator[str]:
-    episodes, optimizer = agent.built.scene.episodes, optimizer_of(agent.built)
+def _episodes(problem: EpisodeProblem) -> Iterator[str]:
+    episodes, optimizer = problem.built.scene.episodes, optimizer_of(problem.built.scene)
     how = "one, as no goal is drawn"
-    if agent.stochastic:
-        how = f"{agent.n_episodes}, with fresh goals at every iteration"
-    elif agent.n_episodes > 1 or any(g.drawn for g in agent.built.scene.goals.values()):
-        how = f"a fixed set of {agent.n_episodes}"
+    if problem.stochastic:
+        how = f"{problem.n_episodes}, with fresh goals at every iteration"
+    elif problem.n_episodes > 1 or any(g.drawn for g in problem.built.scene.goals.values()):
+        how = f"a fixed set of {problem.n_episodes}"
     tested = f"; the result is tested on {episodes.unseen} more" if episodes.unseen else ""
     yield line("episodes", f"{how}{tested}")
     yield line("optimizer", f"{optimizer.name}, at most {_count(optimizer.max_iterations, 'iteration')}")
@@ -82,3 +82,10 @@ def _episodes(agent: EpisodeProblem) -> Iterator[str]:
 
 def _count(n: int, what: str) -> str:
     return f"{n:,} {what}" + ("" if n == 1 else "s")
+
+
+def constraint_cells(found: ConstraintValue) -> tuple[str, ...]:
+    """Return what a constraint asks for, and its numbers: before where there is one, now, and the violation."""
+    ends = {"at least": found.at_least, "at most": found.at_most, "": found.equals}
+    wanted = ", ".join(f"{word} {number(end)}".strip() for word, end in ends.items() if end is not None)
+    return wanted, *(number(n) for n in (found.start, found.value, found.violation) if n is not None)

@@ -1,0 +1,45 @@
+"""All jobs by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from cqrun.errors import UsageError
+from cqrun.explain import listed
+from cqrun.jobs.control import CODESIGN, CONTROL
+from cqrun.jobs.gradcheck import GRADCHECK
+from cqrun.jobs.job import Job
+from cqrun.jobs.simulate import SIMULATE
+from cqrun.jobs.sysid import SYSID
+from cqrun.store.run import read_record
+
+JOBS: Mapping[str, Job[Any, Any]] = MappingProxyType(
+    {job.name: job for job in (SYSID, CONTROL, CODESIGN, SIMULATE, GRADCHECK)}
+)
+"""Job by the name that run.json and a scene have."""
+
+
+def job_of(run: Path) -> Job[Any, Any]:
+    """Return the job that the run in a directory is of.
+
+    Raises:
+        UsageError: it is no run, or one of a job that this version does not know.
+    """
+    name = str(read_record(run).get("job"))
+    if name not in JOBS:
+        raise UsageError(
+            f"{run}: a run of '{name}', which this version of cqrun does not know; it knows {listed(JOBS)}"
+        )
+    return JOBS[name]
+
+
+def report_lines(run: Path) -> list[str]:
+    """Return what a run found, as lines for a terminal; of one that has found nothing yet, its status.
+
+    Raises:
+        UsageError: it is no run, or what it found cannot be read.
+    """
+    return job_of(run).report(run)

@@ -1,0 +1,161 @@
+"""What acts in a simulation: a scene's controller as it starts or as a file has it, or what a run has found.
+
+A run stands for its scene and the file of what it found: `controller.npz` of control and codesign, the result of sysid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cqrun.build.model import Built
+from cqrun.errors import SceneError, UsageError
+from cqrun.learning.agent import FILE, Agent
+from cqrun.learning.replay import (
+    IDENTIFIED,
+    as_overrides,
+    identified_in,
+    kept_of_identified,
+    learned_in,
+    refuse_learned,
+    require_fitting,
+)
+from cqrun.plugin.contract import Array
+from cqrun.running.reporter import Reporter
+from cqrun.running.runs import scene_in
+from cqrun.running.unknowns import make_params
+from cqrun.scene.load import load_scene
+from cqrun.scene.schema import Scene
+from cqrun.store.result import LEARNED, RESULT
+from cqrun.store.run import FINISHED, read_record
+
+
+@dataclass(frozen=True)
+class Acting:
+    """A scene with what acts in it.
+
+    Attributes:
+        stem: of the scene's file.
+        scene: with the single numbers that were found in their places.
+        files: the file that holds all others, by the name under which a run keeps a copy of it; none without.
+    """
+
+    stem: str
+    scene: Scene
+    files: Mapping[str, Path]
+
+
+def acting_in(source: Path, overrides: Sequence[str], controller: Path | None, talk: Reporter) -> Acting:
+    """Return what acts in a scene, or in the replay of a run.
+
+    Args:
+        source: a scene's file, or the directory of a run.
+        controller: file of a controller that acts in the place of the scene's, or of the run's own.
+
+    Raises:
+        SceneError, UsageError: bad input, or a run that has found nothing.
+    """
+    trained, identified = controller, None
+    if trained is None and source.is_dir():
+        identified = _identified_by(source, talk)
+        trained = _controller_of(source, talk) if identified is None else None
+    unchanged, file, learned = _unchanged(source), trained or identified, dict[str, Array]()
+    if trained is not None:
+        learned = learned_in(trained)
+    elif identified is not None:
+        learned = identified_in(identified, unchanged or _scene(source, ()))
+    if file is not None:
+        refuse_learned(file, learned, unchanged, overrides)
+    overrides = [*_standing_goals(unchanged), *overrides]
+    scene = _scene(source, overrides)
+    if file is not None:
+        scene = _scene(source, [*as_overrides(file, learned, scene), *overrides])
+    stem = source.resolve().parent.name if source.is_dir() else source.stem
+    files = {name: file for name, file in ((FILE, trained), (IDENTIFIED, identified)) if file is not None}
+    return Acting(stem, scene, files)
+
+
+def _scene(source: Path, overrides: Sequence[str]) -> Scene:
+    """Return the scene in a file, or that of a run."""
+    return scene_in(source, overrides) if source.is_dir() else load_scene(source, overrides)
+
+
+def _unchanged(source: Path) -> Scene | None:
+    """Return the scene without overrides; None where it cannot be so: what is wrong is told with them in place."""
+    try:
+        return _scene(source, ())
+    except (SceneError, UsageError):
+        return None
+
+
+def _standing_goals(scene: Scene | None) -> list[str]:
+    """Return overrides that draw nothing: one episode, and goals where they are, so that they may be put anywhere."""
+    goals = {} if scene is None else scene.goals
+    drawn = [f"goals.{name}.spread=null" for name, goal in goals.items() if goal.spread is not None]
+    return [*drawn, "episodes.count=1", "episodes.unseen=0", "episodes.fresh=false"] if drawn else []
+
+
+def _controller_of(run: Path, talk: Reporter) -> Path:
+    """Return the file of the controller that a run has trained."""
+    record, file = read_record(run), run / FILE
+    if not file.is_file():
+        why = "no iteration is finished" if record.get("job") in LEARNED else f"it is a run of {record.get('job')}"
+        raise UsageError(
+            f"{run}: has no trained controller ({why}): `cqrun simulate RUN` replays a run of control, codesign or "
+            "sysid; to run a scene give its file"
+        )
+    if record["status"] not in FINISHED:
+        talk.phase("the run is not finished: its best controller so far acts")
+    return file
+
+
+def _identified_by(run: Path, talk: Reporter) -> Path | None:
+    """Return the result of a run of sysid, or the copy of it that a replay has; None for any other run."""
+    record = read_record(run)
+    if record.get("job") != "sysid":
+        return run / IDENTIFIED if (run / IDENTIFIED).is_file() else None
+    status, why = record["status"], f": {record['reason']}" if record.get("reason") else ""
+    if status == "failed" or not (run / RESULT).is_file():
+        raise UsageError(f"{run}: has identified nothing to replay ({status}{why}); to run its scene give the file")
+    if status not in FINISHED:
+        talk.phase("the run is not finished: the values act where it stands")
+    return run / RESULT
+
+
+def identified_values(built: Built, identified: Path | None) -> dict[str, Array]:
+    """Return the identified values by path that no scene can have: of groups and particles, and of shapes."""
+    if identified is None:
+        return {}
+    kept = kept_of_identified(identified, built.scene, built.particles)
+    require_fitting(identified, kept, make_params(built))
+    return kept
+
+
+def make_agent(built: Built, trained: Path | None, talk: Reporter) -> Agent | None:
+    """Return what drives a scene's actuators: none where no controller does.
+
+    Terms of the objective, and constraints, that do not fit the run are left out with a warning: recorded motions and
+    key frames are for the time that they cover, and nothing is learned here.
+
+    Raises:
+        SceneError: an observer or the controller does not fit.
+        UsageError: a controller is given for a scene without one, or for another one.
+    """
+    if built.scene.controller is None:
+        if trained is not None:
+            raise UsageError(f"{trained}: a controller for a scene that has none: add `controller` to the scene")
+        return None
+    try:
+        return Agent(built, trained)
+    except SceneError as error:
+        scene, unfit = built.scene, [problem.path.split(".")[:2] for problem in error.problems]
+        if not all(len(place) == 2 and place[0] in ("objective", "constraints") for place in unfit):
+            raise
+        for problem in error.problems:
+            talk.warn(f"{problem}: this run goes without it")
+        left = {
+            section: {name: term for name, term in getattr(scene, section).items() if [section, name] not in unfit}
+            for section in ("objective", "constraints")
+        }
+        return make_agent(replace(built, scene=scene.model_copy(update=left)), trained, talk)

@@ -1,0 +1,52 @@
+"""The controller that did best so far, in its run's directory from the first iteration on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from cqrun.learning.agent import FILE
+from cqrun.learning.episodes import EpisodeProblem
+from cqrun.learning.weak_observations import faint
+from cqrun.optimizers.constrained import ranked, violations_in_row
+from cqrun.plugin.contract import Array
+from cqrun.running.reporter import Reporter
+from cqrun.running.runs import Progress, optimizer_of
+from cqrun.store.history import read_history
+from cqrun.store.run import RunDirectory
+
+
+class Keeping(Progress):
+    """Keeps the controller of the best iteration so far in the run's directory, for who cannot wait.
+
+    At the start it tells whether the controller hardly feels what it sees.
+
+    Where episodes change from iteration to iteration, losses are not of the same: the last one is kept.
+    """
+
+    def __init__(self, run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> None:
+        super().__init__(run, talk)
+        optimizer: Any = optimizer_of(problem.built.scene)
+        self._problem, self._tolerance = problem, getattr(optimizer, "constraint_tolerance", 0.0)
+        self._latest = problem.stochastic or getattr(optimizer, "batch_size", None) is not None
+        file = run.path / "history.csv"
+        before = read_history(file) if (run.path / FILE).exists() and file.exists() else {}
+        rows = [dict(zip(before, row, strict=True)) for row in zip(*before.values(), strict=True)]
+        self._rank = min((self._of(row, row["loss"]) for row in rows), default=(np.inf, np.inf, np.inf))
+
+    def _of(self, row: Mapping[str, float], loss: float) -> tuple[float, float, float]:
+        return ranked(violations_in_row(self._problem, row), loss, self._tolerance)
+
+    def __call__(self, iteration: int, x: Array, loss: float, terms: Mapping[str, float]) -> None:
+        super().__call__(iteration, x, loss, terms)
+        controller: Any = self._problem.built.scene.controller
+        if iteration == 0 and controller.value.unit_inputs:
+            for told in faint(self._problem.agent.observation, self._problem.saw):
+                self._talk.warn(told)
+                self._run.log(told)
+        rank = self._of(terms, loss)
+        if rank < self._rank or self._latest:
+            self._rank = rank
+            self._problem.agent.save(self._run.path / FILE, self._problem.values(x))

@@ -1,0 +1,69 @@
+"""JSON files whose content a pydantic model describes: what is wrong with one is said with its key path."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from cqrun.errors import UsageError
+from cqrun.explain import in_words, shown
+
+T = TypeVar("T")
+
+
+class Part(BaseModel):
+    """A part of such a file; unknown keys, and text in place of numbers, are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+def optional() -> Any:
+    """Return a field that may be None; the file then lacks its key."""
+    return Field(default=None, exclude_if=lambda value: value is None)
+
+
+def read_model(file: Path, model: TypeAdapter[T]) -> T:
+    """Return what a file holds, as a model describes it.
+
+    Raises:
+        UsageError: the file is damaged, or of another program; with the key path and what is wrong there.
+    """
+    try:
+        text = file.read_bytes()
+        return model.validate_json(text)
+    except OSError as error:
+        raise UsageError(f"{file}: unreadable ({error.strerror}); run the scene again with --fresh") from error
+    except ValidationError as error:
+        raise UsageError(f"{file}: {_complaint(text, error)}; run the scene again with --fresh") from error
+
+
+def _complaint(text: bytes, error: ValidationError) -> str:
+    """Return where a file is no result, what is wrong there, and what would be right."""
+    first = error.errors(include_url=False)[0]
+    if first["type"] == "json_invalid":
+        return f"unreadable ({first['msg'].removeprefix('Invalid JSON: ')})"
+    if first["type"] == "union_tag_invalid":
+        return f"job: must be one of {first['ctx']['expected_tags']}, is {shown(first['ctx']['tag'])}"
+    if not first["loc"]:
+        return "is not a result: it must be a mapping with the key `job`"
+    place = _place(json.loads(text), first["loc"][1:], missing=first["type"] == "missing")
+    words = "unknown key" if first["type"] == "extra_forbidden" else in_words(first)
+    return f"{'.'.join(map(str, place))}: {words}"
+
+
+def _place(data: Any, loc: Sequence[Any], *, missing: bool) -> Iterator[int | str]:
+    """Yield the keys of a place in plain data; what pydantic names between them are types.
+
+    Args:
+        missing: whether the last key is the one that the data lack.
+    """
+    for key in loc:
+        if (isinstance(data, dict) and key in data) or (isinstance(data, list) and isinstance(key, int)):
+            yield key
+            data = data[key]
+    if missing:
+        yield loc[-1]
