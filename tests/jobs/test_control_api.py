@@ -131,7 +131,7 @@ def test_without_an_objective_it_acts_but_has_no_loss():
     acting = cqrun.load(without, threads=1)
     assert acting.params.keys() == {WEIGHTS, BIASES}
     assert acting.simulate().activation.shape == (10, 2)
-    with pytest.raises(UsageError, match="no `controller` with an `objective`, so there is no loss"):
+    with pytest.raises(UsageError, match="neither `data` nor an `objective`, so there is no loss"):
         acting.value_and_grad()
 
 

@@ -126,7 +126,7 @@ def test_cqrun_says_of_a_killed_run_what_is_looked_for(tmp_path):
     member.start()
     member.process.kill()
     deadline = time.monotonic() + 60.0
-    while not member.ended() and time.monotonic() < deadline:
+    while not member.has_ended() and time.monotonic() < deadline:
         time.sleep(0.01)
     assert KILLED in member.failure
 
