@@ -25,9 +25,6 @@ import numpy as np
 BLOCKS = ((2, 80), (3, 20), (2, 320))
 """Dimension and edge, in particles, of the falling blocks of `cqrun bench` that are compared."""
 
-BENCH = ("cqrun.jobs.bench", "cqrun.jobs.profiling.bench")
-"""Where a checkout may have its benchmark; the module of scenes is beside it."""
-
 
 class Worker:
     """A process in a checkout that measures when it is asked."""
@@ -44,7 +41,7 @@ class Worker:
         """Return ns per particle and substep of the whole and of each pass."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        self.process.stdin.write(f"{case}\\n")
+        self.process.stdin.write(f"{case}\n")
         self.process.stdin.flush()
         line = self.process.stdout.readline()
         if not line:
@@ -54,17 +51,15 @@ class Worker:
 
 def work(cases: list[Any], threads: int) -> None:
     """Measure the cases that standard input names, one a line."""
-    bench = _first(*BENCH)
-    scenes = importlib.import_module(bench.__name__.replace("bench", "bench_scene"))
+    bench, scenes = _first("cqrun.jobs.bench"), _first("cqrun.jobs.bench_scene", "cqrun.jobs.bench")
     excerpts: dict[int, Any] = {}
     for line in sys.stdin:
         k = int(line)
         if k not in excerpts:
             excerpts[k] = _excerpt(bench, scenes, cases[k], threads)
         found = excerpts[k].measure(2)
-        print(
-            json.dumps({name: found[name] for name in ("forward", "store", "backward")} | found["passes"]), flush=True
-        )
+        whole = {name: found[name] for name in ("forward", "store", "backward")}
+        print(json.dumps(whole | found["passes"]), flush=True)
 
 
 def _imported(name: str) -> Any:
@@ -113,9 +108,9 @@ def main() -> None:
         turns = [[worker.measure(k) for worker in workers] for _ in range(options.turns)]
         name = case if isinstance(case, str) else f"block {case[0]}D, {case[1] ** case[0]:,} particles"
         result[name] = compared(turns)
-        print(f"{name} (load {os.getloadavg()[0]:.2f})", *table(result[name]), sep="\\n", flush=True)
+        print(f"{name} (load {os.getloadavg()[0]:.2f})", *table(result[name]), sep="\n", flush=True)
     if options.out:
-        options.out.write_text(json.dumps(result, indent=1) + "\\n")
+        options.out.write_text(json.dumps(result, indent=1) + "\n")
 
 
 def compared(turns: list[list[dict[str, float]]]) -> dict[str, dict[str, float | None]]:
