@@ -81,7 +81,7 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
         return problem
 
     def reads_data(self, scene: Scene) -> bool:
-        """Say no."""
+        """Return False: an episode reads no recordings."""
         return False
 
     def work(self, run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> None:

@@ -71,7 +71,7 @@ class Simulate(Job[Simulation, SimulateResult]):
         return Simulation(built if agent is None else agent.built, agent, values, threads)
 
     def reads_data(self, scene: Scene) -> bool:
-        """Say no."""
+        """Return False: a simulation reads no recordings."""
         return False
 
     def work(self, run: RunDirectory, prepared: Simulation, talk: Reporter) -> None:

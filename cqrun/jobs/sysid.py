@@ -77,7 +77,7 @@ class Sysid(Job[Identification, SysidResult]):
         return Identification(built, given_cases(built), threads)
 
     def reads_data(self, scene: Scene) -> bool:
-        """Say yes."""
+        """Return True: recordings are what it fits."""
         return True
 
     def work(self, run: RunDirectory, prepared: Identification, talk: Reporter) -> None:
