@@ -6,7 +6,6 @@ Exit codes: 0 done, 1 the run failed, 2 bad scene or usage, 75 stopped but resum
 
 from __future__ import annotations
 
-import os
 import sys
 from typing import Annotated, NoReturn
 
@@ -28,7 +27,8 @@ from cqrun.cli.simulate import simulate
 from cqrun.cli.sysid import sysid
 from cqrun.cli.validate import validate
 from cqrun.cli.warmup import warmup
-from cqrun.errors import CqrunError, SceneError
+from cqrun.errors import CqrunError, SceneError, StopNow
+from cqrun.running.reporter import StopFlag
 from cqrun.version import __version__
 
 COMMANDS = (
@@ -74,13 +74,15 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     Args:
         arguments: the arguments without the program's name; those of the process if not given.
     """
-    # must be set before NumPy is loaded: BLAS threads busy-wait after each call, on cores that rollouts need
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        app(arguments, prog_name="cqrun")
-    except CqrunError as error:
-        # a scene's problems start with file:line:column, which editors follow
-        prefix = "" if isinstance(error, SceneError) else "error: "
-        print(f"{prefix}{error}", file=sys.stderr)
-        sys.exit(error.exit_code)
+    with StopFlag() as stop:
+        try:
+            app(arguments, prog_name="cqrun")
+        except CqrunError as error:
+            # a scene's problems start with file:line:column, which editors follow
+            prefix = "" if isinstance(error, SceneError) else "error: "
+            print(f"{prefix}{error}", file=sys.stderr)
+            sys.exit(error.exit_code)
+        except StopNow:
+            print("error: stopped before it was finished; give the command again", file=sys.stderr)
+            sys.exit(stop.exit_code)
     raise AssertionError("typer ends the process itself")

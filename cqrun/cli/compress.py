@@ -31,9 +31,10 @@ def compress(
 ) -> None:
     """Learn from runs to describe a body's deformation in few numbers; the observers pca and vae read the file."""
     from cqrun.cli.progress import reporting
-    from cqrun.jobs.compress import compress as learn
 
-    with reporting(quiet) as reporter:
+    with reporting(quiet, f"reading {len(runs)} runs") as reporter:
+        from cqrun.jobs.compress import compress as learn
+
         summary = learn(
             runs, method.value, size, output, body=body, cells=cells, epochs=epochs, seed=seed, reporter=reporter
         )

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.errors import StopNow
 from cqrun.numerics.packed import LINE, aligned
 
 Tasks = SimpleQueue[Any]
@@ -92,7 +93,7 @@ def _wait(answers: Answers, asked: int) -> None:
             while answers.qsize() < asked:  # counted, not taken: an interrupt in between would lose one
                 time.sleep(1e-3)
             return
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, StopNow):
             continue
 
 

@@ -5,7 +5,7 @@ A case is the scene with a recording's overrides and length, its model, and what
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from cqrun.build.model import Built
@@ -24,12 +24,13 @@ def is_fit(scene: Scene) -> bool:
     return bool(scene.unknowns) and scene.controller is None and (scene.data is not None or bool(scene.objective))
 
 
-def make_cases(built: Built, directory: Path | None = None) -> list[Case]:
+def make_cases(built: Built, directory: Path | None = None, interrupt: Callable[[], None] = lambda: None) -> list[Case]:
     """Return the cases of a scene's data or, without any, of its objective.
 
     Args:
         built: the scene, its substeps resolved.
         directory: where synthetic data is kept; without one it is made in memory.
+        interrupt: called before every rollout that makes data.
 
     Raises:
         SceneError: data, or an objective, that cannot be used.
@@ -43,7 +44,7 @@ def make_cases(built: Built, directory: Path | None = None) -> list[Case]:
     if data.recordings is not None:
         return recorded_cases(built, data.recordings)
     assert data.synthetic is not None
-    return synthetic_cases(built, data.synthetic, directory)
+    return synthetic_cases(built, data.synthetic, directory, interrupt)
 
 
 def given_cases(built: Built) -> list[Case] | None:
@@ -78,14 +79,17 @@ def remarks(cases: Sequence[Case]) -> Iterator[str]:
         yield from (f"{case.name}: {comparison.remark}" for comparison in case.comparisons if comparison.remark)
 
 
-def made_cases(run: RunDirectory, built: Built) -> list[Case]:
+def made_cases(run: RunDirectory, built: Built, interrupt: Callable[[], None]) -> list[Case]:
     """Return the cases of the data that a run makes with the true values.
 
+    Args:
+        interrupt: called before every rollout.
+
     Raises:
-        RunError: the scene blows up with them.
+        RunError: the scene blows up with them. What `interrupt` raises.
     """
     try:
-        return make_cases(built, run.path)
+        return make_cases(built, run.path, interrupt)
     except RolloutError as error:
         run.finish("failed", f"data.synthetic.truth: {error}")
         raise RunError(f"{run.path}: data.synthetic.truth: {error}") from error

@@ -86,6 +86,11 @@ def learn(training: Training, epochs: int, kept: Path, talk: Reporter) -> None:
     if kept.exists() and not training.restore(kept.read_bytes(), epochs):
         talk.warn(f"{kept}: is of another training (other runs, options or torch): this one begins anew")
     talk.begin(epochs)
+    with talk.stop.deferred():
+        _train(training, epochs, kept, talk)
+
+
+def _train(training: Training, epochs: int, kept: Path, talk: Reporter) -> None:
     last = time.monotonic()
     while training.epochs < epochs:
         training.epoch()

@@ -20,6 +20,7 @@ from cqrun.learning.agent import Agent
 from cqrun.learning.description import control_lines, line, objective_lines
 from cqrun.learning.episodes import EpisodeProblem, differentiated, has_episodes
 from cqrun.running.bodies import lies, made_of
+from cqrun.running.cost import NANOSECONDS, duration, forward_seconds, gradient_seconds
 from cqrun.running.gradient_memory import GRADIENT, gradient_plan, state_bytes
 from cqrun.running.reporter import Silent
 from cqrun.running.runs import optimizer_of
@@ -30,9 +31,6 @@ from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start
 from cqrun.store.result import LEARNED
 from cqrun.units import format_bytes
-
-NANOSECONDS = {2: 30.0, 3: 95.0}
-"""What a particle and substep typically take forward on one core, by the dimension (`cqrun bench` measures it)."""
 
 MILLI = 1e3
 
@@ -176,12 +174,12 @@ def _recording(case: Case) -> Iterator[str]:
 def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     model = built.model
     one, budget = state_bytes(model), format_bytes(model.memory_budget)
-    forward = 1e-9 * NANOSECONDS[model.dim] * model.layout.n_particles * model.n_steps
+    forward = forward_seconds(model)
     try:
         plan = gradient_plan(built)
     except SceneError as error:  # a scene may be run forward all the same
         yield f"warning: no gradients: {error}"
-        yield line("cost", f"an estimate, for one core: {_seconds(forward)} forward")
+        yield line("cost", f"an estimate, for one core: {duration(forward)} forward")
         return
     again = "none run twice" if plan.recompute == 1 else f"{plan.recompute:.2f} forward substeps for each"
     yield line(
@@ -189,10 +187,10 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
         f"a gradient keeps {plan.states:,} states of {format_bytes(one)}, {format_bytes(plan.states * one)} "
         f"of a budget of {budget}: {again}",
     )
-    backward = forward * (GRADIENT + plan.recompute - 1)
+    backward = gradient_seconds(model)
     yield line(
         "cost",
-        f"an estimate, for one core: {_seconds(forward)} forward, {_seconds(backward)} with the gradient "
+        f"an estimate, for one core: {duration(forward)} forward, {duration(backward)} with the gradient "
         f"({NANOSECONDS[model.dim]:g} ns a particle and substep; `cqrun bench` measures this machine)",
     )
     if learned is not None:
@@ -204,12 +202,8 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
             sweeps = held * (GRADIENT - 1.0) * forward
             if held:
                 of += f" and {'that' if held == 1 else 'those'} of {held} constraint{'s' if held > 1 else ''}, at most"
-            once, cost = "a trial" if held else "an iteration", _seconds(episodes * (backward + sweeps))
+            once, cost = "a trial" if held else "an iteration", duration(episodes * (backward + sweeps))
             yield line("", f"{once} of {optimizer.name}: {of}{' ' if held else ', '}{cost}")
         else:
             of = f"{learned.n_episodes} {'episode' if learned.n_episodes == 1 else 'episodes'} forward"
-            yield line("", f"a trial of {optimizer.name}: {of}, {_seconds(learned.n_episodes * forward)}")
-
-
-def _seconds(seconds: float) -> str:
-    return f"{seconds:.2g} s" if seconds < 99.5 else f"{seconds / 60:.2g} min"
+            yield line("", f"a trial of {optimizer.name}: {of}, {duration(learned.n_episodes * forward)}")

@@ -49,6 +49,7 @@ class EpisodeProblem:
         built, params: the agent's scene, and the numbers that are learned.
         summands: names of what the loss is a sum of.
         saw: what the controller got in the episodes of the last evaluation, (T, Z) each.
+        interrupt: called before every rollout; it raises StopAsked if the run was asked to stop.
     """
 
     def __init__(self, agent: Agent, *, threads: int = 1) -> None:
@@ -214,7 +215,11 @@ class EpisodeProblem:
         values = self.values(x)
 
         def task(goal: Goals) -> Callable[[int], Attempt]:
-            return lambda threads: self.attempt(values, goal, threads)
+            def run(threads: int) -> Attempt:
+                self.interrupt()
+                return self.attempt(values, goal, threads)
+
+            return run
 
         with trial(self.params, x):
             found = side_by_side([task(goal) for goal in self.goals(None)], self.threads)

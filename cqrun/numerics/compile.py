@@ -50,18 +50,53 @@ class _OwnHelpers(codegen.JITCodeLibrary):
 codegen.JITCPUCodegen._library_class = _OwnHelpers
 
 
+CACHE_PROBLEMS: dict[str, bool] = {}
+"""What the cache could not do in this process, as sentences, and whether compiled code was lost."""
+
+
 class SharedIndex(caching.IndexDataCacheFile):
     """A kernel's index of compiled versions, to which one process at a time adds.
 
     Numba reads the index, takes the next free number for a file and writes both; two processes that compile different
     versions at once take the same number, and one is then given the other's code.
+
+    A file that is damaged, or cannot be written, costs time only: the code is compiled again.
     """
 
     def save(self, key: Any, data: Any) -> None:
         """Add a version under its key."""
-        with Path(f"{self._index_path}.lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            super().save(key, data)
+        try:
+            with Path(f"{self._index_path}.lock").open("wb") as lock:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX)
+                except OSError:
+                    self._note(
+                        "this file system has no locks, so nothing keeps two processes apart that compile at once: let "
+                        "one end first, or set NUMBA_CACHE_DIR to a folder on a local disk"
+                    )
+                super().save(key, data)
+        except OSError as error:
+            self._note(
+                f"compiled kernels cannot be kept here ({error.strerror}), so the next process compiles them again; "
+                "set NUMBA_CACHE_DIR to another folder",
+                lost=True,
+            )
+
+    def load(self, key: Any) -> Any:
+        """Return the version of a key, or None."""
+        try:
+            return super().load(key)
+        except Exception:  # an incomplete file, as after a power cut, may raise anything
+            return None
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except Exception:
+            return {}
+
+    def _note(self, problem: str, lost: bool = False) -> None:
+        CACHE_PROBLEMS[f"{Path(self._index_path).parent.parent}: {problem}"] = lost
 
 
 caching.IndexDataCacheFile = SharedIndex

@@ -184,7 +184,8 @@ def test_a_run_on_a_full_disk_can_be_continued(separate_run, finished, tmp_path,
     done = mounted(script, tmp_path, options=f"size={kib}k")
     assert "code 1\n" in done.stderr, done.stderr
     assert "the disk is full" in done.stderr
-    assert "Free some space, then `cqrun resume` the run" in done.stderr
+    assert "Free some space and give the same command again, or choose another disk with --out" in done.stderr
+    assert "resume" not in done.stderr
     assert "Traceback" not in done.stderr
     assert done.returncode == 0, done.stderr
     assert_same(tmp_path / "kept", separate_run)

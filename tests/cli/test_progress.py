@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import signal
+import time
 
 import pytest
 
@@ -115,16 +116,65 @@ def test_no_color_is_respected(monkeypatch):
     assert "\x1b[33m" not in use(Terminal())
 
 
+def test_no_silence_is_long(monkeypatch):
+    """Whatever the work does, and however long it does it."""
+    stream = io.StringIO()
+    with Progress(stream=stream, silent_at_most=0.2) as progress:
+        progress.phase("compiling kernels")
+        time.sleep(0.7)
+        progress.phase("fitting")
+        progress.update(1, loss=1.0, best=1.0, step=0.5, seconds=40.0)
+        time.sleep(0.35)
+    lines = stream.getvalue().splitlines()
+    assert lines[0] == "compiling kernels"
+    assert lines.count("still compiling kernels: 0 s so far") + lines.count("still compiling kernels: 1 s so far") >= 2
+    (again, *_) = (line for line in lines if line.startswith("still fitting: 0 s so far; last: iteration 1  loss 1"))
+    assert lines.index(again) > lines.index("fitting")
+
+
+def test_a_brief_command_prints_no_phases_and_a_long_one_does():
+    for lasts, expected in ((0.0, []), (0.6, ["checking", "then"])):
+        stream = io.StringIO()
+        with Progress(stream=stream, patience=0.2, silent_at_most=0.4) as progress:
+            progress.phase("checking")
+            time.sleep(lasts)
+            progress.phase("then")
+        lines = [line for line in stream.getvalue().splitlines() if not line.startswith("still")]
+        assert lines == expected
+
+
+def test_quiet_and_live_progress_are_not_interrupted_by_lines():
+    for stream, quiet in ((io.StringIO(), True), (Terminal(), False)):
+        with Progress(stream=stream, quiet=quiet, silent_at_most=0.05) as progress:
+            progress.phase("compiling")
+            time.sleep(0.3)
+        assert "still" not in stream.getvalue()
+
+
+def test_a_live_line_shows_the_time_of_work_without_numbers(monkeypatch):
+    monkeypatch.setattr("cqrun.cli.progress.SHOWN_FROM", 0.0)
+    stream = Terminal()
+    with Progress(stream=stream) as progress:
+        progress.phase("compiling kernels")
+        time.sleep(0.4)
+    assert "[0 s]  compiling kernels" in stream.getvalue()
+
+
+def test_a_phase_is_shown_before_a_job_imports_its_libraries(capsys):
+    with reporting(quiet=False, doing="reading beam.yaml"):
+        assert capsys.readouterr().err == "reading beam.yaml\n"
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
 def test_the_first_signal_asks_to_stop_and_the_second_aborts(capsys, number, code):
     before = signal.getsignal(number)
 
     def job() -> None:
-        with reporting(quiet=True) as reporter:
+        with reporting(quiet=True) as reporter, reporter.stop.deferred():
             assert not reporter.stop.asked
             os.kill(os.getpid(), number)
             assert reporter.stop.asked
-            assert "finishing this iteration" in capsys.readouterr().err
+            assert "stopping after the rollout at hand (once more: abort now)" in capsys.readouterr().err
             os.kill(os.getpid(), number)
 
     with pytest.raises(Stopped, match="aborted") as ended:

@@ -14,7 +14,8 @@ from made_runs import YOUNG, history, made_twin, plane_scene, swing, write_histo
 
 from cqrun.cli import app as cli
 from cqrun.errors import UsageError
-from cqrun.figures.draw import draw_run, draw_several, has_pictures
+from cqrun.figures.draw import draw_run, draw_several
+from cqrun.jobs.table import job_of
 
 ALL = ["convergence", "tracks_synthetic", "bodies", "overview"]
 MAGIC = {"png": b"\x89PNG\r\n", "pdf": b"%PDF-"}
@@ -161,9 +162,9 @@ def test_a_simulation_without_frames_cannot_be_drawn(tmp_path):
 
 
 def test_a_job_without_pictures_cannot_be_drawn(copy):
-    assert has_pictures(copy)
+    assert job_of(copy).pictures
     set_record(copy, job="gradcheck")
-    assert not has_pictures(copy)
+    assert not job_of(copy).pictures
     message = "'gradcheck' has no pictures; runs of sysid, control, codesign and simulate have them"
     with pytest.raises(UsageError, match=message):
         draw_run(copy)

@@ -8,7 +8,8 @@ import numpy as np
 
 from cqrun.optimizers.base import Optimizer, Outcome, TrialFailed
 from cqrun.optimizers.constrained import ConstrainedOptimizer, report_names
-from cqrun.store.run import RunDirectory, RunScene
+from cqrun.store.run import RunDirectory
+from cqrun.store.run_scene import RunScene
 from cqrun.store.session import RunSession
 
 

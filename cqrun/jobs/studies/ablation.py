@@ -51,8 +51,10 @@ from cqrun.running.threads import cores
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
+from cqrun.store.folder import RECORD, make_below
 from cqrun.store.result import LearnedResult, Stage, require_result
-from cqrun.store.run import RECORD, RunScene, read_record
+from cqrun.store.run import read_record
+from cqrun.store.run_scene import RunScene
 from cqrun.store.study import Ablation, Mean, VariantRuns, read_ablation, write_study
 
 NOTHING = Mean(mean=None, low=None, high=None)
@@ -90,6 +92,7 @@ def run_ablation(
     variants, tried = variants_of(scene), rate_overrides(scene, rates)
     whole = control.CODESIGN.prepare(scene, 1, Silent())
     warn_if_alike(whole, seeds, talk)
+    folder = make_below(out, source.stem)
     # `auto` follows from the bounds of what is free: variants of other time steps would not be comparable
     same_step = [f"time.substeps={whole.built.model.substeps}"] if scene.time.substeps == "auto" else []
     at_once = min(n_threads if jobs is None else jobs, len(variants) * max(seeds, len(tried)))
@@ -113,11 +116,7 @@ def run_ablation(
     for v in variants:
         result.variants[v.name].rate = (best[v.name] or "").partition("=")[2] or None
         result.variants[v.name].searched = searched.get(v.name)
-    path = (
-        out
-        / source.stem
-        / f"ablation-{_name(inputs_of(source, scene, None, control.CODESIGN.name), rates)}-{seeds}.json"
-    )
+    path = folder / f"ablation-{_name(inputs_of(source, scene, None, control.CODESIGN.name), rates)}-{seeds}.json"
     write_study(path, result)
     write_table(path.with_suffix(".csv"), _table(result))
     return path, all(map(has_ended, everyone)) and not _none_is_feasible(result)

@@ -26,6 +26,7 @@ from cqrun.jobs.control import CONTROL, Learning
 from cqrun.learning.agent import Agent
 from cqrun.learning.episodes import EpisodeProblem
 from cqrun.learning.learned import STAGES, blown_up
+from cqrun.running.cost import about
 from cqrun.running.fleet import Member, run_fleet
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter, Silent
@@ -36,8 +37,11 @@ from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
+from cqrun.store.folder import make_below
+from cqrun.store.model_file import path_of
 from cqrun.store.result import RESULT, LearnedResult, Stage, StageName, require_result
-from cqrun.store.run import RunScene, read_record
+from cqrun.store.run import read_record
+from cqrun.store.run_scene import RunScene
 from cqrun.store.study import Mean, Seed, SeedsSummary, read_seeds, write_study
 
 CONFIDENCE = 0.9
@@ -76,18 +80,20 @@ def run_seeds(
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
     at_once = min(seeds, n_threads if jobs is None else jobs)
+    folder = make_below(out, source.stem)
     problem = job.prepare(load_scene(source, overrides), 1, talk)
     scene, optimizer = problem.built.scene, optimizer_of(problem.built.scene)
     warn_if_alike(problem, seeds, talk)
     compile_kernels([problem.built], talk, adjoint=optimizer.gradients)
     words = command_of(job.name, source, out, n_threads // at_once, fresh, allow_plugins)
     all_of_them = [member(words, source, scene, overrides, k, out, job.name) for k in range(seeds)]
-    talk.phase(f"learning from {seeds} seeds, {at_once} at once")
+    lasts = about(problem.built.model, gradients=optimizer.gradients, each="an episode")
+    talk.phase(f"learning from {seeds} seeds, {at_once} at once, {lasts}")
     run_fleet(all_of_them, at_once, "seeds", talk)
     good = [s for s in all_of_them if s.failure is None]
     if talk.stop.asked and len(good) < seeds:
         raise talk.stop.stopped(f"{len(good)} of {seeds} seeds are finished; the same command continues the others")
-    path = out / source.stem / f"summary-{inputs_of(source, scene, None, job.name).digest()}-{seeds}.json"
+    path = folder / f"summary-{inputs_of(source, scene, None, job.name).digest()}-{seeds}.json"
     summary = _summary(source.stem, all_of_them)
     write_study(path, summary)
     write_table(path.with_suffix(".csv"), _table(summary))
@@ -122,8 +128,8 @@ def starts_alike(problem: EpisodeProblem) -> bool:
 
 
 def command_of(job: str, source: Path, out: Path, threads: int, fresh: bool, allow_plugins: bool) -> list[str]:
-    """Return the command of one run, without its overrides."""
-    words = [sys.executable, "-m", "cqrun", job, str(source), "--quiet", "--out", str(out)]
+    """Return the command of one run, without its overrides; -P: it imports nothing from the current folder."""
+    words = [sys.executable, "-P", "-m", "cqrun", job, str(source), "--quiet", "--out", str(out)]
     words += ["--threads", str(max(1, threads))]
     return words + ["--fresh"] * fresh + ["--allow-plugins"] * allow_plugins
 
@@ -237,7 +243,7 @@ def summary_lines(path: Path) -> list[str]:
     if len(good) > 1 and spread is not None and spread.low == spread.high:
         lines.append("note: every seed found the same: nothing in this scene is drawn from its seed")
     if ended:
-        lines += ["", "draw them together: cqrun plot " + " ".join(entry.run for entry in ended)]
+        lines += ["", "draw them together: cqrun plot " + " ".join(str(path_of(entry.run)) for entry in ended)]
     return [*lines, f"summary: {path}"]
 
 

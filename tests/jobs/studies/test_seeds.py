@@ -142,7 +142,7 @@ def test_permission_and_fresh_are_handed_on(finger, tmp_path, monkeypatch):
     run_seeds(finger, ["time.duration=0.05"], tmp_path, fresh=True, threads=4, seeds=3, jobs=2, allow_plugins=True)
     command, at_once = asked[0]
     assert at_once == 2
-    assert command[:5] == [sys.executable, "-m", "cqrun", "control", str(finger)]
+    assert command[:6] == [sys.executable, "-P", "-m", "cqrun", "control", str(finger)]
     assert command[command.index("--threads") + 1] == "2"
     assert {"--fresh", "--allow-plugins", "time.duration=0.05", "seed=2"} <= set(command)
 

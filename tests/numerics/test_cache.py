@@ -1,0 +1,56 @@
+"""The cache of compiled kernels: without locks, without room, and damaged."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+
+import pytest
+
+from cqrun.numerics import compile as compiling
+from cqrun.numerics.compile import SharedIndex
+
+
+@pytest.fixture
+def index(tmp_path):
+    """Return the index of a kernel in an empty cache."""
+    return SharedIndex(str(tmp_path), "kernel", "stamp")
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.EIO])
+def test_a_kernel_is_kept_where_the_cache_has_no_locks(index, tmp_path, monkeypatch, number):
+    def flock(handle, flags):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(compiling, "CACHE_PROBLEMS", {})
+    monkeypatch.setattr(fcntl, "flock", flock)
+    index.save("key", b"code")
+    assert SharedIndex(str(tmp_path), "kernel", "stamp").load("key") == b"code"
+    (told,) = compiling.CACHE_PROBLEMS
+    assert "this file system has no locks, so nothing keeps two processes apart that compile at once" in told
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EDQUOT])
+def test_a_cache_that_cannot_be_written_costs_time_only(index, monkeypatch, number):
+    monkeypatch.setattr(compiling, "CACHE_PROBLEMS", {})
+
+    def fail(*arguments):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(index, "_save_data", fail)
+    index.save("key", b"code")
+    (told,) = compiling.CACHE_PROBLEMS
+    assert f"compiled kernels cannot be kept here ({os.strerror(number)}), so the next process compiles them" in told
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".1.nbc"])
+@pytest.mark.parametrize("content", [b"", b"\0" * 100, b"half a pickle"])
+def test_a_damaged_cache_is_compiled_again(index, tmp_path, suffix, content):
+    """As after a power cut."""
+    index.save("key", b"code")
+    (tmp_path / f"kernel{suffix}").write_bytes(content)
+    again = SharedIndex(str(tmp_path), "kernel", "stamp")
+    assert again.load("key") is None
+    again.save("key", b"code")
+    assert SharedIndex(str(tmp_path), "kernel", "stamp").load("key") == b"code"
