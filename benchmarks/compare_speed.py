@@ -1,11 +1,12 @@
 """Compare the speed of two checkouts, pass by pass, in turns: is any pass slower?
 
-    python benchmarks/compare_speed.py BEFORE AFTER [--turns 5] [--threads 1] [--scene FILE ...] [--out FILE.json]
+    python benchmarks/compare_speed.py BEFORE AFTER [--turns 20] [--threads 1] [--scene FILE ...] [--out FILE.json]
 
 BEFORE and AFTER are folders with a checkout and its environment in `.venv`. Each has a worker process that holds the
 same substeps of a block, or of a scene, and measures them when it is its turn, so that both see the same noise of the
 machine. The numbers are medians over turns, in ns per particle and substep; the ratio is the median of the ratios of
-each turn. Measure on a machine that does nothing else: the load is printed.
+each turn. Many short turns are better than a few long ones, because noise of a machine lasts for seconds. Measure on a
+machine that does nothing else: the load is printed.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-BLOCKS = ((2, 80), (3, 20), (2, 320))
+BLOCKS = ((2, 80), (3, 20), (2, 320), (3, 40))
 """Dimension and edge, in particles, of the falling blocks of `cqrun bench` that are compared."""
 
 
@@ -88,7 +89,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("before", type=Path, nargs="?")
     parser.add_argument("after", type=Path, nargs="?")
-    parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--turns", type=int, default=20)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--scene", nargs="*", default=[])
     parser.add_argument("--no-blocks", action="store_true")
