@@ -71,11 +71,7 @@ class Excerpt:
             self.rollout.decided = self.control
 
     def measure(self, repeat: int) -> dict[str, Any]:
-        """Return ns a particle and substep of the whole and of each pass: medians, the first run left out.
-
-        A pass is called from Python here, which takes microseconds that it does not take in a rollout. They are
-        measured on a pass that only waits, and subtracted.
-        """
+        """Return ns a particle and substep of the whole and of each pass: medians, the first run left out."""
         whole: dict[str, list[float]] = {"forward": [], "store": [], "backward": []}
         for _ in range(repeat + 1):
             for name, run in (("forward", self.forward), ("store", self.store), ("backward", self.reverse)):
@@ -88,16 +84,11 @@ class Excerpt:
             np.median(np.array(whole["backward"][1:]) / np.array(whole["forward"][1:]))
         )
         result["passes"] = {}
-        call = self.nanoseconds(self._seconds(partial(self._run, MEET, self._at(self.q, self.q)), 10 * repeat), 1)
         for each in (*self.forward_passes(), *self.backward_passes()):
-            seconds = self._seconds(each.body, repeat)
+            seconds = [timed(lambda: self.rollout.team.run(each.body)) for _ in range(repeat + 1)]  # noqa: B023
             self.backward.q_bar[...] = 0.0
-            result["passes"][each.name] = max(0.0, self.nanoseconds(seconds, 1) - call) * each.calls
+            result["passes"][each.name] = self.nanoseconds(seconds[1:], 1) * each.calls
         return result
-
-    def _seconds(self, body: Callable[[int], Any], repeat: int) -> list[float]:
-        """Return how long a pass takes, the first run left out."""
-        return [timed(lambda: self.rollout.team.run(body)) for _ in range(repeat + 1)][1:]
 
     def nanoseconds(self, seconds: list[float], substeps: int) -> float:
         """Return the median, a particle and substep [ns]."""
