@@ -38,6 +38,7 @@ def test_simulate_prints_the_positions_of_the_bodies(cqrun, scene):
     assert "t = 0 of 0.02 s" in err
 
 
+@pytest.mark.usefixtures("pictures")
 def test_an_error_while_drawing_does_not_make_the_run_fail(cqrun, scene, monkeypatch):
     def broken(run):
         raise ValueError("no such axis")

@@ -145,6 +145,7 @@ def test_to_control_a_scene_with_a_design_says_that_it_learns_both(finger, tmp_p
     assert [line for line in listener.said if f"unknowns: {STIFFNESS} learned beside the controller" in line]
 
 
+@pytest.mark.usefixtures("pictures")
 def test_a_design_that_cannot_be_had_ends_infeasible_and_is_kept(finger, tmp_path, capsys):
     told = (
         r"constraint 'tip' is 0\.01\d+, wanted at most 0\.001: violated by 0\.01\d+ \(1\.\d+ of its scale\), the least "

@@ -207,6 +207,7 @@ def test_single_precision_has_no_intervals(two, tmp_path):
     assert "too coarse for the differences" in entry["reason"]
 
 
+@pytest.mark.usefixtures("pictures")
 @pytest.mark.parametrize("spread", ["per: field, resolution: 2", "per: particle, mirror: y"])
 def test_values_that_follow_from_fewer_numbers(two, tmp_path, spread):
     """Each value is told, without an interval; what is fitted beside them has its own."""

@@ -114,6 +114,7 @@ def test_variants_are_learned_and_compared(tmp_path):
     assert "note: control failed with rate 1e-06" in ablation_lines(path)
 
 
+@pytest.mark.usefixtures("in_process")
 def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     """The tip comes to .0146 with the stiffness free, and to .0158 without."""
     scene, listener = written(tmp_path, DESIGN), Listener()
@@ -149,6 +150,7 @@ def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     assert {name: mean.mean for name, mean in means.items()} == result_of(other)["trained"]["terms"]
 
 
+@pytest.mark.usefixtures("in_process")
 def test_that_no_run_meets_the_constraints_is_a_failure(tmp_path):
     scene = written(tmp_path, DESIGN)
     given = ["constraints.tip.at_most=0.001", "unknowns.bodies.finger.material.density={bounds: [0.999, 1.001]}"]
@@ -159,6 +161,7 @@ def test_that_no_run_meets_the_constraints_is_a_failure(tmp_path):
     assert "no run of any variant meets the constraints" in text
 
 
+@pytest.mark.usefixtures("pictures")
 def test_runs_that_blow_up_leave_the_comparison_of_the_others(tmp_path):
     """With bounds of stiffness up to 10^7 Pa, no step of the least length that is tried is stable."""
     scene = changed(design(tmp_path, E, RHO), f"{E}: {{bounds: [5, 20]", f"{E}: {{bounds: [5, 1.0e+7]")
@@ -200,6 +203,7 @@ def test_what_cannot_be_compared(tmp_path, change, options, message):
         run_ablation(design(tmp_path, E), [change], tmp_path / "out", threads=1, **{"seeds": 1, **options})
 
 
+@pytest.mark.usefixtures("in_process")
 def test_seeds_of_a_codesign(tmp_path):
     path, good = run_seeds(design(tmp_path, E), [], tmp_path / "out", threads=2, seeds=2, job=CODESIGN)
     assert good
@@ -207,6 +211,7 @@ def test_seeds_of_a_codesign(tmp_path):
     assert {read_record(run)["job"] for run in path.parent.glob("*/")} == {"codesign"}
 
 
+@pytest.mark.usefixtures("in_process")
 def test_variants_run_with_the_time_steps_of_the_whole(tmp_path):
     """`auto` would give control alone longer ones than stiffnesses that may reach 400: the starts are the same."""
     scene = design(tmp_path, E)
