@@ -147,7 +147,7 @@ def for_each(call: Callable[..., None]) -> Callable[..., None]:
 
 
 class Pass(NamedTuple):
-    """One pass of a list: its name, its function, and the arguments that this takes of those of the whole."""
+    """One pass of a list: its name, its function, and the function's arguments: expressions of those of the list."""
 
     name: str
     run: Callable[..., None]

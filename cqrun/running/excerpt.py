@@ -118,7 +118,7 @@ class Excerpt:
             "coefficient_bar": b.coefficient_bar, "levels_bar": b.drive_bar.levels, "bars": b.bundle, "at": at,
             "crew": Crew(thread, r.threads),
         }  # fmt: skip
-        each.run(*(known[name] for name in each.arguments.split(", ")))
+        each.run(*eval(f"({each.arguments},)", known))
 
     def forward_passes(self) -> Iterator[Pass]:
         """Yield the passes of a substep."""
