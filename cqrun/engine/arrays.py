@@ -62,9 +62,7 @@ add_vector = _per_dimension(
 
 # records of four: a vector has entries 0 .. D - 1 and the extra number entry 3, a place has entries 3 - D .. 2
 components = _per_dimension("a, dims", lambda d: _tuple([f"lane(a, {k})" for k in range(d)]))
-record_of = _per_dimension(
-    "extra, like, u", lambda d: f"make4(u[0], u[1], {'u[2]' if d == 3 else '0.0'}, extra, like)"
-)
+record_of = _per_dimension("extra, like, u", lambda d: f"make4(u[0], u[1], {'u[2]' if d == 3 else '0.0'}, extra, like)")
 put_vector = _per_dimension(
     "a, i, u, extra, dims", lambda d: f"store_quads(a, i, u[0], u[1], {'u[2]' if d == 3 else '0.0'}, extra)"
 )
@@ -88,9 +86,7 @@ get_columns = _per_dimension(
 )
 
 fraction = _per_dimension("X", lambda d: _tuple([f"X[{k}] - floor(X[{k}] - 0.5)" for k in range(d)]))
-within = _per_dimension(
-    "X, upper", lambda d: " & ".join(f"(X[{k}] > 1.0) & (X[{k}] < upper[{k}])" for k in range(d))
-)
+within = _per_dimension("X, upper", lambda d: " & ".join(f"(X[{k}] > 1.0) & (X[{k}] < upper[{k}])" for k in range(d)))
 _square = {d: " + ".join(f"v[{k}] * v[{k}]" for k in range(d)) for d in (2, 3)}
 greatest_square = _per_dimension("a, v", lambda d: f"select(a > {_square[d]}, a, {_square[d]})")
 """Return the larger of a and |v|^2."""

@@ -94,9 +94,7 @@ class ForwardRun:
             model.substeps, self.start.nbytes >= CHAINED_FROM and model.substeps > 1,
         )  # fmt: skip
         bits = model.condition_bits()
-        self.work = make_work(
-            shape, layout.n, bits, len(model.conditions), real, adjoint=self.adjoint, team=self.team
-        )
+        self.work = make_work(shape, layout.n, bits, len(model.conditions), real, adjoint=self.adjoint, team=self.team)
         push = model.no_push([*self.drive.steady, *self.drive.forces])
         self.bundle = Run(self.setting, self.work, self.fields, push)
         self._check_start()
