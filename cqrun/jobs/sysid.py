@@ -9,7 +9,7 @@ from pathlib import Path
 from cqrun.build.model import Built
 from cqrun.errors import Problem, SceneError
 from cqrun.fitting.case import Case
-from cqrun.fitting.cases import given_cases, made_cases, own_warnings, remarks
+from cqrun.fitting.cases import given_cases, made_cases, recording_warnings, remarks
 from cqrun.fitting.findings import write_findings
 from cqrun.fitting.problem import FitProblem
 from cqrun.jobs.job import NO_FILES, Job, Need
@@ -90,7 +90,7 @@ class Sysid(Job[Identification, SysidResult]):
         if cases is None:
             talk.phase("making data")
             cases = made_cases(run, built)
-        for warning in own_warnings(built, cases):
+        for warning in recording_warnings(built, cases):
             talk.warn(warning)
         for sentence in remarks(cases):
             run.log(sentence)

@@ -12,7 +12,7 @@ from cqrun.build.model import Built, build
 from cqrun.errors import SceneError
 from cqrun.explain import listed
 from cqrun.fitting.case import Case
-from cqrun.fitting.cases import given_cases, is_fit, own_warnings
+from cqrun.fitting.cases import given_cases, is_fit, recording_warnings
 from cqrun.jobs.control import CODESIGN, CONTROL
 from cqrun.jobs.sysid import SYSID, with_optimizer
 from cqrun.jobs.table import JOBS
@@ -57,7 +57,7 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     if agent is not None:
         yield from control_lines(agent, episodes)
     yield from _cost(built, episodes)
-    for warning in (*built.warnings, *own_warnings(built, cases or [])):
+    for warning in (*built.warnings, *recording_warnings(built, cases or [])):
         yield f"warning: {warning}"
 
 

@@ -166,7 +166,7 @@ def test_what_gradients_cost_is_told_and_is_no_part_of_the_result(fit, tmp_path)
     cost = read_record(run)["gradient"]
     assert cost["recompute_factor"] > 1.0
     assert cost["peak_bytes"] <= 128 * 1024
-    assert "forward substeps for each of the rollout" in (run / "log.txt").read_text()
+    assert "forward substeps for each substep of the rollout" in (run / "log.txt").read_text()
     assert "gradient" not in result_of(run)
 
 
@@ -266,7 +266,7 @@ def test_without_an_optimizer_the_data_choose_one(fit, tmp_path):
     assert result["recordings"] is None
     assert result["unknowns"][E_PATH]["interval"] is None
     lines = report_lines(run)
-    assert "no intervals: an objective is met or missed: there is no noise to compute an interval from" in lines
+    assert "no intervals: a fit to an objective has no noise to compute an interval from" in lines
     assert f"loss {result['loss']:.6g}" in lines
 
 
