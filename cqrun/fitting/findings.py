@@ -130,7 +130,7 @@ def _substep_findings(
     """Yield sentences on values that half the substep would move out of their intervals.
 
     MLS-MPM smooths velocities in every substep, which softens and damps a body; so the fitted values depend on the
-    number of substeps. `substeps: auto` takes more if bounds allow a stiffer material. Synthetic data have equal substeps.
+    number of substeps. `substeps: auto` takes more if bounds allow a stiffer material. Synthetic data need no check.
     """
     if problem.cases[0].built.scene.synthetic is not None or len(jacobian) == 0:
         return

@@ -309,7 +309,7 @@ def _of_mean(still: Array) -> tuple[float, float]:
 
 
 def _of_series(J: Array, r: Array, still: Array, inverse: Array, root: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield deviations (k, p) of the unknowns and degrees of freedom (p,): from the frames, then from the still mean."""
+    """Yield deviations (k, p) of the unknowns and degrees of freedom (p,): of the frames, then of the still mean."""
     along = J @ inverse
     variance, degrees = _long_run(r, J, along, root, len(r))
     yield along * np.sqrt(variance), degrees
