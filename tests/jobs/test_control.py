@@ -163,7 +163,7 @@ def test_a_start_that_blows_up_is_told(finger, tmp_path):
     listener = Listener()
     with pytest.raises(RunError, match=r"body 'finger', particle \d+, t = .* left the grid"):
         learn(finger, tmp_path, reporter=listener)
-    assert not any("nought" in line for line in listener.said)
+    assert not any("the gradient was zero" in line for line in listener.said)
     (run,) = (tmp_path / "finger").iterdir()
     assert result_of(run)["trained"] is None
     assert report_lines(run)[0].startswith("failed after 0 iterations")
@@ -186,19 +186,19 @@ def test_regions_of_the_scene_serve_as_groups(finger, tmp_path):
     assert found[0]["far"][1] != 0.0
 
 
-def test_a_gradient_of_nought_is_told(finger, tmp_path):
+def test_a_zero_gradient_is_reported(finger, tmp_path):
     """At rest the greatest distance is that of the first step, which no activation has moved."""
     listener = Listener()
     run = learn(
         finger, tmp_path, "objective={far: {distance: {body: finger, over: maximum}}}",
         "controller={open_loop: {every: 5}}", "goals={}", "episodes={}", "observers={}", reporter=listener,
     )  # fmt: skip
-    told = [line for line in listener.said if "the gradient was nought at every iteration" in line]
+    told = [line for line in listener.said if "the gradient was zero at every iteration" in line]
     assert len(told) == 1
-    assert "nought at every iteration" in (run / "log.txt").read_text()
+    assert "zero at every iteration" in (run / "log.txt").read_text()
     listener = Listener()
     learn(finger, tmp_path, reporter=listener)
-    assert not any("nought" in line for line in listener.said)
+    assert not any("the gradient was zero" in line for line in listener.said)
 
 
 @pytest.mark.parametrize(("range_", "told"), [("[-1, 1]", True), ("[-0.001, 0.001]", False)])

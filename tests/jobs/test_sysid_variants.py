@@ -162,7 +162,7 @@ def test_other_jobs_want_no_recordings(two):
 REFUSED = {
     "what a controller does": (
         (*MUSCLE[:1], "controller={sinusoid: {frequency: 1}}"),
-        "controller: sysid drives actuators by `activation` alone, and this would not act: take it out",
+        "controller: sysid drives actuators by `activation` only, not by a controller: remove it",
     ),
     "particles of its own": (
         (f"unknowns={{{E_PATH}: {{bounds: [1.0e4, 1.0e5], per: particle}}}}",
@@ -185,7 +185,7 @@ REFUSED = {
     ),
     "differences of rounding": (
         ("precision=float32",),
-        "optimizer.least_squares: its Jacobian is by differences, for which `precision: float32` is too coarse",
+        "optimizer.least_squares: `precision: float32` is too coarse for its finite differences",
     ),
 }  # fmt: skip
 
