@@ -96,7 +96,7 @@ def test_a_step_reads_its_own_record_alone(env, monkeypatch):
 
 
 def test_constraints_are_refused_and_a_design_that_is_not_learned_is_told():
-    with pytest.raises(SceneError, match="constraints: an environment honours no constraints: make them terms of the"):
+    with pytest.raises(SceneError, match="constraints: an environment does not support constraints: make them wei"):
         cqrun.environment(DESIGN, threads=1)
     with pytest.warns(UserWarning, match=f"unknowns: {STIFFNESS} stay at their start: an environment learns no design"):
         cqrun.environment(DESIGN, ["constraints={}"], threads=1)
