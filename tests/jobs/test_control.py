@@ -241,7 +241,7 @@ def test_a_missing_cma_is_named_before_anything_runs(finger, tmp_path, monkeypat
 def test_a_run_begins_with_a_line_on_each_body(finger, tmp_path):
     listener = Listener()
     run = learn(finger, tmp_path, "optimizer.adam.max_iterations=1", reporter=listener)
-    told = "finger: 48 particles, 4 a cell, 0.05 m apart; mass 48 kg/m; from (0.4125, 0.25) to "
+    told = "finger: 48 particles, 4 per cell, 0.05 m apart; mass 48 kg/m; from (0.4125, 0.25) to "
     assert any(line.startswith(told) and line.endswith("face of the world of 1 x 1 m") for line in listener.said)
     assert told in (run / "log.txt").read_text()
 

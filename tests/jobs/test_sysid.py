@@ -307,5 +307,5 @@ def test_a_kernel_is_announced_once_for_its_kind(fit, tmp_path, monkeypatch):
         said.append(listener.said)
     words = "2D float64, fixed_corotated + viscosity, sticky, forward"
     assert said[0] == [f"compiling kernels (once for scenes of this kind: {words})", *said[1]]
-    assert said[1][0].startswith("beam: 40 particles, 4 a cell")
+    assert said[1][0].startswith("beam: 40 particles, 4 per cell")
     assert said[1][1:] == ["making data", "fitting 2 unknowns", "intervals, predictions, trajectory"]
