@@ -90,7 +90,7 @@ def _reached(built: Built) -> list[str]:
 
 
 def _block(built: Built, path: str) -> Block:
-    """Return a number of the scene as a block with bounds at 0.5 and 1.5 times it, so that scaled steps are relative."""
+    """Return a number of the scene as a block with bounds at 0.5 and 1.5 times it; scaled steps are relative."""
     info = leaf(built.scene, path)
     value = float(info.value)
     half = 0.5 * abs(value) if value else 0.5 * TYPICAL.get(info.unit, 0.1)

@@ -104,9 +104,7 @@ def test_terms_that_do_not_fit_another_time_are_left_out(tmp_path, term, longer,
     scene = written(tmp_path)
     listener = Listener()
     run = replay(scene, tmp_path, f"objective.way={term}", f"time.duration={longer}", reporter=listener)
-    assert [line.startswith("warning: ") and told in line for line in listener.said if "ignores it" in line] == [
-        True
-    ]
+    assert [line.startswith("warning: ") and told in line for line in listener.said if "ignores it" in line] == [True]
     assert set(result_of(run)["terms"]) == {"tip", "effort"}
     fitting = replay(scene, tmp_path, f"objective.way={term}")
     assert set(result_of(fitting)["terms"]) == {"tip", "effort", "way"}
