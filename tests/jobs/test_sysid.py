@@ -220,7 +220,7 @@ def test_a_run_cannot_be_shortened(fit, tmp_path):
 
 
 def test_all_unknowns_at_their_bounds(fit, tmp_path):
-    """The truth lies outside: the value is told, without an interval, and why."""
+    """The truth lies outside: the value has no interval, but the reason."""
     path = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus"
     run = run_sysid(fit, [f"unknowns={{{path}: {{bounds: [2e4, 3.5e4], scale: log}}}}"], tmp_path, threads=1)
     (entry,) = result_of(run)["unknowns"].values()

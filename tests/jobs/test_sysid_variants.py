@@ -209,7 +209,7 @@ def test_single_precision_has_no_intervals(two, tmp_path):
 
 @pytest.mark.parametrize("spread", ["per: field, resolution: 2", "per: particle, mirror: y"])
 def test_values_that_follow_from_fewer_numbers(two, tmp_path, spread):
-    """Each value is told, without an interval; what is fitted beside them has its own."""
+    """The values have no intervals; an unknown that is fitted with them has one."""
     overrides = [f"unknowns.{E_PATH}={{bounds: [1.0e4, 1.0e5], {spread}}}", "optimizer={lbfgs: {max_iterations: 2}}"]
     run = find(two, tmp_path, *overrides)
     found = result_of(run)["unknowns"]
