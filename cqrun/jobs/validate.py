@@ -175,7 +175,7 @@ def _recording(case: Case) -> Iterator[str]:
 
 def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     model = built.model
-    one, budget = state_bytes(model), format_bytes(model.memory_budget)
+    size, budget = state_bytes(model), format_bytes(model.memory_budget)
     forward = 1e-9 * NANOSECONDS[model.dim] * model.layout.n_particles * model.n_steps
     try:
         plan = gradient_plan(built)
@@ -186,7 +186,7 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     again = "no substep runs twice" if plan.recompute == 1 else f"{plan.recompute:.2f} forward substeps for each"
     yield line(
         "memory",
-        f"a gradient keeps {plan.states:,} states of {format_bytes(one)}, {format_bytes(plan.states * one)} "
+        f"a gradient keeps {plan.states:,} states of {format_bytes(size)}, {format_bytes(plan.states * size)} "
         f"of a budget of {budget}: {again}",
     )
     backward = forward * (GRADIENT + plan.recompute - 1)

@@ -88,9 +88,9 @@ def index32(value: int) -> ir.Constant:
 
 
 def _splat(builder: Any, scalar: Any, vector: ir.VectorType) -> Any:
-    one = builder.insert_element(ir.Constant(vector, ir.Undefined), scalar, index32(0))
+    first = builder.insert_element(ir.Constant(vector, ir.Undefined), scalar, index32(0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), [0] * vector.count)
-    return builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), mask)
+    return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), mask)
 
 
 def as_lanes(context: Any, builder: Any, value: Any, given: types.Type, lanes: Lanes) -> Any:
