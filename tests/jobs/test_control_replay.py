@@ -297,7 +297,7 @@ def test_a_file_that_saw_other_numbers_or_says_nothing(trained, tmp_path):
     with pytest.raises(UsageError, match="it saw 14 numbers, and this scene's observers give 15"):
         replay(trained, tmp_path, controller=file)
     save_controller(file, parameters, {"controller": "linear_tanh"})
-    with pytest.raises(UsageError, match="does not say the controller's actuators, control_step"):
+    with pytest.raises(UsageError, match="lacks the controller's actuators, control_step"):
         replay(trained, tmp_path, controller=file)
 
 
