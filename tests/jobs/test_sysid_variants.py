@@ -167,7 +167,7 @@ REFUSED = {
     "particles of its own": (
         (f"unknowns={{{E_PATH}: {{bounds: [1.0e4, 1.0e5], per: particle}}}}",
          "data.recordings.two.overrides={bodies.beam.particles_per_cell: 9}", "optimizer={lbfgs: {}}"),
-        "data.recordings.two: its overrides change the particles of 'beam', each of which has a value of the unknown",
+        "data.recordings.two: its overrides change the particles of 'beam', and the unknown",
     ),
     "another grid": (
         (f"unknowns={{{E_PATH}: {{bounds: [1.0e4, 1.0e5], per: field}}}}",
@@ -204,7 +204,7 @@ def test_single_precision_has_no_intervals(two, tmp_path):
     run = find(two, tmp_path, "precision=float32", "optimizer={lbfgs: {max_iterations: 2}}")
     entry = result_of(run)["unknowns"][SHEAR_PATH]
     assert entry["interval"] is None
-    assert "too coarse for the differences" in entry["reason"]
+    assert "too coarse for the finite differences" in entry["reason"]
 
 
 @pytest.mark.parametrize("spread", ["per: field, resolution: 2", "per: particle, mirror: y"])

@@ -126,7 +126,7 @@ def test_a_run_acts_with_what_it_has_designed(tmp_path):
 
 
 def test_a_step_out_of_turn_is_told(env):
-    with pytest.raises(UsageError, match=r"none was begun; call reset\(\) first"):
+    with pytest.raises(UsageError, match=r"none has begun; call reset\(\) first"):
         env.step(np.zeros(2))
     env.reset(seed=1)
     with pytest.raises(UsageError, match=r"an action has shape \(2,\), not \(3,\)"):
