@@ -51,7 +51,7 @@ def test_it_counts_what_every_part_and_actuator_holds(beam):
 
 
 def test_it_tells_what_float32_rounds_away(beam):
-    assert "rounds motion away" not in told(beam)
+    assert "loses motion" not in told(beam)
     slow = np.finfo(np.float32).eps * 0.16 / (0.01 / 24)
     assert f"float32 loses motion slower than about {slow:.5g} m/s" in told(beam, "precision=float32")
 
