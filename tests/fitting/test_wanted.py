@@ -52,14 +52,8 @@ def test_its_gradient_is_that_of_its_value():
     ("term", "message"),
     [
         ("{mass: {body: beam}}", "objective.it: sysid takes only terms of the motion; `cqrun control` and"),
-        (
-            "{distance: {body: beam, axis: x}}",
-            "objective.it: sysid takes only terms that are 0 at best, such as",
-        ),
-        (
-            "{reach: {body: beam, position: [0.1, 0.1], weight: -1}}",
-            "objective.it: sysid takes only terms that are 0 at",
-        ),
+        ("{distance: {body: beam, axis: x}}", "objective.it: sysid takes only terms that are 0 at best, such as"),
+        ("{reach: {body: beam, position: [0.1, 0.1], weight: -1}}", "objective.it: sysid takes only terms that are 0"),
         ("{track: {body: beam, keys: [[0.2, 0.1, 0.1]]}}", "objective.it: a key frame at 0.2 s is after the end of"),
     ],
 )
