@@ -1,7 +1,7 @@
-"""Activations to active stresses and steady forces, once a control step, and back. One thread runs these.
+"""Turn activations into active stresses and steady forces, once per control step, and the adjoint; on one thread.
 
-theta_p = sum_a activation_a strength_a weight_ap direction_a over the stress actuators a that hold particle p. What
-steady forces do is their own (`forces/steady.py`).
+theta_p = sum_a activation_a strength_a weight_ap direction_a over the stress actuators a of particle p. Steady forces
+have their own functions (`forces/steady.py`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def stress(stresses: Stresses, activation: Array, strength: Array, control: int)
         a = stresses.actuators[k]
         for row in range(stresses.direction.shape[1]):
             tension = activation[control, a] * strength[a] * stresses.direction[k, row]
-            if tension == 0.0:  # as in all rows but one of a muscle along an axis
+            if tension == 0.0:  # a muscle along an axis has one row that is not zero
                 continue
             for index in range(stresses.start[k], stresses.start[k + 1]):
                 p = stresses.columns[index]
@@ -33,7 +33,7 @@ def stress(stresses: Stresses, activation: Array, strength: Array, control: int)
 
 @kernel
 def stress_vjp(pair: tuple[Stresses, Stresses], activation: Array, strength: Array, control: int, bar: Levels) -> None:
-    """Turn the cotangent of theta, summed over a control step, into those of activation, strength, weight; clear it."""
+    """Add the cotangent of theta, summed over a control step, to those of activation, strength, weight; clear it."""
     stresses, theta_bar = pair[0], pair[1].theta
     width = theta_bar.shape[2]
     for k in range(len(stresses.actuators)):
@@ -53,22 +53,16 @@ def stress_vjp(pair: tuple[Stresses, Stresses], activation: Array, strength: Arr
 
 
 @kernel
-def clear_columns(columns: Array, force: Array) -> None:
-    """Set the force on some particles to zero."""
+def clear(kind: Any, force: Array) -> None:
+    """Set the force on the particles in `kind.columns` to zero."""
     width = force.shape[2]
-    for p in columns:
+    for p in kind.columns:
         force[p // width, :, p % width] = 0.0
-
-
-@kernel
-def clear_steady(steady: Any, force: Array) -> None:
-    """Set the force on the particles of one kind of steady force to zero."""
-    clear_columns(steady.columns, force)
 
 
 stress_of_each = for_each(stress)
 stress_vjp_of_each = for_each(stress_vjp)
-clear_each_steady = for_each(clear_steady)
+clear_each = for_each(clear)
 hold_of_each = for_each(hold)
 hold_vjp_of_each = for_each(hold_vjp)
 
@@ -79,8 +73,8 @@ def activate(drive: Drive, run: Run, control: int) -> None:
     levels, pulled, push = drive.levels, drive.pulled, run.push
     stress_of_each(drive.stresses, levels.activation, levels.strength, control)
     if push.shape[0] > 0:
-        clear_columns(pulled.columns, push)
-        clear_each_steady(drive.steady, push)
+        clear(pulled, push)
+        clear_each(drive.steady, push)
         hold_of_each(drive.steady, levels, control, run.fields, push)
         width = push.shape[2]
         for j in range(len(pulled.columns)):
@@ -91,10 +85,7 @@ def activate(drive: Drive, run: Run, control: int) -> None:
 
 @kernel
 def activate_vjp(stresses: Any, drive: Drive, levels_bar: Levels, run: Run, bars: Bars, control: int) -> None:
-    """Carry the cotangents of a control step's active stresses and steady forces back, and clear them.
-
-    `stresses` are the active stresses, each with its cotangent.
-    """
+    """Run the adjoint of `activate` for pairs of active stresses and their cotangents; clear the cotangents."""
     levels, steady_bar = drive.levels, bars.steady_push
     stress_vjp_of_each(stresses, levels.activation, levels.strength, control, levels_bar)
     if steady_bar.shape[0] > 0:

@@ -1,9 +1,8 @@
-"""Passes that exert forces on particles, and their adjoints, on all threads.
+"""Passes that apply forces to particles, and their adjoints, on all threads.
 
-Every substep, threads first take items of forces side by side (`forces/force.py`), then lanes with pulled particles:
-there they add up each particle's shares, and write the lane's momentum with the force that it now has. So all other
-lanes may go on from substep to substep without waiting for the forces. Steady forces (`forces/steady.py`) are set once
-a control step, by `drive.py`.
+In each substep the threads first share the items of forces (`forces/force.py`), then the lanes with pulled particles.
+For each such lane they sum the shares of every particle and write the lane's momentum with its force. So the other
+lanes do not wait for the forces. `drive.py` sets steady forces (`forces/steady.py`) once per control step.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ def exert_items(force: Any, levels: Levels, at: Substep, crew: Crew) -> None:
 
 @kernel
 def exert_items_vjp(force: Any, levels: Levels, push_bar: Array, at: Substep, crew: Crew) -> None:
-    """Write the cotangents that one kind of force gives its particles and parts."""
+    """Write the cotangents of the particles and parts of one kind of force."""
     lo, hi = share(len(force.parts), crew.thread, crew.n_threads)
     for item in range(lo, hi):
         exert_vjp(force, item, levels, at.control, at.q, push_bar)
@@ -37,7 +36,7 @@ def exert_items_vjp(force: Any, levels: Levels, push_bar: Array, at: Substep, cr
 
 @kernel
 def push_lanes(group: Group, pulled: Pulled, run: Run, at: Substep, crew: Crew) -> None:
-    """Set the force on a body's pulled particles, and write the momentum of their lanes."""
+    """Set the force on a group's pulled particles, and write the momentum of their lanes."""
     push, force, width = run.push, pulled.shares.force, LANE_BYTES // at.q.itemsize
     lo, hi = share(len(group.lanes), crew.thread, crew.n_threads)
     for index in range(lo, hi):
@@ -53,7 +52,7 @@ def push_lanes(group: Group, pulled: Pulled, run: Run, at: Substep, crew: Crew) 
 
 @kernel
 def push_lanes_vjp(groups: tuple[Group, Group], pulled: Pulled, run: Run, bars: Bars, at: Substep, crew: Crew) -> None:
-    """Add what forces give to the cotangents of their particles; begin these lanes' adjoint before, if `ahead`."""
+    """Add the forces' part to the cotangents of their particles; if `ahead`, start the previous substep's adjoint."""
     group, q_bar, shares = groups[0], bars.q, pulled.shares
     width, V = LANE_BYTES // at.q.itemsize, first_row_of_v(run.setting.dims)
     lo, hi = share(len(group.lanes), crew.thread, crew.n_threads)
@@ -71,7 +70,7 @@ def push_lanes_vjp(groups: tuple[Group, Group], pulled: Pulled, run: Run, bars: 
 
 @kernel
 def add_level_bars(force: Any, levels_bar: Levels, control: int) -> None:
-    """Add the cotangents of activation, strength and rest length of one kind of force, item after item."""
+    """Add the cotangents of activation, strength and rest length of one kind of force, item by item."""
     level_bar = force.shares.level_bar
     for item in range(len(force.parts)):
         a = force.parts[item]
@@ -89,7 +88,7 @@ add_level_bars_of_each = for_each(add_level_bars)
 
 @kernel
 def push_particles(groups: Any, drive: Drive, run: Run, at: Substep, crew: Crew) -> None:
-    """Exert all forces at the state q."""
+    """Apply all forces at the state q."""
     if len(drive.forces) > 0:
         exert_of_each(drive.forces, drive.levels, at, crew)
         barrier(run.work.arrivals, crew.n_threads)
@@ -100,7 +99,7 @@ def push_particles(groups: Any, drive: Drive, run: Run, at: Substep, crew: Crew)
 def push_particles_vjp(
     pairs: Any, drive: Drive, levels_bar: Levels, run: Run, bars: Bars, at: Substep, crew: Crew
 ) -> None:
-    """Add what the forces' cotangent (`bars.push`) gives to those of the state and of the levels."""
+    """Add to the cotangents of the state and of the levels from that of the forces (`bars.push`)."""
     if len(drive.forces) > 0:
         barrier(run.work.arrivals, crew.n_threads)
         exert_of_each_vjp(drive.forces, drive.levels, bars.push, at, crew)

@@ -27,7 +27,7 @@ class Points:
 
     Attributes:
         rows: sparse (M, N): one row a point over the body's particles, each summing to 1.
-        stems: (M, D) at rest [m]; None where every stem is nought, so that F and C do not matter.
+        stems: (M, D) at rest [m]; None if all are zero, so that F and C do not matter.
     """
 
     rows: csr_array

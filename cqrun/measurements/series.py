@@ -167,7 +167,7 @@ class SeriesComparison(Comparison):
         each = [float(np.sqrt(s / n)) if n else float("nan") for s, n in zip(squared.sum(0), frames, strict=True)]
         return Misfit(float(np.sqrt(squared.sum() / self.count)), dict(zip(self.names, each, strict=True)))
 
-    # --- what is told of them -----------------------------------------------------------------------------------
+    # --- reports --------------------------------------------------------------------------------------------------
 
     def summary(self) -> str:
         """Return what is compared, for `cqrun validate`."""

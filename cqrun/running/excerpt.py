@@ -1,4 +1,4 @@
-"""Some substeps of a rollout, run again and again: how long they take as a whole, and pass by pass."""
+"""Measure the time of some substeps of a rollout, in total and for each pass."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cqrun.state import State
 
 
 class Pass(NamedTuple):
-    """One pass of a substep: `body(thread)` runs it, as often a substep as `calls` says."""
+    """One pass: `body(thread)` runs it, `calls` is how often it runs per substep."""
 
     name: str
     body: Callable[[int], Any]
@@ -32,13 +32,13 @@ class Pass(NamedTuple):
 
 
 class Excerpt:
-    """Substeps `begin` .. `begin + length` of a rollout whose adjoint may be run.
+    """Substeps `begin` .. `begin + length` of a rollout, and their adjoint.
 
     Args:
-        rollout: with `adjoint=True`; its own start is where the excerpt begins unless `q` says otherwise.
-        begin: a control step's first substep.
-        length: substeps, whole control steps.
-        q: the packed state at `begin`.
+        rollout: a rollout with `adjoint=True`.
+        begin: the first substep of a control step.
+        length: number of substeps, whole control steps.
+        q: the packed state at `begin`; the start of the rollout if not given.
     """
 
     def __init__(self, rollout: Rollout, begin: int, length: int, q: Array | None = None) -> None:
@@ -53,7 +53,7 @@ class Excerpt:
         self.backward = BackwardRun(rollout, LossBar(final=last))
 
     def forward(self) -> None:
-        """Run all substeps, as a rollout without gradient does."""
+        """Run all substeps like a rollout without gradient."""
         self.rollout.advance(self.begin, self.end, self.here, keep=False)
 
     def store(self) -> None:
@@ -65,13 +65,13 @@ class Excerpt:
         self.backward.run(self.begin, self.end, self.states)
 
     def rewind(self) -> None:
-        """Put the start where both runs begin, and have the policy decide again; no part of a substep, so not timed."""
+        """Reset the start of both runs, and the decisions of the policy; it is not part of a substep, so not timed."""
         self.here[0] = self.states[0] = self.q
         if self.rollout.policy is not None:
             self.rollout.decided = self.control
 
     def measure(self, repeat: int) -> dict[str, Any]:
-        """Return ns a particle and substep of the whole and of each pass: medians, the first run left out."""
+        """Return ns per particle and substep in total and for each pass: medians without the first run."""
         whole: dict[str, list[float]] = {"forward": [], "store": [], "backward": []}
         for _ in range(repeat + 1):
             for name, run in (("forward", self.forward), ("store", self.store), ("backward", self.reverse)):
@@ -91,20 +91,20 @@ class Excerpt:
         return result
 
     def nanoseconds(self, seconds: list[float], substeps: int) -> float:
-        """Return the median, a particle and substep [ns]."""
+        """Return the median per particle and substep [ns]."""
         return float(np.median(seconds)) / (self.n * substeps) * 1e9
 
-    # --- pass by pass, in an order in which each finds what it needs ------------------------------------------------
+    # --- the passes, in an order in which each has its inputs -------------------------------------------------------
 
     def _at(self, q: Array, q_next: Array, *, ahead: bool = False) -> Substep:
-        """Return a substep that sorts its particles, and does all its passes itself."""
+        """Return a substep that sorts its particles and runs all its passes."""
         return Substep(self.control, 0, False, ahead, q, q_next, self.states[0])
 
     def _measurable(self, passes: Sequence[KernelPass]) -> Iterator[tuple[KernelPass, float]]:
-        """Yield the passes that there is something to do for, with how often a substep each runs."""
+        """Yield the passes that have work in this scene, and how often each runs per substep."""
         chained = self.rollout.setting.chained
         calls = {"sort": 1.0 / SORT_EVERY}
-        if chained:  # the others go on from pass to pass
+        if chained:  # in other substeps they run tile by tile with another pass
             calls |= dict.fromkeys(("momentum", "move", "move_vjp", "momentum_vjp"), 1.0 / self.substeps)
         for each in passes:
             if each is not MEET and (self.rollout.drive.forces or not each.name.startswith("forces")):
@@ -118,7 +118,7 @@ class Excerpt:
             "coefficient_bar": b.coefficient_bar, "levels_bar": b.drive_bar.levels, "bars": b.bundle, "at": at,
             "crew": Crew(thread, r.threads),
         }  # fmt: skip
-        each.run(*(known[name] for name in each.arguments.split(", ")))
+        each.run(*eval(f"({each.arguments},)", known))
 
     def forward_passes(self) -> Iterator[Pass]:
         """Yield the passes of a substep."""
@@ -140,7 +140,7 @@ class Excerpt:
             yield Pass("record", alone(lambda: record(r.probe, q, rows)), once)
 
     def backward_passes(self) -> Iterator[Pass]:
-        """Yield the passes of a substep's adjoint, but for those that it does again of the substep."""
+        """Yield the passes of a substep's adjoint, without the passes of the substep that it repeats."""
         r, b, control = self.rollout, self.backward, self.control
         once, rows = 1.0 / self.substeps, np.ones_like(r.records[0])
         if r.probe.start.shape[0] > 1:
@@ -180,7 +180,7 @@ def alone(run: Callable[[], Any]) -> Callable[[int], Any]:
 
 
 def timed(run: Callable[[], Any]) -> float:
-    """Return how long a call takes [s]."""
+    """Return the time of a call [s]."""
     begin = time.perf_counter()
     run()
     return time.perf_counter() - begin

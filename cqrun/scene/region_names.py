@@ -48,13 +48,13 @@ def _unknown(scene: Sections) -> Iterator[InitErrorDetails]:
         of = group.mark.of
         body = _body_at(scene, group.loc) if of is None else getattr(group.part, of)
         legal = [*_groups_of(scene, body), *scene.regions]
-        if group.value not in legal and (not body or body in scene.bodies):  # else the body's name is told
+        if group.value not in legal and (not body or body in scene.bodies):  # otherwise the body's name is reported
             kind = f"group of the body '{body}'" if body else "group"
             yield _refusal(group, unknown(kind, group.value, legal))
 
 
 def _refusal(found: Marked[Any], message: str) -> InitErrorDetails:
-    """Return what is told of a name; where it stands alone for a plug-in, at the choice of that."""
+    """Return the problem with a name; if the name stands for a plug-in, it is reported at the plug-in's choice."""
     part = found.part
     alone = isinstance(part, Plugin) and part.stands_alone and found.loc[-1] == part.shorthand
     return finding(message, found.loc[:-2] if alone else found.loc, kind=KEY if found.at_key else VALUE)

@@ -41,7 +41,7 @@ CASES = {
     "an actuator of groups and of a region": (
         "each: [left, right]",
         "each: [left, right], region: {half_space: {point: [0.5, 0.3], normal: [0, 1]}}",
-        ["actuators.muscle.muscle.region: stands beside `each`, which says where: give one of the two, or name a reg"],
+        ["actuators.muscle.muscle.region: cannot be combined with `each`: give one of the two, or name a reg"],
     ),
     "a colour of a body without an image": (
         "each: [left, right]",
@@ -86,7 +86,7 @@ CASES = {
     "a cable with coincident neighbours": (
         MUSCLE,
         cable("[[0.41, 0.25], [0.41, 0.25], [0.41, 0.55]]"),
-        ["actuators.string.cable.route.1: is where the point before it is: remove one of the two"],
+        ["actuators.string.cable.route.1: is the same as the point before it: remove one of the two"],
     ),
     "a cable along one point": (
         MUSCLE,

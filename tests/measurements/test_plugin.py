@@ -227,7 +227,7 @@ def test_strain_and_markers_in_one_fit_count_by_what_each_shows(scene, tmp_path)
     assert sum("RMSE [mm]" in line for line in report_lines(run)) == 1
 
 
-# --- what is told ---------------------------------------------------------------------------------------------
+# --- reports --------------------------------------------------------------------------------------------------
 
 
 def test_validate_tells_of_it(scene):

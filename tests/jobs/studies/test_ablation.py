@@ -123,7 +123,7 @@ def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
                 "unknowns.bodies.finger.material.density={bounds: [0.999, 1.001]}"],
         tmp_path / "out", threads=2, seeds=2, reporter=listener,
     )  # fmt: skip
-    assert any("every run will be the same" in line for line in listener.said)
+    assert any("all runs will be the same" in line for line in listener.said)
     variants = json.loads(path.read_text())["variants"]
     assert {name: entry["feasible"] for name, entry in variants.items()} == {
         "control": 0, "youngs_modulus": 2, "density": 0, "all": 2,
@@ -261,7 +261,7 @@ def test_a_start_that_is_another_body_is_refused(tmp_path):
 def test_a_start_of_groups_that_is_not_the_scenes_is_refused(tmp_path):
     """Particles in no group have the scene's own value where the unknown is free, and the start where it is not."""
     scene = load_scene(design(tmp_path), [f"unknowns={{{E}: {{bounds: [5, 20], per: group, initial: 6}}}}"])
-    with pytest.raises(UsageError, match=r"starts at 6, .* start otherwise in particles without a group"):
+    with pytest.raises(UsageError, match=r"starts at 6, .* have other values in particles without a group"):
         variants_of(scene)
 
 
@@ -276,7 +276,7 @@ def test_stopped_it_says_of_how_many_seeds_it_can_compare_all(tmp_path, monkeypa
         talk.stop.ask(signal.SIGINT)
 
     monkeypatch.setattr(ablation, "run_fleet", stopped)
-    for ended, now in ((1, ""), (5, "; with --seeds 2 it compares what there is")):
+    for ended, now in ((1, ""), (5, "; with --seeds 2 it compares the finished runs")):
         told = rf"^{ended} of 6 runs are finished; the same command continues{now}$"
         with pytest.raises(Stopped, match=told):
             run_ablation(design(tmp_path, E), [], tmp_path / "out", threads=2, seeds=3)
