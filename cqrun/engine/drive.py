@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from cqrun.engine.setting import Bars, Drive, Run, Stresses
+from cqrun.engine.setting import Bars, Drive, Stresses
 from cqrun.forces.force import Levels
+from cqrun.forces.pulled import Pulled
 from cqrun.forces.steady import hold, hold_vjp
 from cqrun.numerics.compile import for_each, kernel
 from cqrun.plugin.contract import Array
@@ -60,34 +61,46 @@ def clear(kind: Any, force: Array) -> None:
         force[p // width, :, p % width] = 0.0
 
 
+@kernel
+def clear_all(kind: Any, force: Array) -> None:
+    """Set the force on all particles to zero."""
+    force[:] = 0.0
+
+
+@kernel
+def keep_base(pulled: Pulled, push: Array) -> None:
+    """Keep the steady forces on the particles that other forces pull, too."""
+    width = push.shape[2]
+    for j in range(len(pulled.columns)):
+        p = pulled.columns[j]
+        for d in range(push.shape[1]):
+            pulled.base[j, d] = push[p // width, d, p % width]
+
+
 stress_of_each = for_each(stress)
 stress_vjp_of_each = for_each(stress_vjp)
 clear_each = for_each(clear)
+clear_all_for_each = for_each(clear_all)
+keep_base_of_each = for_each(keep_base)
 hold_of_each = for_each(hold)
 hold_vjp_of_each = for_each(hold_vjp)
 
 
 @kernel
-def activate(drive: Drive, run: Run, control: int) -> None:
+def activate(drive: Drive, fields: Array, push: Array, control: int) -> None:
     """Set the active stresses and the steady forces of a control step."""
-    levels, pulled, push = drive.levels, drive.pulled, run.push
+    levels = drive.levels
     stress_of_each(drive.stresses, levels.activation, levels.strength, control)
-    if push.shape[0] > 0:
-        clear(pulled, push)
-        clear_each(drive.steady, push)
-        hold_of_each(drive.steady, levels, control, run.fields, push)
-        width = push.shape[2]
-        for j in range(len(pulled.columns)):
-            p = pulled.columns[j]
-            for d in range(push.shape[1]):
-                pulled.base[j, d] = push[p // width, d, p % width]
+    clear_each(drive.pulled, push)
+    clear_each(drive.steady, push)
+    hold_of_each(drive.steady, levels, control, fields, push)
+    keep_base_of_each(drive.pulled, push)
 
 
 @kernel
-def activate_vjp(stresses: Any, drive: Drive, levels_bar: Levels, run: Run, bars: Bars, control: int) -> None:
+def activate_vjp(stresses: Any, drive: Drive, levels_bar: Levels, fields: Array, bars: Bars, control: int) -> None:
     """Run the adjoint of `activate` for pairs of active stresses and their cotangents; clear the cotangents."""
     levels, steady_bar = drive.levels, bars.steady_push
     stress_vjp_of_each(stresses, levels.activation, levels.strength, control, levels_bar)
-    if steady_bar.shape[0] > 0:
-        hold_vjp_of_each(drive.steady, levels, levels_bar, control, run.fields, bars.fields, steady_bar)
-        steady_bar[:] = 0.0
+    hold_vjp_of_each(drive.steady, levels, levels_bar, control, fields, bars.fields, steady_bar)
+    clear_all_for_each(drive.steady, steady_bar)

@@ -10,10 +10,11 @@ from numba import config
 from cqrun.engine.model import Inputs, Model, Records
 from cqrun.engine.policy import Policy
 from cqrun.engine.probe import record
-from cqrun.engine.setting import MARGIN, Crew, Drive, Group, Run, Setting, make_work, node_strides, pulled_lanes
+from cqrun.engine.setting import MARGIN, Crew, Drive, Group, Run, Setting, make_work, node_strides
 from cqrun.engine.step import advance
 from cqrun.engine.team import Team
 from cqrun.errors import RolloutError
+from cqrun.forces.pulled import pulled_lanes
 from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import pack, unpack
 from cqrun.plugin.contract import Array
@@ -123,8 +124,8 @@ class ForwardRun:
                 view = make(pack(full, model.real))
                 views.append(view._replace(history=self._rows(names)) if names else view)
             views += [kind(active[kind].theta, (0,) * active[kind].theta.shape[1]) for kind in g.active]
-            lanes = pulled_lanes(drive.pulled.columns, lo, hi, lane_width(model.real))
-            groups.append(Group(lo, hi, tuple(views), *lanes))
+            lanes = tuple(pulled_lanes(pulled.columns, lo, hi, lane_width(model.real)) for pulled in drive.pulled)
+            groups.append(Group(lo, hi, tuple(views), lanes))
         return tuple(groups)
 
     def _rows(self, names: tuple[str, ...]) -> tuple[int, ...]:

@@ -16,8 +16,9 @@ from scipy import sparse
 
 from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
 from cqrun.engine.probe import make_probe
-from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, make_pulled, node_positions
+from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
 from cqrun.forces.force import Kind, Levels, is_force, make_forces
+from cqrun.forces.pulled import make_pulled
 from cqrun.forces.steady import is_steady, make_steady, starts_of
 from cqrun.numerics.packed import pack
 from cqrun.plugin.contract import Array
@@ -162,7 +163,7 @@ class Model:
         kernels, all_shares = make_forces([Kind(kind, *of(kind)) for kind in forces], self.dim)
         return Drive(
             levels, tuple(stress(kind) for kind in stresses), tuple(make_steady(kind, *of(kind)) for kind in steady),
-            kernels, make_pulled(all_shares),
+            kernels, (make_pulled(all_shares),) if kernels else (),
         )  # fmt: skip
 
     def no_push(self, kinds: Sequence[Any]) -> Array:

@@ -18,6 +18,10 @@ and then the histories of material terms. In cells d = dx (o - f), so P2G scatte
 
 from __future__ import annotations
 
+from typing import Any
+
+from numba.extending import overload
+
 from cqrun.engine.arrays import (
     add_vector,
     add_x,
@@ -212,22 +216,41 @@ def momentum_vjp(groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep,
             store_C(q_bar, i, add(C_bar, scale(G_bar, m * kappa)), dims)
             store_F(q_bar, i, add(F_bar, load_F(q_bar, i, dims)), dims)
         if at.ahead:
-            begin_between_lanes(groups, run, bars, at, tile, end, thread)
+            begin_but_for(groups[0].pulled, groups, run, bars, at, tile, end, thread)
             write_momentum(group, run, at.q_before, tile, end)
 
 
 @kernel
 def begin_between_lanes(
-    groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep, lo: int, hi: int, thread: int
+    lanes: Array, groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep, lo: int, hi: int, thread: int
 ) -> None:
     """Start the adjoint of the previous substep in columns lo .. hi without the lanes that forces pull."""
-    lanes, begin = groups[0].lanes, lo
+    begin = lo
     for lane_at in lanes[first_at_least(lanes, lo) : first_at_least(lanes, hi)]:
         if lane_at > begin:
             begin_cotangent(groups, run, at.q_before, at.q, bars.q, begin, lane_at, thread)
         begin = lane_at + LANE_BYTES // at.q.itemsize
     if hi > begin:
         begin_cotangent(groups, run, at.q_before, at.q, bars.q, begin, hi, thread)
+
+
+def begin_but_for(pulled: Any, groups: Any, run: Run, bars: Bars, at: Substep, lo: int, hi: int, thread: int) -> None:
+    """Start the adjoint of the previous substep in columns lo .. hi without the lanes in `pulled`, if there is any."""
+    if pulled:
+        begin_between_lanes(pulled[0].first, groups, run, bars, at, lo, hi, thread)
+    else:
+        begin_cotangent(groups, run, at.q_before, at.q, bars.q, lo, hi, thread)
+
+
+@overload(begin_but_for)
+def _begin_but_for(pulled, groups, run, bars, at, lo, hi, thread):
+    def some(pulled, groups, run, bars, at, lo, hi, thread):
+        begin_between_lanes(pulled[0].first, groups, run, bars, at, lo, hi, thread)
+
+    def none(pulled, groups, run, bars, at, lo, hi, thread):
+        begin_cotangent(groups, run, at.q_before, at.q, bars.q, lo, hi, thread)
+
+    return some if len(pulled) else none
 
 
 @kernel

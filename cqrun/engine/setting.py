@@ -8,7 +8,8 @@ import numpy as np
 
 from cqrun.engine.blocks import BLOCK, Blocks, make_blocks
 from cqrun.engine.team import Team
-from cqrun.forces.force import Levels, Shares
+from cqrun.forces.force import Levels
+from cqrun.forces.pulled import Pulled, PulledLanes
 from cqrun.numerics.packed import aligned
 from cqrun.plugin.contract import Array
 
@@ -37,8 +38,7 @@ class Group(NamedTuple):
     lo: int
     hi: int
     terms: tuple[Any, ...]
-    lanes: Array  # (L,) first columns of the lanes with pulled particles, increasing
-    pulled: Array  # (L + 1,) where the particles of each of these lanes begin in `Pulled.columns`
+    pulled: tuple[PulledLanes, ...]  # one entry, or none if no force depends on the state
 
 
 class Stresses(NamedTuple):
@@ -52,16 +52,6 @@ class Stresses(NamedTuple):
     weight: Array  # of each entry of `columns` [1]
 
 
-class Pulled(NamedTuple):
-    """The particles that forces pull, and the shares that each of them sums."""
-
-    columns: Array  # (P,) increasing
-    begin: Array  # (P + 1,) where the shares of a particle begin in `order`
-    order: Array  # (S,) the shares of each particle in the order of their sum
-    shares: Shares  # of all kinds of force
-    base: Array  # (P, D) steady force on each particle [N]
-
-
 class Drive(NamedTuple):
     """The parts of actuators, then of forces without an activation; a cotangent differs in levels and stresses."""
 
@@ -69,7 +59,7 @@ class Drive(NamedTuple):
     stresses: tuple[Stresses, ...]  # one per kind of active stress
     steady: tuple[Any, ...]  # one kernel per kind of steady force
     forces: tuple[Any, ...]  # one kernel per kind of force that depends on the state
-    pulled: Pulled
+    pulled: tuple[Pulled, ...]  # one entry, or none if `forces` is empty: then kernels hold no code for it
 
 
 class Probe(NamedTuple):
@@ -145,21 +135,6 @@ class Crew(NamedTuple):
 
     thread: int
     n_threads: int
-
-
-def make_pulled(shares: Shares) -> Pulled:
-    """Return the particles that the shares pull, in the order of their columns."""
-    columns, order = np.unique(shares.columns), np.argsort(shares.columns, kind="stable")
-    begin = np.append(np.searchsorted(shares.columns[order], columns), len(order))
-    base = np.zeros((len(columns), shares.force.shape[1]))
-    return Pulled(columns.astype(np.int64), begin.astype(np.int64), order.astype(np.int64), shares, base)
-
-
-def pulled_lanes(columns: Array, lo: int, hi: int, width: int) -> tuple[Array, Array]:
-    """Return `lanes` and `pulled` of the group with the columns lo .. hi."""
-    first, last = np.searchsorted(columns, [lo, hi])
-    lanes = np.unique(columns[first:last] // width) * width
-    return lanes.astype(np.int64), np.searchsorted(columns, [*lanes, hi]).astype(np.int64)
 
 
 def grid_shape(size: Array, dx: float) -> tuple[int, ...]:

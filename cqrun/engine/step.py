@@ -14,7 +14,7 @@ import numpy as np
 
 from cqrun.engine.blocks import SORT_EVERY, sort_particles
 from cqrun.engine.drive import activate, activate_vjp
-from cqrun.engine.forces import push_particles, push_particles_vjp
+from cqrun.engine.forces import push_if_pulled, push_if_pulled_vjp
 from cqrun.engine.grid import add_friction_bar, clear, update_grid, update_grid_vjp
 from cqrun.engine.particles import momentum_of_each, momentum_of_each_vjp, move_each, move_each_vjp
 from cqrun.engine.probe import record, record_vjp
@@ -64,7 +64,7 @@ MEET = Pass("meet", barrier, f"{WORK}.arrivals, crew.n_threads")
 
 FORWARD = (
     Pass("momentum", momentum_of_each, "groups, run, at, crew"),
-    Pass("forces", push_particles, "groups, drive, run, at, crew"),
+    Pass("forces", push_if_pulled, "drive.pulled, groups, drive, run, at, crew"),
     Pass("sort", sort, "run, at, crew"),
     Pass("clear", clear, f"{WORK}.grid, 1, run, crew"),
     MEET,
@@ -88,7 +88,7 @@ BACKWARD = (
     MEET,
     Pass("friction_vjp", add_friction_bar, "coefficient_bar, run, crew"),
     Pass("momentum_vjp", momentum_of_each_vjp, "pairs, run, bars, at, crew"),
-    Pass("forces_vjp", push_particles_vjp, "pairs, drive, levels_bar, run, bars, at, crew"),
+    Pass("forces_vjp", push_if_pulled_vjp, "drive.pulled, pairs, drive, levels_bar, run, bars, at, crew"),
 )  # fmt: skip
 """The passes of a substep's adjoint: they turn bars.q from the cotangent of q_next into that of q."""
 
@@ -121,7 +121,7 @@ def advance(
         control = step // setting.substeps
         if step % setting.substeps == 0 or step == begin:
             if crew.thread == 0:
-                activate(drive, run, control)
+                activate(drive, run.fields, run.push, control)
             barrier(work.arrivals, crew.n_threads)
         begun, ahead = step > begin and follows(step, setting), step + 1 < end and follows(step + 1, setting)
         substep(groups, conditions, drive, run, Substep(control, step, begun, ahead, q, q_next, q), crew)
@@ -149,7 +149,7 @@ def reverse(
         control = step // setting.substeps
         if (step + 1) % setting.substeps == 0 or step == end - 1:
             if crew.thread == 0:
-                activate(drive, run, control)
+                activate(drive, run.fields, run.push, control)
                 if (step + 1) % setting.substeps == 0:
                     record_vjp(probe, bars.q, records_bar[control + 1])
             barrier(work.arrivals, crew.n_threads)
@@ -161,5 +161,5 @@ def reverse(
         substep_vjp(groups, pairs, conditions, coefficient_bar, drive, levels_bar, run, bars, at, crew)
         barrier(work.arrivals, crew.n_threads)
         if step % setting.substeps == 0 and crew.thread == 0:
-            activate_vjp(stresses, drive, levels_bar, run, bars, control)
+            activate_vjp(stresses, drive, levels_bar, run.fields, bars, control)
         barrier(work.arrivals, crew.n_threads)

@@ -76,7 +76,7 @@ def update_histories(terms: Any, q: Array, q_next: Array, i: int, F: Any, F_next
 
 @overload(update_histories)
 def _update_histories(terms, q, q_next, i, F, F_next, dt):
-    if len(terms) == 0:
+    if not any(has_history(term.instance_class) for term in terms):
         return lambda terms, q, q_next, i, F, F_next, dt: None
     if not has_history(terms[0].instance_class):
         return lambda terms, q, q_next, i, F, F_next, dt: update_histories(terms[1:], q, q_next, i, F, F_next, dt)
@@ -110,7 +110,7 @@ def update_histories_vjp(
 
 @overload(update_histories_vjp)
 def _update_histories_vjp(terms, terms_bar, q, q_bar, i, F, F_next, dt, F_bar, F_next_bar):
-    if len(terms) == 0:
+    if not any(has_history(term.instance_class) for term in terms):
         return lambda terms, terms_bar, q, q_bar, i, F, F_next, dt, F_bar, F_next_bar: (F_bar, F_next_bar)
 
     def none(terms, terms_bar, q, q_bar, i, F, F_next, dt, F_bar, F_next_bar):

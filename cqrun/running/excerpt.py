@@ -128,7 +128,7 @@ class Excerpt:
         if r.policy is not None:
             yield Pass("policy", alone(self._policy), once)
         if r.drive.stresses or r.drive.steady:
-            yield Pass("activate", alone(lambda: activate(r.drive, r.bundle, control)), once)
+            yield Pass("activate", alone(lambda: activate(r.drive, r.fields, r.bundle.push, control)), once)
         q, q_next = self.states[0], self.states[1]
         for each, calls in self._measurable(FORWARD):
             yield Pass(each.name, partial(self._run, each, self._at(q, q_next)), calls)
@@ -154,7 +154,7 @@ class Excerpt:
             at = self._at(q_next, q_next, ahead=True)
             yield Pass("momentum_move_vjp", partial(self._run, momentum_vjp, at), 1.0 - once)
         if r.drive.stresses or r.drive.steady:
-            bars = b.drive_bar.levels, r.bundle, b.bundle
+            bars = b.drive_bar.levels, r.fields, b.bundle
             yield Pass("activate_vjp", alone(lambda: activate_vjp(b.stresses, r.drive, *bars, control)), once)
         if r.policy is not None:
             yield Pass("policy_vjp", alone(self._policy_vjp), once)
