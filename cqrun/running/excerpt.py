@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -110,15 +109,15 @@ class Excerpt:
             if each is not MEET and (self.rollout.drive.forces or not each.name.startswith("forces")):
                 yield each, calls.get(each.name, 1.0)
 
-    def _run(self, each: KernelPass, at: Substep, thread: int) -> None:
-        """Run a pass on one thread."""
+    def _body(self, each: KernelPass, at: Substep) -> Callable[[int], Any]:
+        """Return a pass as a function of the thread; its arguments are evaluated once, not while it is timed."""
         r, b = self.rollout, self.backward
         known: dict[str, Any] = {
             "groups": r.groups, "conditions": r.conditions, "drive": r.drive, "run": r.bundle, "pairs": b.pairs,
             "coefficient_bar": b.coefficient_bar, "levels_bar": b.drive_bar.levels, "bars": b.bundle, "at": at,
-            "crew": Crew(thread, r.threads),
         }  # fmt: skip
-        each.run(*eval(f"({each.arguments},)", known))
+        arguments = [eval(f"({each.arguments},)", known | {"crew": Crew(t, r.threads)}) for t in range(r.threads)]
+        return lambda thread: each.run(*arguments[thread])
 
     def forward_passes(self) -> Iterator[Pass]:
         """Yield the passes of a substep."""
@@ -131,10 +130,10 @@ class Excerpt:
             yield Pass("activate", alone(lambda: activate(r.drive, r.fields, r.bundle.push, control)), once)
         q, q_next = self.states[0], self.states[1]
         for each, calls in self._measurable(FORWARD):
-            yield Pass(each.name, partial(self._run, each, self._at(q, q_next)), calls)
+            yield Pass(each.name, self._body(each, self._at(q, q_next)), calls)
         if r.setting.chained:
             move = next(each for each in FORWARD if each.name == "move")
-            yield Pass("move_momentum", partial(self._run, move, self._at(q, q_next, ahead=True)), 1.0 - once)
+            yield Pass("move_momentum", self._body(move, self._at(q, q_next, ahead=True)), 1.0 - once)
         if r.probe.start.shape[0] > 1:
             rows = np.ones_like(r.records[0])
             yield Pass("record", alone(lambda: record(r.probe, q, rows)), once)
@@ -148,11 +147,11 @@ class Excerpt:
         q, q_next = self.states[0], self.states[1]
         for each, calls in self._measurable([each for each in BACKWARD if each not in FORWARD]):
             at = self._at(q, q_next) if each.name == "move_vjp" else self._at(q_next, q_next)
-            yield Pass(each.name, partial(self._run, each, at), calls)
+            yield Pass(each.name, self._body(each, at), calls)
         if r.setting.chained:
             momentum_vjp = next(each for each in BACKWARD if each.name == "momentum_vjp")
             at = self._at(q_next, q_next, ahead=True)
-            yield Pass("momentum_move_vjp", partial(self._run, momentum_vjp, at), 1.0 - once)
+            yield Pass("momentum_move_vjp", self._body(momentum_vjp, at), 1.0 - once)
         if r.drive.stresses or r.drive.steady:
             bars = b.drive_bar.levels, r.fields, b.bundle
             yield Pass("activate_vjp", alone(lambda: activate_vjp(b.stresses, r.drive, *bars, control)), once)
