@@ -83,6 +83,10 @@ def problems(sources: Mapping[str, str]) -> list[str]:
         uses[module] = set()
         for line, name in imported(module, source, sources):
             here, there = room(module), room(name)
+            if here in FLOOR_OF and there in DOORS:
+                found.append(
+                    f"{module}:{line}: floor {FLOOR_OF[here]} imports the package itself, which opens every floor"
+                )
             if here not in FLOOR_OF or there not in FLOOR_OF:  # a door, or what the test of floors names
                 continue
             uses[module].add(name)
@@ -117,6 +121,12 @@ MUTATIONS = {
     "upward, relative": ("cqrun.engine.step", "from ..jobs import sysid\n", "floor 2 imports cqrun.jobs.sysid"),
     "upward, in a function": (
         "cqrun.store.run", "def f():\n    from cqrun.running import runs\n", "floor 3 imports cqrun.running.runs",
+    ),
+    "upward, through the package itself": (
+        "cqrun.engine.step", "from cqrun import load\n", "floor 2 imports the package itself",
+    ),
+    "upward, through the command line": (
+        "cqrun.engine.step", "import cqrun.__main__\n", "floor 2 imports the package itself",
     ),
     "a circle of files in one room": (
         "cqrun.engine.setting", "from cqrun.engine import step\n", "circle: cqrun.engine.",
