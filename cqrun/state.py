@@ -118,6 +118,10 @@ def state_table(dim: int, history: tuple[StateField, ...] = ()) -> StateTable:
     return StateTable((*motion, *history))
 
 
+X = state_table(2).rows["x"].start
+"""First row of the position in the state, in 2D and in 3D."""
+
+
 @dataclass(frozen=True)
 class Layout:
     """Where the particles of each body lie: in user arrays (N), and padded in kernels' arrays (n).

@@ -16,6 +16,7 @@ from cqrun.forces.force import ACTIVATION, REST, STRENGTH, Levels, exert, exert_
 from cqrun.forces.pulled import Pulled
 from cqrun.numerics.compile import barrier, for_each, kernel, share
 from cqrun.numerics.lanes import LANE_BYTES
+from cqrun.state import X
 from cqrun.plugin.contract import Array
 
 
@@ -62,7 +63,7 @@ def push_lanes_vjp(groups: tuple[Group, Group], pulled: Pulled, run: Run, bars: 
             p = pulled.columns[j]
             for d in range(shares.force.shape[1]):
                 for s in range(pulled.begin[j], pulled.begin[j + 1]):
-                    q_bar[p // width, d, p % width] += shares.x_bar[pulled.order[s], d]
+                    q_bar[p // width, X + d, p % width] += shares.x_bar[pulled.order[s], d]
                     q_bar[p // width, V + d, p % width] += shares.v_bar[pulled.order[s], d]
         if at.ahead:
             first = lanes.first[index]

@@ -63,7 +63,7 @@ WORK = "run.work"
 MEET = Pass("meet", barrier, f"{WORK}.arrivals, crew.n_threads")
 
 FORWARD = (
-    Pass("momentum", momentum_of_each, "groups, run, at, crew"),
+    Pass("momentum", momentum_of_each, "groups, run, at, crew", tiled=True),
     Pass("forces", push_if_pulled, "drive.pulled, groups, drive, run, at, crew"),
     Pass("sort", sort, "run, at, crew"),
     Pass("clear", clear, f"{WORK}.grid, 1, run, crew"),
@@ -71,12 +71,12 @@ FORWARD = (
     Pass("scatter", scatter_blocks, f"{WORK}.grid, ({WORK}.value,), ({WORK}.affine,), run, crew"),
     Pass("update_grid", update_grid, "conditions, run, crew"),
     MEET,
-    Pass("move", move_each, "groups, run, at, crew"),
+    Pass("move", move_each, "groups, run, at, crew", tiled=True),
 )
 """The passes of a substep: q_next = one substep from q."""
 
 BACKWARD = (
-    Pass("move_vjp", move_each_vjp, "pairs, run, bars, at, crew"),
+    Pass("move_vjp", move_each_vjp, "pairs, run, bars, at, crew", tiled=True),
     *FORWARD[:3],  # the fields that P2G scatters, once more
     Pass("clear_both", clear, f"{WORK}.both, 2, run, crew"),
     MEET,
@@ -87,7 +87,7 @@ BACKWARD = (
     Pass("update_grid_vjp", update_grid_vjp, "conditions, run, crew"),
     MEET,
     Pass("friction_vjp", add_friction_bar, "coefficient_bar, run, crew"),
-    Pass("momentum_vjp", momentum_of_each_vjp, "pairs, run, bars, at, crew"),
+    Pass("momentum_vjp", momentum_of_each_vjp, "pairs, run, bars, at, crew", tiled=True),
     Pass("forces_vjp", push_if_pulled_vjp, "drive.pulled, pairs, drive, levels_bar, run, bars, at, crew"),
 )  # fmt: skip
 """The passes of a substep's adjoint: they turn bars.q from the cotangent of q_next into that of q."""

@@ -19,6 +19,7 @@ from cqrun.explain import Loc
 from cqrun.forces.force import Inside, Shares
 from cqrun.numerics.compile import kernel
 from cqrun.plugin.contract import Array
+from cqrun.state import X
 
 Point = Annotated[list[float], Field(min_length=2, max_length=3)]
 
@@ -104,9 +105,9 @@ def segments_of(columns: Array, constants: Array) -> list[Array]:
 def segment(q: Array, p: int, r: int, in_3d: bool) -> tuple[float, float, float, float]:
     """Return the unit vector from particle p to particle r, and their distance [m]."""
     w = q.shape[2]
-    x = q[r // w, 0, r % w] - q[p // w, 0, p % w]
-    y = q[r // w, 1, r % w] - q[p // w, 1, p % w]
-    z = q[r // w, 2, r % w] - q[p // w, 2, p % w] if in_3d else 0.0 * x
+    x = q[r // w, X, r % w] - q[p // w, X, p % w]
+    y = q[r // w, X + 1, r % w] - q[p // w, X + 1, p % w]
+    z = q[r // w, X + 2, r % w] - q[p // w, X + 2, p % w] if in_3d else 0.0 * x
     length = np.sqrt(x * x + y * y + z * z)
     inverse = 1.0 / length if length > 0.0 else 0.0 * length
     return x * inverse, y * inverse, z * inverse, length

@@ -145,11 +145,15 @@ def for_each(call: Callable[..., None]) -> Callable[..., None]:
 
 
 class Pass(NamedTuple):
-    """One pass of a list: its name, its function, and the function's arguments: expressions of those of the list."""
+    """One pass of a list: its name, its function, and the function's arguments: expressions of those of the list.
+
+    A `tiled` pass may run tile by tile with another one, which then does its work.
+    """
 
     name: str
     run: Callable[..., None]
     arguments: str
+    tiled: bool = False
 
 
 def in_order(name: str, arguments: str, passes: Sequence[Pass]) -> Callable[..., None]:

@@ -17,12 +17,12 @@ from cqrun.engine.probe import record, record_vjp
 from cqrun.engine.rollout import Rollout
 from cqrun.engine.setting import Crew, Substep
 from cqrun.engine.step import BACKWARD, FORWARD, MEET
-from cqrun.numerics.compile import Pass as KernelPass
+from cqrun.numerics.compile import Pass
 from cqrun.plugin.contract import Array
 from cqrun.state import State
 
 
-class Pass(NamedTuple):
+class TimedPass(NamedTuple):
     """One pass: `body(thread)` runs it, `calls` is how often it runs per substep."""
 
     name: str
@@ -99,17 +99,15 @@ class Excerpt:
         """Return a substep that sorts its particles and runs all its passes."""
         return Substep(self.control, 0, False, ahead, q, q_next, self.states[0])
 
-    def _measurable(self, passes: Sequence[KernelPass]) -> Iterator[tuple[KernelPass, float]]:
+    def _measurable(self, passes: Sequence[Pass]) -> Iterator[tuple[Pass, float]]:
         """Yield the passes that have work in this scene, and how often each runs per substep."""
-        chained = self.rollout.setting.chained
-        calls = {"sort": 1.0 / SORT_EVERY}
-        if chained:  # in other substeps they run tile by tile with another pass
-            calls |= dict.fromkeys(("momentum", "move", "move_vjp", "momentum_vjp"), 1.0 / self.substeps)
+        r = self.rollout
         for each in passes:
-            if each is not MEET and (self.rollout.drive.forces or not each.name.startswith("forces")):
-                yield each, calls.get(each.name, 1.0)
+            if each is not MEET and (r.drive.forces or not each.name.startswith("forces")):
+                alone = r.setting.chained and each.tiled  # in a control step's first substep, else with another pass
+                yield each, 1.0 / SORT_EVERY if each.name == "sort" else 1.0 / self.substeps if alone else 1.0
 
-    def _body(self, each: KernelPass, at: Substep) -> Callable[[int], Any]:
+    def _body(self, each: Pass, at: Substep) -> Callable[[int], Any]:
         """Return a pass as a function of the thread; its arguments are evaluated once, not while it is timed."""
         r, b = self.rollout, self.backward
         known: dict[str, Any] = {
@@ -119,44 +117,44 @@ class Excerpt:
         arguments = [eval(f"({each.arguments},)", known | {"crew": Crew(t, r.threads)}) for t in range(r.threads)]
         return lambda thread: each.run(*arguments[thread])
 
-    def forward_passes(self) -> Iterator[Pass]:
+    def forward_passes(self) -> Iterator[TimedPass]:
         """Yield the passes of a substep."""
         self.rewind()
         self.store()
         r, control, once = self.rollout, self.control, 1.0 / self.substeps
         if r.policy is not None:
-            yield Pass("policy", alone(self._policy), once)
+            yield TimedPass("policy", alone(self._policy), once)
         if r.drive.stresses or r.drive.steady:
-            yield Pass("activate", alone(lambda: activate(r.drive, r.fields, r.bundle.push, control)), once)
+            yield TimedPass("activate", alone(lambda: activate(r.drive, r.fields, r.bundle.push, control)), once)
         q, q_next = self.states[0], self.states[1]
         for each, calls in self._measurable(FORWARD):
-            yield Pass(each.name, self._body(each, self._at(q, q_next)), calls)
+            yield TimedPass(each.name, self._body(each, self._at(q, q_next)), calls)
         if r.setting.chained:
             move = next(each for each in FORWARD if each.name == "move")
-            yield Pass("move_momentum", self._body(move, self._at(q, q_next, ahead=True)), 1.0 - once)
+            yield TimedPass("move_momentum", self._body(move, self._at(q, q_next, ahead=True)), 1.0 - once)
         if r.probe.start.shape[0] > 1:
             rows = np.ones_like(r.records[0])
-            yield Pass("record", alone(lambda: record(r.probe, q, rows)), once)
+            yield TimedPass("record", alone(lambda: record(r.probe, q, rows)), once)
 
-    def backward_passes(self) -> Iterator[Pass]:
+    def backward_passes(self) -> Iterator[TimedPass]:
         """Yield the passes of a substep's adjoint, without the passes of the substep that it repeats."""
         r, b, control = self.rollout, self.backward, self.control
         once, rows = 1.0 / self.substeps, np.ones_like(r.records[0])
         if r.probe.start.shape[0] > 1:
-            yield Pass("record_vjp", alone(lambda: record_vjp(r.probe, b.q_bar, rows)), once)
+            yield TimedPass("record_vjp", alone(lambda: record_vjp(r.probe, b.q_bar, rows)), once)
         q, q_next = self.states[0], self.states[1]
         for each, calls in self._measurable([each for each in BACKWARD if each not in FORWARD]):
             at = self._at(q, q_next) if each.name == "move_vjp" else self._at(q_next, q_next)
-            yield Pass(each.name, self._body(each, at), calls)
+            yield TimedPass(each.name, self._body(each, at), calls)
         if r.setting.chained:
             momentum_vjp = next(each for each in BACKWARD if each.name == "momentum_vjp")
             at = self._at(q_next, q_next, ahead=True)
-            yield Pass("momentum_move_vjp", self._body(momentum_vjp, at), 1.0 - once)
+            yield TimedPass("momentum_move_vjp", self._body(momentum_vjp, at), 1.0 - once)
         if r.drive.stresses or r.drive.steady:
             bars = b.drive_bar.levels, r.fields, b.bundle
-            yield Pass("activate_vjp", alone(lambda: activate_vjp(b.stresses, r.drive, *bars, control)), once)
+            yield TimedPass("activate_vjp", alone(lambda: activate_vjp(b.stresses, r.drive, *bars, control)), once)
         if r.policy is not None:
-            yield Pass("policy_vjp", alone(self._policy_vjp), once)
+            yield TimedPass("policy_vjp", alone(self._policy_vjp), once)
 
     def _policy(self) -> None:
         r, control = self.rollout, self.control
