@@ -16,8 +16,8 @@ from cqrun.forces.force import ACTIVATION, REST, STRENGTH, Levels, exert, exert_
 from cqrun.forces.pulled import Pulled
 from cqrun.numerics.compile import barrier, for_each, kernel, share
 from cqrun.numerics.lanes import LANE_BYTES
-from cqrun.state import X
 from cqrun.plugin.contract import Array
+from cqrun.state import X
 
 
 @kernel
