@@ -155,7 +155,7 @@ def test_terrain_is_a_boundary_or_a_body() -> None:
         ),
         (body(groups={"a": "lef"}) | {"regions": {"left": LEFT}}, "bodies.b.groups.a: there is no region 'lef'"),
         ({"regions": {"leg": LEFT}}, "scene: regions.leg: is also a group of the body 'b': rename one"),
-        (body(groups={"leg": LEFT}), "scene: bodies.b.groups.leg: is a part or a colour of the body 'b' as well"),
+        (body(groups={"leg": LEFT}), "scene: bodies.b.groups.leg: is also a part or a colour of the body 'b'"),
         ({"regions": {"a": "a"}}, "scene: regions.a: is made of itself: a region can only be made of others"),
         ({"regions": {"a": {"union": ["b", LEFT]}, "b": "a"}}, "regions.a: is made of itself, through 'b'"),
         (body(groups={"a": {"union": ["c"]}, "c": "a"}), "bodies.b.groups.c: is made of itself, through 'a'"),
