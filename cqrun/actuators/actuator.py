@@ -24,7 +24,7 @@ from cqrun.plugin.reference import BodyName, GroupName
 class Actuator(Plugin):
     """A device in a body that activations drive; it may have several parts, each with its own activation."""
 
-    body: BodyName = Field(description="Body it lies in")
+    body: BodyName = Field(description="Body that contains it")
     rate: float | None = quantity(
         "1/s", "Largest change of the activation per second, at first from its neutral value; unlimited if absent",
         gt=0, default=None,

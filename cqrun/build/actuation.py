@@ -28,7 +28,7 @@ Values = Mapping[str, Array]
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an actuator, or of a force without an activation: `path` is that of the whole, without a field."""
+    """A part of an actuator, or of a force without an activation; `path` is the key path of the whole actuator."""
 
     name: str
     actuator: str

@@ -1,4 +1,4 @@
-"""Controller files: a controller's parameters, and what else should be known about them."""
+"""Controller files: a controller's parameters, and facts about them."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class Spring(ParticleForce):
     It pulls if it is stretched, and pushes if it is compressed.
     """
 
-    body: BodyName = Field(description="Body it lies in")
+    body: BodyName = Field(description="Body that contains it")
     route: list[Point] = quantity(
         "m", "Points at rest, joined by straight lines; it is tied to the nearest particle of each", min_length=2
     )

@@ -52,7 +52,7 @@ class Pca(Observer):
         description="File (.npz) of the components, made by `cqrun compress`; a run needs it", default=None
     )
     range: Range = Field(
-        description="[low, high] in m that is scaled to [-1, 1]; auto: as far as the fitted trajectories went; or null",
+        description="[low, high] in m that is scaled to [-1, 1]; auto: the range of the fitted trajectories; or null",
         default="auto",
     )
 

@@ -95,7 +95,7 @@ BAD = {
     ),
     "a factor of nothing": (
         {f"bodies.a.{E}": {"bounds": [5, 20], "also": {f"bodies.b.{E}": {"factor": 0}}}},
-        "must not be 0: nothing would follow",
+        "must not be 0, or the number is constant",
     ),
 }
 

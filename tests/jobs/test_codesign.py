@@ -209,7 +209,7 @@ def test_a_regulariser_holds_a_design_near_its_start(finger, tmp_path):
 
 @pytest.mark.parametrize("name", [*TAKEN])
 def test_no_term_is_called_as_a_column_of_the_history_is(finger, name):
-    with pytest.raises(SceneError, match=rf"objective.{name}: history.csv has a column of this name already"):
+    with pytest.raises(SceneError, match=rf"objective.{name}: history.csv already has a column of this name"):
         load_scene(finger, [f"objective.{name}={{effort: {{}}}}"])
 
 
