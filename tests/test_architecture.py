@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import fnmatch
 import re
 import subprocess
 import tomllib
@@ -152,6 +153,13 @@ def test_the_walk_finds_every_kind_of_wrong_import(name, sources):
         "from __future__ import annotations\n", f"from __future__ import annotations\n{line}", 1
     )
     assert any(message in problem for problem in problems({**sources, module: source}))
+
+
+def test_every_test_is_collected(pytestconfig):
+    """A folder that pytest passes over would lose its tests without a message."""
+    passed_over = pytestconfig.getini("norecursedirs")
+    folders = {part for path in (ROOT / "tests").rglob("test_*.py") for part in path.relative_to(ROOT).parts[:-1]}
+    assert not [(name, p) for name in folders for p in passed_over if fnmatch.fnmatch(name, p)]
 
 
 def test_modules_are_short():
