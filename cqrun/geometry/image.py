@@ -193,7 +193,8 @@ def _hex(pixel: Array) -> str:
 
 def _most_common(pixels: Array, count: int = 4) -> list[str]:
     """Return the most common colours of pixels (n, 4), with their shares."""
-    packed = sum(pixels[:, k].astype(np.uint32) << shift for k, shift in enumerate((16, 8, 0)))
+    red, green, blue = pixels[:, :3].astype(np.uint32).T
+    packed = (red << 16) | (green << 8) | blue
     values, counts = np.unique(packed, return_counts=True)
     most = np.argsort(-counts, kind="stable")[:count]
     return [f"#{values[k]:06x} ({counts[k] / len(packed):.1%})" for k in most]

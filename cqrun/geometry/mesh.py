@@ -86,8 +86,8 @@ class Mesh(Place, FileShape):
         fault = surface.fault or CROSSED
         if undecided > _OPEN:
             raise UsageError(
-                f"{self.path}: {fault.what}: for {undecided:.0%} of what it encloses, inside and outside cannot be told "
-                f"apart; {fault.cure}"
+                f"{self.path}: {fault.what}: for {undecided:.0%} of what it encloses, inside and outside cannot be "
+                f"told apart; {fault.cure}"
             )
         inverted = (w < -0.5).sum() / enclosed
         if inverted > _CROSSED:

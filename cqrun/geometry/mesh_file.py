@@ -34,7 +34,8 @@ logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it prints trac
 def read_triangles(path: Path) -> tuple[Array, Array]:
     """Return the vertices (V, 3) in a file, those at the same place as one, and its triangles (T, 3).
 
-    Triangles with two corners at the same place have no area and are not among them. Materials and textures are not read: they do not change the body.
+    Triangles with two corners at the same place are left out: they have no area. Materials and textures are not read:
+    they do not change the body.
 
     Raises:
         UsageError: there are none, the file is not whole, or a number is not finite.
@@ -103,7 +104,7 @@ def _broken_stl(data: bytes) -> str:
 
 def _is_text(stl: bytes) -> bool:
     """Return whether an STL file is text; UTF-16 has zero bytes too."""
-    return b"\0" not in stl[:_STL_HEADER] or stl.startswith((b"\xff\xfe", b"\xfe\xff"))
+    return b"\0" not in stl[: 8 * _STL_HEADER] or stl.startswith((b"\xff\xfe", b"\xfe\xff"))
 
 
 def _one_solid(stl: bytes) -> bytes:
@@ -112,7 +113,7 @@ def _one_solid(stl: bytes) -> bytes:
     The reader makes an object of each solid, which takes milliseconds, and stumbles over names such as `vertex`.
     """
     lines = stl.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    if b"\0" in stl[:_STL_HEADER] or not _SOLID.search(lines):
+    if b"\0" in stl or not _SOLID.search(lines):
         return stl
     return b"solid\n" + _SOLID.sub(b"", lines) + b"\nendsolid\n"
 
@@ -134,7 +135,7 @@ def _broken_ply(data: bytes) -> str:
     if not re.search(rb"^format[ \t]+ascii", head, re.MULTILINE):
         return ""
     announced = sum(int(count) for count in re.findall(rb"^element[ \t]+\S+[ \t]+([0-9]{1,18})", head, re.MULTILINE))
-    held = len(rows.split(b"\n")) - 1 - (not rows.endswith(b"\n"))
+    held = rows.strip().count(b"\n") + bool(rows.strip())
     if held >= announced:
         return ""
     return f"announces {announced:,} lines of points and faces, but has {held:,}: it was cut short; save it again"

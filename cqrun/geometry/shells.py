@@ -95,7 +95,7 @@ def _relations(shells: list[Shell]) -> tuple[Array, Array]:
         for i, part in zip(near, np.split(w, np.cumsum([len(p) for p in points])[:-1]), strict=True):
             some_inside[i, j], some_outside[i, j] = (part > _INSIDE).any(), (part < _OUTSIDE).any()
     crosses = some_inside & (some_outside | some_inside.T)
-    return some_inside & ~crosses, (crosses | crosses.T).any(axis=1)
+    return some_inside & ~crosses, np.asarray((crosses | crosses.T).any(axis=1))
 
 
 def _were(count: int) -> str:
