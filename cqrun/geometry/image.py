@@ -20,7 +20,7 @@ from cqrun.plugin.registry import plugin
 MAX_PIXELS = 40_000_000
 """A larger image is refused: particles are far coarser."""
 
-_PIXEL_MEMORY = 40
+_PIXEL_MEMORY = 25
 """Memory that a pixel takes while an image is read and its colours are found, as measured [bytes]."""
 
 _OPAQUE = 128
