@@ -82,9 +82,9 @@ def build(scene: Scene) -> Built:
         if truth := _truth(scene):
             bounds += _possible(scene, _limits(scene, particles, assembly, truth))
         warnings += _check_substeps(scene, bounds) or _check_corner(scene, limits)
-    require_possible_plan(scene, bounds)
     if problems := memory_problems(scene, particles):
         raise SceneError(problems)
+    require_possible_plan(scene, bounds)
     model = Model(
         size=np.array(scene.world.size),
         dx=scene.world.dx,
