@@ -23,6 +23,9 @@ _STL_HEADER, _STL_TRIANGLE = 84, 50
 _MEMORY, _LINE_MEMORY = 25, 400
 """Memory that reading takes for each byte and each line of a file [bytes], as measured for every format."""
 
+_FARTHEST = 1e9
+"""Largest coordinate; beyond 9e10 the points that the library merges are no longer those at the same place."""
+
 _FEWER = "save it with fewer triangles"
 
 _SOLID = re.compile(rb"^[ \t]*(?:end)?solid\b[^\n]*$", re.MULTILINE | re.IGNORECASE)
@@ -72,6 +75,10 @@ def _loaded(data: bytes, kind: str) -> tuple[Array, Array]:
         strange = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
         if strange:
             raise UsageError(f"{strange} of its points are not finite")
+        if mesh.vertices.shape[1] != 3:  # the reader cuts all points to the length of the shortest
+            raise UsageError(f"one of its points has only {mesh.vertices.shape[1]} coordinates; save it again")
+        if len(mesh.vertices) and (far := float(np.abs(mesh.vertices).max())) > _FARTHEST:
+            raise UsageError(f"one of its points lies {far:.3g} from the origin; at most {_FARTHEST:g} can be read")
         if len(mesh.faces) and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
             raise UsageError(f"its faces name points that are not there: it has {len(mesh.vertices)}")
         mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)  # without normals and textures, which split it

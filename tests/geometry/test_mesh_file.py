@@ -122,6 +122,17 @@ def test_points_that_are_not_there_are_refused(tmp_path: Path) -> None:
         assert refusal(tmp_path / "part.ply", content) == "its faces name points that are not there: it has 8"
 
 
+def test_points_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    obj = BOX.export(file_type="obj")
+    first = next(line for line in obj.splitlines() if line.startswith("v "))
+    for point, words in [
+        ("v 0.5 0.5", "one of its points has only 2 coordinates; save it again"),
+        ("v 0.5 0.5 1e12", "one of its points lies 1e+12 from the origin; at most 1e+09 can be read"),
+        ("v 0.5 0.5 nan", "1 of its points are not finite"),
+    ]:
+        assert refusal(tmp_path / "part.obj", obj.replace(first, point)) == words
+
+
 def test_indices_that_count_back_are_read_only_where_that_is_safe(tmp_path: Path) -> None:
     points = "".join(f"v {x} {y} {z}\n" for x, y, z in BOX.vertices)
     faces = "".join("f " + " ".join(str(k - 8) for k in face) + "\n" for face in BOX.faces)
