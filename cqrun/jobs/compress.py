@@ -13,7 +13,7 @@ from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
 from cqrun.observers.pca import fit_components, save_components
 from cqrun.observers.raster import Raster
-from cqrun.observers.vae import Trained, save_encoder
+from cqrun.observers.vae import MOST_CELLS, Trained, save_encoder
 from cqrun.observers.vae_training import Training, library
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter, Silent
@@ -112,6 +112,8 @@ def read(run: Path, body: str | None) -> tuple[Array, Array]:
 
 def raster_of(x: Array, v: Array, cells: int) -> Raster:
     """Return a grid that contains the body in all frames; speeds are in units of their root mean square."""
+    if cells > MOST_CELLS:
+        raise UsageError(f"{cells:,} cells along each axis of the grid are too many; give at most {MOST_CELLS}")
     centred = x - x.mean(axis=1, keepdims=True)
     speed = float(np.sqrt((v**2).mean()))
     if not speed > 0:

@@ -10,11 +10,14 @@ can refuse unknown names, and can include the content of files in the inputs tha
 
 from __future__ import annotations
 
+import errno
+import os
 import types
 import typing
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import GetJsonSchemaHandler
@@ -203,6 +206,24 @@ def _marked(annotation: Any, at: Marked[Any]) -> Iterator[Marked[Any]]:
         for key, item in value.items():
             yield from _marked(args[0], replace(at, loc=(*at.loc, key), value=key, at_key=True))
             yield from _marked(args[1], replace(at, loc=(*at.loc, key), value=item))
+
+
+def why_unreadable(path: Path) -> str:
+    """Return why the file that a field names cannot be read; nothing if it can.
+
+    A pipe would wait for a writer, and a device may never end: only regular files are read.
+    """
+    try:
+        if path.is_dir():
+            return os.strerror(errno.EISDIR)
+        if path.exists() and not path.is_file():
+            return "it is a pipe or a device, not a file"
+        path.open("rb").close()
+    except OSError as error:
+        return str(error.strerror)
+    except ValueError:
+        return "its name has a zero byte"
+    return ""
 
 
 def _is_literal(annotation: Any) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cqrun.errors import Problem
 from cqrun.explain import Loc
-from cqrun.plugin.reference import NamesFile
+from cqrun.plugin.reference import NamesFile, why_unreadable
 from cqrun.scene.keypath import joined
 from cqrun.scene.schema import Scene
 from cqrun.scene.sections import Sections
@@ -35,16 +35,7 @@ def unreadable_files(scene: Scene, sections: Iterable[str]) -> list[Problem]:
     """Return a problem for every unreadable file that the given sections of a scene name."""
     wanted, problems = set(sections), []
     for loc, name in named_files(scene):
-        if loc[0] in wanted and (why := _why_unreadable(scene.resolve_path(name))):
+        if loc[0] in wanted and (why := why_unreadable(scene.resolve_path(name))):
             message = f"{scene.resolve_path(name)}: cannot be read ({why}); the name starts from the scene's folder"
             problems.append(Problem(scene.where(joined(loc)), joined(loc), message))
     return problems
-
-
-def _why_unreadable(path: Path) -> str:
-    """Return why a file cannot be read; empty if it can."""
-    try:
-        path.open("rb").close()
-    except OSError as error:
-        return str(error.strerror)
-    return ""
