@@ -53,10 +53,10 @@ class Speed(Figure):
         Size.PAPER: "two cores are faster than TensorFlow (2D) and Flex (3D, forward) on the GPU; CUDA is not judged",
     }
     notes = (
-        "CQ1's CUDA code ran on a GPU with 11 TFLOP/s, so two cores need not be as fast. CUDA is 3 to 22 times as "
-        "fast as two cores in float64; the factor is largest backward with 512,000 particles. Flex, which moves "
-        "points and has no gradient, takes 6 ms for 61,238 particles. Two cores take 9.8 ms for 64,000 in float64, "
-        "and 6.2 ms in float32. Decision 001 lists what made the passes faster, and what did not help"
+        "CQ1's CUDA code ran on a GPU with 11 TFLOP/s. Two cores are not asked to be as fast, and they are not: CUDA "
+        "is 3 to 22 times as fast as they are in float64, most of all backward with 512,000 particles. Flex, which "
+        "moves points and has no gradient, takes 6 ms for 61,238 particles; two cores take 9.8 ms for 64,000 in "
+        "float64, and 6.2 ms in float32. Decision 001 says what made the passes faster, and what did not help"
     )
 
     def tasks(self, size: Size) -> Sequence[Task]:

@@ -28,8 +28,8 @@ class Creature(Distances):
     scene, body = "control/creature", "creature"
     start, final, interval, seconds = -0.25, 0.27, (0.06, 0.50), 38.0
     variants = (
-        Variant("velocity 0.05", {Size.QUICK: QUICK, Size.PAPER: SINGLE}, {Size.QUICK: 2, Size.PAPER: 3},
+        Variant("velocity .05", {Size.QUICK: QUICK, Size.PAPER: SINGLE}, {Size.QUICK: 2, Size.PAPER: 3},
                 {Size.QUICK: 2.7, Size.PAPER: 260}),
-        Variant("velocity 0.025", {Size.PAPER: (*SINGLE, *_velocity(0.025))}, {Size.PAPER: 1}, {Size.PAPER: 85}),
-        Variant("velocity 0.1", {Size.PAPER: (*SINGLE, *_velocity(0.1))}, {Size.PAPER: 1}, {Size.PAPER: 85}),
+        Variant("velocity .025", {Size.PAPER: (*SINGLE, *_velocity(0.025))}, {Size.PAPER: 1}, {Size.PAPER: 85}),
+        Variant("velocity .1", {Size.PAPER: (*SINGLE, *_velocity(0.1))}, {Size.PAPER: 1}, {Size.PAPER: 85}),
     )  # fmt: skip
