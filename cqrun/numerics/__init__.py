@@ -1,4 +1,4 @@
-"""Kernels' numbers: small tensors as tuples, SIMD lanes, packed rows, and how kernels compile."""
+"""Numerics of the kernels: small tensors as tuples, SIMD lanes, packed rows, and compilation."""
 
 from cqrun.fingerprint import set_kernel_cache
 
