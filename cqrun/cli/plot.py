@@ -33,12 +33,12 @@ def plot(
     Runs need not be finished. Three or more runs that differ only in their seeds are drawn as their mean with its 90 %
     interval; on a logarithmic axis it is the geometric mean.
     """
-    from cqrun.cli.progress import BRIEF, working
+    from cqrun.cli.progress import working
 
     for file in [run for run in runs if run.is_file()]:  # results/SCENE/* includes summaries of several runs
         typer.echo(f"skipped: {file} is a file and not a run", err=True)
     runs = [run for run in runs if not run.is_file()] or runs
-    with working(False, allow_plugins, "drawing pictures", patience=BRIEF):
+    with working(False, allow_plugins, "drawing pictures"):
         from cqrun.figures.draw import draw_run, draw_several
         from cqrun.store.folder import make_below
 

@@ -29,8 +29,8 @@ SILENT_AT_MOST = 8.0
 SHOWN_FROM = 2.0
 """A live line shows the time that work without numbers has taken from here on [s]."""
 
-BRIEF = 1.5
-"""Patience of commands that mostly take a moment [s]."""
+BRIEF = 1.0
+"""A first phase that is shorter is not printed [s]: most commands take a moment to read their input."""
 
 AGAIN = "stopped before it was finished; give the command again"
 
@@ -44,7 +44,7 @@ class Progress:
         stream: stream to print to; standard error if not given.
         plain_every: shortest time between two plain lines [s].
         silent_at_most: longest time without a line [s].
-        patience: time from which on phases are printed [s]; a command that is quick prints none.
+        doing: what is done first; a plain line says so only if it lasts.
     """
 
     def __init__(
@@ -54,16 +54,16 @@ class Progress:
         stream: TextIO | None = None,
         plain_every: float = PLAIN_EVERY,
         silent_at_most: float = SILENT_AT_MOST,
-        patience: float = 0.0,
+        doing: str = "",
     ) -> None:
         self.stop = StopFlag(announce=self.warn)
         # no emoji: `:100:` in the place `scene.yaml:100:53` is the name of one
         self._console = Console(file=stream or sys.stderr, highlight=False, soft_wrap=True, emoji=False)
         self._quiet = quiet
         self._plain_every, self._silent_at_most = plain_every, silent_at_most
-        self._patience = time.monotonic() + patience
+        self._unsaid = bool(doing)
         self._total = total
-        self._phase = ""
+        self._phase = doing
         self._phase_began = self._last_line = time.monotonic()
         self._numbers = ""
         self._unprinted = False
@@ -95,9 +95,10 @@ class Progress:
 
     def phase(self, text: str) -> None:
         """Show what happens now."""
+        self._unsaid = False
         self._print_pending()
         self._phase, self._numbers, self._began, self._phase_began = text, "", None, time.monotonic()
-        if self._live is None and not self._quiet and self._phase_began >= self._patience:
+        if self._live is None and not self._quiet:
             self._print(text)
 
     def say(self, text: str) -> None:
@@ -152,13 +153,11 @@ class Progress:
 
     def _break_silences(self) -> None:
         """Repeat what is being done when nothing has been printed for a while, until the work ends."""
-        while not self._ended.wait(min(0.5, 0.25 * self._silent_at_most)):
+        while not self._ended.wait(min(0.25, 0.25 * self._silent_at_most)):
             now = time.monotonic()
-            if not self._phase or now < self._patience:
-                continue
-            if self._last_line < self._patience:
-                self._print(self._phase)
-            elif now - self._last_line >= self._silent_at_most:
+            if self._unsaid and now - self._phase_began >= BRIEF:
+                self.phase(self._phase)
+            elif self._phase and not self._unsaid and now - self._last_line >= self._silent_at_most:
                 last = f"; last: {self._numbers}" if self._numbers else ""
                 self._print(f"still {self._phase}: {clock(now - self._phase_began)} so far{last}")
 
@@ -173,32 +172,27 @@ class Progress:
 
 
 @contextmanager
-def reporting(quiet: bool, doing: str = "", stopped: str = AGAIN, patience: float = 0.0) -> Iterator[Progress]:
+def reporting(quiet: bool, doing: str = "", stopped: str = AGAIN) -> Iterator[Progress]:
     """Show progress and handle Ctrl-C and SIGTERM while a job runs.
 
     Args:
-        doing: the first phase, shown before the job's libraries are imported.
-        stopped: what to say if the job is ended at once.
-        patience: time from which on phases are printed [s].
+        doing: what is done first, before the job's libraries are imported.
+        stopped: what to say if a signal ends the job at once.
 
     Raises:
         Stopped: a signal ended the job at once.
     """
-    with Progress(quiet=quiet, patience=patience) as progress, progress.stop:
+    with Progress(quiet=quiet, doing=doing) as progress, progress.stop:
         try:
-            if doing:
-                progress.phase(doing)
             yield progress
         except StopNow as now:
             raise progress.stop.stopped(str(now) or stopped) from None
 
 
 @contextmanager
-def working(
-    quiet: bool, allow_plugins: bool, doing: str, stopped: str = AGAIN, patience: float = 0.0
-) -> Iterator[Progress]:
-    """Do as `reporting`, and run the plug-in files of scenes if that is allowed."""
-    with reporting(quiet, doing, stopped, patience) as reporter:
+def working(quiet: bool, allow_plugins: bool, doing: str, stopped: str = AGAIN) -> Iterator[Progress]:
+    """Do the same as `reporting`, and allow or forbid that scenes run their plug-in files."""
+    with reporting(quiet, doing, stopped) as reporter:
         from cqrun.scene.plugin_files import plugins_allowed
 
         with plugins_allowed(allow_plugins):

@@ -16,11 +16,11 @@ from typing import Any, NoReturn
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.realpath(__file__))))
 """Folder of the package."""
 
-SET = {"MPLBACKEND": "agg"} | dict.fromkeys(
+SET = {"MPLBACKEND": "agg", "HDF5_USE_FILE_LOCKING": "FALSE"} | dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
-"""Pictures go to files, whatever a notebook has set. BLAS on one thread adds in the same order always, and its threads
-do not busy-wait after each call, on cores that rollouts need."""
+"""Pictures go to files, whatever a notebook has set. A run has a lock, so HDF5 needs none. BLAS on one thread always
+adds in the same order, and its threads do not busy-wait after each call, on cores that rollouts need."""
 
 OF_NUMBA = {"NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT"}
 """Variables of Numba that count. Others change the code of kernels, which the cache keeps for later processes."""

@@ -12,9 +12,9 @@ def validate(scene: Scene, overrides: Overrides = None, allow_plugins: AllowPlug
 
     The scene is checked for the job that it names; use `-o job=control` to check it for another job.
     """
-    from cqrun.cli.progress import BRIEF, working
+    from cqrun.cli.progress import working
 
-    with working(False, allow_plugins, f"checking {scene}", patience=BRIEF):
+    with working(False, allow_plugins, f"checking {scene}"):
         from cqrun.jobs.validate import validate as validation_lines
 
         lines = list(validation_lines(scene, overrides or []))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -23,7 +24,7 @@ from numba import config, njit
 from numba.core import caching, codegen, types
 from numba.extending import intrinsic, overload
 
-_compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+_compiled = partial(njit, nogil=True, error_model="numpy", fastmath={"contract"})
 _KERNELS: list[Any] = []
 _OF_ONE_BODY: set[str] = set()
 
@@ -100,6 +101,15 @@ class SharedIndex(caching.IndexDataCacheFile):
 caching.IndexDataCacheFile = SharedIndex
 
 
+def _folder_in_cache(cls: type, file: str) -> str:
+    """Return the folder of a source file's kernels, as Numba does, also if the file's path is not UTF-8."""
+    folder = Path(file).absolute().parent
+    return f"{folder.name}_{hashlib.sha1(os.fsencode(folder)).hexdigest()}"
+
+
+caching._CacheLocator.get_suitable_cache_subpath = classmethod(_folder_in_cache)
+
+
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function of the engine at its first call, or load it from the cache (decorator).
 
@@ -123,16 +133,30 @@ def one_body(function: Callable[..., Any]) -> Any:
 
 
 def _kernel(function: Callable[..., Any], references: bool) -> Any:
-    _KERNELS.append(_compiled(_nrt=references)(function))
-    return _KERNELS[-1]
+    compiled = _compiled(_nrt=references)(function)
+    _KERNELS.append(compiled)
+    _cache(compiled)
+    return compiled
+
+
+def _cache(compiled: Any) -> None:
+    """Keep the versions of a kernel, unless no folder for them can be written."""
+    if config.DISABLE_JIT:
+        return
+    try:
+        compiled.enable_caching()
+    except RuntimeError:
+        CACHE_PROBLEMS[
+            f"{config.CACHE_DIR}: no folder for compiled kernels can be written, so every process compiles them again; "
+            "set NUMBA_CACHE_DIR to one that can"
+        ] = True
 
 
 def cache_kernels_in(folder: Path) -> None:
     """Store compiled code in this folder from now on, also that of kernels that are already defined."""
     config.CACHE_DIR = str(folder)
-    if not config.DISABLE_JIT:
-        for compiled in _KERNELS:
-            compiled.enable_caching()
+    for compiled in _KERNELS:
+        _cache(compiled)
 
 
 def own_symbols(kernel_class: type) -> None:

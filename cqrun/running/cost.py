@@ -10,6 +10,10 @@ NANOSECONDS = {2: 30.0, 3: 95.0}
 """What a particle and substep typically take forward on one core, by the dimension (`cqrun bench` measures it)."""
 
 
+SHORT = 0.1
+"""A shorter time is not told [s]: calls and files take longer."""
+
+
 def forward_seconds(model: Model) -> float:
     """Return the time of a rollout [s]."""
     return 1e-9 * NANOSECONDS[model.dim] * model.layout.n_particles * model.n_steps
@@ -35,4 +39,5 @@ def duration(seconds: float) -> str:
 def about(model: Model, *, gradients: bool = False, each: str = "a rollout") -> str:
     """Return words on the time of a rollout, or of one with its gradient."""
     seconds = gradient_seconds(model) if gradients else forward_seconds(model)
-    return f"about {duration(seconds)} {each}{' and its gradient' if gradients else ''} on one core"
+    lasts = f"about {duration(seconds)}" if seconds >= SHORT else f"less than {duration(SHORT)}"
+    return f"{lasts} {each}{' and its gradient' if gradients else ''} on one core"

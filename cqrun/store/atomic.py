@@ -10,7 +10,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from cqrun import disk
 from cqrun.errors import CqrunError, RunError, UsageError
@@ -115,7 +115,7 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
 
 
-def append_durably(file: io.FileIO, data: bytes) -> None:
+def append_durably(file: IO[bytes], data: bytes) -> None:
     """Write all of `data` at the position of an unbuffered file, and wait until it is on disk.
 
     The file must be unbuffered, because after an error on a full disk a buffer would be written again on closing.

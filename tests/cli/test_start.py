@@ -21,7 +21,7 @@ LIBRARIES = ("yaml", "numpy", "pydantic", "rich", "platformdirs", "numba", "matp
 PATIENCE = 600.0
 """Longest that one process may take [s]."""
 
-OUTSIDE = {"PYTHONPATH": str(ROOT), "NUMBA_NUM_THREADS": "1"}
+OUTSIDE = {"PYTHONPATH": str(ROOT), "NUMBA_NUM_THREADS": "1", "CQRUN_PICTURES": "1"}
 
 
 def start(*words: str | Path, folder: Path, python: tuple[str, ...] = (), **variables: str) -> subprocess.Popen[str]:
@@ -116,6 +116,8 @@ ENVIRONMENT = {
     "COLUMNS": "1",
     "MPLCONFIGDIR": "/proc/none",
     "PYTHONOPTIMIZE": "2",
+    "PYTHONHASHSEED": "7",
+    "HDF5_USE_FILE_LOCKING": "TRUE",
 }
 
 

@@ -5,8 +5,12 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import sys
+from pathlib import Path
+from types import ModuleType
 
 import pytest
+from numba import config
 
 from cqrun.numerics import compile as compiling
 from cqrun.numerics.compile import SharedIndex
@@ -54,3 +58,33 @@ def test_a_damaged_cache_is_compiled_again(index, tmp_path, suffix, content):
     assert again.load("key") is None
     again.save("key", b"code")
     assert SharedIndex(str(tmp_path), "kernel", "stamp").load("key") == b"code"
+
+
+def test_kernels_of_a_file_whose_path_is_not_utf8_are_kept(tmp_path, monkeypatch):
+    """A plug-in of a user may lie anywhere."""
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
+    folder.mkdir()
+    (folder / "law.py").write_text("def twice(x):\n    return 2.0 * x\n")
+    module = ModuleType("law_of_a_user")
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(compiling, "_KERNELS", [])
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
+    exec(compile((folder / "law.py").read_bytes(), str(folder / "law.py"), "exec"), vars(module))
+    assert compiling.kernel(module.twice)(2.0) == 4.0
+    again = compiling.kernel(module.twice)
+    assert again(3.0) == 6.0
+    assert config.DISABLE_JIT or again.stats.cache_hits
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_without_any_folder_for_the_cache_kernels_are_compiled_in_each_process(monkeypatch):
+    monkeypatch.setattr(compiling, "CACHE_PROBLEMS", {})
+    monkeypatch.setattr(compiling, "_KERNELS", [])
+    monkeypatch.setattr(compiling.caching.CompileResultCacheImpl, "_locator_classes", [])
+
+    def twice(x):
+        return 2.0 * x
+
+    assert compiling.kernel(twice)(2.0) == 4.0
+    (told,) = compiling.CACHE_PROBLEMS
+    assert "no folder for compiled kernels can be written" in told
