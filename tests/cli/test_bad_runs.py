@@ -214,7 +214,7 @@ def test_a_file_in_place_of_the_output_directory(cqrun, finished, tmp_path):
     (tmp_path / "out").write_text("")
     code, _, err = cqrun("sysid", scene, "--out", tmp_path / "out")
     assert code == 2
-    assert err.endswith("cannot be made (Not a directory); choose another place with --out\n")
+    assert err.endswith("cannot be made (File exists); choose another place with --out\n")
 
 
 def test_results_end_with_the_path_of_the_run(cqrun, run_of):

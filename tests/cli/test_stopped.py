@@ -117,7 +117,7 @@ def _kill(*arguments, **options):
     os.kill(os.getpid(), signal.SIGTERM)
 
 
-def test_a_signal_while_pictures_are_drawn_keeps_the_results(cqrun, folder, tmp_path, monkeypatch):
+def test_a_signal_while_pictures_are_drawn_keeps_the_results(cqrun, folder, tmp_path, monkeypatch, pictures):
     monkeypatch.setattr("cqrun.figures.draw.draw_run", _kill)
     words = ("simulate", folder / "fit.yaml", "-o", "time.duration=0.02", "--out", tmp_path)
     code, out, err = cqrun(*words)
