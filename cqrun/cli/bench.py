@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import AllowPlugins, Overrides, Quiet, Threads
+from cqrun.cli.terminal import echo
 
 
 def bench(
@@ -42,4 +43,4 @@ def bench(
     with plugins_allowed(allow_plugins), reporting(quiet) as reporter:
         lines = run_bench_scene(scene, overrides or (), output, threads=threads, talk=reporter)
     for line in lines:
-        typer.echo(line)
+        echo(line)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import DEFAULT_OUT, AllowPlugins
+from cqrun.cli.terminal import echo
 
 FIGURES = DEFAULT_OUT / "figures"
 KINDS = ("png", "pdf")
@@ -37,11 +38,11 @@ def plot(
     from cqrun.scene.plugin_files import plugins_allowed
 
     for file in [run for run in runs if run.is_file()]:  # results/SCENE/* includes summaries of several runs
-        typer.echo(f"skipped: {file} is a file and not a run", err=True)
+        echo(f"skipped: {file} is a file and not a run", err=True)
     runs = [run for run in runs if not run.is_file()] or runs
     with plugins_allowed(allow_plugins):
         is_single = len(runs) == 1 and show is None
         place = runs[0] / "figures" if len(runs) == 1 and out == FIGURES else out
         paths = draw_run(runs[0], KINDS) if is_single else draw_several(runs, place, KINDS, show)
     for path in paths:
-        typer.echo(path)
+        echo(path)

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from cqrun.characters import harmless
 from cqrun.running.reporter import StopFlag
 
 PLAIN_EVERY = 5.0
@@ -120,11 +121,11 @@ class Progress:
         self._print(f"warning: {text}", style="yellow")
 
     def _print(self, text: str, style: str | None = None) -> None:
-        self._console.print(text, style=style, markup=False)
+        self._console.print(harmless(text), style=style, markup=False)
 
     def _render(self) -> Text:
         return Text(
-            "  ".join(part for part in (self._phase, self._numbers) if part),
+            harmless("  ".join(part for part in (self._phase, self._numbers) if part)),
             overflow="ellipsis",
             no_wrap=True,
         )

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import typer
 
+from cqrun.cli.terminal import echo
+
 PICTURES = "CQRUN_PICTURES"
 """Environment variable: 0 means that no pictures are drawn when a run is finished, for example in large studies."""
 
@@ -18,8 +20,8 @@ def print_run(run: Path) -> None:
     from cqrun.jobs.table import report_lines
 
     for line in report_lines(run):
-        typer.echo(line)
-    typer.echo(f"run: {run}")
+        echo(line)
+    echo(f"run: {run}")
 
 
 def draw_and_print_run(run: Path) -> None:
@@ -45,7 +47,7 @@ def draw_and_print_ablation(comparison: Path, succeeded: bool) -> None:
         _draw(lambda: draw_ablation(comparison), f"the numbers are in {comparison}")
     finally:
         for line in ablation_lines(comparison):
-            typer.echo(line)
+            echo(line)
     if not succeeded:
         raise typer.Exit(1)
 
@@ -61,7 +63,7 @@ def _draw(draw: Callable[[], object], advice: str) -> None:
     except CqrunError:
         raise
     except Exception as error:
-        typer.echo(f"warning: no pictures: {type(error).__name__}: {error}; {advice}", err=True)
+        echo(f"warning: no pictures: {type(error).__name__}: {error}; {advice}", err=True)
 
 
 @contextmanager
@@ -89,6 +91,6 @@ def print_seeds(summary: Path, succeeded: bool) -> None:
     from cqrun.jobs.studies.seeds import summary_lines
 
     for line in summary_lines(summary):
-        typer.echo(line)
+        echo(line)
     if not succeeded:
         raise typer.Exit(1)

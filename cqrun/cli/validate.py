@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import typer
-
 from cqrun.cli.options import AllowPlugins, Overrides, Scene
+from cqrun.cli.terminal import echo
 
 
 def validate(scene: Scene, overrides: Overrides = None, allow_plugins: AllowPlugins = False) -> None:
@@ -17,4 +16,4 @@ def validate(scene: Scene, overrides: Overrides = None, allow_plugins: AllowPlug
 
     with plugins_allowed(allow_plugins):
         for line in validation_lines(scene, overrides or []):
-            typer.echo(line)
+            echo(line)

@@ -82,6 +82,11 @@ class RunScene:
         return hashes
 
 
+def stem_of(scene: Path) -> str:
+    """Return the name of a scene in its results: that of its file without the suffix, but never `.` or `..`."""
+    return scene.stem if scene.stem.strip(".") else scene.name
+
+
 class RunDirectory:
     """A run directory that this process has locked; a context manager that releases it.
 

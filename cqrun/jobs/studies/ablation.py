@@ -52,7 +52,7 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
 from cqrun.store.result import LearnedResult, Stage, require_result
-from cqrun.store.run import RECORD, RunScene, read_record
+from cqrun.store.run import RECORD, RunScene, read_record, stem_of
 from cqrun.store.study import Ablation, Mean, VariantRuns, read_ablation, write_study
 
 NOTHING = Mean(mean=None, low=None, high=None)
@@ -109,13 +109,13 @@ def run_ablation(
     talk.phase(f"learning {len(variants)} variants from {seeds} seeds, {at_once} at once")
     everyone = [run for of_seed in zip(*runs.values(), strict=True) for run in of_seed]  # stopped, most can be compared
     _run(everyone, at_once, "runs", talk, len(variants))
-    result = summary(source.stem, scene, variants, runs)
+    result = summary(stem_of(source), scene, variants, runs)
     for v in variants:
         result.variants[v.name].rate = (best[v.name] or "").partition("=")[2] or None
         result.variants[v.name].searched = searched.get(v.name)
     path = (
         out
-        / source.stem
+        / stem_of(source)
         / f"ablation-{_name(inputs_of(source, scene, None, control.CODESIGN.name), rates)}-{seeds}.json"
     )
     write_study(path, result)

@@ -37,7 +37,7 @@ from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
 from cqrun.store.result import RESULT, LearnedResult, Stage, StageName, require_result
-from cqrun.store.run import RunScene, read_record
+from cqrun.store.run import RunScene, read_record, stem_of
 from cqrun.store.study import Mean, Seed, SeedsSummary, read_seeds, write_study
 
 CONFIDENCE = 0.9
@@ -87,8 +87,8 @@ def run_seeds(
     good = [s for s in all_of_them if s.failure is None]
     if talk.stop.asked and len(good) < seeds:
         raise talk.stop.stopped(f"{len(good)} of {seeds} seeds are finished; the same command continues the others")
-    path = out / source.stem / f"summary-{inputs_of(source, scene, None, job.name).digest()}-{seeds}.json"
-    summary = _summary(source.stem, all_of_them)
+    path = out / stem_of(source) / f"summary-{inputs_of(source, scene, None, job.name).digest()}-{seeds}.json"
+    summary = _summary(stem_of(source), all_of_them)
     write_study(path, summary)
     write_table(path.with_suffix(".csv"), _table(summary))
     return path, len(good) == seeds
@@ -134,16 +134,16 @@ def member(
     """Return the run of one seed; `scene` is what its overrides make of the source, resolved."""
     optimizer: Any = scene.optimizer.value if scene.optimizer is not None else None
     own = [word for override in (*overrides, f"seed={seed}") for word in ("-o", override)]
-    run = out / source.stem / inputs_of(source, scene, seed, job).digest()
+    run = out / stem_of(source) / inputs_of(source, scene, seed, job).digest()
     return Member(f"seed {seed}", run, [*words, *own], optimizer.max_iterations)
 
 
 def inputs_of(source: Path, scene: Scene, seed: int | None, job: str) -> RunScene:
     """Return what names the run of a seed, or of none in particular."""
     if seed is not None:
-        return run_scene(source.stem, with_values(scene, {"seed": seed}), job=job, with_data=False)
+        return run_scene(stem_of(source), with_values(scene, {"seed": seed}), job=job, with_data=False)
     unseeded = {key: value for key, value in resolve(scene).items() if key != "seed"}
-    return replace(run_scene(source.stem, scene, job=job, with_data=False), resolved=dump(unseeded))
+    return replace(run_scene(stem_of(source), scene, job=job, with_data=False), resolved=dump(unseeded))
 
 
 def has_ended(member: Member) -> bool:
