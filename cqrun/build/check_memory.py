@@ -22,6 +22,9 @@ DOUBLE = 8
 POINT = 100
 """Bytes of a lattice point while a shape is filled: its position, and what is computed of it."""
 
+SIGNALS = 8
+"""Numbers of an actuator in a control step: its activation, its derivatives, and what they are computed from."""
+
 EPISODE = 1000
 """Bytes of the goals of an episode, and of its place in a run."""
 
@@ -79,7 +82,7 @@ def _records(scene: Scene, rows: int) -> Iterator[Need]:
     steps = float(scene.time.control_steps)
     what = f"the records of {steps:.3g} control steps"
     advice = "use fewer control steps, with longer ones or a shorter run"
-    yield "time.duration", what, DOUBLE * steps * (rows + len(scene.actuators)), advice
+    yield "time.duration", what, DOUBLE * steps * (rows + SIGNALS * (1 + len(scene.actuators))), advice
     synthetic = scene.synthetic
     if synthetic is not None:
         frames = float(synthetic.key_frames or steps // (synthetic.every or 1) + 1)
@@ -94,7 +97,7 @@ def _signals(scene: Scene) -> Iterator[Need]:
     steps, random = float(scene.time.control_steps), scene.activation.random if scene.activation is not None else None
     if random is not None:
         what = f"{random.knots:.3g} knots over {steps:.3g} control steps"
-        yield "activation.random.knots", what, DOUBLE * steps * random.knots, "use fewer knots"
+        yield "activation.random.knots", what, DOUBLE * steps * (random.knots + SIGNALS), "use fewer knots"
         what = f"the signals of {random.sequences:.3g} sequences over {steps:.3g} control steps"
         size = DOUBLE * steps * random.sequences * len(scene.actuators)
         yield "activation.random.sequences", what, size, "use fewer sequences"
