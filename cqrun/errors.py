@@ -27,6 +27,10 @@ class UsageError(CqrunError):
 class DataError(UsageError):
     """A recording or another data file that cannot be used as it is."""
 
+    def __str__(self) -> str:
+        """Return one line: what names in the file would do to a terminal is shown, not done."""
+        return printable(super().__str__())
+
 
 class MissingExtra(UsageError):
     """An optional dependency is needed but not installed; the message names the extra."""

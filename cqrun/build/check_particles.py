@@ -7,7 +7,7 @@ The model builder raises them before a run.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -51,6 +51,9 @@ _MEASURING_CELLS = 200_000
 READ_WHEN_BUILT = ("bodies", "regions", "boundaries", "loads", "actuators")
 """The sections whose files are read as a scene is built; those of others are read by who needs them."""
 
+MOST_PAIRS = 20
+"""Largest number of pairs of bodies, and of parts, whose overlaps are told; of many copies all pairs overlap."""
+
 PROBES = 16
 """Number of points along every axis by which the overlap of two parts is estimated."""
 
@@ -80,8 +83,8 @@ def geometry_problems(scene: Scene, points: Points, margin: float = 0.0) -> list
     return [
         *empty_bodies(scene, points),
         *outside_world(scene, points, margin),
-        *overlapping_bodies(scene, points),
-        *overlapping_parts(scene, points),
+        *islice(overlapping_bodies(scene, points), MOST_PAIRS),
+        *islice(overlapping_parts(scene, points), MOST_PAIRS),
         *empty_regions(scene, points),
         *points_to_track(scene, points),
     ]

@@ -22,6 +22,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from cqrun.characters import harmless
 from cqrun.errors import CqrunError, UsageError
 from cqrun.fingerprint import engine_hash
 from cqrun.scene.origin import PLUGINS
@@ -212,8 +213,8 @@ class RunDirectory:
     def log(self, text: str) -> None:
         """Append a line to log.txt."""
         path = self.path / "log.txt"
-        with disk_errors(path), path.open("a") as file:
-            file.write(f"[{self.elapsed():10.3f} s] {text}\n")
+        with disk_errors(path), path.open("a", encoding="utf-8") as file:
+            file.write(f"[{self.elapsed():10.3f} s] {harmless(text)}\n")
 
     def history(self, columns: Sequence[str]) -> History:
         """Open history.csv; `elapsed` continues from its last row, also after a kill."""

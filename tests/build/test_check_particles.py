@@ -84,6 +84,15 @@ def test_the_error_of_overlapping_bodies_says_where() -> None:
     assert "such as at (0." in message
 
 
+def test_of_many_overlapping_parts_some_pairs_are_told() -> None:
+    parts = {f"p{k}": {"ball": {"center": [0.6, 0.5], "radius": 0.05}} for k in range(60)}
+    messages = problems(with_values(two_balls(shape=None, parts=parts), {}))
+    assert len(messages) == check.MOST_PAIRS
+    assert messages[0].startswith(
+        "scene: bodies.right.parts.p1: overlaps the part 'p0', in about 100.0% of the smaller"
+    )
+
+
 def test_bodies_may_touch() -> None:
     box = {"box": {"corner": [0.4, 0.45], "size": [0.1, 0.1]}}
     scene = two_balls(shape=box)

@@ -47,6 +47,28 @@ def mutated(text: str, rng: np.random.Generator) -> str:
     return text
 
 
+def mutated_override(data: Any, rng: np.random.Generator) -> str:
+    """Return a `-o key=value` for a scene's plain data: a key path of it, or nearly one, and a value or a piece of text."""
+    places = list(_places(data))
+    keys = [str(key) for key in _pick(places, rng)]
+    for _ in range(int(rng.integers(3))):
+        match rng.integers(4):
+            case 0:
+                keys.insert(
+                    int(rng.integers(len(keys) + 1)), str(_pick((*_pick(places, rng), -1, 99, "", "shapes"), rng))
+                )
+            case 1:
+                keys.pop(int(rng.integers(len(keys)))) if len(keys) > 1 else None
+            case 2:
+                keys = keys[: 1 + int(rng.integers(len(keys)))]
+            case _:
+                k = int(rng.integers(len(keys)))
+                keys[k] = _damaged_text(keys[k], rng)
+    value = _pick((*NUMBERS, *OTHERS, value_at(data, _pick(places, rng))), rng)
+    text = write(value).strip() if rng.random() < 0.8 else _pick(FRAGMENTS, rng)
+    return f"{'.'.join(keys)}{'=' if rng.random() < 0.98 else ''}{text}"
+
+
 def _once(text: str, rng: np.random.Generator) -> str:
     if rng.random() < 0.2:
         return _damaged_text(text, rng)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -10,11 +11,12 @@ import numpy as np
 import pytest
 from extremes import EXTREMES, numeric_fields
 from harness import LARGE, all_scenes, faults
-from mutations import mutated
+from mutations import mutated, mutated_override
 
 from cqrun.errors import Problem, SceneError
 from cqrun.plugin.contract import Plugin
 from cqrun.plugin.registry import FOLDERS, plugins
+from cqrun.scene.document import read
 from cqrun.scene.load import load_scene
 from cqrun.scene.walk import parts
 
@@ -59,8 +61,34 @@ def test_mutated_scenes_are_valid_or_refused_with_their_place(scenes: list[Path]
     assert faults(scenes[0].parent, mutants(scenes, range(first, first + CHUNK))) == []
 
 
+def _fault_of_overrides(path: Path, seeds: range) -> list[str]:
+    """Return what is wrong with how a scene takes mutated overrides."""
+    data, found = read(path.read_text()).data, []
+    for seed in seeds:
+        rng = np.random.default_rng([SEED, 1, seed])
+        overrides = [mutated_override(data, rng) for _ in range(int(rng.integers(1, 3)))]
+        try:
+            load_scene(path, overrides)
+        except SceneError as error:
+            lines = str(error).splitlines()
+            if not all(line.startswith((f"{path}:", "-o ")) and line.isprintable() for line in lines):
+                found.append(f"{overrides}: {error}")
+        except Exception:
+            found.append(f"{overrides}: {traceback.format_exc()}")
+    return found
+
+
+def test_overrides_are_taken_or_refused_by_name(scenes: list[Path]) -> None:
+    assert [fault for path in scenes[:3] for fault in _fault_of_overrides(path, range(20))] == []
+
+
+@pytest.mark.slow
+def test_many_overrides_are_taken_or_refused_by_name(scenes: list[Path]) -> None:
+    assert [fault for path in scenes for fault in _fault_of_overrides(path, range(250))] == []
+
+
 def test_some_fields_with_extreme_numbers(scenes: list[Path]) -> None:
-    fields = list(numeric_fields(scenes))
+    fields = list(numeric_fields(path for path in scenes if not path.name.startswith(LARGE)))
     assert len(fields) > 200
     few = [(f"extreme{k}", f.text(EXTREMES[k % len(EXTREMES)])) for k, f in enumerate(fields) if k % 10 == 0]
     assert faults(scenes[0].parent, few) == []

@@ -40,6 +40,9 @@ from cqrun.store.result import RESULT, LearnedResult, Stage, StageName, require_
 from cqrun.store.run import RunScene, read_record, stem_of
 from cqrun.store.study import Mean, Seed, SeedsSummary, read_seeds, write_study
 
+MOST_SEEDS = 10_000
+"""More are a slip: runs take minutes."""
+
 CONFIDENCE = 0.9
 """Of the intervals of means."""
 
@@ -100,6 +103,8 @@ def require_seeds(overrides: Sequence[str], seeds: int, jobs: int | None) -> Non
     for name, count in (("seeds", seeds), ("jobs", jobs)):
         if count is not None and count < 1:
             raise UsageError(f"--{name} {count}: must be at least 1; without it {without[name]}")
+    if seeds > MOST_SEEDS:
+        raise UsageError(f"--seeds {seeds}: must be at most {MOST_SEEDS:,}: each is a run of its own")
     for override in overrides:
         if override.partition("=")[0].strip() == "seed":
             raise UsageError(f"-o {override}: --seeds gives every run a seed of its own: remove one of the two")
