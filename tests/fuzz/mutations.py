@@ -48,7 +48,7 @@ def mutated(text: str, rng: np.random.Generator) -> str:
 
 
 def mutated_override(data: Any, rng: np.random.Generator) -> str:
-    """Return a `-o key=value` for a scene's plain data: a key path of it, or nearly one, and a value or a piece of text."""
+    """Return a `-o key=value` for a scene's plain data: a key path of it, or nearly one, and a value or any text."""
     places = list(_places(data))
     keys = [str(key) for key in _pick(places, rng)]
     for _ in range(int(rng.integers(3))):
@@ -70,7 +70,7 @@ def mutated_override(data: Any, rng: np.random.Generator) -> str:
 
 
 def _once(text: str, rng: np.random.Generator) -> str:
-    if rng.random() < 0.2:
+    if rng.random() < 0.12:
         return _damaged_text(text, rng)
     try:
         data = read(text).data
@@ -108,10 +108,10 @@ def _other_value(data: Any, rng: np.random.Generator) -> Any:
     places = places if places and rng.random() < 0.85 else list(_places(data))
     loc = _pick(places, rng)
     holder, key, old = value_at(data, loc[:-1]), loc[-1], value_at(data, loc)
-    number = isinstance(old, (int, float)) and not isinstance(old, bool)
+    number = isinstance(old, (int, float)) and not isinstance(old, bool) and abs(old) < 1e100
     if number and rng.random() < 0.75:
-        near = (old * 10.0 ** int(rng.integers(-9, 10)), -old, int(old), old * (1 + 1e-9), old + 1, 0.3 * old)
-        holder[key] = _pick(NUMBERS, rng) if rng.random() < 0.6 else _pick(near, rng)
+        near = (old * 10.0 ** int(rng.integers(-6, 7)), -old, int(old), old * (1 + 1e-9), old + 1, 0.3 * old, 3 * old)
+        holder[key] = _pick(NUMBERS, rng) if rng.random() < 0.3 else _pick(near, rng)
     elif isinstance(old, str) and rng.random() < 0.5:
         texts = [str(value_at(data, loc)) for loc in places] + [str(loc[-1]) for loc in places]
         holder[key] = _pick(texts, rng)
