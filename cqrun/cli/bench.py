@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import AllowPlugins, Overrides, Quiet, Threads
+from cqrun.cli.terminal import echo
 
 
 def bench(
@@ -44,4 +45,4 @@ def bench(
 
         lines = run_bench_scene(scene, overrides or (), output, threads=threads, talk=reporter)
     for line in lines:
-        typer.echo(line)
+        echo(line)

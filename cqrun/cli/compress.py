@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import Quiet
+from cqrun.cli.terminal import echo
 
 
 class Method(StrEnum):
@@ -38,5 +39,5 @@ def compress(
         summary = learn(
             runs, method.value, size, output, body=body, cells=cells, epochs=epochs, seed=seed, reporter=reporter
         )
-    typer.echo(summary)
-    typer.echo(f"written: {output}")
+    echo(summary)
+    echo(f"written: {output}")

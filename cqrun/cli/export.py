@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import AllowPlugins, Quiet, Run
+from cqrun.cli.terminal import echo
 from cqrun.errors import UsageError
 
 
@@ -35,4 +36,4 @@ def export(
 
         paths = export_design(run, out or run / "design", reporter)
     for path in paths:
-        typer.echo(path)
+        echo(path)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import DEFAULT_OUT, AllowPlugins
+from cqrun.cli.terminal import echo
 
 FIGURES = DEFAULT_OUT / "figures"
 KINDS = ("png", "pdf")
@@ -36,7 +37,7 @@ def plot(
     from cqrun.cli.progress import working
 
     for file in [run for run in runs if run.is_file()]:  # results/SCENE/* includes summaries of several runs
-        typer.echo(f"skipped: {file} is a file and not a run", err=True)
+        echo(f"skipped: {file} is a file and not a run", err=True)
     runs = [run for run in runs if not run.is_file()] or runs
     with working(False, allow_plugins, "drawing pictures"):
         from cqrun.figures.draw import draw_run, draw_several
@@ -49,4 +50,4 @@ def plot(
                 out = make_below(runs[0] if len(runs) == 1 else DEFAULT_OUT, FIGURES.name)
             paths = draw_several(runs, out, KINDS, show)
     for path in paths:
-        typer.echo(path)
+        echo(path)

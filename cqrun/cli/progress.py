@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from cqrun.characters import harmless
 from cqrun.errors import StopNow
 from cqrun.running.reporter import StopFlag
 
@@ -149,7 +150,7 @@ class Progress:
 
     def _print(self, text: str, style: str | None = None) -> None:
         self._last_line = time.monotonic()
-        self._console.print(text, style=style, markup=False)
+        self._console.print(harmless(text), style=style, markup=False)
 
     def _break_silences(self) -> None:
         """Repeat what is being done when nothing has been printed for a while, until the work ends."""
@@ -165,7 +166,7 @@ class Progress:
         lasts = time.monotonic() - self._phase_began
         shown = f"[{clock(lasts)}]" if lasts >= SHOWN_FROM and not self._numbers else ""
         return Text(
-            "  ".join(part for part in (shown, self._phase, self._numbers) if part),
+            harmless("  ".join(part for part in (shown, self._phase, self._numbers) if part)),
             overflow="ellipsis",
             no_wrap=True,
         )

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from cqrun.cli.options import AllowPlugins, Quiet, Run
+from cqrun.cli.terminal import echo
 from cqrun.errors import UsageError
 from cqrun.figures.choices import Look, Quantity
 
@@ -63,7 +64,7 @@ def render(
         wanted = RenderOptions(kind, stills or onion or 1, color, fps, every, view, trail, output)
         paths = draw(run, wanted, reporter)
     for path in paths:
-        typer.echo(path)
+        echo(path)
 
 
 def _kind(options: list[str], output: Path | None) -> Literal["gif", "mp4", "png", "stills", "onion"]:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import typer
 
+from cqrun.cli.terminal import echo
+
 PICTURES = "CQRUN_PICTURES"
 """Environment variable: 0 means that no pictures are drawn when a run is finished, for example in large studies."""
 
@@ -20,8 +22,8 @@ def print_run(run: Path, allow_plugins: bool) -> None:
 
     with plugins_allowed(allow_plugins):
         for line in report_lines(run):
-            typer.echo(line)
-    typer.echo(f"run: {run}")
+            echo(line)
+    echo(f"run: {run}")
 
 
 def draw_and_print_run(run: Path, quiet: bool, allow_plugins: bool) -> None:
@@ -58,7 +60,7 @@ def draw_and_print_ablation(comparison: Path, succeeded: bool, quiet: bool) -> N
                 _draw(lambda: draw_ablation(comparison), f"the numbers are in {comparison}")
     finally:
         for line in ablation_lines(comparison):
-            typer.echo(line)
+            echo(line)
     if not succeeded:
         raise typer.Exit(1)
 
@@ -77,7 +79,7 @@ def _draw(draw: Callable[[], object], advice: str) -> None:
     except CqrunError:
         raise
     except Exception as error:
-        typer.echo(f"warning: no pictures: {type(error).__name__}: {error}; {advice}", err=True)
+        echo(f"warning: no pictures: {type(error).__name__}: {error}; {advice}", err=True)
 
 
 @contextmanager
@@ -105,6 +107,6 @@ def print_seeds(summary: Path, succeeded: bool) -> None:
     from cqrun.jobs.studies.seeds import summary_lines
 
     for line in summary_lines(summary):
-        typer.echo(line)
+        echo(line)
     if not succeeded:
         raise typer.Exit(1)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import typer
-
 from cqrun.cli.options import AllowPlugins, Overrides, Scene
+from cqrun.cli.terminal import echo
 
 
 def validate(scene: Scene, overrides: Overrides = None, allow_plugins: AllowPlugins = False) -> None:
@@ -19,4 +18,4 @@ def validate(scene: Scene, overrides: Overrides = None, allow_plugins: AllowPlug
 
         lines = list(validation_lines(scene, overrides or []))
     for line in lines:
-        typer.echo(line)
+        echo(line)

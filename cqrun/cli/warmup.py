@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import AllowPlugins, Quiet
+from cqrun.cli.terminal import echo
 
 
 def warmup(
@@ -24,4 +25,4 @@ def warmup(
         from cqrun.jobs.warmup import warmup as compile_kernels
 
         for line in compile_kernels(scenes or (), reporter=reporter):
-            typer.echo(line)
+            echo(line)

@@ -47,6 +47,7 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.store.result import Direction, GradcheckResult, Verdict, write_result
 from cqrun.store.run import RunDirectory, read_record
+from cqrun.store.run_scene import stem_of
 
 VERDICTS: dict[Verdict, str] = {
     AGREES: "",
@@ -161,7 +162,7 @@ def run_gradcheck(
     """
     source = Path(source)
     scene = load_scene(source, overrides)
-    run = GRADCHECK.start(source.stem, scene, out, fresh=fresh, threads=threads, reporter=reporter)
+    run = GRADCHECK.start(stem_of(source), scene, out, fresh=fresh, threads=threads, reporter=reporter)
     return run, read_record(run)["status"] == "done"
 
 

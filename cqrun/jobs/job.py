@@ -29,6 +29,7 @@ from cqrun.scene.sections import JobName
 from cqrun.store.atomic import write_bytes
 from cqrun.store.result import Result, read_result
 from cqrun.store.run import STOPPED, RunDirectory, read_record
+from cqrun.store.run_scene import stem_of
 
 NO_FILES: Mapping[str, Path] = MappingProxyType({})
 
@@ -134,7 +135,7 @@ class Job(ABC, Generic[P, R]):
         """
         source = Path(source)
         scene = load_scene(source, overrides)
-        return raise_if_failed(self.start(source.stem, scene, out, fresh=fresh, threads=threads, reporter=reporter))
+        return raise_if_failed(self.start(stem_of(source), scene, out, fresh=fresh, threads=threads, reporter=reporter))
 
     @final
     def start(

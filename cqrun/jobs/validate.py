@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import prod
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from cqrun.build.model import Built, build
 from cqrun.errors import SceneError
@@ -19,7 +18,7 @@ from cqrun.jobs.table import JOBS
 from cqrun.learning.agent import Agent
 from cqrun.learning.description import control_lines, line, objective_lines
 from cqrun.learning.episodes import EpisodeProblem, differentiated, has_episodes
-from cqrun.running.bodies import lies, made_of
+from cqrun.running.bodies import lies, made_of, rounding_of
 from cqrun.running.cost import NANOSECONDS, duration, forward_seconds, gradient_seconds
 from cqrun.running.gradient_memory import GRADIENT, gradient_plan, state_bytes
 from cqrun.running.reporter import Silent
@@ -86,7 +85,7 @@ def _world(built: Built) -> Iterator[str]:
     world, shape = built.scene.world, built.model.grid_shape
     size = " x ".join(number(edge) for edge in world.size)
     nodes = " x ".join(map(str, shape))
-    yield line("world", f"{size} m in cells of {number(world.dx)} m: {nodes} = {int(np.prod(shape)):,} nodes")
+    yield line("world", f"{size} m in cells of {number(world.dx)} m: {nodes} = {prod(shape):,} nodes")
     conditions = (f"{c.name} ({c.spec.name}, {int(c.nodes.sum()):,} nodes)" for c in built.model.conditions)
     yield line("boundaries", ", ".join(conditions) or "none: a body that reaches the edge of the world stops the run")
 
@@ -120,9 +119,8 @@ def _time(built: Built) -> Iterator[str]:
     corner = " at the worst corner of the unknowns' bounds" if built.scene.unknowns else ""
     cause = f"{number(least.dt)} s ({least.part}{corner})"
     yield line("", f"{model.dt / least.dt:.2f} of the largest stable substep, {cause}")
-    if model.real is np.float32:  # rounding error of a position divided by the substep
-        slowest = float(np.finfo(np.float32).eps) * max(built.scene.world.size) / model.dt
-        yield line("", f"float32 loses motion slower than about {number(slowest)} m/s: less than a position's last bit")
+    if rounding := rounding_of(built):
+        yield line("", rounding)
     for limit in built.limits:
         if limit is not least:
             yield line("", f"limit of {limit.part}: {number(limit.dt)} s")

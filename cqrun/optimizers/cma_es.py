@@ -44,7 +44,9 @@ class CmaEs(Optimizer):
 
     gradients: ClassVar[bool] = False
     max_iterations: int = Field(100, ge=1, description="maximum number of generations")
-    population: int | None = Field(None, ge=4, description="number of trials in a generation; 4 + 3 ln n if absent")
+    population: int | None = Field(
+        None, ge=4, le=10_000, description="number of trials in a generation; 4 + 3 ln n if absent"
+    )
     sigma: float = Field(0.3, gt=0, description="standard deviation of the first generation, in scaled coordinates")
     function_tolerance: float = Field(
         1e-11, ge=0, description="converged when the losses of recent generations differ by less"

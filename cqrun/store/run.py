@@ -22,6 +22,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from cqrun.characters import harmless
 from cqrun.disk import open_file
 from cqrun.errors import CqrunError, StopNow, UsageError
 from cqrun.explain import listed, shown
@@ -183,7 +184,7 @@ class RunDirectory:
         """Append a line to log.txt."""
         path = self.path / "log.txt"
         with disk_errors(path), open_file(path, "a", encoding="utf-8", errors="backslashreplace") as file:
-            file.write(f"[{self.elapsed():10.3f} s] {text}\n")
+            file.write(f"[{self.elapsed():10.3f} s] {harmless(text)}\n")
 
     def history(self, columns: Sequence[str]) -> History:
         """Open history.csv; `elapsed` continues from its last row, also after a kill."""

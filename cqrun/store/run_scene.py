@@ -10,6 +10,11 @@ from pathlib import Path
 from cqrun.errors import UsageError
 
 
+def stem_of(scene: Path) -> str:
+    """Return the name of a scene in its results: that of its file without the suffix, but never `.` or `..`."""
+    return scene.stem if scene.stem.strip(".") else scene.name
+
+
 @dataclass(frozen=True)
 class RunScene:
     """The inputs of a run, which determine its name.

@@ -58,6 +58,14 @@ def test_progress_is_told_by_simulated_time(beam, tmp_path):
     assert listener.said[-1] == "simulating 40 particles, 240 substeps"
 
 
+def test_a_run_in_float32_tells_what_is_rounded_away(beam, tmp_path):
+    listener = Listener()
+    run = simulate(beam, tmp_path, "precision=float32", "bodies.beam.velocity=[0, -1e-6]", reporter=listener)
+    (told,) = [line for line in listener.said if line.startswith("float32 rounds motion away below about")]
+    assert told in (run / "log.txt").read_text()
+    assert any(line.startswith("warning") and "starts at 1e-06 m/s" in line for line in listener.said)
+
+
 def test_the_same_again_is_finished_and_fresh_starts_over(beam, tmp_path):
     run = simulate(beam, tmp_path)
     listener = Listener()

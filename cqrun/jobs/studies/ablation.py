@@ -54,7 +54,7 @@ from cqrun.store.atomic import write_table
 from cqrun.store.folder import RECORD, make_below
 from cqrun.store.result import LearnedResult, Stage, require_result
 from cqrun.store.run import read_record
-from cqrun.store.run_scene import RunScene
+from cqrun.store.run_scene import RunScene, stem_of
 from cqrun.store.study import Ablation, Mean, VariantRuns, read_ablation, write_study
 
 NOTHING = Mean(mean=None, low=None, high=None)
@@ -84,7 +84,7 @@ def run_ablation(
     variants, tried = variants_of(scene), rate_overrides(scene, rates)
     whole = control.CODESIGN.prepare(scene, 1, Silent())
     warn_if_alike(whole, seeds, talk)
-    folder = make_below(out, source.stem)
+    folder = make_below(out, stem_of(source))
     # `auto` depends on the bounds of the free unknowns; variants with different time steps could not be compared
     same_step = [f"time.substeps={whole.built.model.substeps}"] if scene.time.substeps == "auto" else []
     at_once = min(n_threads if jobs is None else jobs, len(variants) * max(seeds, len(tried)))
@@ -104,7 +104,7 @@ def run_ablation(
     talk.phase(f"learning {len(variants)} variants from {seeds} seeds, {at_once} at once")
     everyone = [run for of_seed in zip(*runs.values(), strict=True) for run in of_seed]  # so a stop leaves whole seeds
     _run(everyone, at_once, "runs", talk, len(variants))
-    result = summary(source.stem, scene, variants, runs)
+    result = summary(stem_of(source), scene, variants, runs)
     for v in variants:
         result.variants[v.name].rate = (best[v.name] or "").partition("=")[2] or None
         result.variants[v.name].searched = searched.get(v.name)

@@ -151,6 +151,7 @@ def test_permission_and_fresh_are_handed_on(finger, tmp_path, monkeypatch):
     ("overrides", "options", "message"),
     [
         ([], {"seeds": 0}, "--seeds 0: must be at least 1"),
+        ([], {"seeds": 10**9}, "--seeds 1000000000: must be at most 10,000: each is a run of its own"),
         ([], {"seeds": 2, "jobs": 0}, "--jobs 0: must be at least 1"),
         (["seed=3"], {"seeds": 2}, "-o seed=3: --seeds gives every run a seed of its own"),
     ],
