@@ -67,7 +67,7 @@ def auto_substeps(control_step: float, limits: list[Limit]) -> int:
 
 
 def rounded_away(size: Array, dt: float) -> float:
-    """Return the speed [m/s] below which float32 rounds motion away: less than a position's last bit in a substep.
+    """Return the speed [m/s] below which float32 loses motion: less than a position's last bit in a substep.
 
     Args:
         size: edges of the world (D,) [m].

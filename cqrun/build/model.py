@@ -204,7 +204,7 @@ def _too_slow(scene: Scene, assembly: Assembly) -> list[Problem]:
         if 0 < fastest < least:
             path = f"bodies.{name}.velocity"
             message = (
-                f"starts at {fastest:.3g} m/s, but float32 rounds motion below about {least:.3g} m/s away, so the body "
+                f"starts at {fastest:.3g} m/s, but float32 loses motion slower than about {least:.3g} m/s, so the body "
                 "stays where it is: use float64, or fewer substeps"
             )
             warnings.append(Problem(scene.where(path), path, message))

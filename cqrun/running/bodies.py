@@ -32,7 +32,7 @@ def rounding_of(built: Built) -> str:
     if built.model.real is not np.float32:
         return ""
     least = number(rounded_away(built.model.size, built.model.dt))
-    return f"float32 rounds motion away below about {least} m/s: less than a position's last bit"
+    return f"float32 loses motion slower than about {least} m/s: less than a position's last bit"
 
 
 def made_of(built: Built, name: str, inputs: Inputs | None = None) -> str:

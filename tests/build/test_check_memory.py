@@ -31,7 +31,6 @@ MOST = 20 * 2**20
         (["world.size=[1e30, 1e30]", "world.dx=1e-100"], "world: 1e+260 grid nodes need 9.46e+249 TiB; 1 GiB are free"),
         (["bodies.beam.particles_per_cell=1e9"], "bodies.beam.shape: 1e+10 points that may be particles need"),
         (["bodies.beam.particles_per_cell=1e30"], "bodies.beam.shape: 1e+31 points that may be particles need"),
-        (["bodies.beam.place={scale: 1e8, offset: [0, 0]}"], "bodies.beam.shape: 4e+17 points that may be"),
         (
             ["bodies.beam.particles_per_cell=null", "bodies.beam.sampling={lattice: {count: 9000000000000000000}}"],
             "bodies.beam.shape: 8.1e+37 points that may be particles need",
