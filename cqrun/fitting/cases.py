@@ -66,10 +66,11 @@ def given_cases(built: Built) -> list[Case] | None:
 
 
 def own_warnings(built: Built, cases: Sequence[Case]) -> Iterator[str]:
-    """Yield the warnings of recordings' own scenes that are not the scene's."""
+    """Yield the warnings of recordings' own scenes that are not the scene's, and what looks wrong in recordings."""
     told = {warning.message for warning in built.warnings}
     for case in cases:
         yield from (f"{case.name}: {warning}" for warning in case.built.warnings if warning.message not in told)
+        yield from (f"{case.name}: {doubt}" for comparison in case.comparisons for doubt in comparison.doubts)
 
 
 def remarks(cases: Sequence[Case]) -> Iterator[str]:

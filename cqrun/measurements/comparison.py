@@ -39,12 +39,14 @@ class Comparison(ABC):
         count: how many squares the loss is the mean of.
         weight: in the loss, beside other comparisons.
         remark: what a user should know of how the recording was taken, or nothing.
+        doubts: what looks wrong in the recording, and what is done about it.
     """
 
     rows: csr_array
     count: int = 1
     weight: float = 1.0
     remark: str = ""
+    doubts: tuple[str, ...] = ()
 
     @abstractmethod
     def residuals(self, records: Records, start: float) -> Array:

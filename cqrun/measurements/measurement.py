@@ -27,13 +27,14 @@ class Recorded:
         still: first and last time of the frames at rest [s], or None.
         weight: in the loss.
         window: which frames are compared.
-        read_markers: reads the file as tracks of markers, from any of their formats; DataError where it is none.
+        read_markers: reads the file as tracks of the markers it is given, or of all, from any of their formats;
+            DataError where it is none, or has none of a name.
     """
 
     file: Path
     body: str
     window: Window
-    read_markers: Callable[[], Recording]
+    read_markers: Callable[..., Recording]
     units: str | None = None
     still: tuple[float, float] | None = None
     weight: float = 1.0

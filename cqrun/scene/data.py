@@ -39,7 +39,9 @@ class Recording(PluginKeys):
     keys_of: ClassVar[str] = "measurement"
 
     file: FileName = Field(min_length=1, description="File with what was measured, relative to the scene")
-    start: float = quantity("s", "Time in the file when the run begins", differentiable=True, default=0.0)
+    start: float = quantity(
+        "s", "Time in the file when the run begins; the first frame of C3D is at 0", differentiable=True, default=0.0
+    )
     length: float | None = quantity("s", "How long to compare; the scene's duration if absent", gt=0, default=None)
     skip: float = quantity("s", "Time after the start (the latest that is allowed) not compared", ge=0, default=0.0)
     holdout: bool = Field(description="Predict it, but do not fit it", default=False)

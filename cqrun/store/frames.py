@@ -7,12 +7,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
+from cqrun.store.hdf5 import UNREADABLE, numbers
+
+if TYPE_CHECKING:
+    import h5py
 
 
 def part_path(path: Path) -> Path:
@@ -42,6 +46,7 @@ class Frames:
         self.path = path if path.exists() else part_path(path)
         if not self.path.exists():
             raise UsageError(f"{path}: no such trajectory")
+        self._checked: dict[str, h5py.Dataset] = {}
         with self._reading():
             self._file = h5py.File(self.path, "r", locking=False)  # also while a writer has it open
         try:
@@ -53,13 +58,15 @@ class Frames:
         self.complete = self.path.suffix != ".part"
 
     def _read_head(self) -> None:
-        count = int(self._file["frames"][()])
-        self.time: Array = self._file["time"][:count]
-        self.step: Array = self._file["step"][:count]
-        bodies = json.loads(self._file["particles"].attrs["bodies"])
-        self.bodies = {name: slice(start, stop) for name, (start, stop) in bodies.items()}
-        self.fields = tuple(name for name in self._file["particles"] if name != "body")
-        self.provenance: dict[str, Any] = json.loads(self._file.attrs["provenance"])
+        count = int(numbers(self._file, "frames")[()])
+        self.time: Array = numbers(self._file, "time")[:count]
+        self.step: Array = numbers(self._file, "step")[:count]
+        particles = self._file["particles"]
+        self.bodies = {
+            name: slice(int(start), int(stop)) for name, (start, stop) in json.loads(particles.attrs["bodies"]).items()
+        }
+        self.fields = tuple(name for name in particles if name != "body")
+        self.provenance: dict[str, Any] = dict(json.loads(self._file.attrs["provenance"]))
 
     def __len__(self) -> int:
         return len(self.time)
@@ -67,12 +74,18 @@ class Frames:
     def read(self, field: str, frame: int) -> Array:
         """Return a field of every particle in one frame (N, ...); raise a UsageError if it cannot be read."""
         with self._reading():
-            return np.asarray(self._file["particles"][field][frame])
+            return np.asarray(self._field(field)[frame])
 
     def read_all(self, field: str) -> Array:
         """Return a field in every frame (T, N, ...); raise a UsageError if it cannot be read."""
         with self._reading():
-            return np.asarray(self._file["particles"][field][: len(self)])
+            return np.asarray(self._field(field)[: len(self)])
+
+    def _field(self, name: str) -> h5py.Dataset:
+        """Return the dataset of a field, its size checked once."""
+        if name not in self._checked:
+            self._checked[name] = numbers(self._file["particles"], name)
+        return self._checked[name]
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""
@@ -90,5 +103,5 @@ class Frames:
     def _reading(self) -> Iterator[None]:
         try:
             yield
-        except (OSError, KeyError, ValueError) as error:
+        except UNREADABLE as error:
             raise UsageError(f"{self.path}: not a cqrun trajectory, or truncated ({error})") from error

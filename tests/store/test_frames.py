@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import h5py
 import numpy as np
 import pytest
 
@@ -42,3 +43,25 @@ def test_missing_and_damaged_trajectories_are_refused(tmp_path):
     (tmp_path / "t.h5").write_bytes(content[: len(content) // 2])
     with pytest.raises(UsageError, match="truncated"):
         Frames(tmp_path / "t.h5")
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [("bodies", "[1, 2]"), ("bodies", '{"a": [0]}'), ("bodies", 3), ("provenance", "[1]"), ("provenance", "{")],
+)
+def test_what_it_says_of_itself_may_be_damaged(tmp_path, place, value):
+    write(tmp_path / "t.h5", 2)
+    with h5py.File(tmp_path / "t.h5", "a") as file:
+        (file if place == "provenance" else file["particles"]).attrs[place] = value
+    with pytest.raises(UsageError, match="not a cqrun trajectory, or truncated"):
+        Frames(tmp_path / "t.h5")
+
+
+def test_a_field_that_claims_more_than_the_file_holds(tmp_path):
+    write(tmp_path / "t.h5", 2)
+    with h5py.File(tmp_path / "t.h5", "a") as file:
+        file.create_dataset("particles/huge", (2, 10**9), dtype="f8", chunks=(1, 10**6), compression="gzip")
+    with Frames(tmp_path / "t.h5") as frames, pytest.raises(UsageError, match=r"'huge' claims 14\.9 GiB"):
+        frames.read_all("huge")
+    with pytest.raises(UsageError, match=r"'huge' claims 14\.9 GiB"):
+        read_trajectory(tmp_path / "t.h5")
