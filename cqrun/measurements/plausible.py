@@ -177,18 +177,22 @@ def _held(recording: Recording, size: float) -> Iterator[Doubt]:
             if any(np.nansum(change) > 0 and np.nanmin(change) > 0 for change in others):
                 yield Doubt(marker, track.frames, "never moves at all, and others do,", "was it seen?")
             continue
-        steps = np.abs(np.diff(track.x, axis=0))
-        least = SUDDEN * float(steps[steps > 0].min())  # a position that is rounded moves by its last digit
-        still = np.r_[False, (track.leaps == 0) & (np.diff(track.frames) == 1), False]
-        begins, ends = np.flatnonzero(still[1:] & ~still[:-1]), np.flatnonzero(~still[1:] & still[:-1])
+        runs = _runs(track)
+        long = [(first, last) for first, last in runs if last - first + 1 >= HELD]
         frames = [
             track.frames[first + 1 : last + 1]
-            for first, last in zip(begins, ends, strict=True)
-            if last - first + 1 >= HELD
-            and _is_sudden(track, int(first), int(last), max(least, SMALLEST * size), others)
+            for first, last in long
+            if _is_held(track, first, last, size, others, repeats=len(long) < len(runs))
         ]
         if frames:
             yield Doubt(marker, np.concatenate(frames), "keeps exactly one place, while others move,")
+
+
+def _runs(track: Track) -> list[tuple[int, int]]:
+    """Return the first and the last of positions that follow each other and are exactly the same."""
+    same = np.r_[False, (track.leaps == 0) & (np.diff(track.frames) == 1), False]
+    begins, ends = np.flatnonzero(same[1:] & ~same[:-1]), np.flatnonzero(~same[1:] & same[:-1])
+    return list(zip(begins.tolist(), ends.tolist(), strict=True))
 
 
 def _changes(recording: Recording, marker: int) -> Array:
@@ -196,11 +200,19 @@ def _changes(recording: Recording, marker: int) -> Array:
     return np.linalg.norm(np.diff(recording.positions[:, marker], axis=0), axis=1)
 
 
-def _is_sudden(track: Track, first: int, last: int, least: float, others: list[Array]) -> bool:
-    """Say whether a marker stops at `first` or starts after `last` as no body does, while others move."""
+def _is_held(track: Track, first: int, last: int, size: float, others: list[Array], *, repeats: bool) -> bool:
+    """Say whether a marker does not move from `first` to `last` as no body does: others move, and it did itself.
+
+    Args:
+        repeats: whether it has the same position in a few frames elsewhere, as rounded positions have.
+    """
     inside = slice(track.frames[first], track.frames[last])
     paths = [float(np.nansum(change[inside])) for change in others if np.nanmin(change[inside], initial=np.inf) > 0]
     farthest = max(paths, default=0.0)
+    if first > 0 and not repeats and farthest > SMALLEST * size:
+        return True
+    steps = np.abs(np.diff(track.x, axis=0))
+    least = max(SUDDEN * float(steps[steps > 0].min()), SMALLEST * size)  # a rounded position moves by its last digit
     into = track.steps[first - 1] if first > 0 else 0.0
     out = track.steps[last] if last < len(track.steps) else 0.0
     after = track.steps[last + 1] if last + 1 < len(track.steps) else 0.0

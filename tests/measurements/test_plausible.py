@@ -150,6 +150,19 @@ def test_a_position_that_is_held_to_the_end(swing):
     assert judged(changed(swing, 0, frames, swing.positions[56, 0]))[0] == {"a": frames}
 
 
+@pytest.mark.parametrize("first", range(70, 83))
+def test_a_position_that_is_held_where_the_body_turns_back(swing, first):
+    """There it neither stops nor starts suddenly; but measured positions are never the same for many frames."""
+    frames = list(range(first + 1, first + 12))
+    assert judged(changed(swing, 0, frames, swing.positions[first, 0]))[0] == {"a": frames}
+
+
+def test_rounded_positions_that_are_held(swing):
+    rounded = replace(swing, positions=np.round(swing.positions, 4))
+    frames = list(range(57, 65))
+    assert judged(changed(rounded, 0, frames, rounded.positions[56, 0]))[0] == {"a": frames}
+
+
 # ---------------------------------------------------------------- reported
 
 
