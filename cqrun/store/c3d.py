@@ -61,8 +61,8 @@ def _file_unit(head: Head, source: str) -> str:
     """Return the unit in POINT:UNITS."""
     unit = unit_of(head.units)
     if unit is None:
+        what = f"are '{head.units}', which is not known" if head.units else "are missing"
         raise DataError(
-            f"{source}: the units in the file (POINT:UNITS) are '{head.units}', which is not known; "
-            f"give them with `units: {' | '.join(METRES)}`"
+            f"{source}: the units in the file (POINT:UNITS) {what}; give them with `units: {' | '.join(METRES)}`"
         )
     return unit

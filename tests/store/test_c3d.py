@@ -103,6 +103,7 @@ def test_more_frames_than_the_header_counts(tmp_path, said):
             {"header": {"scale": 0.0}, "parameters": {"POINT:SCALE": (4, (), bytes(4))}},
             r"the scale of its coordinates \(POINT:SCALE\) is 0",
         ),
+        ({"units": ""}, r"the units in the file \(POINT:UNITS\) are missing; give them with `units: m \| cm \| mm`"),
         ({"rate": -1.0}, r"its frame rate \(POINT:RATE\) is -1; it must be positive"),
         ({"analog": 0, "positions": np.zeros((12, 0, 3)), "names": ()}, "has no markers"),
     ],
