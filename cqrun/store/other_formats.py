@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from pathlib import Path
 
@@ -38,7 +37,7 @@ _COORDINATE = re.compile(r"(.+?)[\s_.:\-\[(]*[xyz][\])]?", re.IGNORECASE)
 
 
 def other_format(path: Path) -> str:
-    """Return what a file is and what to do with it: `is a TRC file (OpenSim, Cortex): ...`; nothing if it is not known.
+    """Return what a file is and what to do with it, as the rest of a sentence; nothing if it is not known.
 
     Raises:
         OSError: it cannot be read.
@@ -62,7 +61,7 @@ def _table(header: str) -> str:
     for separator, name in (("\t", "tabs"), (";", "semicolons")):
         if header.count(separator) >= 2:
             return f"has columns that are separated by {name}: write commas, and points in numbers"
-    columns = [column.strip() for column in next(csv.reader([header]), [])]
+    columns = [column.strip(' "') for column in header.split(",")]
     of = [match[1].casefold() for column in columns if (match := _COORDINATE.fullmatch(column))]
     if len(of) >= 2 and len(set(of)) < len(of):
         return f"has a column for each coordinate of each marker, which cqrun does not read: {LONG}"
