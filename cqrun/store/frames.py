@@ -13,7 +13,7 @@ import numpy as np
 
 from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
-from cqrun.store.hdf5 import UNREADABLE, numbers
+from cqrun.store.hdf5 import UNREADABLE, numbers, require_sound_heaps, text
 
 if TYPE_CHECKING:
     import h5py
@@ -48,6 +48,7 @@ class Frames:
             raise UsageError(f"{path}: no such trajectory")
         self._checked: dict[str, h5py.Dataset] = {}
         with self._reading():
+            require_sound_heaps(self.path)
             self._file = h5py.File(self.path, "r", locking=False)  # also while a writer has it open
         try:
             with self._reading():
@@ -63,10 +64,10 @@ class Frames:
         self.step: Array = numbers(self._file, "step")[:count]
         particles = self._file["particles"]
         self.bodies = {
-            name: slice(int(start), int(stop)) for name, (start, stop) in json.loads(particles.attrs["bodies"]).items()
+            name: slice(int(start), int(stop)) for name, (start, stop) in json.loads(text(particles, "bodies")).items()
         }
         self.fields = tuple(name for name in particles if name != "body")
-        self.provenance: dict[str, Any] = dict(json.loads(self._file.attrs["provenance"]))
+        self.provenance: dict[str, Any] = dict(json.loads(text(self._file, "provenance")))
 
     def __len__(self) -> int:
         return len(self.time)

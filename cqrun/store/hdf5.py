@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import math
+import os
+import re
+import struct
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cqrun.plugin.contract import Array
@@ -21,6 +26,58 @@ LARGEST_BLOCK, HANDY_BLOCK = 1 << 29, 1 << 24
 """Of the frames that are read at once [bytes]: at most, and where the file does not ask for more."""
 
 
+HEAP = b"GCOL\1\0\0\0"
+_ENDS = 1 << 24
+_OBJECT = struct.Struct("<HHIQ")
+
+
+def require_sound_heaps(path: Path) -> None:
+    """Refuse a file whose heaps of texts are damaged, because HDF5 would look for their end for ever.
+
+    A heap is `GCOL`, its version:u4, its size:u8, then objects: index:u2 count:u2 0:u4 size:u8 content. The object with
+    index 0 is the free rest, and its size counts its own head. Heaps lie before the frames or behind them.
+
+    Raises:
+        UNREADABLE: a heap is damaged.
+    """
+    with path.open("rb") as file:
+        end = file.seek(0, os.SEEK_END)
+        for begin in sorted({0, max(0, end - _ENDS)}):
+            file.seek(begin)
+            for found in re.finditer(re.escape(HEAP), file.read(_ENDS)):
+                at = begin + found.start()
+                file.seek(at + len(HEAP))
+                (size,) = struct.unpack("<Q", file.read(8).ljust(8, b"\0"))
+                if at % 8 == 0 and not (16 <= size <= min(end - at, _ENDS) and _is_sound(file.read(size - 16))):
+                    raise ValueError("a heap of texts is damaged")
+
+
+def _is_sound(objects: bytes) -> bool:
+    """Say whether the objects of a heap follow each other to its end."""
+    at = 0
+    while len(objects) - at >= _OBJECT.size:
+        index, _, _, size = _OBJECT.unpack_from(objects, at)
+        step = _OBJECT.size + -(-size // 8) * 8 if index else size
+        if not _OBJECT.size <= step <= len(objects) - at:
+            return False
+        at += step
+    return True
+
+
+def text(node: h5py.Group, name: str) -> str:
+    """Return a text among the attributes of a file or a group.
+
+    Raises:
+        UNREADABLE: there is none, or it is something else.
+    """
+    import h5py
+
+    attribute = node.attrs.get_id(name)
+    if attribute.shape != () or h5py.check_string_dtype(attribute.dtype) is None:
+        raise ValueError(f"the attribute '{name}' is no text")
+    return str(node.attrs[name])
+
+
 def numbers(group: h5py.Group, name: str) -> h5py.Dataset:
     """Return a dataset of numbers.
 
@@ -32,6 +89,8 @@ def numbers(group: h5py.Group, name: str) -> h5py.Dataset:
     data = group[name]
     if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "iuf" or data.shape is None:
         raise ValueError(f"'{name}' is no array of numbers")
+    if data.chunks:
+        _require_handy(math.prod(data.chunks) * data.dtype.itemsize)
     claimed, held = data.size * data.dtype.itemsize, data.id.get_storage_size()
     if claimed > held * (EXPANSION if data.chunks else 1):
         raise ValueError(f"'{name}' claims {format_bytes(claimed)}, and the file holds {format_bytes(held)} of it")
@@ -47,10 +106,15 @@ def blocks(data: h5py.Dataset) -> Iterator[tuple[slice, Array]]:
     frames = data.shape[0]
     one = max(1, data.size * data.dtype.itemsize // max(frames, 1))
     together = data.chunks[0] if data.chunks else 1
-    if together * one > LARGEST_BLOCK:
-        size, most = format_bytes(together * one), format_bytes(LARGEST_BLOCK)
-        raise ValueError(f"its chunks are of {size}, and at most {most} can be read at once: repack it (h5repack)")
+    _require_handy(together * one)
     step = max(1, HANDY_BLOCK // (together * one)) * together
     for begin in range(0, frames, step):
         part = slice(begin, min(begin + step, frames))
         yield part, data[part]
+
+
+def _require_handy(size: int) -> None:
+    """Refuse a block of a dataset that is too large to be read at once [bytes]."""
+    if size > LARGEST_BLOCK:
+        most = format_bytes(LARGEST_BLOCK)
+        raise ValueError(f"its chunks are of {format_bytes(size)}, and at most {most} can be read at once (h5repack)")

@@ -11,7 +11,7 @@ import numpy as np
 from cqrun.errors import DataError
 from cqrun.measurements.recording import Recording, columns
 from cqrun.plugin.contract import Array
-from cqrun.store.hdf5 import UNREADABLE, blocks, numbers
+from cqrun.store.hdf5 import UNREADABLE, blocks, numbers, require_sound_heaps
 from cqrun.units import METRES
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def read_trajectory(path: Path, units: str | None, source: str, names: Sequence[
     import h5py
 
     try:
+        require_sound_heaps(path)
         with h5py.File(path, "r", locking=False) as file:
             missing = [name for name in ("time", "particles/x") if not isinstance(file.get(name), h5py.Dataset)]
             if missing:

@@ -8,6 +8,7 @@ import pytest
 
 from cqrun.errors import UsageError
 from cqrun.store.frames import Frames
+from cqrun.store.hdf5 import HEAP, require_sound_heaps
 from cqrun.store.trajectory import TrajectoryWriter, read_trajectory
 
 
@@ -65,3 +66,20 @@ def test_a_field_that_claims_more_than_the_file_holds(tmp_path):
         frames.read_all("huge")
     with pytest.raises(UsageError, match=r"'huge' claims 14\.9 GiB"):
         read_trajectory(tmp_path / "t.h5")
+
+
+@pytest.mark.parametrize("abandon", [False, True])
+@pytest.mark.parametrize("size", [0, 5, 0xFF, 1 << 40])
+def test_damaged_heaps_of_texts_are_refused(tmp_path, abandon, size):
+    """HDF5 looks for their end for ever, and no signal is heard meanwhile."""
+    write(tmp_path / "t.h5", 2, abandon)
+    path = tmp_path / ("t.h5.part" if abandon else "t.h5")
+    require_sound_heaps(path)
+    data = bytearray(path.read_bytes())
+    at = data.index(HEAP) + 16
+    while data[at : at + 2] != b"\0\0":  # to the free rest
+        at += 16 + -(-int.from_bytes(data[at + 8 : at + 16], "little") // 8) * 8
+    data[at + 8 : at + 16] = size.to_bytes(8, "little")
+    path.write_bytes(bytes(data))
+    with pytest.raises(UsageError, match="a heap of texts is damaged"):
+        Frames(tmp_path / "t.h5")

@@ -22,7 +22,7 @@ def fuzz(kind: str, count: int, seed: int) -> tuple[int, int]:
     path = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
     done = subprocess.run(
         [sys.executable, str(SCRIPT), kind, str(count), str(seed)],
-        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path},
+        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}, timeout=60 + 0.5 * count,
     )  # fmt: skip
     assert done.returncode == 0, f"{done.returncode}: {done.stdout}\n{done.stderr}"
     shutil.rmtree(done.stdout.splitlines()[0])
