@@ -16,8 +16,8 @@ class RecordedPath(Spec):
     """The path of a marker in a recording.
 
     With `relative` the body follows the marker's displacement, starting from its own centroid. This is for recordings
-    with another origin than the scene. The recording must have the same axes as the scene. Exact zeros that the marker
-    leaps to are gaps. Over gaps the path is straight.
+    with another origin than the scene. The recording must have the same axes as the scene. If the marker leaps
+    to exact zeros, they are gaps. The path across a gap is straight.
     """
 
     file: FileName = Field(description="C3D, CSV or trajectory file, from the scene's folder", min_length=1)

@@ -1,14 +1,13 @@
-"""An adjoint against differences along one direction.
+"""Compare an adjoint with finite differences along one direction.
 
-Central differences D(h) = (f(x + h d) - f(x - h d)) / 2h are taken over a scan of steps and extrapolated to fourth
-order,
+Central differences D(h) = (f(x + h d) - f(x - h d)) / 2h for a scan of steps are extrapolated to fourth order,
 
     E(h) = (16 D(h/4) - D(h)) / 15.
 
-Large steps err by curvature, small ones by rounding; in between lies a plateau. It is found without looking at the
-adjoint, where E changes least from one step to the next for its size, and there the two must agree. Where a branch
-changes between the points (contact, stick and slip) the plateau begins at smaller steps, so the scan goes on below its
-usual end while rounding is far off. Where there is none, differences are too rough to tell right from nearly right.
+Large steps have errors from curvature, small ones from rounding; between them is a plateau. It is where E changes least
+from step to step relative to its size, which does not depend on the adjoint. There the two must agree. If a branch
+changes between the points (contact, stick and slip), the plateau begins at smaller steps; so the scan continues below
+its usual end while rounding errors are small. Without a plateau, differences are too rough to judge the adjoint.
 """
 
 from __future__ import annotations
@@ -28,22 +27,22 @@ ALL_STEPS = 1e-2 * 4.0 ** -np.arange(19)
 """Steps of the central differences in scaled coordinates, 1e-2 to 1e-13."""
 
 STEPS = ALL_STEPS[:11]
-"""Those that are always taken, down to 1e-8."""
+"""The steps of every scan, down to 1e-8."""
 
 TOLERANCE = {"float64": 1e-5, "float32": 5e-2}
 """Largest relative difference on the plateau."""
 
 NOISE = 100.0
-"""Rounding errors of the loss that count as noise."""
+"""Noise of the loss, in rounding errors."""
 
 ROUGH = 1e-4
-"""Largest relative scatter of a plateau within which adjoint and differences count as equal."""
+"""Largest relative scatter of a plateau for which a difference within the scatter is accepted."""
 
 MOST = 10.0
-"""Times the root of the precision, the largest part of the loss that can be rounding."""
+"""Largest part of the loss that can be rounding error, in roots of the precision."""
 
 FAR = 3.0
-"""Times a plateau's scatter beyond which an adjoint is wrong, however rough the differences are."""
+"""A difference of more than this many times the scatter shows a wrong adjoint, even if the differences are rough."""
 
 AGREES: Final = "agrees"
 FLAT: Final = "flat"
@@ -52,7 +51,7 @@ DISAGREES: Final = "disagrees"
 
 
 def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Array, precision: str) -> Direction:
-    """Return what differences along one direction say of the gradient (n,)."""
+    """Compare the gradient (n,) with differences along one direction d."""
     adjoint, count = float(gradient @ d), int(np.count_nonzero(d))
     eps, large = float(np.finfo(precision).eps), float(max(abs(value), loss.scale))
     rounding = NOISE * eps * large
@@ -62,38 +61,38 @@ def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Ar
     differences, step = float(scan[best]), float(ALL_STEPS[best])
     noise = max(float(floor[best]), scatter(scan, best))
     shown = [float(e) if np.isfinite(e) else None for e in scan]
-    found = Direction(
+    result = Direction(
         block=block, count=count, adjoint=adjoint, differences=None, error=None, step=step, noise=noise, scan=shown,
         verdict=DISAGREES, agrees=False,
     )  # fmt: skip
     if not np.isfinite(differences):
-        return found
+        return result
     size, off = max(abs(adjoint), abs(differences)), abs(adjoint - differences)
     error = off / size if size > 0 else 0.0
-    found.differences, found.error = differences, error
+    result.differences, result.error = differences, error
     if size <= floor[best]:
-        found.verdict = FLAT
+        result.verdict = FLAT
     elif error <= TOLERANCE[precision] or off <= noise <= ROUGH * size:
-        found.verdict = AGREES
+        result.verdict = AGREES
     elif noise > ROUGH * size and (off <= FAR * noise or noise > max(float(floor[best]), abs(differences))):
-        found.verdict = TOO_ROUGH
-    found.agrees = found.verdict in (AGREES, FLAT)
-    return found
+        result.verdict = TOO_ROUGH
+    result.agrees = result.verdict in (AGREES, FLAT)
+    return result
 
 
 def _central(loss: Loss, d: Array, h: float) -> float:
     try:
         return (loss.value(loss.x + h * d) - loss.value(loss.x - h * d)) / (2.0 * h)
     except (RolloutError, TrialFailed):
-        return float("nan")  # this step is too long for the scene; a shorter one serves
+        return float("nan")  # the step is too large for the scene; smaller ones follow
 
 
 def extrapolated(central: Callable[[float], float], rounding: float = np.inf) -> Array:
-    """Return E(h) at every step but the last, NaN where a rollout failed.
+    """Return E(h) at every step but the last, NaN if a rollout failed.
 
     Args:
         central: the central difference D(h).
-        rounding: error of the loss that is expected; while its part in E is small and there is no plateau, steps go on.
+        rounding: expected rounding error of the loss; the scan continues while it is small in E without a plateau.
     """
     D = [central(float(h)) for h in STEPS]
     scan = _of_fourth_order(D)
@@ -110,7 +109,7 @@ def _of_fourth_order(D: Sequence[float]) -> Array:
 
 
 def _settled(scan: Array, floor: Array) -> bool:
-    """Say whether smaller steps would tell no more: there is a plateau, or what changes is rounding, or they fail."""
+    """Return whether the scan can end: there is a plateau, or changes are rounding errors, or rollouts fail."""
     if not np.abs(np.diff(scan[-3:])).max() > floor[-1]:
         return True
     best = plateau(scan, floor)
@@ -118,9 +117,9 @@ def _settled(scan: Array, floor: Array) -> bool:
 
 
 def rounding_alone(scan: Array, most: float) -> float:
-    """Return the loss's error, as seen, where a scan shows nothing else: E h is of one size everywhere; else 0.
+    """Return the observed error of the loss if a scan shows nothing else, so that E h has the same size everywhere.
 
-    So it is where a loss saturates, with an error larger than `most`.
+    Otherwise, and if the error is larger than `most` as for a loss that saturates, return 0.
     """
     level = np.nan_to_num(np.abs(scan) * ALL_STEPS[: len(scan)])
     half = len(scan) // 2
@@ -129,7 +128,7 @@ def rounding_alone(scan: Array, most: float) -> float:
 
 
 def plateau(scan: Array, floor: Array | float = 0.0) -> int:
-    """Return where a scan changes least to both its neighbours, for its size; `floor` is what rounding makes of it."""
+    """Return where a scan changes least to both neighbours relative to its size; `floor` is its rounding error."""
     change, floor = np.abs(np.diff(scan)), np.broadcast_to(floor, scan.shape)[1:-1]
     both = np.maximum(np.maximum(change[1:], change[:-1]), floor)
     size = np.maximum(np.abs(scan[1:-1]), floor)
@@ -138,6 +137,6 @@ def plateau(scan: Array, floor: Array | float = 0.0) -> int:
 
 
 def scatter(scan: Array, best: int) -> float:
-    """Return how far a scan's plateau is from its neighbours: no smaller difference can be told from it."""
+    """Return the difference between a scan's plateau and its neighbours, which limits what can be resolved."""
     change = np.abs(np.diff(scan[max(0, best - 1) : best + 2]))
     return float(np.nanmax(change)) if np.isfinite(change).any() else 0.0
