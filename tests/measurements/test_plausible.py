@@ -136,6 +136,13 @@ def test_labels_that_are_exchanged_for_some_frames(swing):
     assert doubts[0] == f"marker 'a' is where 'c' was just before {when}: taken as not seen"
 
 
+def test_one_marker_with_the_label_of_two(swing):
+    frames = list(range(30, 35))
+    found, doubts = judged(changed(swing, 3, frames, swing.positions[frames, 2]))
+    assert found == {"d": frames}
+    assert doubts == ("marker 'd' is where 'c' was just before in frames 30 to 34 (0.3 to 0.34 s): taken as not seen",)
+
+
 def test_a_position_that_is_held_while_the_body_moves(swing):
     frames = list(range(57, 65))
     found, doubts = judged(changed(swing, 0, frames, swing.positions[56, 0]))
@@ -188,15 +195,36 @@ def test_a_small_move_that_stays_is_reported_and_used(swing):
     assert "in frames 29 to 30" in doubts[0]
 
 
+@pytest.mark.parametrize(("last", "after"), [(89, " and after"), (199, "")])
+def test_frames_in_which_the_recording_stops_are_reported_and_used(swing, last, after):
+    positions = swing.positions.copy()
+    positions[70 : last + 1] = positions[69]
+    found, doubts = judged(replace(swing, positions=positions))
+    assert found == {}
+    assert doubts[-1] == (
+        f"no marker moves at all, although they move before{after}, in frames 70 to {last} (0.7 to {0.01 * last:g} s): "
+        "did the recording stop there?"
+    )
+
+
+def test_two_markers_in_exactly_one_place_are_reported(swing):
+    _, doubts = judged(changed(swing, 3, slice(None), swing.positions[:, 2]))
+    where = "in frames 0 to 199 (0 to 1.99 s)"
+    assert doubts == (f"marker 'd' is exactly where 'c' is {where}: is its label right there?",)
+
+
 # ---------------------------------------------------------------- refused
 
 
-def test_a_leap_that_stays(swing):
+@pytest.mark.parametrize("frame", [20, 120, 180])
+@pytest.mark.parametrize("far", [0.2, 1.0, 50.0])
+def test_a_leap_that_stays(swing, frame, far):
+    """However long: where the marker is afterwards says nothing about the size of the body."""
     with pytest.raises(DataError) as caught:
-        judged(changed(swing, 1, slice(120, None), swing.positions[120:, 1] + 0.2))
+        judged(changed(swing, 1, slice(frame, None), swing.positions[frame:, 1] + far))
     message = str(caught.value)
-    assert message.startswith("swing.c3d: marker 'b' leaps by 0.")
-    assert "between frames 119 and 120 (1.2 s) and stays there, and the body is 0.1" in message
+    assert message.startswith("swing.c3d: marker 'b' leaps by ")
+    assert f"between frames {frame - 1} and {frame} ({0.01 * frame:g} s) and stays there, and the body is 0.1" in message
 
 
 def test_labels_that_are_exchanged_for_good(swing):
