@@ -60,13 +60,17 @@ class Frames:
 
     def _read_head(self) -> None:
         count = int(numbers(self._file, "frames")[()])
-        self.time: Array = numbers(self._file, "time")[:count]
-        self.step: Array = numbers(self._file, "step")[:count]
         particles = self._file["particles"]
-        self.bodies = {
-            name: slice(int(start), int(stop)) for name, (start, stop) in json.loads(text(particles, "bodies")).items()
-        }
+        bodies = json.loads(text(particles, "bodies"))
+        self.bodies = {name: slice(int(start), int(stop)) for name, (start, stop) in bodies.items()}
         self.fields = tuple(name for name in particles if name != "body")
+        last = max(part.stop for part in self.bodies.values())
+        for name in self.fields:
+            _require_room(self._field(name), (count, last))
+        for name in ("time", "step"):
+            _require_room(numbers(self._file, name), (count,))
+        self.time: Array = self._file["time"][:count]
+        self.step: Array = self._file["step"][:count]
         self.provenance: dict[str, Any] = dict(json.loads(text(self._file, "provenance")))
 
     def __len__(self) -> int:
@@ -106,3 +110,10 @@ class Frames:
             yield
         except UNREADABLE as error:
             raise UsageError(f"{self.path}: not a cqrun trajectory, or truncated ({error})") from error
+
+
+def _require_room(data: h5py.Dataset, shape: tuple[int, ...]) -> None:
+    """Refuse a dataset that does not have the frames and particles that the file announces."""
+    found = data.shape
+    if len(found) < len(shape) or found[0] < shape[0] or found[1 : len(shape)] != shape[1:]:
+        raise ValueError(f"'{data.name}' is of shape {found}, and {shape} is needed")

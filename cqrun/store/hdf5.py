@@ -8,7 +8,7 @@ import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cqrun.plugin.contract import Array
 from cqrun.units import format_bytes
@@ -23,8 +23,7 @@ EXPANSION = 1032
 """Largest factor by which deflate, the compression in these files, makes data smaller."""
 
 LARGEST_BLOCK, HANDY_BLOCK = 1 << 29, 1 << 24
-"""Of the frames that are read at once [bytes]: at most, and where the file does not ask for more."""
-
+"""Size of the frames that are read at once [bytes]: the limit, and what is read if the chunks of the file are smaller."""
 
 HEAP = b"GCOL\1\0\0\0"
 _ENDS = 1 << 24
@@ -78,17 +77,30 @@ def text(node: h5py.Group, name: str) -> str:
     return str(node.attrs[name])
 
 
+def member(group: h5py.Group, name: str) -> Any:
+    """Return an object in a group, or None; links are not followed, because they can lead to other files."""
+    import h5py
+
+    for part in name.split("/"):
+        if not isinstance(group, h5py.Group) or not isinstance(group.get(part, getlink=True), h5py.HardLink):
+            return None
+        group = group[part]
+    return group
+
+
 def numbers(group: h5py.Group, name: str) -> h5py.Dataset:
     """Return a dataset of numbers.
 
     Raises:
-        UNREADABLE: there is none, or it claims more than the file holds.
+        UNREADABLE: there is none, it is in another file, or it claims more than the file holds.
     """
     import h5py
 
-    data = group[name]
+    data = member(group, name)
     if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "iuf" or data.shape is None:
         raise ValueError(f"'{name}' is no array of numbers")
+    if data.is_virtual or data.external:
+        raise ValueError(f"the numbers of '{name}' are in another file")
     if data.chunks:
         _require_handy(math.prod(data.chunks) * data.dtype.itemsize)
     claimed, held = data.size * data.dtype.itemsize, data.id.get_storage_size()

@@ -11,7 +11,7 @@ import numpy as np
 from cqrun.errors import DataError
 from cqrun.measurements.recording import Recording, columns
 from cqrun.plugin.contract import Array
-from cqrun.store.hdf5 import UNREADABLE, blocks, numbers, require_sound_heaps
+from cqrun.store.hdf5 import UNREADABLE, blocks, member, numbers, require_sound_heaps
 from cqrun.units import METRES
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def read_trajectory(path: Path, units: str | None, source: str, names: Sequence[
     try:
         require_sound_heaps(path)
         with h5py.File(path, "r", locking=False) as file:
-            missing = [name for name in ("time", "particles/x") if not isinstance(file.get(name), h5py.Dataset)]
+            missing = [name for name in ("time", "particles/x") if member(file, name) is None]
             if missing:
                 raise DataError(f"{source}: no dataset /{missing[0]}; is it a trajectory.h5 of a finished run?")
             clock, x = numbers(file, "time"), numbers(file, "particles/x")

@@ -62,10 +62,18 @@ def test_a_field_that_claims_more_than_the_file_holds(tmp_path):
     write(tmp_path / "t.h5", 2)
     with h5py.File(tmp_path / "t.h5", "a") as file:
         file.create_dataset("particles/huge", (2, 10**9), dtype="f8", chunks=(1, 10**6), compression="gzip")
-    with Frames(tmp_path / "t.h5") as frames, pytest.raises(UsageError, match=r"'huge' claims 14\.9 GiB"):
-        frames.read_all("huge")
     with pytest.raises(UsageError, match=r"'huge' claims 14\.9 GiB"):
-        read_trajectory(tmp_path / "t.h5")
+        Frames(tmp_path / "t.h5")
+
+
+@pytest.mark.parametrize(("name", "shape"), [("time", (1,)), ("particles/x", (2, 4, 2)), ("particles/J", ())])
+def test_a_field_with_fewer_frames_or_particles_than_the_file_announces(tmp_path, name, shape):
+    write(tmp_path / "t.h5", 2)
+    with h5py.File(tmp_path / "t.h5", "a") as file:
+        del file[name]
+        file[name] = np.zeros(shape)
+    with pytest.raises(UsageError, match=rf"'/{name}' is of shape"):
+        Frames(tmp_path / "t.h5")
 
 
 @pytest.mark.parametrize("abandon", [False, True])

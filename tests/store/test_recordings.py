@@ -255,6 +255,31 @@ def test_trajectory_that_claims_more_than_it_has(tmp_path, options, words):
     refused(tmp_path / "t.h5", words)
 
 
+def test_trajectory_whose_numbers_are_elsewhere(tmp_path):
+    """A recording names one file, and nothing else is read."""
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["time"], file["particles/x"] = [0.0, 0.1], np.zeros((2, 5, 2))
+    source = h5py.VirtualSource(str(tmp_path / "other.h5"), "particles/x", shape=(2, 5, 2))
+    virtual = h5py.VirtualLayout((2, 5, 2), float)
+    virtual[:] = source
+    for place, words in (
+        (h5py.ExternalLink("other.h5", "/particles/x"), "no dataset /particles/x"),
+        (h5py.SoftLink("/elsewhere"), "no dataset /particles/x"),
+        (virtual, "the numbers of 'particles/x' are in another file"),
+        (None, "the numbers of 'particles/x' are in another file"),
+    ):
+        with h5py.File(tmp_path / "t.h5", "w") as file:
+            file["time"] = [0.0, 0.1]
+            if place is virtual:
+                file.create_virtual_dataset("particles/x", place)
+            elif place is None:
+                raw = [(str(tmp_path / "other.h5"), 0, 160)]
+                file.create_dataset("particles/x", (2, 5, 2), "f8", external=raw)
+            else:
+                file["particles/x"] = place
+        refused(tmp_path / "t.h5", words)
+
+
 def test_trajectory_in_chunks_that_are_too_large(tmp_path, monkeypatch):
     monkeypatch.setattr(hdf5, "LARGEST_BLOCK", 1000)
     with h5py.File(tmp_path / "t.h5", "w") as file:
