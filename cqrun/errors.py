@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from cqrun.characters import printable
+
 
 class CqrunError(Exception):
     """Base of every error that cqrun raises on purpose."""
@@ -24,6 +26,10 @@ class UsageError(CqrunError):
 
 class DataError(UsageError):
     """A recording or another data file that cannot be used as it is."""
+
+    def __str__(self) -> str:
+        """Return one line: what names in the file would do to a terminal is shown, not done."""
+        return printable(super().__str__())
 
 
 class MissingExtra(UsageError):
@@ -65,8 +71,9 @@ class Problem:
     message: str
 
     def __str__(self) -> str:
+        """Return one line; what names and values of a file would do to a terminal is shown, not done."""
         key = f"{self.path}: " if self.path else ""
-        return f"{self.where}: {key}{self.message}"
+        return printable(f"{self.where}: {key}{self.message}")
 
 
 class SceneError(CqrunError):
