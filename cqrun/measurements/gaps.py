@@ -11,14 +11,14 @@ from cqrun.measurements.track import LABEL, Doubt, Track, track_of
 from cqrun.plugin.contract import Array
 
 SUDDEN, SMALLEST = 10.0, 0.01
-"""A marker that is held leaves and reaches its place by steps longer than so many of its smallest steps, and longer than
-this part of the body."""
+"""A long step leads to or from a position that is held: so many times as long as the marker's smallest step, and longer
+than this part of the body."""
 
 ZERO = 3.0
-"""A marker that moves to 0 by so many times as much as it moves else is not seen there."""
+"""A marker is not seen at 0 if the step to it is so many times as long as the marker's other steps."""
 
 HELD = 5
-"""So many frames in which a marker does not move at all, while others do, are held and not measured."""
+"""If a marker does not move at all in so many frames, while others do, its position is held and not measured."""
 
 
 def zeros(recording: Recording, reach: float) -> Iterator[Doubt]:
@@ -96,9 +96,10 @@ def _is_held(track: Track, first: int, last: int, size: float, others: list[Arra
 
 
 def stopped(recording: Recording, size: float) -> Iterator[Doubt]:
-    """Yield the frames in which no marker moves, although measured positions change always, or several moved until then.
+    """Yield the frames in which no marker moves at all, as measured markers never do.
 
-    Models stand still, too: in the beginning, and under a load that grows in steps.
+    A model can stand still, at the beginning or under a load that grows in steps. So a recording is only reported if no
+    marker stands still elsewhere, or if several move until the frames begin, and again when they end.
     """
     moves = np.stack([_changes(recording, marker) for marker in range(len(recording.names))], axis=1)
     still = (moves == 0).any(axis=1) & ~(moves > 0).any(axis=1)

@@ -83,7 +83,6 @@ class Track:
         return bool(before <= SAME * self.steps[first] and after <= SAME * self.steps[last])
 
 
-
 def track_of(recording: Recording, marker: int) -> Track:
     """Return a marker where it was seen."""
     frames = np.flatnonzero(recording.seen()[:, marker])

@@ -23,7 +23,7 @@ EXPANSION = 1032
 """Largest factor by which deflate, the compression in these files, makes data smaller."""
 
 LARGEST_BLOCK, HANDY_BLOCK = 1 << 29, 1 << 24
-"""Size of the frames that are read at once [bytes]: the limit, and what is read if the chunks of the file are smaller."""
+"""Size of the frames that are read at once [bytes]: the limit, and the size for files with smaller chunks."""
 
 HEAP = b"GCOL\1\0\0\0"
 _ENDS = 1 << 24

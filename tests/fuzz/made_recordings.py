@@ -102,7 +102,7 @@ def originals(folder: Path) -> list[Original]:
 
 
 def _trajectories(folder: Path, time: np.ndarray, x: np.ndarray) -> Iterator[bytes]:
-    """Yield trajectories: as other programs write them, in pieces, as cqrun does, and one that is still being written."""
+    """Yield trajectories: two as other programs write them, whole and in chunks, and one of cqrun."""
     for name, options in {"plain.h5": {}, "packed.h5": {"chunks": (7, 6, 3), "compression": "gzip"}}.items():
         with h5py.File(folder / name, "w") as file:
             file["time"] = time
@@ -134,9 +134,9 @@ TOKENS = (
 """Values that a cell of a text file does not have."""
 
 HEADERS = (
-    b"Format Version,1.23,Take Name,beam\n", b"Trajectories\n100\n", b"NO_OF_FRAMES\t500\n", b"PathFileType\t4\t(X/Y/Z)\n",
-    b"time,tip_x,tip_y,tip_z\n", b"time;marker;x;y;z\n", b"time,marker,x,y\n", b"\xff\xfet\0i\0m\0e\0", b"\x02\x50",
-    b"\x89HDF\r\n\x1a\n", b"PK\x03\x04",
+    b"Format Version,1.23,Take Name,beam\n", b"Trajectories\n100\n", b"NO_OF_FRAMES\t500\n",
+    b"PathFileType\t4\t(X/Y/Z)\n", b"time,tip_x,tip_y,tip_z\n", b"time;marker;x;y;z\n", b"time,marker,x,y\n",
+    b"\xff\xfet\0i\0m\0e\0", b"\x02\x50", b"\x89HDF\r\n\x1a\n", b"PK\x03\x04",
 )  # fmt: skip
 """Beginnings of files of other programs."""
 
@@ -174,8 +174,8 @@ def _part(content: bytes, rng: np.random.Generator) -> bytes:
     """Cut, remove, double, or fill with zeros, as after a power cut."""
     first = _place(content, rng)
     last = first + int(rng.integers(1, 600))
-    part = content[first:last]
-    return content[:first] + (b"", content[last:], 2 * part + content[last:], bytes(len(content) - first))[rng.integers(4)]
+    rests = (b"", content[last:], 2 * content[first:last] + content[last:], bytes(len(content) - first))
+    return content[:first] + rests[rng.integers(len(rests))]
 
 
 def _cell(content: bytes, rng: np.random.Generator) -> bytes:
