@@ -64,10 +64,11 @@ def given_cases(built: Built) -> list[Case] | None:
 
 
 def recording_warnings(built: Built, cases: Sequence[Case]) -> Iterator[str]:
-    """Yield the warnings of recordings' scenes that the scene itself does not have."""
+    """Yield what looks wrong in recordings, and the warnings of their scenes that the scene itself does not have."""
     known = {warning.message for warning in built.warnings}
     for case in cases:
         yield from (f"{case.name}: {warning}" for warning in case.built.warnings if warning.message not in known)
+        yield from (f"{case.name}: {doubt}" for comparison in case.comparisons for doubt in comparison.doubts)
 
 
 def remarks(cases: Sequence[Case]) -> Iterator[str]:

@@ -43,7 +43,7 @@ def _recorded(built: Built, name: str, spec: Recording) -> Case:
         scene.time.control_step, variant.model.n_controls, start, bounds_of(scene, path), spec.skip, source=str(file)
     )
     recorded = Recorded(
-        file, spec.body, window, lambda: read_recording(file, units=spec.units), spec.units,
+        file, spec.body, window, lambda names=None: read_recording(file, units=spec.units, names=names), spec.units,
         None if spec.still is None else (spec.still[0], spec.still[1]), spec.weight,
     )  # fmt: skip
     comparison = spec.measurement.bind(recorded, matter_of(variant, {}))

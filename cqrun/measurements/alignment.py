@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from cqrun.errors import DataError
-from cqrun.explain import listed
 from cqrun.measurements.recording import Recording
 from cqrun.plugin.contract import Array
 
@@ -95,17 +94,13 @@ def measure(recording: Recording, markers: Mapping[str, Array], still: tuple[flo
         DataError: no markers, unknown or repeated markers, another dimension, no still frames, a marker that is never
             seen in them, fewer than 3 or collinear markers, wrong units, or a residual that is too large.
     """
-    if not markers:
-        raise DataError(
-            f"{recording.source}: `markers` is missing: name markers of the recording and where each is at rest in the "
-            f"scene, such as {recording.names[0]}: [x, y, z]; it has {listed(recording.names, 8)}"
-        )
     chosen = recording.select(list(markers))
     rest = np.array([np.asarray(x, dtype=float) for x in markers.values()]).reshape(len(markers), -1)
     if rest.shape[1] != chosen.dim:
         raise DataError(f"{chosen.source}: the recording is {chosen.dim}D and the scene {rest.shape[1]}D")
     _check_seen(chosen)
     if still is None:
+        _check_not_zero(chosen, rest)
         return Measured(
             chosen.time, chosen.names, rest, chosen.positions, np.zeros((0, *rest.shape)), True, None, chosen.source
         )
@@ -189,6 +184,16 @@ def _check_seen(recording: Recording) -> None:
     for marker, name in enumerate(recording.names):
         if not recording.seen()[:, marker].any():
             raise DataError(f"{recording.source}: marker '{name}' is NaN in every frame; leave it out of `markers:`")
+
+
+def _check_not_zero(recording: Recording, rest: Array) -> None:
+    """Refuse markers that are nowhere but at 0; with still frames the alignment refuses them."""
+    for name, track, place in zip(recording.names, recording.positions.transpose(1, 0, 2), rest, strict=True):
+        if place.any() and not np.nan_to_num(track).any():
+            raise DataError(
+                f"{recording.source}: marker '{name}' is at exactly 0 in every frame: it was not seen; leave it out of "
+                "`markers:`"
+            )
 
 
 def _check_spread(points: Array, which: str, source: str) -> None:

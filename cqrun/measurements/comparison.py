@@ -39,12 +39,14 @@ class Comparison(ABC):
         count: number of squares whose mean is the loss.
         weight: weight in the loss, if there are other comparisons.
         remark: what a user should know about how the recording was made; may be empty.
+        doubts: what looks wrong in the recording, and what is done about it.
     """
 
     rows: csr_array
     count: int = 1
     weight: float = 1.0
     remark: str = ""
+    doubts: tuple[str, ...] = ()
 
     @abstractmethod
     def residuals(self, records: Records, start: float) -> Array:

@@ -16,6 +16,7 @@ from cqrun.errors import DataError
 from cqrun.explain import Loc, reworded
 from cqrun.measurements.alignment import Alignment, Measured, measure
 from cqrun.measurements.measurement import Measurement, Recorded
+from cqrun.measurements.plausible import plausible
 from cqrun.measurements.points import Points, markers
 from cqrun.measurements.recording import Recording
 from cqrun.measurements.series import SeriesComparison
@@ -37,6 +38,9 @@ class Markers(Measurement):
     If the recording has `still` frames, its axes are aligned to the rest positions, and each marker's displacement from
     its mean over these frames is compared. If not, positions in the axes of the scene are compared. A marker off the
     body stands on a rigid stem. The file is C3D, CSV with the columns time, marker, x, y(, z), or a trajectory.h5.
+
+    A gap is a missing line, `nan`, or a negative residual in C3D. Exact zeros, and leaps that no body makes, count as
+    not seen, and are reported. Times in a C3D file count from the first frame in the file, whatever its number is.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -66,15 +70,24 @@ class Markers(Measurement):
         return super().dim_problems(dim) + [((name,), f"{message}{n}") for name, n in wrong.items()]
 
     def bind(self, recorded: Recorded, matter: Matter) -> SeriesComparison:
-        measured = measure(recorded.read_markers(), self.rest, recorded.still)
+        reach, window = _reach(matter, recorded.body), recorded.window
+        recording = recorded.read_markers(list(self.rest))
+        span = (window.bounds[0], window.bounds[1] + window.length)
+        recording, doubts = plausible(recording, reach, _with(span, recorded.still))
+        measured = measure(recording, self.rest, recorded.still)
         observer = observe_markers(matter, recorded.body, dict(zip(measured.names, measured.rest, strict=True)))
         if measured.absolute:
             _require_near(matter, recorded.body, measured)
         return MarkerComparison(
             self, recorded, observer, over_body(observer.rows, recorded.body, matter), measured.names, measured.time,
             measured.values, still=measured.still, relative=not measured.absolute, alignment=measured.alignment,
-            remark=str(measured.alignment or "positions in the scene's own frame"),
+            remark=str(measured.alignment or "positions in the scene's own frame"), doubts=doubts,
         )  # fmt: skip
+
+
+def _with(span: tuple[float, float], still: tuple[float, float] | None) -> tuple[float, float]:
+    """Return the span that holds the still frames, too [s]."""
+    return span if still is None else (min(span[0], still[0]), max(span[1], still[1]))
 
 
 class MarkerComparison(SeriesComparison):

@@ -27,13 +27,14 @@ class Recorded:
         still: first and last time of the frames at rest [s], or None.
         weight: weight in the loss.
         window: which frames are compared.
-        read_markers: reads a marker file of any format; DataError if the file is not one.
+        read_markers: reads the named markers of a marker file of any format, or all of them if no names are given;
+            DataError if the file is not one, or does not contain a name.
     """
 
     file: Path
     body: str
     window: Window
-    read_markers: Callable[[], Recording]
+    read_markers: Callable[..., Recording]
     units: str | None = None
     still: tuple[float, float] | None = None
     weight: float = 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -17,6 +18,13 @@ _SPELLINGS = {
     for prefix, short in (("", ""), ("centi", "c"), ("milli", "m"))
     for word in ("meter", "meters", "metre", "metres")
 }
+
+
+FARTHEST = 1e6
+"""No camera sees a marker that is farther away [m]; one that is 1 km away and given in mm is nearer."""
+
+LATEST = 1e12
+"""No clock shows a later time [s]."""
 
 
 @dataclass(frozen=True)
@@ -48,35 +56,58 @@ class Recording:
         """Return the recording with only the markers `names`, in that order.
 
         Raises:
-            DataError: a name is not in the recording, or appears more than once.
+            DataError: no names, a name that is not in the recording, or one that appears more than once.
         """
-        columns = []
-        for name in names:
-            matching = [i for i, label in enumerate(self.names) if label == name]
-            if not matching:
-                known = listed((f"'{label}'" for label in dict.fromkeys(self.names)), 12)
-                raise DataError(f"{self.source}: no marker '{name}'{suggest(name, self.names)}; it has {known}")
-            if len(matching) > 1:
-                raise DataError(
-                    f"{self.source}: marker '{name}' appears {len(matching)} times; "
-                    "rename or remove the others in the recording"
-                )
-            columns.append(matching[0])
-        return replace(self, names=tuple(names), positions=self.positions[:, columns])
+        return replace(self, names=tuple(names), positions=self.positions[:, columns(self.names, names, self.source)])
+
+
+def columns(labels: Sequence[str], names: Sequence[str] | None, source: str) -> list[int]:
+    """Return where the markers `names` are among a recording's labels, in that order; all of them for None.
+
+    Raises:
+        DataError: no names, a name that is not among the labels, or one that appears more than once.
+    """
+    if names is None:
+        return list(range(len(labels)))
+    if not names:
+        raise DataError(
+            f"{source}: `markers` is missing: name markers of the recording and where each is at rest in the scene, "
+            f"such as {labels[0]}: [x, y, z]; it has {listed(labels, 8)}"
+        )
+    counts = Counter(labels)
+    for name in names:
+        if counts[name] == 0:
+            known = listed((f"'{label}'" for label in counts), 12)
+            raise DataError(f"{source}: no marker '{name}'{suggest(name, counts)}; it has {known}")
+        if counts[name] > 1:
+            raise DataError(
+                f"{source}: marker '{name}' appears {counts[name]} times; rename or remove the others in the recording"
+            )
+    place = {label: k for k, label in enumerate(labels)}
+    return [place[name] for name in names]
 
 
 def check_recording(recording: Recording) -> Recording:
-    """Return `recording` if its times increase and its positions are finite or missing.
+    """Return `recording` if its times increase and its positions can be measured, or are missing.
 
     Raises:
         DataError: a frame or marker is wrong; the message says which.
     """
-    time, positions, source = recording.time, recording.positions, recording.source
+    _check_time(recording.time, recording.source)
+    _check_positions(recording)
+    return recording
+
+
+def _check_time(time: Array, source: str) -> None:
     if time.size < 2:
         raise DataError(f"{source}: {time.size} frames; a recording needs 2 or more")
     if not np.isfinite(time).all():
         frame = int(np.flatnonzero(~np.isfinite(time))[0])
         raise DataError(f"{source}: the time of frame {frame} is {time[frame]}; every frame needs a time")
+    late = np.flatnonzero(np.abs(time) > LATEST)
+    if late.size:
+        frame = int(late[0])
+        raise DataError(f"{source}: the time of frame {frame} is {time[frame]:.3g} s; times are in seconds")
     back = np.flatnonzero(np.diff(time) <= 0)
     if back.size:
         k = int(back[0])
@@ -84,13 +115,26 @@ def check_recording(recording: Recording) -> Recording:
             f"{source}: time does not increase: frame {k} is at {time[k]:.9g} s and "
             f"frame {k + 1} at {time[k + 1]:.9g} s"
         )
-    if np.isinf(positions).any():
-        frame, marker, _ = (int(i[0]) for i in np.nonzero(np.isinf(positions)))
+
+
+def _check_positions(recording: Recording) -> None:
+    """Refuse coordinates that no camera measures: infinite or far ones, and NaN beside numbers."""
+    positions, missing = recording.positions, np.isnan(recording.positions)
+    far = np.abs(positions) > FARTHEST
+    half = missing.any(axis=2) & ~missing.all(axis=2)
+    wrong = np.argwhere(far.any(axis=2) | half)
+    if not len(wrong):
+        return
+    frame, marker = wrong[0]
+    at = f"{recording.source}: marker '{recording.names[marker]}' in frame {frame} ({recording.time[frame]:.6g} s)"
+    if half[frame, marker]:
         raise DataError(
-            f"{source}: marker '{recording.names[marker]}' is at infinity in frame {frame}; "
-            "omit a marker that was not seen, or write nan"
+            f"{at}: some coordinates are nan and some are not; a marker that was not seen has no coordinates"
         )
-    return recording
+    if np.isinf(positions[frame, marker]).any():
+        raise DataError(f"{at}: it is at infinity; omit a marker that was not seen, or write nan")
+    distance = float(np.abs(positions[frame, marker]).max())
+    raise DataError(f"{at}: it is {distance:.3g} m away, which no camera sees: the file is damaged, or the unit wrong")
 
 
 def unit_of(text: str) -> str | None:

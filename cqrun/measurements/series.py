@@ -51,6 +51,7 @@ class SeriesComparison(Comparison):
         still: Array | None = None,
         relative: bool = False,
         remark: str = "",
+        doubts: tuple[str, ...] = (),
     ) -> None:
         """Choose the frames.
 
@@ -64,12 +65,14 @@ class SeriesComparison(Comparison):
             still: (T_s, M, D) values in the still frames, minus the same mean as `values`; NaN where not seen.
             relative: whether `values` are compared with the model's change since the run began.
             remark: what a user should know about how the recording was made.
+            doubts: what looks wrong in it, and what is done about it.
 
         Raises:
             DataError: the window is not inside the recording, has too few frames, or no channel is seen in it.
         """
         self.spec, self.rows, self.names = spec, rows, tuple(names)
-        self.window, self.weight, self.relative, self.remark = recorded.window, recorded.weight, relative, remark
+        self.window, self.weight, self.relative = recorded.window, recorded.weight, relative
+        self.remark, self.doubts = remark, doubts
         frames = self.window.frames(time)
         self.times = np.asarray(time, dtype=float)[frames]
         self.seen = ~np.isnan(values[frames]).any(axis=2)

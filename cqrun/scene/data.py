@@ -39,7 +39,12 @@ class Recording(PluginKeys):
     keys_of: ClassVar[str] = "measurement"
 
     file: FileName = Field(min_length=1, description="File with the measured data, from the scene's folder")
-    start: float = quantity("s", "Time in the file at which the run begins", differentiable=True, default=0.0)
+    start: float = quantity(
+        "s",
+        "Time in the file at which the run begins; the first frame of a C3D file is at 0",
+        differentiable=True,
+        default=0.0,
+    )
     length: float | None = quantity("s", "Duration to compare; the scene's duration if absent", gt=0, default=None)
     skip: float = quantity("s", "Time to leave out, counted from the latest allowed start", ge=0, default=0.0)
     holdout: bool = Field(description="Predict this recording, but do not fit it", default=False)

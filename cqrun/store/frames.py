@@ -7,13 +7,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cqrun.disk import require_ordinary
 from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
+from cqrun.store.hdf5 import numbers, require_sound_heaps, text
+
+if TYPE_CHECKING:
+    import h5py
 
 
 def part_path(path: Path) -> Path:
@@ -44,7 +48,9 @@ class Frames:
         if not self.path.exists():
             raise UsageError(f"{path}: no such trajectory")
         require_ordinary(self.path)
+        self._checked: dict[str, h5py.Dataset] = {}
         with self._reading():
+            require_sound_heaps(self.path)
             self._file = h5py.File(self.path, "r", locking=False)  # also while a writer has it open
         try:
             with self._reading():
@@ -55,18 +61,19 @@ class Frames:
         self.complete = self.path.suffix != ".part"
 
     def _read_head(self) -> None:
-        count = int(self._own("frames")[()])
-        bodies = json.loads(self._file["particles"].attrs["bodies"])
+        count = int(numbers(self._file, "frames")[()])
+        particles = self._file["particles"]
+        bodies = json.loads(text(particles, "bodies"))
         self.bodies = {name: slice(int(start), int(stop)) for name, (start, stop) in bodies.items()}
-        self.fields = tuple(name for name in self._file["particles"] if name != "body")
-        particles = max(part.stop for part in self.bodies.values())
-        for name in ("time", "step"):
-            self._require_room(name, (count,))
+        self.fields = tuple(name for name in particles if name != "body")
+        last = max(part.stop for part in self.bodies.values())
         for name in self.fields:
-            self._require_room(f"particles/{name}", (count, particles))
+            _require_room(self._field(name), (count, last))
+        for name in ("time", "step"):
+            _require_room(numbers(self._file, name), (count,))
         self.time: Array = self._file["time"][:count]
         self.step: Array = self._file["step"][:count]
-        self.provenance: dict[str, Any] = json.loads(self._file.attrs["provenance"])
+        self.provenance: dict[str, Any] = dict(json.loads(text(self._file, "provenance")))
 
     def _own(self, name: str) -> Any:
         """Return a dataset whose numbers are in this file, and not behind a link in another one."""
@@ -87,12 +94,18 @@ class Frames:
     def read(self, field: str, frame: int) -> Array:
         """Return a field of every particle in one frame (N, ...); raise a UsageError if it cannot be read."""
         with self._reading():
-            return np.asarray(self._file["particles"][field][frame])
+            return np.asarray(self._field(field)[frame])
 
     def read_all(self, field: str) -> Array:
         """Return a field in every frame (T, N, ...); raise a UsageError if it cannot be read."""
         with self._reading():
-            return np.asarray(self._file["particles"][field][: len(self)])
+            return np.asarray(self._field(field)[: len(self)])
+
+    def _field(self, name: str) -> h5py.Dataset:
+        """Return the dataset of a field, its size checked once."""
+        if name not in self._checked:
+            self._checked[name] = numbers(self._file["particles"], name)
+        return self._checked[name]
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""
@@ -112,3 +125,10 @@ class Frames:
             yield
         except Exception as error:  # a damaged file may raise anything
             raise UsageError(f"{self.path}: not a cqrun trajectory, or damaged ({error})") from error
+
+
+def _require_room(data: h5py.Dataset, shape: tuple[int, ...]) -> None:
+    """Refuse a dataset that does not have the frames and particles that the file announces."""
+    found = data.shape
+    if len(found) < len(shape) or found[0] < shape[0] or found[1 : len(shape)] != shape[1:]:
+        raise ValueError(f"'{data.name}' is of shape {found}, and {shape} is needed")

@@ -6,45 +6,72 @@ Numbers are written with `repr`, so that a written recording is read back bit fo
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from cqrun.errors import DataError
-from cqrun.measurements.recording import Recording
+from cqrun.measurements.recording import Recording, columns
+from cqrun.store.other_formats import other_format
 from cqrun.units import METRES
 
 COLUMNS = ("time", "marker", "x", "y", "z")
 
+SPARSEST, MANY = 100, 1_000_000
+"""A table of so many places may have so many times as many places as lines."""
 
-def read_csv(path: Path, units: str | None, source: str) -> Recording:
+
+def read_csv(path: Path, units: str | None, source: str, names: Sequence[str] | None = None) -> Recording:
     """Read a CSV recording; a marker that has no line at some time, or nan, was not seen then.
 
-    Lines may be sorted by time or by marker. Empty lines, and lines that begin with `#`, are skipped.
+    Lines may be sorted by time or by marker. Empty lines, and lines that begin with `#`, are skipped. Of markers that
+    are not named only the times are kept.
 
     Raises:
         DataError: a line is wrong; the message names the line and what is wrong with it.
     """
+    wanted = None if names is None else set(names)
     tracks: dict[str, dict[float, list[float]]] = {}
+    times: set[float] = set()
+    for time, name, position, at in _lines(path, source):
+        times.add(time)
+        track = tracks.setdefault(name, {})
+        if wanted is None or name in wanted:
+            _append(track, time, position, name, at)
+    if not tracks:
+        raise DataError(f"{source}: has a header but no data")
+    labels = tuple(tracks)
+    chosen = [labels[k] for k in columns(labels, names, source)]
+    _require_frames(len(times), [len(tracks[name]) for name in chosen], source)
+    frame = {time: i for i, time in enumerate(sorted(times))}
+    positions = np.full((len(times), len(chosen), len(position)), np.nan)
+    for marker, name in enumerate(chosen):
+        positions[[frame[time] for time in tracks[name]], marker] = list(tracks[name].values())
+    return Recording(np.array(list(frame)), tuple(chosen), METRES[units or "m"] * positions, source)
+
+
+def _lines(path: Path, source: str) -> Iterator[tuple[float, str, list[float], str]]:
+    """Yield time, marker and position of each line, and how errors name the line."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as lines:
             rows = csv.reader(lines)
-            dim = _header(next((row for row in rows if not _blank(row)), []), source)
+            dim = _header(next((row for row in rows if not _blank(row)), []), path, source)
             for row in rows:
                 if not _blank(row):
                     at = f"{source}:{rows.line_num}"
-                    time, name, position = _row(row, dim, at)
-                    _append(tracks.setdefault(name, {}), time, position, name, at)
+                    yield *_row(row, dim, at), at
     except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{source}: not a CSV text file ({error})") from error
-    if not tracks:
-        raise DataError(f"{source}: has a header but no data")
-    times = sorted(set().union(*tracks.values()))
-    frame = {time: i for i, time in enumerate(times)}
-    positions = np.full((len(times), len(tracks), dim), np.nan)
-    for marker, track in enumerate(tracks.values()):
-        positions[[frame[time] for time in track], marker] = list(track.values())
-    return Recording(np.array(times), tuple(tracks), METRES[units or "m"] * positions, source)
+        raise DataError(f"{source}: {other_format(path) or f'not a CSV text file ({error})'}") from error
+
+
+def _require_frames(times: int, lines: list[int], source: str) -> None:
+    """Refuse a table that is almost empty: it would take far more memory than the file."""
+    if times * len(lines) > SPARSEST * sum(lines) + MANY:
+        raise DataError(
+            f"{source}: {sum(lines):,} lines for {len(lines):,} markers at {times:,} times: hardly any two lines have "
+            "the same time; all markers of a frame have one time"
+        )
 
 
 def write_csv(recording: Recording, path: Path) -> None:
@@ -62,10 +89,12 @@ def _blank(row: list[str]) -> bool:
     return not row or row[0].lstrip().startswith("#") or not any(cell.strip() for cell in row)
 
 
-def _header(row: list[str], source: str) -> int:
+def _header(row: list[str], path: Path, source: str) -> int:
     """Return the dimension given by the header line."""
     names = tuple(cell.strip().lower() for cell in row)
     if names not in (COLUMNS, COLUMNS[:4]):
+        if other := other_format(path):
+            raise DataError(f"{source}: {other}")
         raise DataError(
             f"{source}: the first line must be 'time,marker,x,y,z' (2D: 'time,marker,x,y'), not '{','.join(row)[:80]}'"
         )

@@ -6,50 +6,62 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from cqrun.errors import DataError
+from cqrun.measurements.plausible import plausible
 from cqrun.measurements.recording import Recording, check_recording
 from cqrun.plugin.contract import Array
 from cqrun.store.c3d import read_c3d
 from cqrun.store.marker_csv import read_csv
+from cqrun.store.other_formats import other_format
 from cqrun.store.recorded_trajectory import read_trajectory
 from cqrun.units import METRES
 
 
-def read_recording(path: Path, *, units: str | None = None, where: str = "") -> Recording:
+def read_recording(
+    path: Path, *, units: str | None = None, where: str = "", names: Sequence[str] | None = None
+) -> Recording:
     """Read a recording in any of the formats.
 
     Args:
         path: a `.c3d`, `.csv` or `.h5` file.
         units: `m`, `cm` or `mm`; None means the units given in a C3D file, and metres otherwise.
         where: key path of the recording in the scene; every message begins with it.
+        names: the markers to read, in this order; None means all.
 
     Raises:
         DataError: the file is missing, empty, truncated or of another format, or its content is not valid (times that
-            do not increase, infinite or half-missing positions).
+            do not increase, infinite or half-missing positions), or a marker is not in it.
     """
     path = Path(path)
     source = f"{where}: {path}" if where else str(path)
     readers = {".c3d": read_c3d, ".csv": read_csv, ".h5": read_trajectory}
     reader = readers.get(path.suffix.lower())
-    if reader is None:
-        raise DataError(f"{source}: the name of a recording ends in {', '.join(readers)}, not in '{path.suffix}'")
     if units is not None and units not in METRES:
         raise DataError(f"{source}: units '{units}' are not known; use {', '.join(METRES)}")
     if not path.is_file():
-        raise DataError(f"{source}: there is no such file")
+        raise DataError(f"{source}: {'not a regular file' if path.exists() else 'there is no such file'}")
     try:
+        if reader is None:
+            ending = f"the name of a recording ends in {', '.join(readers)}, not in '{path.suffix}'"
+            raise DataError(f"{source}: {other_format(path) or ending}")
         if path.stat().st_size == 0:
             raise DataError(f"{source}: the file is empty")
-        recording = reader(path, units, source)
+        recording = reader(path, units, source, names)
     except OSError as error:
         raise DataError(f"{source}: cannot be read: {error.strerror or error}") from error
     return check_recording(recording)
 
 
 def marker_path(path: Path, units: str | None, marker: str) -> tuple[Array, Array]:
-    """Return the times (T,) [s] and positions (T, D) [m] at which a marker was seen; raises as `read_recording`."""
-    recording = read_recording(path, units=units).select([marker])
+    """Return the times (T,) [s] and positions (T, D) [m] at which a marker was seen, as it is not at exact zeros.
+
+    Raises as `read_recording`.
+    """
+    recording, _ = plausible(read_recording(path, units=units, names=[marker]), np.inf, (-np.inf, np.inf))
     seen = recording.seen()[:, 0]
     return recording.time[seen], recording.positions[seen, 0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import ezc3d
+import made_c3d
 import numpy as np
 import pytest
 from small_beam import record, recorded
@@ -40,15 +40,8 @@ def positions(rng):
     return moved @ turned.T + [1.0, 2.0, 3.0]
 
 
-def write_c3d(path: Path, positions: np.ndarray, *, units: str = "m", names: tuple[str, ...] = tuple(REST)) -> Path:
-    content = ezc3d.c3d()
-    points = np.ones((4, positions.shape[1], positions.shape[0]))
-    points[:3] = positions.transpose(2, 1, 0)
-    point = content["parameters"]["POINT"]
-    point["RATE"]["value"], point["LABELS"]["value"], point["UNITS"]["value"] = [100.0], list(names), [units]
-    content["data"]["points"] = points
-    content.write(str(path))
-    return path
+def write_c3d(path: Path, positions: np.ndarray, *, names: tuple[str, ...] = tuple(REST)) -> Path:
+    return made_c3d.write_c3d(path, positions, names=names)
 
 
 def write_csv(path: Path, positions: np.ndarray, names: tuple[str, ...] = tuple(REST)) -> Path:

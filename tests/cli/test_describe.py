@@ -96,3 +96,10 @@ def test_parts_of_a_scene_have_pages(part):
 def test_a_misspelt_part_gets_a_suggestion():
     with pytest.raises(UsageError, match=r"nothing is called 'recording' .did you mean 'recordings'"):
         page("recording")
+
+
+def test_pages_say_when_a_recording_begins():
+    first = "the first frame of a C3D file is at 0"
+    assert first in page("data")
+    assert first in page("objective", "track")
+    assert "Times in a C3D file count from the first frame in the file" in page("measurement", "markers")

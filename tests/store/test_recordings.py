@@ -4,35 +4,26 @@ from __future__ import annotations
 
 import re
 import struct
+import tracemalloc
 from pathlib import Path
 
-import ezc3d
 import h5py
+import made_c3d
 import numpy as np
 import pytest
 
 from cqrun.errors import DataError
 from cqrun.measurements.recording import Recording, check_recording, unit_of
+from cqrun.store import hdf5
 from cqrun.store.marker_csv import write_csv
 from cqrun.store.recordings import read_recording
 
 NAMES = ("Tip - 1", "Tip - 2", "Base")
 
 
-def write_c3d(path: Path, positions, *, rate=100.0, units="m", names=NAMES, residuals=None) -> Path:
-    """Write (T, M, 3) positions as a C3D file."""
-    frames, markers, _ = positions.shape
-    content = ezc3d.c3d()
-    point = content["parameters"]["POINT"]
-    point["UNITS"]["value"], point["RATE"]["value"], point["LABELS"]["value"] = [units], [rate], list(names)
-    points = np.ones((4, markers, frames))
-    points[:3] = positions.transpose(2, 1, 0)
-    content["data"]["points"] = points
-    if residuals is not None:
-        masks = np.zeros((7, markers, frames), dtype=bool)
-        content["data"]["meta_points"] = {"residuals": residuals.T[None], "camera_masks": masks}
-    content.write(str(path))
-    return path
+def write_c3d(path, positions, *, names=NAMES, **options):
+    """Write (T, M, 3) positions of the markers as a C3D file."""
+    return made_c3d.write_c3d(path, positions, names=names, **options)
 
 
 @pytest.fixture
@@ -167,6 +158,10 @@ def test_csv_sorted_by_marker_units_and_comments(text):
         (["0,a,1,2,3", "0,a,1,2,3"], (":3:", "marker 'a' appears twice")),
         (["0,a,1,2,3", "0.2,a,1,2,3", "0,a,1,2,3"], (":4:", "marker 'a' appears twice")),
         (["0,a,1,2,3"], ("1 frames", "2 or more")),
+        (["0,a,1,2,3", "0.1,a,1,-1e30,3"], ("marker 'a' in frame 1 (0.1 s)", "1e+30 m away, which no camera sees")),
+        (["0,a,1,2,3", "0.1,a,1,1e308,3"], ("marker 'a' in frame 1", "1e+308 m away")),
+        (["0,a,1,2,3", "1e300,a,1,2,3"], ("time of frame 1 is 1e+300 s", "times are in seconds")),
+        (["-1e308,a,1,2,3", "1e308,a,1,2,3"], ("time of frame 0",)),
         ([], ("no data",)),
     ],
 )
@@ -184,8 +179,29 @@ def test_names_in_a_file_are_data_in_messages(text):
 
 def test_csv_header_and_encoding(text, tmp_path):
     refused(text("0,a,1,2,3", header="t,name,x,y,z"), "time,marker,x,y,z", "t,name,x,y,z")
-    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x81" * 50)
+    (tmp_path / "b.csv").write_bytes(b"\x00\x81" * 50)
     refused(tmp_path / "b.csv", "not a CSV text file")
+
+
+def test_csv_reads_only_the_markers_that_are_named(text):
+    """Every line has a time of its own: all markers and times together would take 2.4 GB."""
+    path = text(*(f"{0.001 * k!r},m{k},1,2,3" for k in range(10_000)), "11,tip,4,5,6")
+    tracemalloc.start()
+    recording = read_recording(path, names=["tip", "m7"])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20e6
+    assert recording.names == ("tip", "m7")
+    np.testing.assert_array_equal(np.argwhere(recording.seen()), [[7, 1], [10_000, 0]])
+    refused(path, "10,001 lines for 10,001 markers at 10,001 times", "all markers of a frame have one time")
+    refused(path, "no marker 'top' (did you mean 'tip'?)", names=["top"])
+    refused(path, "`markers` is missing", "such as m0: [x, y, z]; it has m0, m1", names=[])
+
+
+def test_time_of_a_marker_that_is_not_named_is_a_frame(text):
+    recording = read_recording(text("0,a,1,2,3", "0.1,b,1,2,3", "0.2,a,1,2,3"), names=["a"])
+    np.testing.assert_array_equal(recording.time, [0, 0.1, 0.2])
+    np.testing.assert_array_equal(recording.seen()[:, 0], [True, False, True])
 
 
 # ---------------------------------------------------------------- trajectories
@@ -217,6 +233,67 @@ def test_trajectory_refused(tmp_path, rng):
     refused(path, "time does not increase", "frame 0", "frame 1")
     path.write_bytes(path.read_bytes()[:1500])
     refused(path, "truncated")
+
+
+def test_trajectory_of_the_particles_that_are_named(tmp_path, rng):
+    x = rng.normal(size=(40, 50, 3))
+    for name, options in {"whole.h5": {}, "packed.h5": {"chunks": (7, 11, 3), "compression": "gzip"}}.items():
+        with h5py.File(tmp_path / name, "w") as file:
+            file["time"] = np.arange(40)
+            file.create_dataset("particles/x", data=x, **options)
+        np.testing.assert_array_equal(read_recording(tmp_path / name, names=["49", "7"]).positions, x[:, [49, 7]])
+        for wrong in ("50", "-1", "007", "tip", "9" * 5000):
+            refused(tmp_path / name, f"no marker '{wrong}': the markers of a trajectory are its", names=[wrong])
+        refused(tmp_path / name, "`markers` is missing", "it has 0, 1, 2", names=[])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "'particles/x' claims 7.45 GiB, and the file holds 0 B of it"),
+        ({"chunks": (1, 1000, 3), "compression": "gzip"}, "claims 7.45 GiB, and the file holds 0 B of it"),
+        ({"dtype": "S8"}, "'particles/x' is no array of numbers"),
+    ],
+)
+def test_trajectory_that_claims_more_than_it_has(tmp_path, options, words):
+    """The size is refused before anything of it is allocated."""
+    with h5py.File(tmp_path / "t.h5", "w") as file:
+        file["time"] = np.arange(1000.0)
+        file.create_dataset("particles/x", (1000, 333_333, 3), **{"dtype": "f8", **options})
+    refused(tmp_path / "t.h5", words)
+
+
+def test_trajectory_whose_numbers_are_elsewhere(tmp_path):
+    """A recording names one file, and nothing else is read."""
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["time"], file["particles/x"] = [0.0, 0.1], np.zeros((2, 5, 2))
+    source = h5py.VirtualSource(str(tmp_path / "other.h5"), "particles/x", shape=(2, 5, 2))
+    virtual = h5py.VirtualLayout((2, 5, 2), float)
+    virtual[:] = source
+    for place, words in (
+        (h5py.ExternalLink("other.h5", "/particles/x"), "no dataset /particles/x"),
+        (h5py.SoftLink("/elsewhere"), "no dataset /particles/x"),
+        (virtual, "the numbers of 'particles/x' are in another file"),
+        (None, "the numbers of 'particles/x' are in another file"),
+    ):
+        with h5py.File(tmp_path / "t.h5", "w") as file:
+            file["time"] = [0.0, 0.1]
+            if place is virtual:
+                file.create_virtual_dataset("particles/x", place)
+            elif place is None:
+                raw = [(str(tmp_path / "other.h5"), 0, 160)]
+                file.create_dataset("particles/x", (2, 5, 2), "f8", external=raw)
+            else:
+                file["particles/x"] = place
+        refused(tmp_path / "t.h5", words)
+
+
+def test_trajectory_in_chunks_that_are_too_large(tmp_path, monkeypatch):
+    monkeypatch.setattr(hdf5, "LARGEST_BLOCK", 1000)
+    with h5py.File(tmp_path / "t.h5", "w") as file:
+        file["time"] = np.arange(10.0)
+        file.create_dataset("particles/x", data=np.zeros((10, 5, 3)), chunks=(10, 5, 3))
+    refused(tmp_path / "t.h5", "its chunks are of 1.17 KiB, and at most 1000 B can be read at once (h5repack)")
 
 
 # ---------------------------------------------------------------- markers

@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import ezc3d
 import numpy as np
 import pytest
 
 from cqrun.measurements.alignment import Measured, measure
+from cqrun.measurements.plausible import plausible
 from cqrun.store.recordings import read_recording
 
 FOLDER = Path(os.environ.get("CQRUN_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data")) / "realbeam"
@@ -48,6 +50,21 @@ def test_published_residuals_and_final_displacements(name, frames, still, residu
     aligned = 1e3 * beam.alignment.residuals
     np.testing.assert_allclose((aligned.min(), aligned.max()), residuals, atol=0.03)
     np.testing.assert_allclose(1e3 * beam.values[-20:, :3, 2].mean(axis=0), settled, atol=0.07)
+
+
+@pytest.mark.parametrize("name", ["beam_gravity_V2_a.c3d", "beam_load101_V2_a.c3d"])
+@pytest.mark.parametrize("reach", [0.01, 0.11])
+def test_nothing_in_them_is_doubted(name, reach):
+    recording = read_recording(FOLDER / name)
+    found, doubts = plausible(recording, reach, (0.0, 10.0))
+    assert doubts == ()
+    np.testing.assert_array_equal(found.positions, recording.positions)
+
+
+@pytest.mark.parametrize("name", ["beam_gravity_V2_a.c3d", "beam_load101_V2_a.c3d"])
+def test_they_are_read_as_ezc3d_reads_them(name):
+    theirs = np.array(ezc3d.c3d(str(FOLDER / name))["data"]["points"])[:3].transpose(2, 1, 0)
+    np.testing.assert_array_equal(read_recording(FOLDER / name).positions, theirs)
 
 
 def test_the_beam_is_still_before_its_release_and_swings_after():
