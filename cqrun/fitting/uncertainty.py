@@ -37,7 +37,9 @@ MOST_UNKNOWNS = 30
 STEP = 1e-3
 """Difference step: of the logarithm, or of the width of the bounds for unknowns on a linear scale."""
 
-_AT_BOUND = 1e-4
+AT_BOUND = 1e-4
+"""An unknown closer to its bound than this part of the distance between the bounds is at the bound."""
+
 _LARGEST_POWER = 500.0
 _SHORTEST = 8
 _BLOCKS = 12
@@ -246,7 +248,7 @@ def _autoregression(errors: Array, block: int) -> Array:
 def bound_reached(unknown: Unknown) -> str | None:
     """Return `lower` or `upper` if the optimum sits on that bound."""
     low, here, high = unknown.ends[0], unknown.coordinate, unknown.ends[1]
-    slack = _AT_BOUND * (high - low)
+    slack = AT_BOUND * (high - low)
     return "lower" if here - low <= slack else "upper" if high - here <= slack else None
 
 

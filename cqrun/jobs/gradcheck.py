@@ -31,6 +31,7 @@ from cqrun.plugin.contract import Array
 from cqrun.running.finite_differences import (
     AGREES,
     ALL_STEPS,
+    AT_A_KINK,
     DISAGREES,
     FLAT,
     STEPS,
@@ -49,6 +50,7 @@ from cqrun.store.run import RunDirectory, read_record
 
 TOLD: dict[Verdict, str] = {
     AGREES: "",
+    AT_A_KINK: "at a kink: compared to one side",
     FLAT: "flat: nothing to compare",
     TOO_ROUGH: "TOO ROUGH TO TELL",
     DISAGREES: "DISAGREES",

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.build.check_grid import nearest_nodes
 from cqrun.build.model import Built, build
+from cqrun.engine.model import ConditionModel
 from cqrun.errors import SceneError
 from cqrun.explain import listed
 from cqrun.fitting.case import Case
@@ -89,8 +91,15 @@ def _world(built: Built) -> Iterator[str]:
     size = " x ".join(number(edge) for edge in world.size)
     nodes = " x ".join(map(str, shape))
     yield line("world", f"{size} m in cells of {number(world.dx)} m: {nodes} = {int(np.prod(shape)):,} nodes")
-    held = ", ".join(f"{c.name} ({c.spec.name}, {int(c.nodes.sum()):,} nodes)" for c in built.model.conditions)
+    held = ", ".join(f"{c.name} ({c.spec.name}, {_held(built, c)})" for c in built.model.conditions)
     yield line("boundaries", held or "none: a body that reaches the edge of the world stops the run")
+
+
+def _held(built: Built, condition: ConditionModel) -> str:
+    """Return how many nodes a boundary holds, and how many particles have one of them as their nearest."""
+    nearest = nearest_nodes(built.particles.x, built.model.grid_shape, built.model.dx)
+    particles = int(condition.nodes[nearest].sum())
+    return f"{int(condition.nodes.sum()):,} nodes, {particles or 'no'} particle{'s' * (particles != 1)}"
 
 
 def _body(built: Built, name: str) -> Iterator[str]:

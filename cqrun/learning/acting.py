@@ -20,6 +20,7 @@ from cqrun.learning.replay import (
     learned_in,
     refuse_learned,
     require_fitting,
+    substeps_in,
 )
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter
@@ -70,10 +71,28 @@ def acting_in(source: Path, overrides: Sequence[str], controller: Path | None, t
     overrides = [*_standing_goals(unchanged), *overrides]
     scene = _scene(source, overrides)
     if file is not None:
-        scene = _scene(source, [*as_overrides(file, learned, scene), *overrides])
+        same_step = [] if trained is None else _same_substeps(trained, scene, talk)
+        scene = _scene(source, [*as_overrides(file, learned, scene), *same_step, *overrides])
     stem = source.resolve().parent.name if source.is_dir() else source.stem
     files = {name: file for name, file in ((FILE, trained), (IDENTIFIED, identified)) if file is not None}
     return Acting(stem, scene, files)
+
+
+def _same_substeps(controller: Path, scene: Scene, talk: Reporter) -> list[str]:
+    """Return an override that keeps the substeps with which a controller was learned, where the scene leaves them open.
+
+    `auto` follows from the bounds of unknowns, which another scene may not have.
+    """
+    learned, here = substeps_in(controller), scene.time.substeps
+    if learned in (None, here):
+        return []
+    if here == "auto":
+        return [f"time.substeps={learned}"]
+    talk.warn(
+        f"{controller}: was learned with time.substeps={learned}, and this scene has {here}: bodies may act a little "
+        "softer or stiffer than they did"
+    )
+    return []
 
 
 def _scene(source: Path, overrides: Sequence[str]) -> Scene:

@@ -25,7 +25,7 @@ from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.learning.actuator_placement import acted_on, require_same
 from cqrun.learning.controller_fingerprint import differences, meaning_of
-from cqrun.learning.replay import kept_values, require_fitting
+from cqrun.learning.replay import SUBSTEPS, kept_values, require_fitting
 from cqrun.objectives.term import Objective, Track, TrackBar
 from cqrun.observers.matter import Unfit
 from cqrun.observers.observer import Observation
@@ -182,6 +182,7 @@ class Agent:
             "middle": self.observation.middle.tolist(),
             "half": self.observation.half.tolist(),
             "n_controls": self.learning.n_controls,
+            SUBSTEPS: self.built.model.substeps,
             "acted_on": acted_on(self.built),
             "meaning": self._meaning(),
             "unknowns": _of_scene(values),

@@ -25,6 +25,9 @@ from cqrun.store.result import Value, read_result_file, values_in
 IDENTIFIED = "identified.json"
 """Where a replay of a run of sysid keeps that run's result."""
 
+SUBSTEPS = "substeps"
+"""What a controller's file calls the number of substeps in a control step with which it was learned."""
+
 Learned = Mapping[str, Array]
 """Values by path: one number, or one a group or particle."""
 
@@ -33,6 +36,12 @@ def learned_in(controller: Path) -> dict[str, Array]:
     """Return the values that were learned with a controller; UsageError for another file."""
     _, meta = read_controller(controller)
     return {path: np.array(value, float) for path, value in meta.get("unknowns", {}).items()}
+
+
+def substeps_in(controller: Path) -> int | None:
+    """Return with how many substeps a controller was learned; None if its file is older, and does not say."""
+    _, meta = read_controller(controller)
+    return meta.get(SUBSTEPS)
 
 
 def identified_in(result: Path, scene: Scene) -> dict[str, Array]:

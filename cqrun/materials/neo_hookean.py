@@ -27,7 +27,8 @@ class NeoHookeanKernel(NamedTuple):
 class NeoHookean(MaterialTerm):
     """Neo-Hookean elasticity, P = mu (F - F^-T) + lam log(J) F^-T (CQ2 eq 13).
 
-    The material of every experiment in CQ2. Stiffens without bound as the volume goes to zero.
+    The material of every experiment in CQ2. Stiffens without bound as the volume goes to zero. In 2D it is in plane
+    strain: E and nu are those of the 3D material, and a thin beam bends like one of modulus E / (1 - nu^2).
     """
 
     parameters: ClassVar[tuple[str, ...]] = ("youngs_modulus", "poissons_ratio")

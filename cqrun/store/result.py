@@ -5,6 +5,7 @@ The file is result.json, for a gradient check gradcheck.json.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, TypeVar, get_args
 
@@ -24,7 +25,10 @@ Interval = tuple[float, float]
 
 
 class Search(Part):
-    """What every search tells: how it ended, where its loss is, and after how many iterations."""
+    """What every search tells: how it ended, where its loss is, and after how many iterations.
+
+    What was found depends on `substeps`, the number of them in a control step; older runs do not say it.
+    """
 
     file: ClassVar[str] = RESULT
     job: str
@@ -32,6 +36,12 @@ class Search(Part):
     message: str
     loss: float | None
     iterations: int
+    substeps: int | None = optional()
+
+    def how_found(self) -> Iterator[str]:
+        """Yield a line on the substeps with which values were found."""
+        if self.substeps is not None:
+            yield f"found with time.substeps={self.substeps}: keep that number wherever these values are used"
 
 
 # --- sysid ----------------------------------------------------------------------------------------------------------
@@ -218,7 +228,7 @@ class SimulateResult(Part):
 # --- gradcheck ------------------------------------------------------------------------------------------------------
 
 
-Verdict = Literal["agrees", "flat", "too rough", "disagrees"]
+Verdict = Literal["agrees", "agrees at a kink", "flat", "too rough", "disagrees"]
 
 
 class Direction(Part):
@@ -233,10 +243,10 @@ class Direction(Part):
         step: of the plateau.
         noise: what rounding can make of a difference there, or the scan's own scatter.
         scan: extrapolated difference at every step; None where a rollout failed.
-        verdict: `agrees`; `flat`, as both are below what rounding makes, and there is nothing to compare; `too rough`,
-            as they differ by no more than a few times the scan's scatter, which is large, or it is as large as they
-            are; `disagrees`.
-        agrees: the verdict is one of the first two.
+        verdict: `agrees`; `agrees at a kink`, as the loss has two slopes there, and the adjoint is one of them; `flat`,
+            as both are below what rounding makes, and there is nothing to compare; `too rough`, as they differ by no
+            more than a few times the scan's scatter, which is large, or it is as large as they are; `disagrees`.
+        agrees: the verdict is one of the first three.
     """
 
     block: str

@@ -167,7 +167,7 @@ def test_a_warning_says_that_a_cutting_shape_follows_the_unknown_shape():
     body["shape"] = {"difference": [body["shape"], hole]}
 
     def warned(path: str) -> list[str]:
-        scene = data({path: {"bounds": [0.2, 0.25]}}, data={"target": {"body": "a", "position": [0.5, 0.5]}})
+        scene = data({path: {"bounds": [0.2, 0.25]}})
         scene["bodies"]["a"] = body
         return [str(problem) for problem in build(load_scene(scene)).warnings if "that cut it" in str(problem)]
 

@@ -1,0 +1,191 @@
+"""Checks of what the grid cannot hold: bodies, gaps and boundaries that are thinner than its cells.
+
+A particle acts on 3 nodes along each axis, and is moved by them. Midway between two rows it acts on these alone, so two
+rows of held nodes stop it, but one does not. Material on both sides of a narrow gap sticks together, and a thin body
+bends otherwise than it should. A scene may be meant so: these are warnings, with the size that would do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from cqrun.boundaries.sticky import Sticky
+from cqrun.build.check_particles import TOO_CLOSE
+from cqrun.build.particles import Particles
+from cqrun.engine.model import ConditionModel
+from cqrun.engine.setting import MARGIN, grid_shape
+from cqrun.errors import Problem
+from cqrun.geometry.place import Place
+from cqrun.geometry.shape import cell_centres, finite_bounds
+from cqrun.plugin.contract import Array
+from cqrun.scene.body import Body
+from cqrun.scene.schema import Scene
+
+ROWS = 2
+"""The least rows of nodes of a boundary that nothing passes through."""
+
+CELLS = 3
+"""The least cells through the thickness of a body; with 1, 2 and 3 a beam sags 32, 10 and 6 % too far."""
+
+NEAR = 3.0
+"""A clamp that holds no particle is told if a body is this close [cells]; farther away it is something to fall on."""
+
+PER_CELL = 4
+"""Points along a cell by which bodies and gaps are measured; fewer in bodies that would need more than MOST_POINTS."""
+
+MOST_POINTS = 500_000
+
+ROUNDED = 0.4
+"""How far, in diameters, the corner of a square or a cube may lie from the largest disc or ball inside."""
+
+THIN = 0.1
+"""Part of a body that must be thin before it is told."""
+
+
+def grid_warnings(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> list[Problem]:
+    """Return warnings on everything that the grid cannot hold."""
+    return [*_bodies(scene), *_boundaries(scene, conditions), *_clamps(scene, particles, conditions)]
+
+
+# --- bodies and the gaps in them --------------------------------------------------------------------------------------
+
+
+def _bodies(scene: Scene) -> Iterator[Problem]:
+    """Yield warnings for bodies that are less than 3 cells thick, and for those with gaps that close."""
+    dx = scene.world.dx
+    for name, body in scene.bodies.items():
+        path = f"bodies.{name}." + ("shape" if body.shape else "parts")
+        solid, corner, pitch = _raster(body, dx)
+        thin = thinner(solid, CELLS * dx / pitch)
+        if thin.sum() > THIN * solid.sum():
+            thickness = 2.0 * pitch * float(_depth(solid)[thin].max())
+            at = _place(body, corner, pitch, thin)
+            cells = f"{thickness / dx:.2g}"
+            message = (
+                f"is {cells} {'cell' if cells == '1' else 'cells'} thick at {at}: a beam of 1 cell sags about 30 % too "
+                f"far, one of 2 cells 10 %; give dx = {thickness / CELLS:.3g} m, or {CELLS * dx:.3g} m of thickness"
+            )
+            yield Problem(scene.where(path), path, message)
+        border = int(np.ceil(CELLS * dx / pitch))
+        gaps = thinner(~np.pad(solid, border), TOO_CLOSE * dx / pitch)
+        if gaps.sum() * pitch**scene.dim > (TOO_CLOSE * dx) ** scene.dim:
+            at = _place(body, corner - border * pitch, pitch, gaps)
+            message = (
+                f"has a gap or a hole at {at} that is less than {TOO_CLOSE:g} cells wide: the material around it "
+                f"sticks together as if glued; if it should not, make it {TOO_CLOSE * dx:.3g} m wide, or dx smaller"
+            )
+            yield Problem(scene.where(path), path, message)
+
+
+def _raster(body: Body, dx: float) -> tuple[Array, Array, float]:
+    """Return which cells of a fine lattice lie in a body, the lower corner before its place, and the pitch [m]."""
+    scale, pieces = (body.place or Place()).scale, list(body.pieces.values())
+    bounds = [finite_bounds(piece) for piece in pieces]
+    lower, upper = np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
+    volume = float(np.prod(upper - lower)) * scale ** len(lower)
+    pitch = max(dx / PER_CELL, (volume / MOST_POINTS) ** (1 / len(lower)))
+    counts = np.ceil((upper - lower) * scale / pitch * (1 - 1e-9)).astype(int)
+    x = cell_centres(lower, np.full(len(lower), pitch / scale), counts)
+    return np.any([piece.inside(x) for piece in pieces], axis=0).reshape(counts), lower * scale, pitch
+
+
+def _place(body: Body, corner: Array, pitch: float, cells: Array) -> str:
+    """Return where the first of some cells of a raster lies in the world."""
+    place = body.place or Place()
+    x = corner + (np.argwhere(cells)[0] + 0.5) * pitch
+    return _point(place.to_world(x[None] / place.scale)[0])
+
+
+def thinner(solid: Array, width: float) -> Array:
+    """Return which cells of a solid lie where no ball of a diameter fits in, but for its rounded corners.
+
+    Args:
+        solid: (...) bool.
+        width: the diameter, in cells.
+    """
+    depth = _depth(solid)
+    filled = depth >= 0.5 * width
+    if not filled.any():
+        return solid
+    reach = ndimage.distance_transform_edt(~filled)
+    return np.asarray(solid & (reach > (0.5 + ROUNDED) * width))
+
+
+def _depth(solid: Array) -> Array:
+    """Return how far each cell lies from the nearest one outside a solid, in cells; a slab of n has (n + 1) // 2."""
+    inner = (slice(1, -1),) * solid.ndim
+    return np.asarray(ndimage.distance_transform_edt(np.pad(solid, 1)))[inner]
+
+
+# --- boundaries -------------------------------------------------------------------------------------------------------
+
+
+def _boundaries(scene: Scene, conditions: Sequence[ConditionModel]) -> Iterator[Problem]:
+    """Yield warnings for regions that are a single row of nodes, which bodies pass through."""
+    dx = scene.world.dx
+    for condition in conditions:
+        if condition.spec.region is None:
+            continue
+        nodes = _in_world(scene, condition.nodes)
+        thin = _single_rows(nodes)
+        if thin.sum() > ROWS or (thin.any() and (thin == nodes).all()):
+            path = f"boundaries.{condition.name}.{condition.spec.name}.region"
+            message = (
+                f"is a single row of nodes at {_point(np.argwhere(thin)[0] * dx)}, which bodies pass through: make it "
+                f"{ROWS * dx:.3g} m thick, or {(ROWS - 1) * dx:.3g} m with its faces on nodes"
+            )
+            yield Problem(scene.where(path), path, message)
+
+
+def _single_rows(nodes: Array) -> Array:
+    """Return which held nodes of the world have no second row beside them; tips of thicker parts do not count.
+
+    Beyond the world a boundary goes on as at its face, because nothing comes from there.
+    """
+    held = np.pad(nodes, ROWS, mode="edge")
+    thick = ndimage.binary_opening(held, np.ones((ROWS,) * held.ndim))
+    near = ndimage.binary_dilation(thick, np.ones((3,) * held.ndim))
+    return np.asarray((held & ~near)[(slice(ROWS, -ROWS),) * held.ndim])
+
+
+def _in_world(scene: Scene, nodes: Array) -> Array:
+    """Return an array over all nodes (n,) as one over those in the world."""
+    size = np.array(scene.world.size)
+    counts = np.floor(size / scene.world.dx + 1e-9).astype(int) + 1
+    inner = tuple(slice(MARGIN, MARGIN + int(count)) for count in counts)
+    return np.asarray(nodes.reshape(grid_shape(size, scene.world.dx))[inner])
+
+
+def _clamps(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[Problem]:
+    """Yield warnings for sticky regions beside a body that hold no particle of it."""
+    dx = scene.world.dx
+    shape = grid_shape(np.array(scene.world.size), dx)
+    nodes = nearest_nodes(particles.x, shape, dx)
+    for condition in conditions:
+        if not isinstance(condition.spec, Sticky) or condition.spec.region is None or condition.nodes[nodes].any():
+            continue
+        x = (np.argwhere(condition.nodes.reshape(shape)) - MARGIN) * dx
+        distances, _ = cKDTree(x).query(particles.x, distance_upper_bound=NEAR * dx)
+        nearest = int(np.argmin(distances))
+        if not np.isfinite(distances[nearest]):
+            continue
+        gap, body = distances[nearest] / dx, next(name for name in particles.names if nearest < particles.of(name).stop)
+        path = f"boundaries.{condition.name}.{condition.spec.name}.region"
+        message = (
+            f"holds {len(x):,} nodes but no particle: the nearest is {gap:.2g} cells away, of '{body}'; to clamp "
+            "a body, let the region reach into it"
+        )
+        yield Problem(scene.where(path), path, message)
+
+
+def nearest_nodes(x: Array, shape: tuple[int, ...], dx: float) -> Array:
+    """Return the number of the node that is nearest to each particle at x (N, D) [m], of a grid of a shape."""
+    return np.asarray(np.ravel_multi_index(tuple((np.round(x / dx).astype(int) + MARGIN).T), shape))
+
+
+def _point(x: Array) -> str:
+    return "(" + ", ".join(f"{c + 0.0:.4g}" for c in x) + ") m"
