@@ -10,7 +10,7 @@ about ten minutes of CPU time for each checkout.
 
 A scene whose language has changed between the checkouts needs other overrides in one of them:
 
-    ... --before-override collision:data.target.body=b --after-override collision:objective.goal.track.body=b
+    ... --before-override collision:data.target.body=b --after-override collision:objective.there.reach.body=b
 
 Scenes with recordings read them from `../shared/data/realbeam` beside AFTER; without that folder they are skipped.
 """

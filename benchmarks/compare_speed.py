@@ -1,11 +1,14 @@
 """Compare the speed of two checkouts, pass by pass, in turns: is any pass slower?
 
-    python benchmarks/compare_speed.py BEFORE AFTER [--turns 5] [--threads 1] [--scene FILE ...] [--out FILE.json]
+    python benchmarks/compare_speed.py BEFORE AFTER [--turns 10] [--threads 1] [--scene FILE ...] [--out FILE.json]
 
-BEFORE and AFTER are folders with a checkout and its environment in `.venv`. Each has a worker process that holds the
-same substeps of a block, or of a scene, and measures them when it is its turn, so that both see the same noise of the
-machine. The numbers are medians over turns, in ns per particle and substep; the ratio is the median of the ratios of
-each turn. Measure on a machine that does nothing else: the load is printed.
+BEFORE and AFTER are folders with a checkout and its environment in `.venv`. In each turn, a new process of each
+checkout measures the same substeps of a block, or of a scene. New processes average over where arrays lie in memory.
+The numbers are medians over turns, in ns per particle and substep. There are two ratios: the median of the ratios of
+each turn, and the ratio of the shortest times. The second is the better one on a machine that others share, because
+they only make a turn longer. A pass is called from Python here, which takes some microseconds: read the passes of
+large blocks. With two threads, a process needs about ten rollouts until each thread has a core of its own, so REPEAT
+must be larger.
 """
 
 from __future__ import annotations
@@ -15,51 +18,33 @@ import importlib
 import json
 import os
 import subprocess
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-BLOCKS = ((2, 80), (3, 20), (2, 320))
+BLOCKS = ((2, 80), (3, 20), (2, 320), (3, 40))
 """Dimension and edge, in particles, of the falling blocks of `cqrun bench` that are compared."""
 
+REPEAT = 3
+"""How often a process repeats each measurement."""
 
-class Worker:
-    """A process in a checkout that measures when it is asked."""
 
-    def __init__(self, checkout: Path, cases: list[Any], threads: int) -> None:
-        python = checkout / ".venv" / "bin" / "python"
-        command = [str(python), str(Path(__file__).resolve()), "--worker", json.dumps([cases, threads])]
-        environment = {**os.environ, "PYTHONPATH": str(checkout)}
-        self.process = subprocess.Popen(
-            command, cwd=checkout, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-
-    def measure(self, case: int) -> dict[str, float]:
-        """Return ns per particle and substep of the whole and of each pass."""
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        self.process.stdin.write(f"{case}\n")
-        self.process.stdin.flush()
-        line = self.process.stdout.readline()
-        if not line:
-            raise SystemExit(f"the worker ended with {self.process.wait()}")
-        return dict(json.loads(line))
+def measured(checkout: Path, cases: list[Any], threads: int) -> list[dict[str, float]]:
+    """Return ns per particle and substep of the whole and of each pass, for each case, from a new process."""
+    python = checkout / ".venv" / "bin" / "python"
+    command = [str(python), str(Path(__file__).resolve()), "--worker", json.dumps([cases, threads])]
+    environment = {**os.environ, "PYTHONPATH": str(checkout)}
+    done = subprocess.run(command, cwd=checkout, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    return [dict(found) for found in json.loads(done.stdout)]
 
 
 def work(cases: list[Any], threads: int) -> None:
-    """Measure the cases that standard input names, one a line."""
+    """Measure the cases, and print what was measured."""
     bench, scenes = _first("cqrun.jobs.bench"), _first("cqrun.jobs.bench_scene", "cqrun.jobs.bench")
-    excerpts: dict[int, Any] = {}
-    for line in sys.stdin:
-        k = int(line)
-        if k not in excerpts:
-            excerpts[k] = _excerpt(bench, scenes, cases[k], threads)
-        found = excerpts[k].measure(2)
-        whole = {name: found[name] for name in ("forward", "store", "backward")}
-        print(json.dumps(whole | found["passes"]), flush=True)
+    results = [_excerpt(bench, scenes, case, threads).measure(REPEAT) for case in cases]
+    print(json.dumps([{name: r[name] for name in ("forward", "store", "backward")} | r["passes"] for r in results]))
 
 
 def _imported(name: str) -> Any:
@@ -88,7 +73,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("before", type=Path, nargs="?")
     parser.add_argument("after", type=Path, nargs="?")
-    parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--turns", type=int, default=10)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--scene", nargs="*", default=[])
     parser.add_argument("--no-blocks", action="store_true")
@@ -100,15 +85,16 @@ def main() -> None:
         return
     cases: list[Any] = [] if options.no_blocks else [list(block) for block in BLOCKS]
     cases += options.scene
-    workers = [Worker(folder.resolve(), cases, options.threads) for folder in (options.before, options.after)]
+    folders = [folder.resolve() for folder in (options.before, options.after)]
+    for folder in folders:  # the first run compiles
+        measured(folder, cases, options.threads)
+    turns = [[measured(folder, cases, options.threads) for folder in folders] for _ in range(options.turns)]
     result = {}
     for k, case in enumerate(cases):
-        for worker in workers:  # the first run compiles
-            worker.measure(k)
-        turns = [[worker.measure(k) for worker in workers] for _ in range(options.turns)]
         name = case if isinstance(case, str) else f"block {case[0]}D, {case[1] ** case[0]:,} particles"
-        result[name] = compared(turns)
-        print(f"{name} (load {os.getloadavg()[0]:.2f})", *table(result[name]), sep="\n", flush=True)
+        result[name] = compared([[side[k] for side in turn] for turn in turns])
+        print(name, *table(result[name]), sep="\n", flush=True)
+    print(f"load {os.getloadavg()[0]:.2f}")
     if options.out:
         options.out.write_text(json.dumps(result, indent=1) + "\n")
 
@@ -120,7 +106,8 @@ def compared(turns: list[list[dict[str, float]]]) -> dict[str, dict[str, float |
         before, after = ([m[name] for m in side if name in m] for side in zip(*turns, strict=True))
         ratio = float(np.median(np.array(after) / np.array(before))) if before and after else None
         medians = (float(np.median(side)) if side else None for side in (before, after))
-        found[name] = dict(zip(("before", "after"), medians, strict=True)) | {"ratio": ratio}
+        shortest = min(after) / min(before) if before and after else None
+        found[name] = dict(zip(("before", "after"), medians, strict=True)) | {"ratio": ratio, "shortest": shortest}
     return found
 
 
@@ -130,10 +117,9 @@ def table(found: Mapping[str, Mapping[str, float | None]]) -> list[str]:
     def shown(value: float | None) -> str:
         return "-" if value is None else f"{value:.3g}"
 
-    return [
-        f"  {name:18s} {shown(row['before']):>8s} {shown(row['after']):>8s} {shown(row['ratio']):>8s}"
-        for name, row in found.items()
-    ]
+    columns = ("before", "after", "ratio", "shortest")
+    rows = (f"  {name:18s}" + "".join(f"{shown(row[c]):>9s}" for c in columns) for name, row in found.items())
+    return ["  " + " " * 18 + "".join(f"{c:>9s}" for c in columns), *rows]
 
 
 if __name__ == "__main__":

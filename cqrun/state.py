@@ -11,14 +11,14 @@
     W S    spline weights and slopes;  f   position in its stencil, in cells
     *_bar  cotangent: derivative of the loss by *;   *_vjp   adjoint of *
 
-Kernels hold all of a particle's numbers as the rows of one table `q` (rows, n). `StateTable` names these rows: x, v, C,
-F, and after them the histories of material terms that have one (`materials/term.py`), each row-major. What packs,
-unpacks, checkpoints, records, differentiates or writes the state asks that table, and spells no row number itself.
+Kernels store the state as one table `q` (rows, n) with a column for each particle. `StateTable` names its rows: x, v,
+C, F, and then the histories of material terms that have one (`materials/term.py`), each row-major. Code that packs,
+unpacks, checkpoints, records, differentiates or writes the state gets row numbers only from that table.
 
-q is packed lane by lane (`packed.py`), so that a lane of neighbours lies together and a checkpoint is one copy. Bodies
-follow each other, each padded to whole lanes with massless copies of its last particle, which move as it does
-and never leave the grid. `memory` is one flat float64 vector that controllers, actuators, observers and
-accumulators remember by; it is saved, replayed and differentiated like x.
+q is packed lane by lane (`packed.py`), so the particles of a lane are adjacent in memory and a checkpoint is one copy.
+Bodies follow each other. Each is padded to whole lanes with massless copies of its last particle, which move with it
+and so never leave the grid. `memory` is one flat float64 vector for the memories of controllers, actuators, observers
+and accumulators; it is saved, replayed and differentiated like x.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ from cqrun.numerics.packed import pack, unpack
 from cqrun.plugin.contract import Array
 
 PADDING = 16
-"""Bodies are padded to whole lanes of any precision, on any processor."""
+"""The length of every body is padded to a multiple of this: whole lanes for any precision and processor."""
 
 
 MASS, VOLUME, DECAY, FORCE = 0, 1, 2, 3
-"""Rows of the kernels' particle fields (3 + D, n): mass, rest volume, damping factor a substep, external force."""
+"""Rows of the kernels' particle fields (3 + D, n): mass, rest volume, damping factor per substep, external force."""
 
 
 class StateField(NamedTuple):
-    """Some numbers of each particle that change.
+    """A field of the state: some numbers of each particle that change.
 
     Attributes:
-        name: in `State`, in records and in files.
-        shape: of one particle's numbers; () for one number.
-        initial: these numbers at rest, row-major.
-        unit: of the numbers.
-        description: what they are.
+        name: name in `State`, in records and in files.
+        shape: shape of one particle's numbers; () for one number.
+        initial: values at rest, row-major.
+        unit: unit of the numbers.
+        description: meaning of the numbers.
     """
 
     name: str
@@ -62,11 +62,11 @@ class StateField(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many numbers there are for each particle."""
+        """The number of entries for each particle."""
         return prod(self.shape)
 
     def at_rest(self, n: int) -> Array:
-        """Return the initial numbers of n particles (n, *shape)."""
+        """Return the initial values for n particles (n, *shape)."""
         return np.tile(np.array(self.initial, float), n).reshape(n, *self.shape)
 
 
@@ -102,7 +102,7 @@ def state_table(dim: int, history: tuple[StateField, ...] = ()) -> StateTable:
     """Return the table of a state in `dim` dimensions, with the histories of material terms.
 
     Raises:
-        ValueError: two fields have one name.
+        ValueError: two fields have the same name.
     """
     zero, vector, matrix = (0.0,), (dim,), (dim, dim)
     identity = tuple(float(i == j) for i in range(dim) for j in range(dim))
@@ -114,13 +114,17 @@ def state_table(dim: int, history: tuple[StateField, ...] = ()) -> StateTable:
     )
     names = [field.name for field in (*motion, *history)]
     if len(set(names)) < len(names):
-        raise ValueError(f"two fields of the state have one name: {names}")
+        raise ValueError(f"two fields of the state have the same name: {names}")
     return StateTable((*motion, *history))
+
+
+X = state_table(2).rows["x"].start
+"""First row of the position in the state, in 2D and in 3D."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the particles of each body lie: in user arrays (N), and padded in kernels' arrays (n).
+    """Positions of each body's particles: in user arrays (N), and in the padded arrays of kernels (n).
 
     `history` are the fields that material terms add to the state.
     """
@@ -160,7 +164,7 @@ class Layout:
         return np.concatenate([s + np.arange(c) for s, c in zip(starts, self.counts, strict=True)])
 
     def sources(self) -> Array:
-        """Return the particle that each kernel column copies (n,): itself, or the last of its body."""
+        """Return the particle of each kernel column (n,); a padding column copies the last particle of its body."""
         pieces = zip(self.slices(), self.counts, self.padded, strict=True)
         return np.concatenate([s.start + np.minimum(np.arange(p), c - 1) for s, c, p in pieces])
 
@@ -173,9 +177,9 @@ class Layout:
 
 @dataclass
 class State:
-    """What moves, in user order; a cotangent is another State.
+    """The state of all particles, in user order; its cotangent is a State too.
 
-    `history` has the fields of material terms by name, (N, *shape) each.
+    `history` contains the fields of material terms by name, (N, *shape) each.
     """
 
     x: Array
@@ -203,7 +207,7 @@ class State:
         return State(**zeros, history={name: np.zeros_like(a) for name, a in self.history.items()})
 
     def __add__(self, other: State) -> State:
-        """Return the sum of two cotangents; what only one of them has counts as zero in the other."""
+        """Return the sum of two cotangents; a history that only one of them has counts as zero in the other."""
         total = {name: getattr(self, name) + getattr(other, name) for name in (*MOTION, "memory")}
         both = self.history | other.history
         shared = self.history.keys() & other.history.keys()
@@ -216,7 +220,7 @@ class State:
         return pack(rows[layout.sources()].T, real)
 
     def pack_bar(self, layout: Layout, real: type = np.float64) -> Array:
-        """Return the packed cotangent of q; histories that it lacks count as zero."""
+        """Return the packed cotangent of q; missing histories count as zero."""
         missing = {f.name: np.zeros((len(self.x), *f.shape)) for f in layout.history if f.name not in self.history}
         return replace(self, history=self.history | missing).pack(layout, real)
 
@@ -231,9 +235,9 @@ class State:
 
 @dataclass
 class ParticleFields:
-    """What loads and densities give each particle; a cotangent is another one.
+    """Quantities of each particle that loads and densities determine; a cotangent has the same type.
 
-    mass (N,) [kg], volume (N,) [m^D] at rest, damping (N,) [1/s] mass-proportional, force (N, D) [N] external.
+    mass (N,) [kg]; volume at rest (N,) [m^D]; mass-proportional damping (N,) [1/s]; external force (N, D) [N].
     """
 
     mass: Array
@@ -243,5 +247,5 @@ class ParticleFields:
 
     @classmethod
     def zeros(cls, n: int, dim: int) -> ParticleFields:
-        """Return fields of nothing for n particles."""
+        """Return zero fields for n particles."""
         return cls(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, dim)))

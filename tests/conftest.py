@@ -10,6 +10,7 @@ import pytest
 from small_beam import BEAM, FIT
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ["CQRUN_PICTURES"] = "0"  # drawing is 40 % of the time of a small run; see the fixture `pictures`
 
 # NaN, overflow and division by zero are failures, also in fixtures of any scope; underflow is not
 np.seterr(all="raise", under="ignore")
@@ -26,6 +27,12 @@ def _threads_for_few_particles(monkeypatch: pytest.MonkeyPatch) -> None:
 def rng() -> np.random.Generator:
     """Return a generator that is the same for every test and every run."""
     return np.random.default_rng(20190522)
+
+
+@pytest.fixture
+def pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have runs of commands draw their pictures when they end."""
+    monkeypatch.delenv("CQRUN_PICTURES")
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import fnmatch
 import re
 import subprocess
 import tomllib
@@ -83,6 +84,10 @@ def problems(sources: Mapping[str, str]) -> list[str]:
         uses[module] = set()
         for line, name in imported(module, source, sources):
             here, there = room(module), room(name)
+            if here in FLOOR_OF and there in DOORS:
+                found.append(
+                    f"{module}:{line}: floor {FLOOR_OF[here]} imports the package itself, which opens every floor"
+                )
             if here not in FLOOR_OF or there not in FLOOR_OF:  # a door, or what the test of floors names
                 continue
             uses[module].add(name)
@@ -118,6 +123,12 @@ MUTATIONS = {
     "upward, in a function": (
         "cqrun.store.run", "def f():\n    from cqrun.running import runs\n", "floor 3 imports cqrun.running.runs",
     ),
+    "upward, through the package itself": (
+        "cqrun.engine.step", "from cqrun import load\n", "floor 2 imports the package itself",
+    ),
+    "upward, through the command line": (
+        "cqrun.engine.step", "import cqrun.__main__\n", "floor 2 imports the package itself",
+    ),
     "a circle of files in one room": (
         "cqrun.engine.setting", "from cqrun.engine import step\n", "circle: cqrun.engine.",
     ),
@@ -142,6 +153,13 @@ def test_the_walk_finds_every_kind_of_wrong_import(name, sources):
         "from __future__ import annotations\n", f"from __future__ import annotations\n{line}", 1
     )
     assert any(message in problem for problem in problems({**sources, module: source}))
+
+
+def test_every_test_is_collected(pytestconfig):
+    """A folder that pytest passes over would lose its tests without a message."""
+    passed_over = pytestconfig.getini("norecursedirs")
+    folders = {part for path in (ROOT / "tests").rglob("test_*.py") for part in path.relative_to(ROOT).parts[:-1]}
+    assert not [(name, p) for name in folders for p in passed_over if fnmatch.fnmatch(name, p)]
 
 
 def test_modules_are_short():

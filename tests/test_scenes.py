@@ -204,7 +204,7 @@ def test_the_error_of_missing_recordings_says_where_to_get_them(path, tmp_path):
     for problem in info.value.problems:
         assert problem.path.endswith(".file")
         assert "there is no file" in problem.message
-        assert "the head of the scene says where recordings are to be had" in problem.message
+        assert "the scene's header says where to download the recordings" in problem.message
     head = path.read_text().partition("\ncqrun: 1")[0]
     assert "srl-ethz/diffPD_sim2real" in head or "see real_beam.yaml" in head
 

@@ -1,9 +1,9 @@
-"""What every actuator is: something in a body that activations drive, within limits.
+"""Actuators: parts of a body that activations drive, within limits.
 
-An activation is one number, held through a control step; a stress or a force is proportional to it and to the
-actuator's strength (a modulus, a pressure, a stiffness: the field that `scale` names). Stress actuators are terms of
-the Kirchhoff stress (`materials/term.py`) whose parameters the activations fill; the others exert forces on particles,
-which depend on the state (`forces/force.py`) or are steady through a control step (`forces/steady.py`).
+An activation is one number for a control step. A stress or a force is proportional to it and to the actuator's strength
+(a modulus, a pressure, a stiffness: the field that `scale` names). Stress actuators are terms of the Kirchhoff stress
+(`materials/term.py`) whose parameters the activations fill. The others apply forces to particles, which depend on the
+state (`forces/force.py`) or are constant in a control step (`forces/steady.py`).
 """
 
 from __future__ import annotations
@@ -22,14 +22,11 @@ from cqrun.plugin.reference import BodyName, GroupName
 
 
 class Actuator(Plugin):
-    """Something in a body that activations drive.
+    """A device in a body that activations drive; it may have several parts, each with its own activation."""
 
-    An actuator may have several parts, each with an activation of its own.
-    """
-
-    body: BodyName = Field(description="Body it lies in")
+    body: BodyName = Field(description="Body that contains it")
     rate: float | None = quantity(
-        "1/s", "Greatest change of the activation in a second, at first from where it does nothing; any if absent",
+        "1/s", "Largest change of the activation per second, at first from its neutral value; unlimited if absent",
         gt=0, default=None,
     )  # fmt: skip
 
@@ -37,18 +34,18 @@ class Actuator(Plugin):
     """The differentiable field that an activation is multiplied by."""
 
     neutral: ClassVar[float] = 0.0
-    """The activation that does nothing: of a part that nothing drives."""
+    """The activation that has no effect; a part that nothing drives has it."""
 
     kernel: ClassVar[type]
     """The class of the kernels' view: of a term of the stress, or of a force."""
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and greatest activation."""
+        """The smallest and largest activation."""
         return -1.0, 1.0
 
     def parts(self) -> tuple[str, ...]:
-        """Return the names of its parts; one without a name if there is but one."""
+        """Return the names of its parts; a single part has an empty name."""
         return ("",)
 
     @abstractmethod
@@ -63,14 +60,13 @@ class Actuator(Plugin):
 
     @abstractmethod
     def constants(self, x: Array) -> Array:
-        """Return what else a kernel needs of a part, as numbers; of a stress actuator the rows of its direction.
+        """Return a part's other numbers for its kernel, for its particles at rest x (n, D) [m].
 
-        Args:
-            x: the part's particles at rest (n, D) [m].
+        A stress actuator returns the rows of its direction.
         """
 
     def rest_length(self, x: Array) -> float:
-        """Return the length at rest [m] of a part whose particles at rest are x (n, D) [m]; 0 where it has none."""
+        """Return the length at rest [m] of a part whose particles at rest are x (n, D) [m]; 0 if it has none."""
         return 0.0
 
     def rest_length_vjp(self, x: Array, bar: float) -> Array:
@@ -78,48 +74,47 @@ class Actuator(Plugin):
         return np.zeros(x.shape)
 
     def problem(self, x: Array, dx: float) -> str | None:
-        """Return what is wrong with a part whose particles at rest are x (n, D) [m], in cells of dx [m], or None."""
+        """Return the error in a part whose particles at rest are x (n, D) [m], with cells of dx [m], or None."""
         return None
 
     def greatest_acceleration(self, strength: float) -> float:
-        """Return what a part accelerates its particles by, whatever their mass [m/s^2]."""
+        """Return the acceleration that a part gives its particles, independent of their mass [m/s^2]."""
         return 0.0
 
     def wave_modulus(self) -> float:
-        """Return what one unit of activation and strength adds to the stiffness of a pressure wave."""
+        """Return the stiffness of a pressure wave that one unit of activation and strength adds."""
         return 0.0
 
     def stiffness_at_nodes(self, strength: float) -> float:
-        """Return the stiffness that a part adds to nodes of the grid that its particles touch [N/m]."""
+        """Return the stiffness that a part adds to the grid nodes near its particles [N/m]."""
         return 0.0
 
 
 class RegionActuator(Actuator):
-    """An actuator that acts on the particles of a region, or of several groups apart."""
+    """An actuator on the particles of a region, or of several groups with separate activations."""
 
     region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
-        description="Where, at rest; the whole body if absent", default=None
+        description="Region at rest; the whole body if absent", default=None
     )
     each: list[GroupName] | None = Field(
         description="Groups of the body, each with an activation of its own", min_length=1, default=None
     )
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
-        """Return what does not fit a world of `dim` dimensions, or itself."""
-        found = super().dim_problems(dim) + [
+        """Return what does not fit a world of `dim` dimensions, and contradictions."""
+        groups = self.each or []
+        problems = super().dim_problems(dim) + [
             (("each", k), f"'{group}' is named twice: a group has one activation")
-            for k, group in enumerate(self.each or [])
-            if group in (self.each or [])[:k]
+            for k, group in enumerate(groups)
+            if group in groups[:k]
         ]
         if self.region is not None and self.each is not None:
-            told = (
-                "stands beside `each`, which says where: give one of the two, or name a region of the scene in `each`"
-            )
-            found.append((("region",), told))
-        return found
+            message = "cannot be combined with `each`: give one of the two, or name a region of the scene in `each`"
+            problems.append((("region",), message))
+        return problems
 
     def parts(self) -> tuple[str, ...]:
-        """Return the names of its parts; one without a name if there is but one."""
+        """Return the names of its parts; a single part has an empty name."""
         return tuple(self.each) if self.each is not None else ("",)
 
     def particles(self, part: str, x: Array, inside: Inside) -> Array:
@@ -131,22 +126,22 @@ class DirectedStress(RegionActuator):
     """A stress F S F^T with S along an axis of the body at rest, or isotropic."""
 
     weight: float = quantity(
-        "1", "Share of its strength that each particle has; as an unknown `per: field`, where it lies",
+        "1", "Share of the strength that each particle has; as an unknown with `per: field`, it places the actuator",
         differentiable=True, ge=0, default=1.0,
     )  # fmt: skip
-    axis: list[float] | Literal["isotropic"] = Field(description="Direction at rest, made unit; or isotropic")
+    axis: list[float] | Literal["isotropic"] = Field(description="Direction at rest, of any length; or isotropic")
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        found = super().dim_problems(dim)
+        problems = super().dim_problems(dim)
         if isinstance(self.axis, list) and len(self.axis) != dim:
-            found.append((("axis",), f"must have {dim} entries in this {dim}D world, has {len(self.axis)}"))
+            problems.append((("axis",), f"must have {dim} entries in this {dim}D world, has {len(self.axis)}"))
         elif isinstance(self.axis, list) and not np.any(self.axis):
-            found.append((("axis",), "must not be zero; give a direction, or isotropic"))
-        return found
+            problems.append((("axis",), "must not be zero; give a direction, or isotropic"))
+        return problems
 
     def wave_modulus(self) -> float:
-        """Return what one unit of activation and strength adds to the stiffness of a pressure wave."""
+        """Return the stiffness of a pressure wave that one unit of activation and strength adds."""
         return 1.0
 
     def direction(self, dim: int) -> Array:
@@ -157,16 +152,16 @@ class DirectedStress(RegionActuator):
         return np.outer(n, n)
 
 
-def held_to(wanted: Array, previous: Array, low: Array, high: Array, change: Array) -> tuple[Array, Array, Array]:
-    """Return activations within their limits, and within `change` of the previous ones; and the derivatives.
+def within_limits(wanted: Array, previous: Array, low: Array, high: Array, change: Array) -> tuple[Array, Array, Array]:
+    """Limit activations to their range and to `change` from the previous ones.
 
-    At a limit the derivative by what is wanted is 1 towards the inside, so that an optimizer finds its way back.
+    At a limit the derivative by `wanted` is 1, so that an optimizer can move back inside.
 
     Args:
-        wanted: activations asked for (A,).
-        previous: those of the control step before (A,), at the first those of actuators that do nothing.
+        wanted: requested activations (A,).
+        previous: activations of the previous control step (A,); neutral ones for the first.
         low, high: limits (A,).
-        change: greatest change in a control step (A,), infinite where there is none.
+        change: largest change in a control step (A,), infinite if unlimited.
 
     Returns:
         The activations, and their derivatives by `wanted` and by `previous`, each (A,) of 0 and 1.

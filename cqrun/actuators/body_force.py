@@ -1,6 +1,6 @@
-"""Body force: an acceleration of a part of a body in a fixed direction, as a magnet's pull (CQ1's `F_controller`).
+"""Body force: an acceleration of a part of a body in a fixed direction, like a magnet's pull (CQ1's `F_controller`).
 
-f_p = activation acceleration m_p n, with the unit vector n. Alone among the actuators it adds momentum.
+f_p = activation acceleration m_p n, with the unit vector n. It is the only actuator that adds momentum.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class BodyForceKernel(NamedTuple):
 
 @plugin("actuator", "body_force")
 class BodyForce(RegionActuator):
-    """An acceleration of activation times `acceleration` along a direction of the world."""
+    """An acceleration along a direction of the world: the activation times `acceleration`."""
 
-    direction: list[float] = vector("1", "Direction in the world, made unit")
+    direction: list[float] = vector("1", "Direction in the world, of any length")
     acceleration: float = quantity("m/s^2", "Acceleration at activation 1", differentiable=True, ge=0)
 
     scale = "acceleration"
@@ -40,11 +40,11 @@ class BodyForce(RegionActuator):
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        found = super().dim_problems(dim)
-        return found if np.any(self.direction) else [*found, (("direction",), "must not be zero")]
+        problems = super().dim_problems(dim)
+        return problems if np.any(self.direction) else [*problems, (("direction",), "must not be zero")]
 
     def greatest_acceleration(self, strength: float) -> float:
-        """Return what it accelerates its particles by [m/s^2]."""
+        """Return the acceleration of its particles [m/s^2]."""
         return abs(strength)
 
     def constants(self, x: Array) -> Array:
@@ -72,14 +72,9 @@ def accelerate(bodies: BodyForceKernel, levels: Levels, control: int, fields: Ar
 
 @kernel
 def accelerate_vjp(
-    bodies: BodyForceKernel,
-    levels: Levels,
-    levels_bar: Levels,
-    control: int,
-    fields: Array,
-    fields_bar: Array,
+    bodies: BodyForceKernel, levels: Levels, levels_bar: Levels, control: int, fields: Array, fields_bar: Array,
     force_bar: Array,
-) -> None:
+) -> None:  # fmt: skip
     """Carry the cotangent of the forces back to activation, strength and mass."""
     w = force_bar.shape[2]
     for k in range(len(bodies.actuators)):

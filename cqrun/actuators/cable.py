@@ -1,12 +1,12 @@
-"""Cable: pulls the particles along its route together when it is reeled in; slack, it does nothing (CQ2 eqs 16, 17).
+"""Cable: it pulls the particles of its route together if it is taut, and does nothing if it is slack (CQ2 eqs 16, 17).
 
-With the route's particles x_1 .. x_r, the length L = sum_i |x_{i+1} - x_i|, its rest value R, the stiffness k and
-the activation u, the share of R that is left:
+With the route's particles x_1 .. x_r, the length L = sum_i |x_{i+1} - x_i|, its rest length R, the stiffness k and the
+activation u, the share of R that is not reeled in:
 
     E = k / 2 max(0, L - max(0, u) R)^2,    f = -dE/dx
 
-The tension T = k max(0, L - max(0, u) R) is the same all along: f_i = T (t_i - t_{i-1}) with the unit vectors
-t_i = (x_{i+1} - x_i) / |x_{i+1} - x_i|. It adds no net force and no net torque.
+The tension T = k max(0, L - max(0, u) R) is the same along the whole route: f_i = T (t_i - t_{i-1}) with the unit
+vectors t_i = (x_{i+1} - x_i) / |x_{i+1} - x_i|. It adds no net force and no net torque.
 """
 
 from __future__ import annotations
@@ -49,18 +49,18 @@ class CableKernel(NamedTuple):
 class Cable(Actuator):
     """A cable along a route of particles: it pulls and never pushes (CQ2 eqs 16, 17).
 
-    The activation is the share of its rest length that is left: 1 is slack at rest, 0 fully reeled in. The tension
-    is stiffness (length - activation rest length), or nought where that is negative.
+    The activation is the share of its rest length that is not reeled in: 1 is slack at rest, 0 is fully reeled in. The
+    tension is stiffness (length - activation rest length), or zero if that is negative.
     """
 
     route: list[Point] = quantity(
-        "m", "Points at rest that it runs through in straight lines, each at the nearest particle", min_length=2
+        "m", "Points at rest, joined by straight lines; the cable is tied to the nearest particle of each", min_length=2
     )
     spacing: float | None = quantity(
-        "m", "Distance between particles that it is tied to along a line; at the points alone if absent", gt=0,
+        "m", "Distance between the particles that it is tied to along a line; only at the points if absent", gt=0,
         default=None,
     )  # fmt: skip
-    stiffness: float = quantity("N/m", "Tension over stretch", differentiable=True, ge=0)
+    stiffness: float = quantity("N/m", "Tension divided by stretch", differentiable=True, ge=0)
 
     scale = "stiffness"
     neutral = 1.0
@@ -68,7 +68,7 @@ class Cable(Actuator):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and greatest activation."""
+        """The smallest and largest activation."""
         return 0.0, 1.0
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
@@ -80,7 +80,7 @@ class Cable(Actuator):
         return particles_along(self.route, self.spacing, self.body, x, inside)
 
     def problem(self, x: Array, dx: float) -> str | None:
-        """Return what is wrong with a route along particles at x (r, D) in cells of dx, or None."""
+        """Return the error in a route along particles at x (r, D) [m] with cells of dx [m], or None."""
         return route_problem(self.route, self.body, x, dx)
 
     def constants(self, x: Array) -> Array:
@@ -96,7 +96,7 @@ class Cable(Actuator):
         return route_length_vjp(x, bar)
 
     def stiffness_at_nodes(self, strength: float) -> float:
-        """Return that of a node between two springs of the cable's stiffness [N/m]."""
+        """Return the stiffness at a node between two springs of the cable's stiffness [N/m]."""
         return 4.0 * strength
 
 
@@ -112,7 +112,7 @@ def pull(cables: CableKernel, item: int, levels: Levels, control: int, q: Array)
     a, shares = cables.parts[item], cables.shares
     left = reeled(levels.activation[control, a]) * levels.rest[a]
     tension = levels.strength[a] * (length_along(shares, item, q) - left)
-    # what is not a number pulls too, so that it is found where it moves a particle
+    # NaN must pull too: then the rollout reports the particles that it moves
     if not tension <= 0.0:
         pull_along(shares, item, tension, q)
     else:
@@ -121,12 +121,11 @@ def pull(cables: CableKernel, item: int, levels: Levels, control: int, q: Array)
 
 @kernel
 def pull_vjp(cables: CableKernel, item: int, levels: Levels, control: int, q: Array, push_bar: Array) -> None:
-    """Carry the cotangent of the forces back: through the tension, and through the segments' directions."""
+    """Carry the cotangent of the forces back through the tension and the segments' directions."""
     a, shares = cables.parts[item], cables.shares
     u, stiffness = levels.activation[control, a], levels.strength[a]
     s = length_along(shares, item, q) - reeled(u) * levels.rest[a]
-    # one-sided at the kinks: just taut (s = 0) as if stretched; reeled in (u = 0) as for u > 0,
-    # the only side within the limits
+    # one-sided derivatives at the kinks: at s = 0 that of a stretched cable, at u = 0 that of u > 0 (the legal side)
     shares.level_bar[item, :] = 0.0
     if s >= 0.0:
         T_bar = tension_bar(shares, item, q, push_bar)

@@ -1,8 +1,8 @@
 """Muscle: an active stress in material space, tau = F S F^T (CQ1, P = P_el + F S).
 
-S is symmetric; an axis n with strength s [Pa] and activation a gives S = a s n n^T, and `isotropic` S = a s I.
-A positive activation is a tension: it contracts the body along the axis. The papers call F S F^T a Cauchy
-stress; since it is multiplied by the rest volume it is a Kirchhoff stress, and S a second Piola-Kirchhoff one.
+S is symmetric: S = a s n n^T for an axis n, strength s [Pa] and activation a, and S = a s I for `isotropic`. A positive
+activation is a tension, which contracts the body along the axis. The papers call F S F^T a Cauchy stress; but it is
+multiplied by the rest volume, so it is a Kirchhoff stress and S a second Piola-Kirchhoff stress.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cqrun.plugin.registry import plugin
 
 
 class MuscleKernel(NamedTuple):
-    """What kernels see: rows S_ij (D * (D + 1) / 2: diagonal first) [Pa], filled from the activations."""
+    """Kernels' view: rows S_ij (D * (D + 1) / 2, diagonal first) [Pa], filled from the activations."""
 
     theta: Array
     rows: tuple[int, ...]
@@ -30,7 +30,7 @@ class MuscleKernel(NamedTuple):
 class Muscle(DirectedStress):
     """Active stress tau = F S F^T, S = activation strength n n^T along an axis n, or times I if isotropic.
 
-    A positive activation contracts the body along the axis; a negative one, as in the papers, stretches it.
+    A positive activation contracts the body along the axis; a negative one stretches it, as in the papers.
     """
 
     strength: float = quantity("Pa", "Active stress at activation 1", differentiable=True, ge=0)
@@ -67,19 +67,12 @@ _FROM = {
 }
 _TO = {
     4: lambda S_bar: (S_bar[0], S_bar[3], S_bar[1] * 2.0),
-    9: lambda S_bar: (
-        S_bar[0],
-        S_bar[4],
-        S_bar[8],
-        S_bar[1] * 2.0,
-        S_bar[2] * 2.0,
-        S_bar[5] * 2.0,
-    ),
+    9: lambda S_bar: (S_bar[0], S_bar[4], S_bar[8], S_bar[1] * 2.0, S_bar[2] * 2.0, S_bar[5] * 2.0),
 }
 
 
 def from_rows(s: Any) -> Any:
-    """Return the full symmetric matrix of its rows."""
+    """Return the full symmetric matrix with these rows."""
     return _FROM[len(s)](s)
 
 

@@ -1,4 +1,4 @@
-"""Pneumatic chamber: a body part that a pressure inside expands (CQ1 V-A, CQ2 3.4)."""
+"""Pneumatic chamber: a part of a body that an inner pressure expands (CQ1 V-A, CQ2 3.4)."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ from cqrun.plugin.registry import plugin
 class Pneumatic(DirectedStress):
     """A chamber under pressure; a positive activation expands it.
 
-    law `pressure`: tau = -p J I with p = activation max_pressure, activation 0 to 1: a fluid pressure on the deformed
-    volume. law `chainqueen`: tau = -F S F^T with S = activation max_pressure I, or along an axis, activation -1 to 1:
-    what the papers call a chamber. With `incompressibility` in the material the chamber is hydraulic.
+    law `pressure`: a fluid pressure on the deformed volume, tau = -p J I with p = activation max_pressure, activation 0
+    to 1. law `chainqueen`: the chamber of the papers, tau = -F S F^T with S = activation max_pressure I, or along an
+    axis, activation -1 to 1. With `incompressibility` in the material the chamber is hydraulic.
     """
 
     axis: list[float] | Literal["isotropic"] = Field(
-        description="Direction at rest that it expands along (law chainqueen); or isotropic", default="isotropic"
+        description="Direction of expansion at rest (law chainqueen); or isotropic", default="isotropic"
     )
     max_pressure: float = quantity("Pa", "Pressure at activation 1", differentiable=True, ge=0)
-    law: Literal["pressure", "chainqueen"] = Field(description="Which stress", default="pressure")
+    law: Literal["pressure", "chainqueen"] = Field(description="Law of the stress", default="pressure")
 
     scale = "max_pressure"
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and greatest activation."""
+        """The smallest and largest activation."""
         return (0.0, 1.0) if self.law == "pressure" else (-1.0, 1.0)
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        found = super().dim_problems(dim)
+        problems = super().dim_problems(dim)
         if self.law == "pressure" and self.axis != "isotropic":
-            found.append((("axis",), "a fluid's pressure acts all ways: leave it out, or use `law: chainqueen`"))
-        return found
+            problems.append((("axis",), "a fluid's pressure has no direction: remove it, or use `law: chainqueen`"))
+        return problems
 
     @property
     def kernel(self) -> type:  # type: ignore[override]
-        """The class of the kernels' view, of the law."""
+        """The class of the kernels' view for the law."""
         return pressure.PressureKernel if self.law == "pressure" else muscle.MuscleKernel
 
     def constants(self, x: Array) -> Array:

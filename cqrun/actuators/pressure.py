@@ -1,6 +1,6 @@
-"""The stress of a pressure inside a material, tau = -p J I: what a fluid in its pores adds.
+"""The stress of a fluid's pressure in the pores of a material, tau = -p J I.
 
-It is that of the energy -p J, so it does the work of a pressure on the deformed volume.
+It follows from the energy -p J, so it does the work of a pressure on the deformed volume.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from cqrun.plugin.contract import Array
 
 
 class PressureKernel(NamedTuple):
-    """What kernels see: one row, the pressure [Pa], filled from the activations."""
+    """Kernels' view: one row, the pressure [Pa], filled from the activations."""
 
     theta: Array
     rows: tuple[int, ...]

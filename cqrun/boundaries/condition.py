@@ -1,13 +1,13 @@
-"""What a boundary condition is: a projection of the velocity of the grid nodes that it holds.
+"""Boundary conditions: projections of the velocity of grid nodes.
 
-It reaches the grid pass as a `NamedTuple` of its own class with the unit `normal`, a tuple of D pointing into
-the free side, or of terrain one a node (`NodeNormals`), and one `coefficient`. The class picks the functions, which
-see the normal of one node:
+The grid pass gets a condition as a `NamedTuple` of its own class with one `coefficient` and the unit `normal`, which
+points into the free side: a tuple of D numbers, or for terrain one normal per node (`NodeNormals`). The class selects
+the functions, which get the normal of one node:
 
     project(condition, v)                -> v of the node after the boundary
     project_vjp(condition, v, out_bar)   -> v_bar, coefficient_bar
 
-At a kink the branch of H(x) = [x >= 0] is taken, as in CQ1.
+At a kink they take the branch of H(x) = [x >= 0], as CQ1 does.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ project, project_vjp = _PROJECT.call, _PROJECT_VJP.call
 
 
 class NodeNormals(NamedTuple):
-    """A unit normal for every node; `dims` is as long as the dimension."""
+    """A unit normal for every node; the length of `dims` is the dimension."""
 
     table: Array  # (nodes, D)
     dims: tuple[int, ...]
@@ -50,12 +50,12 @@ class BoundaryCondition(Plugin):
     """A condition on grid nodes: on faces of the world, or in a region."""
 
     needs_normal: ClassVar[bool] = True
-    face: Face | None = Field(description="Face of the world, or all of them", default=None)
+    face: Face | None = Field(description="Face of the world, or all faces", default=None)
     region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
-        description="Region whose nodes are held", default=None
+        description="Region whose nodes it applies to", default=None
     )
     normal: list[float] | None = vector("1", "Unit normal into the free side, for a region", default=None)
-    thickness: float = quantity("m", "How far the face reaches into the world", ge=0, default=0.0)
+    thickness: float = quantity("m", "Depth of the condition, from the face into the world", ge=0, default=0.0)
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
@@ -64,8 +64,8 @@ class BoundaryCondition(Plugin):
         if self.face is not None and self.normal is not None:
             raise ValueError("`normal` belongs to a region; a face has its own")
         if self.region is not None and self.thickness > 0:
-            raise ValueError("`thickness` belongs to a face; a region says itself how far it reaches")
-        if self.lacks_normal and not getattr(self.region.value, "is_name", False):  # the scene knows what it stands for
+            raise ValueError("`thickness` belongs to a face; a region has its own size")
+        if self.lacks_normal and not getattr(self.region.value, "is_name", False):  # the scene checks a name's region
             raise ValueError(self.lack)
         if self.normal is not None and not np.isclose(np.linalg.norm(self.normal), 1.0, atol=1e-6):
             raise ValueError("`normal` must have length 1")
@@ -73,31 +73,31 @@ class BoundaryCondition(Plugin):
 
     @property
     def lacks_normal(self) -> bool:
-        """Whether it is in a region that has no normal, where it needs one."""
+        """Whether it needs a normal and its region has none."""
         return self.region is not None and self.needs_normal and self._region_normal() is None
 
     @property
     def lack(self) -> str:
-        """What is wrong where one lacks."""
+        """The error message for a missing normal."""
         return f"a region other than half_space and height_field needs `normal`, a unit vector, for {self.name}"
 
     def _region_normal(self) -> Any:
         if self.normal is not None:
             return self.normal
-        # a half-space is solid behind its plane, and its normal points out of it; terrain knows its own
+        # the normal of a half-space points out of its solid side; terrain has a normal for every node
         region = self.region.value if self.region is not None else None
         return getattr(region, "normal", None) or getattr(region, "normals", None)
 
     def kernel_condition(self, normal: Any) -> Any:
-        """Return the kernel's view for a unit normal, or for `NodeNormals`."""
+        """Return the kernel's view for a unit normal or `NodeNormals`."""
         raise NotImplementedError
 
     def places(self, nodes: Array, size: Array) -> list[tuple[Array, Normal]]:
-        """Return (which nodes, unit normal) for every plane of this condition.
+        """Return (nodes (n,) as bool, unit normal) for every plane of this condition.
 
         Args:
             nodes: node positions (n, D) [m].
-            size: of the world (D,) [m].
+            size: size of the world (D,) [m].
         """
         dim = len(size)
         if self.region is not None:
@@ -118,16 +118,16 @@ class BoundaryCondition(Plugin):
 
 
 def register(kernel_class: type, project_: Callable[..., Any], project_vjp_: Callable[..., Any]) -> None:
-    """Make the two functions those of a kernel class."""
+    """Register the functions of a kernel class."""
     _PROJECT.register(kernel_class, project_)
     _PROJECT_VJP.register(kernel_class, project_vjp_)
 
 
-# --- all conditions that hold a node: bit k of `held` is condition k ----------------------------------------
+# --- all conditions of a node: bit k of `bits` is set if condition k applies to it --------------------------
 
 
 def at_node(condition: Any, node: int) -> Any:
-    """Return a condition with the normal that it has at a node."""
+    """Return a condition with its normal at a node."""
     normal = condition.normal
     if not isinstance(normal, NodeNormals):
         return condition
@@ -145,51 +145,51 @@ def _at_node(condition, node):
     return lambda condition, node: condition
 
 
-def project_all(conditions: Any, node: int, held: int, v: Any) -> Any:
-    """Return a node's velocity after every condition that holds it, in order."""
+def project_all(conditions: Any, node: int, bits: int, v: Any) -> Any:
+    """Return a node's velocity after its conditions, in order."""
     for k, condition in enumerate(conditions):
-        if (held >> k) & 1:
+        if (bits >> k) & 1:
             v = project(at_node(condition, node), v)
     return v
 
 
 def project_all_vjp(
-    conditions: Any, node: int, held: int, v: Any, out_bar: Any, coefficient_bar: Array, first: int
+    conditions: Any, node: int, bits: int, v: Any, out_bar: Any, coefficient_bar: Array, first: int
 ) -> Any:
     """Return v_bar, and add to coefficient_bar[first + k] for condition k."""
     if not conditions:
         return out_bar
-    if not held & 1:
-        return project_all_vjp(conditions[1:], node, held >> 1, v, out_bar, coefficient_bar, first + 1)
+    if not bits & 1:
+        return project_all_vjp(conditions[1:], node, bits >> 1, v, out_bar, coefficient_bar, first + 1)
     condition = at_node(conditions[0], node)
     after = project(condition, v)
-    after_bar = project_all_vjp(conditions[1:], node, held >> 1, after, out_bar, coefficient_bar, first + 1)
+    after_bar = project_all_vjp(conditions[1:], node, bits >> 1, after, out_bar, coefficient_bar, first + 1)
     v_bar, c_bar = project_vjp(condition, v, after_bar)
     coefficient_bar[first] += c_bar
     return v_bar
 
 
 @overload(project_all)
-def _project_all(conditions, node, held, v):
+def _project_all(conditions, node, bits, v):
     if len(conditions) == 0:
-        return lambda conditions, node, held, v: v
+        return lambda conditions, node, bits, v: v
 
-    def several(conditions, node, held, v):
-        if held & 1:
+    def several(conditions, node, bits, v):
+        if bits & 1:
             v = project(at_node(conditions[0], node), v)
-        return project_all(conditions[1:], node, held >> 1, v)
+        return project_all(conditions[1:], node, bits >> 1, v)
 
     return several
 
 
 @overload(project_all_vjp)
-def _project_all_vjp(conditions, node, held, v, out_bar, coefficient_bar, first):
+def _project_all_vjp(conditions, node, bits, v, out_bar, coefficient_bar, first):
     if len(conditions) == 0:
-        return lambda conditions, node, held, v, out_bar, coefficient_bar, first: out_bar
+        return lambda conditions, node, bits, v, out_bar, coefficient_bar, first: out_bar
 
-    def several(conditions, node, held, v, out_bar, coefficient_bar, first):
-        rest, more = conditions[1:], held >> 1
-        if held & 1:
+    def several(conditions, node, bits, v, out_bar, coefficient_bar, first):
+        rest, more = conditions[1:], bits >> 1
+        if bits & 1:
             condition = at_node(conditions[0], node)
             after = project(condition, v)
             after_bar = project_all_vjp(rest, node, more, after, out_bar, coefficient_bar, first + 1)

@@ -3,7 +3,7 @@
     l_n = v . n,  v_t = v - l_n n,  l_t = sqrt(|v_t|^2 + eps)
     v* = max(l_t + c min(l_n, 0), 0) v_t / l_t + max(l_n, 0) n
 
-A node pressed into the surface (l_n < 0) loses c |l_n| of its tangential speed: it sticks where that is all of it.
+A node that is pressed into the surface (l_n < 0) loses c |l_n| of its tangential speed; it sticks if it loses all.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SMOOTHING = 1e-7
 
 
 class FrictionKernel(NamedTuple):
-    """What kernels see."""
+    """Kernels' view."""
 
     normal: tuple[float, ...]
     coefficient: float
@@ -30,7 +30,7 @@ class FrictionKernel(NamedTuple):
 
 @plugin("boundary", "friction")
 class Friction(BoundaryCondition):
-    """A wall with Coulomb friction that lets go; coefficient 0 is `separate`."""
+    """A wall with Coulomb friction, from which bodies can separate; coefficient 0 is `separate`."""
 
     coefficient: float = quantity("1", "Coulomb friction coefficient", differentiable=True, ge=0)
 

@@ -1,4 +1,4 @@
-"""Separate: nothing moves into the surface, everything may leave it, no friction (CQ2 3.2)."""
+"""Separate: no motion into the surface, free motion away from it and along it (CQ2 3.2)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cqrun.plugin.registry import plugin
 
 
 class SeparateKernel(NamedTuple):
-    """What kernels see."""
+    """Kernels' view."""
 
     normal: tuple[float, ...]
     coefficient: float
@@ -18,7 +18,7 @@ class SeparateKernel(NamedTuple):
 
 @plugin("boundary", "separate")
 class Separate(BoundaryCondition):
-    """A frictionless wall that lets go: v - min(v . n, 0) n."""
+    """A frictionless wall, from which bodies can separate: v - min(v . n, 0) n."""
 
     def kernel_condition(self, normal: Any) -> SeparateKernel:
         return SeparateKernel(normal, 0.0)

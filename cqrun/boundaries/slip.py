@@ -1,4 +1,4 @@
-"""Slip: no motion through the surface either way, free motion along it, v - (v . n) n (CQ2 3.2)."""
+"""Slip: no motion normal to the surface, free motion along it, v - (v . n) n (CQ2 3.2)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cqrun.plugin.registry import plugin
 
 
 class SlipKernel(NamedTuple):
-    """What kernels see."""
+    """Kernels' view."""
 
     normal: tuple[float, ...]
     coefficient: float
@@ -18,7 +18,7 @@ class SlipKernel(NamedTuple):
 
 @plugin("boundary", "slip")
 class Slip(BoundaryCondition):
-    """A frictionless wall that also holds what would leave it: v - (v . n) n."""
+    """A frictionless wall, from which bodies cannot separate: v - (v . n) n."""
 
     def kernel_condition(self, normal: Any) -> SlipKernel:
         return SlipKernel(normal, 0.0)

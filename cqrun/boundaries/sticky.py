@@ -1,4 +1,4 @@
-"""Sticky: the node does not move, v = 0, also when it would leave (CQ1, boundary parameter -1)."""
+"""Sticky: the node does not move, v = 0, in any direction (CQ1, boundary parameter -1)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cqrun.plugin.registry import plugin
 
 
 class StickyKernel(NamedTuple):
-    """What kernels see."""
+    """Kernels' view."""
 
     normal: tuple[float, ...]
     coefficient: float
@@ -18,7 +18,7 @@ class StickyKernel(NamedTuple):
 
 @plugin("boundary", "sticky")
 class Sticky(BoundaryCondition):
-    """Clamped nodes: v = 0, whichever way they would move."""
+    """Clamped nodes: v = 0 in all directions."""
 
     needs_normal: ClassVar[bool] = False
 
@@ -26,14 +26,14 @@ class Sticky(BoundaryCondition):
         return StickyKernel(normal, 0.0)
 
 
-def held(condition: Any, v: Any) -> Any:
+def clamp(condition: Any, v: Any) -> Any:
     """Return v after the boundary."""
     return scale(v, 0.0)
 
 
-def held_vjp(condition: Any, v: Any, out_bar: Any) -> Any:
+def clamp_vjp(condition: Any, v: Any, out_bar: Any) -> Any:
     """Return (v_bar, coefficient_bar)."""
     return scale(out_bar, 0.0), 0.0
 
 
-register(StickyKernel, held, held_vjp)
+register(StickyKernel, clamp, clamp_vjp)

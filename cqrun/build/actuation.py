@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.actuators.actuator import held_to
+from cqrun.actuators.actuator import within_limits
 from cqrun.build.particles import Particles
 from cqrun.build.values import Values
 from cqrun.engine.model import ActuatorModel
@@ -27,7 +27,7 @@ from cqrun.scene.schema import Scene
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an actuator, or of a force without an activation: `path` is that of the whole, without a field."""
+    """A part of an actuator, or of a force without an activation; `path` is the key path of the whole actuator."""
 
     name: str
     actuator: str
@@ -194,11 +194,11 @@ class Actuation:
         The derivatives are those by the requested activations and by the activations of the step before.
         """
         if not np.isfinite(self.change).any():
-            return held_to(requested, self.neutral, self.low, self.high, self.change)
+            return within_limits(requested, self.neutral, self.low, self.high, self.change)
         limited, by_requested, by_previous = (np.zeros_like(requested) for _ in range(3))
         for t, row in enumerate(requested):
             previous = limited[t - 1] if t else self.neutral
-            limited[t], by_requested[t], by_previous[t] = held_to(row, previous, self.low, self.high, self.change)
+            limited[t], by_requested[t], by_previous[t] = within_limits(row, previous, self.low, self.high, self.change)
         return limited, by_requested, by_previous
 
     def activations_vjp(self, activation_bar: Array, sequence: int, values: Values, out: dict[str, Array]) -> None:

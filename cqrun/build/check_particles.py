@@ -49,14 +49,14 @@ _MEASURING_CELLS = 200_000
 """Number of cells that give the volume of a shape without a formula to a few thousandths, and are counted quickly."""
 
 READ_WHEN_BUILT = ("bodies", "regions", "boundaries", "loads", "actuators")
-"""The sections whose files are read as a scene is built; those of others are read by who needs them."""
+"""The sections whose files are read while a scene is built; other files are read by the code that uses them."""
 
 PROBES = 16
 """Number of points along every axis by which the overlap of two parts is estimated."""
 
 
 def file_problems(scene: Scene) -> tuple[list[Problem], list[Problem]]:
-    """Return what is wrong with the files that a scene is built from, and warnings on those of shapes."""
+    """Return the problems with the files that a scene is built from, and the warnings about files of shapes."""
     problems, warnings = unreadable_files(scene, READ_WHEN_BUILT), []
     unreadable = {problem.path for problem in problems}
     for loc, part in parts(scene):

@@ -5,8 +5,8 @@ z = (4/3 eta + zeta) / (rho c dx), explicit integration is stable up to
 
     dt_max = (dx / c) (sqrt(1 + z^2) - z) = (dx / c) / (sqrt(1 + z^2) + z),
 
-the Courant limit dx / c without viscosity and the diffusive one for z >> 1. Particles: |v| dt < dx / 2, and
-from rest, under an acceleration a of their own, a dt^2 / 2 < dx / 2.
+which is the Courant limit dx / c without viscosity, and the diffusive limit for z >> 1. Particles: |v| dt < dx / 2.
+For particles that start from rest and are accelerated directly by a, this becomes a dt^2 / 2 < dx / 2.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import numpy as np
 from cqrun.plugin.contract import Array
 
 SAFETY = 0.6
-"""Share of the limit that `auto` takes: waves are faster in compressed material."""
+"""Part of the limit that `auto` uses, because waves are faster in compressed material."""
 
 MOST_SUBSTEPS = 10_000_000
-"""More in a control step are a number in another unit than was meant."""
+"""Largest number of substeps in a control step; more mean that some number of the scene has the wrong unit."""
 
 WARN, REFUSE = 0.7, 1.15
-"""Shares of the limit above which a given substep is warned about, and refused."""
+"""Parts of the limit above which a given substep causes a warning, or is refused."""
 
 
 @dataclass(frozen=True)
@@ -40,24 +40,24 @@ def wave_limit(part: str, dx: float, density: Array, modulus: Array, viscosity: 
 
     Args:
         density: (n,) mass over rest volume [kg/m^D].
-        modulus: (n,) lam + 2 mu and whatever stiffens it [Pa].
+        modulus: (n,) lam + 2 mu, plus incompressibility and active stress [Pa].
         viscosity: (n,) 4/3 eta + zeta [Pa s].
     """
-    with np.errstate(over="ignore", divide="ignore"):  # beyond what numbers hold no step is stable
+    with np.errstate(over="ignore", divide="ignore"):  # an infinite modulus allows no step at all
         c = np.sqrt(np.asarray(modulus) / density)
         z = np.asarray(viscosity) / (density * c * dx)
         return Limit(part, float(np.min(dx / c / (np.hypot(1.0, z) + z))))
 
 
 def motion_limit(part: str, dx: float, v: Array) -> Limit | None:
-    """Return the bound of particles that start with velocities v (N, D), or None at rest."""
+    """Return the bound for particles that start with velocities v (N, D); None if they start at rest."""
     with np.errstate(over="ignore"):
         fastest = float(np.linalg.norm(v, axis=1).max(initial=0.0))
     return Limit(part, 0.5 * dx / fastest) if fastest > 0 else None
 
 
 def push_limit(part: str, dx: float, acceleration: float) -> Limit | None:
-    """Return the bound of a push: in one substep from rest, particles move less than half a cell."""
+    """Return the bound for an acceleration: in one substep from rest, particles must move less than half a cell."""
     return Limit(part, float(np.sqrt(dx / acceleration))) if acceleration > 0 else None
 
 

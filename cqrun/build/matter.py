@@ -13,7 +13,7 @@ from cqrun.store.recordings import marker_path
 
 
 def matter_of(built: Built, starts: Mapping[str, Array]) -> Matter:
-    """Return what plug-ins may know of a scene whose unknowns start at values by path."""
+    """Return the `Matter` of a scene, with the start values of its unknowns by path."""
     scene, particles = built.scene, built.particles
     inputs = built.assembly.inputs(starts)
     return Matter(

@@ -14,6 +14,7 @@ from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_grid import grid_warnings
 from cqrun.build.check_memory import memory_problems
+from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.history import fields_of
 from cqrun.build.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, push_limit, wave_limit
 from cqrun.build.particles import Particles, sample, stress_key
@@ -65,6 +66,7 @@ def build(scene: Scene) -> Built:
     limits = _possible(scene, _stiffest(scene, particles, assembly))
     warnings = [
         *particles.warnings,
+        *unit_questions(scene),
         *_unused_episodes(scene),
         *_plugin_warnings(scene),
         *design_warnings(scene, particles),
@@ -83,6 +85,7 @@ def build(scene: Scene) -> Built:
         warnings += _check_substeps(scene, bounds) or _check_corner(scene, limits)
     if problems := memory_problems(scene, particles):
         raise SceneError(problems)
+    require_possible_plan(scene, bounds)
     conditions = _conditions(scene)
     warnings += grid_warnings(scene, particles, conditions)
     model = Model(

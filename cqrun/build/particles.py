@@ -16,6 +16,7 @@ from cqrun.build.check_particles import (
     volume_errors,
     walls_outside,
 )
+from cqrun.build.check_units import bodies_of_another_size
 from cqrun.build.history import history_of
 from cqrun.build.regions import BodyPoints
 from cqrun.engine.blocks import BLOCK
@@ -92,7 +93,7 @@ def sample(scene: Scene) -> Particles:
         SceneError: a body is empty, outside the world or inside another body, or a region holds no particle.
     """
     problems, warnings = file_problems(scene)
-    if problems:
+    if problems := problems or list(bodies_of_another_size(scene)):
         raise SceneError(problems)
     keys = {body: stress_key(scene, body) for body in scene.bodies}
     first_of = list(dict.fromkeys(keys.values()))

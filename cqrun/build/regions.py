@@ -75,7 +75,7 @@ class BodyPoints:
 
     @property
     def groups(self) -> dict[str, Array]:
-        """Which particles are in each group of the body: (N,) bool by name."""
+        """The particles in each group of the body: (N,) bool by name."""
         return {name: self.named(name) for name in self.scene.bodies[self.body].group_names}
 
 
@@ -108,7 +108,7 @@ class _NodeRegion:
 
 
 def boundary(scene: Scene, name: str) -> BoundaryCondition:
-    """Return a boundary whose region, if any, can be asked for nodes: a name in it means what the scene says.
+    """Return a boundary whose region, if any, can select nodes: names in it are looked up in the scene.
 
     Raises:
         SceneError: the boundary needs a normal, and its region has none.

@@ -1,4 +1,4 @@
-"""What a finished command does: draw pictures in the run, and print results on standard output."""
+"""Finish a command: draw pictures in the run, and print results on standard output."""
 
 from __future__ import annotations
 

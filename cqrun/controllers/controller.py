@@ -82,7 +82,7 @@ class Controller(Plugin):
         """Return the cotangent of z (n_in,) from that of the result; add those of the parameters to `out`."""
 
     def likely_mistakes(self, control_step: float) -> Iterator[tuple[str, str]]:
-        """Yield what is likely a slip: the field's name, and what is wrong with it.
+        """Yield likely mistakes: the name of the field, and what is wrong with it.
 
         Args:
             control_step: time between two actions [s].

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cqrun.actuators.actuator import held_to
+from cqrun.actuators.actuator import within_limits
 from cqrun.controllers.controller import Controller
 from cqrun.observers.observer import Moment, Observation
 from cqrun.plugin.contract import Array
@@ -122,7 +122,7 @@ class ControlPolicy:
         """Return activations within the limits, and their derivatives by the unlimited and by the previous ones."""
         limits = self.limits
         previous = memory[self.observation.n_memory :] if self.slow else limits.neutral
-        return held_to(self._shift + self._scale * u, previous, limits.low, limits.high, limits.change)
+        return within_limits(self._shift + self._scale * u, previous, limits.low, limits.high, limits.change)
 
     def _moment(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> Moment:
         D, k = self.dim, self.observation.rows.shape[0]

@@ -1,4 +1,4 @@
-"""Controller files: a controller's parameters, and what else should be known about them."""
+"""Controller files: a controller's parameters, and facts about them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from cqrun.controllers.controller import ParameterBlock
 from cqrun.errors import UsageError
-from cqrun.observers.npz import read_arrays, write_arrays
+from cqrun.observers.npz import not_numbers, read_arrays, write_arrays
 from cqrun.plugin.contract import Array
 
 FILE_KIND = "a controller file"
@@ -57,8 +57,7 @@ def load_controller(path: Path, blocks: Sequence[ParameterBlock]) -> tuple[dict[
             f"{path}: holds a controller of another shape: {_listed(shapes)}; this scene's has {_listed(expected)}: "
             "observers, actuators, controller and (open loop) control steps must be those it was trained with"
         )
-    bad = [name for name, array in arrays.items() if array.dtype.kind != "f" or not np.isfinite(array).all()]
-    if bad:
+    if bad := not_numbers(arrays):
         raise UsageError(f"{path}: {', '.join(bad)} of the controller are not finite numbers")
     return arrays, meta
 

@@ -28,7 +28,7 @@ class Sinusoid(Controller):
     count: int = Field(description="Number of sinusoids", ge=1, default=8)
     frequency: float = quantity("Hz", "Frequency f of all of them", gt=0)
     learn: list[Literal["phase", "frequency"]] = Field(
-        description="What is learned besides W and b", default_factory=list[Literal["phase", "frequency"]]
+        description="Parameters that are learned besides W and b", default_factory=list[Literal["phase", "frequency"]]
     )
     gain: float = Field(description="Largest |u|: the share of the actuators' ranges in use", gt=0, le=1, default=1.0)
     spread: float = Field(description="Standard deviation of the initial weights", ge=0, default=0.02)

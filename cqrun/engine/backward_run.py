@@ -1,4 +1,4 @@
-"""The backward run of a rollout: cotangents in the kernels' layout, from the last control step to the first."""
+"""The backward run of a rollout: cotangents in the kernels' layout, from the last substep to the first."""
 
 from __future__ import annotations
 
@@ -18,13 +18,10 @@ from cqrun.state import DECAY, FORCE, MASS, VOLUME, State
 
 
 class BackwardRun:
-    """The cotangents of one backward run, in the kernels' layout.
-
-    Args:
-        loss_bar: the cotangents of what the rollout gives, to start from.
+    """Run a rollout backward from the cotangents of its results.
 
     Attributes:
-        parameters_bar: the cotangents of the policy's parameters, as the policy itself makes them; None without one.
+        parameters_bar: the cotangents of the policy's parameters in the policy's own form; None without a policy.
     """
 
     def __init__(self, rollout: ForwardRun, loss_bar: LossBar) -> None:
@@ -39,14 +36,14 @@ class BackwardRun:
         self.stresses = tuple(zip(rollout.drive.stresses, self.drive_bar.stresses, strict=True))
         push_bar = np.zeros_like(rollout.bundle.push)
         self.bundle = Bars(self.q_bar, self.fields_bar, push_bar, rollout.model.no_push(rollout.drive.steady))
-        self.before: dict[int, float] = {}
-        self.after: dict[int, float] = {}
-        self.whole = aligned(self.q_bar.shape, self.q_bar.dtype)
+        self.size_before: dict[int, float] = {}
+        self.size_after: dict[int, float] = {}
+        self.total = aligned(self.q_bar.shape, self.q_bar.dtype)
         self.parameters_bar: Any = None if rollout.policy is None else rollout.policy.parameters_zero()
         self._begin(loss_bar)
 
     def _drive_bar(self) -> Drive:
-        """Return zero cotangents of what drives particles."""
+        """Return the drive with zero cotangents."""
         drive = self.rollout.drive
         stresses = (s._replace(theta=np.zeros_like(s.theta), weight=np.zeros_like(s.weight)) for s in drive.stresses)
         return drive._replace(levels=Levels(*map(np.zeros_like, drive.levels)), stresses=tuple(stresses))
@@ -63,7 +60,7 @@ class BackwardRun:
         if loss_bar.activation is not None:
             self.drive_bar.levels.activation[:, : len(rollout.model.actuators)] = loss_bar.activation
         if rollout.policy is not None:
-            self.after[rollout.model.n_controls] = self._size(self.records_bar[-1])
+            self.size_after[rollout.model.n_controls] = self._size(self.records_bar[-1])
 
     def _add_state(self, bar: State) -> None:
         layout, real = self.rollout.model.layout, self.rollout.model.real
@@ -71,28 +68,28 @@ class BackwardRun:
 
     def run(self, begin: int, end: int, states: Array) -> None:
         """Run the adjoints of substeps end - 1 .. begin, whose states are kept in `states`."""
-        r, at = self.rollout, end
-        substeps = r.model.substeps
+        r, at, substeps = self.rollout, end, self.rollout.model.substeps
         while at > begin:
             start = begin if r.policy is None else max(begin, (at - 1) // substeps * substeps)
             self._reverse(start, at, states[start - begin :])
             if r.policy is not None and start % substeps == 0:
-                self._blame(start // substeps, states[start - begin])
+                self._policy_vjp(start // substeps, states[start - begin])
             at = start
         if begin == 0:
             record_vjp(r.probe, self.q_bar, self.records_bar[0])
 
     @property
     def growth(self) -> tuple[float, int]:
-        """The factor by which |q_bar| grows most across a control step on the way back, and which step that is.
+        """The largest growth factor of |q_bar| over a control step, and the number of this step.
 
-        What the loss adds at the end of a step counts for its beginning, and is no growth. (0, -1) without a policy, or
-        where the loss does not depend on the motion.
+        The cotangents that the loss adds do not count as growth. (0, -1) without a policy, or if the loss does not
+        depend on the motion.
         """
-        grown = [(size / self.after[k + 1], k) for k, size in self.before.items() if self.after.get(k + 1, 0.0) > 0]
+        after = self.size_after
+        grown = [(size / after[k + 1], k) for k, size in self.size_before.items() if after.get(k + 1, 0.0) > 0]
         return max(grown, key=lambda each: each[0], default=(0.0, -1))
 
-    def _blame(self, control: int, q: Array) -> None:
+    def _policy_vjp(self, control: int, q: Array) -> None:
         """Carry the cotangent of a control step's activations back through the policy."""
         r = self.rollout
         assert r.policy is not None
@@ -102,17 +99,17 @@ class BackwardRun:
         )  # fmt: skip
         if state_bar is not None:
             self._add_state(state_bar)
-        self.before[control] = self._size(record_bar)
+        self.size_before[control] = self._size(record_bar)
         self.records_bar[control] += record_bar
-        self.after[control] = self._size(self.records_bar[control])
+        self.size_after[control] = self._size(self.records_bar[control])
 
     def _size(self, record_bar: Array) -> float:
-        """Return |q_bar| as it is once the cotangent of a record is added, which the next substep backwards does."""
+        """Return |q_bar| after the cotangent of a record is added; the next substep backward adds it."""
         if not record_bar.any():
             return float(np.linalg.norm(self.q_bar))
-        self.whole[...] = self.q_bar
-        record_vjp(self.rollout.probe, self.whole, record_bar)
-        return float(np.linalg.norm(self.whole))
+        self.total[...] = self.q_bar
+        record_vjp(self.rollout.probe, self.total, record_bar)
+        return float(np.linalg.norm(self.total))
 
     def _reverse(self, begin: int, end: int, states: Array) -> None:
         r = self.rollout
@@ -129,9 +126,8 @@ class BackwardRun:
 
     def inputs_bar(self) -> Inputs:
         """Return the cotangent of the inputs."""
-        r, layout = self.rollout, self.rollout.model.layout
-        columns = layout.columns()
-        bar = Inputs.zeros_like(r.inputs)
+        r, layout, levels = self.rollout, self.rollout.model.layout, self.drive_bar.levels
+        bar, columns = Inputs.zeros_like(r.inputs), layout.columns()
         bar.state = State.unpack(self.q_bar, layout, self.memory_bar)
         f = unpack(self.fields_bar)[:, columns]
         bar.fields.mass[:], bar.fields.volume[:] = f[MASS], f[VOLUME]
@@ -140,18 +136,11 @@ class BackwardRun:
         for g, (group, slice_) in enumerate(zip(self.groups_bar, r.model.group_slices(), strict=True)):
             for k in range(len(bar.terms[g])):
                 bar.terms[g][k][:] = unpack(group.terms[k].theta)[:, columns[slice_]]
-        bar.activation[:] = self.drive_bar.levels.activation[:, : len(r.model.actuators)]
-        bar.strength[:] = self.drive_bar.levels.strength
-        bar.coefficients[:] = self.coefficient_bar
+        bar.activation[:] = levels.activation[:, : len(r.model.actuators)]
+        bar.strength[:], bar.coefficients[:] = levels.strength, self.coefficient_bar
         if len(bar.rest):
-            bar.rest[:] = self.drive_bar.levels.rest
-        if len(bar.weights):
-            self._add_weights(bar.weights)
-        return bar
-
-    def _add_weights(self, weights_bar: Array) -> None:
-        """Put the cotangents of the stress actuators' weights in the order of the inputs."""
-        slices = self.rollout.model.weight_slices
-        for kind in self.drive_bar.stresses:
+            bar.rest[:] = levels.rest
+        for kind in self.drive_bar.stresses if len(bar.weights) else ():
             for k, a in enumerate(kind.actuators):
-                weights_bar[slices[a]] = kind.weight[kind.start[k] : kind.start[k + 1]]
+                bar.weights[r.model.weight_slices[a]] = kind.weight[kind.start[k] : kind.start[k + 1]]
+        return bar

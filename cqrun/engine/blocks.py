@@ -1,13 +1,13 @@
-"""Which particles scatter when: coloured blocks, and the node blocks that hold mass.
+"""Coloured blocks: the order in which particles scatter, and the blocks of nodes that may hold mass.
 
-The grid is cut into blocks of 4^D cells; a particle belongs to the block of its stencil's first node. Blocks of
-one colour (their parity along each axis) share no node, so threads scatter them side by side without a race,
-and within a block particles go in index order: sums do not depend on the number of threads.
+The grid is cut into blocks of 4^D cells; a particle belongs to the block of its stencil's first node. Blocks of one
+colour (their parity along each axis) share no node, so threads scatter them in parallel without a race. Within a block
+particles scatter in index order, so sums do not depend on the number of threads.
 
-A particle may leave its block by up to one cell each way before two blocks of a colour could meet: stencils
-reach nodes 4 b - 1 ... 4 b + 6, the next block of that colour starts at 4 b + 7. So particles are sorted again
-every `SORT_EVERY` substeps, and earlier where the fastest could have moved by a cell. A rollout replayed from a
-substep that is a multiple of SORT_EVERY repeats its bits.
+A particle may leave its block by one cell in each direction before two blocks of a colour share a node: stencils reach
+nodes 4 b - 1 ... 4 b + 6, and the next block of the colour starts at 4 b + 7. So particles are sorted every
+`SORT_EVERY` substeps, and earlier if the fastest could have moved by a cell. A rollout that is repeated from a multiple
+of SORT_EVERY gives bit-for-bit identical results.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BLOCK = 4
 """Cells along a block's edge."""
 
 SORT_EVERY = 8
-"""Substeps between sortings."""
+"""Substeps between two sorts."""
 
 
 class Blocks(NamedTuple):
@@ -31,21 +31,20 @@ class Blocks(NamedTuple):
 
     shape: Array  # (3,) blocks along the three loop axes; 1 first in 2D
     home: Array  # (n,) block of each particle
-    order: Array  # (n,) particles in the order in which they scatter: by colour, then block, then index
+    order: Array  # (n,) particles in the order of the scatter: by colour, then block, then index
     start: Array  # (b + 1,) where the particles of each block of `work` begin in `order`
-    cursor: Array  # (b,) scratch: particles of each block, then where its next one goes
+    cursor: Array  # (b,) scratch: number of particles of each block, then the place of its next one
     work: Array  # (b,) blocks with particles, by colour
     colour: Array  # (9,) where each of the 8 colours begins in `work`
     nodes: Array  # (b,) blocks whose nodes may hold mass
-    n_nodes: Array  # (1,) how many of `nodes` are in use
-    marked: Array  # (b,) scratch: 1 where listed in `nodes`
-    travel: Array  # (1,) how far the fastest particle may have moved since the sort, in cells
+    n_nodes: Array  # (1,) number of entries of `nodes` in use
+    marked: Array  # (b,) scratch: 1 for blocks in `nodes`
+    travel: Array  # (1,) largest possible distance of a particle from its place at the last sort, in cells
 
 
 def make_blocks(shape: tuple[int, int, int], n: int) -> Blocks:
     """Return empty work lists for a grid of `shape` blocks and n particle columns."""
-    b = int(np.prod(shape))
-    ints = np.int64
+    b, ints = int(np.prod(shape)), np.int64
     return Blocks(
         np.array(shape, ints), np.zeros(n, ints), np.zeros(n, ints), np.zeros(b + 1, ints), np.zeros(b, ints),
         np.zeros(b, ints), np.zeros(9, ints), np.zeros(b, ints), np.zeros(1, ints), np.zeros(b, ints), np.zeros(1),
@@ -76,7 +75,7 @@ def sort_particles(blocks: Blocks, place: Array) -> None:
 
 @kernel
 def _list_work(blocks: Blocks) -> None:
-    """List the blocks with particles, colour by colour, and give each its place in `order`."""
+    """List the blocks with particles, colour by colour, and set the place of each in `order`."""
     ny, nz = blocks.shape[1], blocks.shape[2]
     n_work = total = 0
     for colour in range(8):
@@ -96,7 +95,7 @@ def _list_work(blocks: Blocks) -> None:
 
 @kernel
 def _list_nodes(blocks: Blocks) -> None:
-    """List every block that a stencil may reach until the next sort: the neighbours of those with particles."""
+    """List all blocks that a stencil may reach until the next sort: blocks with particles, and their neighbours."""
     nx, ny, nz = blocks.shape[0], blocks.shape[1], blocks.shape[2]
     for index in range(blocks.n_nodes[0]):
         blocks.marked[blocks.nodes[index]] = 0

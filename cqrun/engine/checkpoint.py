@@ -1,15 +1,15 @@
-"""How many states are kept for a gradient, and which.
+"""Checkpoints: which states a gradient keeps in its memory.
 
-A rollout is cut into chunks of substeps. The states at the beginnings of some chunks are kept (their choice is
-optimal: `MultistageCheckpointSchedule`, Griewank and Walther, ACM TOMS 2000), the states inside a chunk only
-while its adjoint runs. So N substeps fit any budget of a few states, at the price of repeated forward runs.
-Chunks begin at multiples of `SORT_EVERY`, so that a repeated chunk repeats its bits.
+A rollout is cut into chunks of substeps. The states at the start of some chunks are kept (the choice is optimal:
+`MultistageCheckpointSchedule`, Griewank and Walther, ACM TOMS 2000); the states inside a chunk are kept only while its
+adjoint runs. So a gradient fits any budget of a few states, but repeats forward runs. Chunks begin at multiples of
+`SORT_EVERY`, so that a repeated chunk gives bit-for-bit identical states.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from math import prod
@@ -25,20 +25,20 @@ from cqrun.plugin.contract import Array
 
 @dataclass(frozen=True)
 class Plan:
-    """`chunk` substeps in a chunk, `n_chunks` of them, and `snapshots` kept at the beginnings of chunks."""
+    """A plan of checkpoints."""
 
-    chunk: int
+    chunk: int  # substeps in a chunk
     n_chunks: int
-    snapshots: int
-    states: int  # kept at the most, all together
-    recompute: float  # forward substeps run for one gradient, per substep
+    snapshots: int  # states kept at the start of chunks
+    states: int  # largest number of kept states
+    recompute: float  # forward substeps of a gradient divided by the substeps of the rollout
 
 
 def repetitions(n: int, snapshots: int) -> int:
     """Return the least number of chunk advances that reverse n chunks (Griewank and Walther 2000, eq 5).
 
-    With t the least repetition for which binomial(s + t, s) >= n, that is t n - binomial(s + t, t - 1), and
-    one more pass over each chunk to keep its states.
+    With the smallest t for which binomial(s + t, s) >= n, it is t n - binomial(s + t, t - 1), plus one more pass over
+    each chunk to keep its states.
     """
     if n == 1:
         return 1
@@ -50,13 +50,9 @@ def repetitions(n: int, snapshots: int) -> int:
     return t * n - reach * t // (snapshots + 1) + n
 
 
-@lru_cache(4096)  # asked for every number of gradients side by side
+@lru_cache(4096)  # `gradients_at_once` calls it for every number of gradients
 def make_plan(n_steps: int, state_bytes: int, budget: int) -> Plan:
-    """Return the plan of least work within the budget.
-
-    Raises:
-        RunError: not even the shortest chunk fits.
-    """
+    """Return the plan with the least work in the budget; raise RunError if not even the shortest chunk fits."""
     states = budget // state_bytes
     if n_steps + 1 <= states:
         return Plan(max(n_steps, 1), 1, 0, n_steps + 1, 1.0)
@@ -79,28 +75,19 @@ def make_plan(n_steps: int, state_bytes: int, budget: int) -> Plan:
     return best
 
 
-def _taken(spare: list[Array]) -> Array | None:
-    try:
-        return spare.pop()
-    except IndexError:  # asked beforehand, another thread might take the last one in between
-        return None
-
-
 @contextmanager
 def borrowed(spare: list[Array], shape: tuple[int, ...], real: Any) -> Iterator[Array]:
-    """Give memory for states, which the next gradient will use again.
+    """Lend memory for states, and put it into `spare` for the next gradient; several threads may share `spare`.
 
-    Memory that a process gives back is cleared page by page before it has it again: a fifth of an iteration.
-
-    Args:
-        spare: bytes that are not in use; several threads may share it.
+    The operating system clears new memory page by page, which takes a fifth of an iteration.
     """
-    need = prod(shape) * np.dtype(real).itemsize
-    held = _taken(spare)
-    if held is None or held.nbytes < need:
-        held = None  # given back first: never both
-        held = aligned((need,), np.uint8)
+    need, memory = prod(shape) * np.dtype(real).itemsize, None
+    with suppress(IndexError):  # not `if spare`: another thread may take the last entry in between
+        memory = spare.pop()
+    if memory is None or memory.nbytes < need:
+        memory = None  # free the old memory before the new is allocated
+        memory = aligned((need,), np.uint8)
     try:
-        yield held[:need].view(real).reshape(shape)
+        yield memory[:need].view(real).reshape(shape)
     finally:
-        spare.append(held)
+        spare.append(memory)

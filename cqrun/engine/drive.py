@@ -1,15 +1,16 @@
-"""Activations to active stresses and steady forces, once a control step, and back. One thread runs these.
+"""Turn activations into active stresses and steady forces, once per control step, and the adjoint; on one thread.
 
-theta_p = sum_a activation_a strength_a weight_ap direction_a over the stress actuators a that hold particle p. What
-steady forces do is their own (`forces/steady.py`).
+theta_p = sum_a activation_a strength_a weight_ap direction_a over the stress actuators a of particle p. Steady forces
+have their own functions (`forces/steady.py`).
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from cqrun.engine.setting import Bars, Drive, Run, Stresses
+from cqrun.engine.setting import Bars, Drive, Stresses
 from cqrun.forces.force import Levels
+from cqrun.forces.pulled import Pulled
 from cqrun.forces.steady import hold, hold_vjp
 from cqrun.numerics.compile import for_each, kernel
 from cqrun.plugin.contract import Array
@@ -24,7 +25,7 @@ def stress(stresses: Stresses, activation: Array, strength: Array, control: int)
         a = stresses.actuators[k]
         for row in range(stresses.direction.shape[1]):
             tension = activation[control, a] * strength[a] * stresses.direction[k, row]
-            if tension == 0.0:  # as in all rows but one of a muscle along an axis
+            if tension == 0.0:  # a muscle along an axis has one row that is not zero
                 continue
             for index in range(stresses.start[k], stresses.start[k + 1]):
                 p = stresses.columns[index]
@@ -33,7 +34,7 @@ def stress(stresses: Stresses, activation: Array, strength: Array, control: int)
 
 @kernel
 def stress_vjp(pair: tuple[Stresses, Stresses], activation: Array, strength: Array, control: int, bar: Levels) -> None:
-    """Turn the cotangent of theta, summed over a control step, into those of activation, strength, weight; clear it."""
+    """Add the cotangent of theta, summed over a control step, to those of activation, strength, weight; clear it."""
     stresses, theta_bar = pair[0], pair[1].theta
     width = theta_bar.shape[2]
     for k in range(len(stresses.actuators)):
@@ -53,50 +54,53 @@ def stress_vjp(pair: tuple[Stresses, Stresses], activation: Array, strength: Arr
 
 
 @kernel
-def clear_columns(columns: Array, force: Array) -> None:
-    """Set the force on some particles to zero."""
+def clear(kind: Any, force: Array) -> None:
+    """Set the force on the particles in `kind.columns` to zero."""
     width = force.shape[2]
-    for p in columns:
+    for p in kind.columns:
         force[p // width, :, p % width] = 0.0
 
 
 @kernel
-def clear_steady(steady: Any, force: Array) -> None:
-    """Set the force on the particles of one kind of steady force to zero."""
-    clear_columns(steady.columns, force)
+def clear_all(kind: Any, force: Array) -> None:
+    """Set the force on all particles to zero."""
+    force[:] = 0.0
+
+
+@kernel
+def keep_base(pulled: Pulled, push: Array) -> None:
+    """Keep the steady forces on the particles that other forces pull, too."""
+    width = push.shape[2]
+    for j in range(len(pulled.columns)):
+        p = pulled.columns[j]
+        for d in range(push.shape[1]):
+            pulled.base[j, d] = push[p // width, d, p % width]
 
 
 stress_of_each = for_each(stress)
 stress_vjp_of_each = for_each(stress_vjp)
-clear_each_steady = for_each(clear_steady)
+clear_each = for_each(clear)
+clear_all_for_each = for_each(clear_all)
+keep_base_of_each = for_each(keep_base)
 hold_of_each = for_each(hold)
 hold_vjp_of_each = for_each(hold_vjp)
 
 
 @kernel
-def activate(drive: Drive, run: Run, control: int) -> None:
+def activate(drive: Drive, fields: Array, push: Array, control: int) -> None:
     """Set the active stresses and the steady forces of a control step."""
-    levels, pulled, push = drive.levels, drive.pulled, run.push
+    levels = drive.levels
     stress_of_each(drive.stresses, levels.activation, levels.strength, control)
-    if push.shape[0] > 0:
-        clear_columns(pulled.columns, push)
-        clear_each_steady(drive.steady, push)
-        hold_of_each(drive.steady, levels, control, run.fields, push)
-        width = push.shape[2]
-        for j in range(len(pulled.columns)):
-            p = pulled.columns[j]
-            for d in range(push.shape[1]):
-                pulled.base[j, d] = push[p // width, d, p % width]
+    clear_each(drive.pulled, push)
+    clear_each(drive.steady, push)
+    hold_of_each(drive.steady, levels, control, fields, push)
+    keep_base_of_each(drive.pulled, push)
 
 
 @kernel
-def activate_vjp(stresses: Any, drive: Drive, levels_bar: Levels, run: Run, bars: Bars, control: int) -> None:
-    """Carry the cotangents of a control step's active stresses and steady forces back, and clear them.
-
-    `stresses` are the active stresses, each with its cotangent.
-    """
+def activate_vjp(stresses: Any, drive: Drive, levels_bar: Levels, fields: Array, bars: Bars, control: int) -> None:
+    """Run the adjoint of `activate` for pairs of active stresses and their cotangents; clear the cotangents."""
     levels, steady_bar = drive.levels, bars.steady_push
     stress_vjp_of_each(stresses, levels.activation, levels.strength, control, levels_bar)
-    if steady_bar.shape[0] > 0:
-        hold_vjp_of_each(drive.steady, levels, levels_bar, control, run.fields, bars.fields, steady_bar)
-        steady_bar[:] = 0.0
+    hold_vjp_of_each(drive.steady, levels, levels_bar, control, fields, bars.fields, steady_bar)
+    clear_all_for_each(drive.steady, steady_bar)

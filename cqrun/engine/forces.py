@@ -1,9 +1,8 @@
-"""Passes that exert forces on particles, and their adjoints, on all threads.
+"""Passes that apply forces to particles, and their adjoints, on all threads.
 
-Every substep, threads first take items of forces side by side (`forces/force.py`), then lanes with pulled particles:
-there they add up each particle's shares, and write the lane's momentum with the force that it now has. So all other
-lanes may go on from substep to substep without waiting for the forces. Steady forces (`forces/steady.py`) are set once
-a control step, by `drive.py`.
+In each substep the threads first share the items of forces (`forces/force.py`), then the lanes with pulled particles.
+For each such lane they sum the shares of every particle and write the lane's momentum with its force. So the other
+lanes do not wait for the forces. `drive.py` sets steady forces (`forces/steady.py`) once per control step.
 """
 
 from __future__ import annotations
@@ -12,11 +11,13 @@ from typing import Any
 
 from cqrun.engine.arrays import first_row_of_v
 from cqrun.engine.particles import begin_cotangent, write_momentum
-from cqrun.engine.setting import Bars, Crew, Drive, Group, Pulled, Run, Substep
+from cqrun.engine.setting import Bars, Crew, Drive, Group, Run, Substep
 from cqrun.forces.force import ACTIVATION, REST, STRENGTH, Levels, exert, exert_vjp
+from cqrun.forces.pulled import Pulled
 from cqrun.numerics.compile import barrier, for_each, kernel, share
 from cqrun.numerics.lanes import LANE_BYTES
 from cqrun.plugin.contract import Array
+from cqrun.state import X
 
 
 @kernel
@@ -29,7 +30,7 @@ def exert_items(force: Any, levels: Levels, at: Substep, crew: Crew) -> None:
 
 @kernel
 def exert_items_vjp(force: Any, levels: Levels, push_bar: Array, at: Substep, crew: Crew) -> None:
-    """Write the cotangents that one kind of force gives its particles and parts."""
+    """Write the cotangents of the particles and parts of one kind of force."""
     lo, hi = share(len(force.parts), crew.thread, crew.n_threads)
     for item in range(lo, hi):
         exert_vjp(force, item, levels, at.control, at.q, push_bar)
@@ -37,41 +38,41 @@ def exert_items_vjp(force: Any, levels: Levels, push_bar: Array, at: Substep, cr
 
 @kernel
 def push_lanes(group: Group, pulled: Pulled, run: Run, at: Substep, crew: Crew) -> None:
-    """Set the force on a body's pulled particles, and write the momentum of their lanes."""
-    push, force, width = run.push, pulled.shares.force, LANE_BYTES // at.q.itemsize
-    lo, hi = share(len(group.lanes), crew.thread, crew.n_threads)
+    """Set the force on a group's pulled particles, and write the momentum of their lanes."""
+    lanes, force, width, push = group.pulled[0], pulled.shares.force, LANE_BYTES // at.q.itemsize, run.push
+    lo, hi = share(len(lanes.first), crew.thread, crew.n_threads)
     for index in range(lo, hi):
-        for j in range(group.pulled[index], group.pulled[index + 1]):
+        for j in range(lanes.begin[index], lanes.begin[index + 1]):
             p = pulled.columns[j]
             for d in range(push.shape[1]):
                 push[p // width, d, p % width] = pulled.base[j, d]
                 for s in range(pulled.begin[j], pulled.begin[j + 1]):
                     push[p // width, d, p % width] += force[pulled.order[s], d]
-        first = group.lanes[index]
+        first = lanes.first[index]
         write_momentum(group, run, at.q, first, first + width)
 
 
 @kernel
 def push_lanes_vjp(groups: tuple[Group, Group], pulled: Pulled, run: Run, bars: Bars, at: Substep, crew: Crew) -> None:
-    """Add what forces give to the cotangents of their particles; begin these lanes' adjoint before, if `ahead`."""
-    group, q_bar, shares = groups[0], bars.q, pulled.shares
+    """Add the forces' part to the cotangents of their particles; if `ahead`, start the previous substep's adjoint."""
+    lanes, q_bar, shares = groups[0].pulled[0], bars.q, pulled.shares
     width, V = LANE_BYTES // at.q.itemsize, first_row_of_v(run.setting.dims)
-    lo, hi = share(len(group.lanes), crew.thread, crew.n_threads)
+    lo, hi = share(len(lanes.first), crew.thread, crew.n_threads)
     for index in range(lo, hi):
-        for j in range(group.pulled[index], group.pulled[index + 1]):
+        for j in range(lanes.begin[index], lanes.begin[index + 1]):
             p = pulled.columns[j]
             for d in range(shares.force.shape[1]):
                 for s in range(pulled.begin[j], pulled.begin[j + 1]):
-                    q_bar[p // width, d, p % width] += shares.x_bar[pulled.order[s], d]
+                    q_bar[p // width, X + d, p % width] += shares.x_bar[pulled.order[s], d]
                     q_bar[p // width, V + d, p % width] += shares.v_bar[pulled.order[s], d]
         if at.ahead:
-            first = group.lanes[index]
+            first = lanes.first[index]
             begin_cotangent(groups, run, at.q_before, at.q, q_bar, first, first + width, crew.thread)
 
 
 @kernel
 def add_level_bars(force: Any, levels_bar: Levels, control: int) -> None:
-    """Add the cotangents of activation, strength and rest length of one kind of force, item after item."""
+    """Add the cotangents of activation, strength and rest length of one kind of force, item by item."""
     level_bar = force.shares.level_bar
     for item in range(len(force.parts)):
         a = force.parts[item]
@@ -88,23 +89,25 @@ add_level_bars_of_each = for_each(add_level_bars)
 
 
 @kernel
-def push_particles(groups: Any, drive: Drive, run: Run, at: Substep, crew: Crew) -> None:
-    """Exert all forces at the state q."""
-    if len(drive.forces) > 0:
-        exert_of_each(drive.forces, drive.levels, at, crew)
-        barrier(run.work.arrivals, crew.n_threads)
-        push_lanes_of_each(groups, drive.pulled, run, at, crew)
+def push(pulled: Pulled, groups: Any, drive: Drive, run: Run, at: Substep, crew: Crew) -> None:
+    """Apply all forces at the state q."""
+    exert_of_each(drive.forces, drive.levels, at, crew)
+    barrier(run.work.arrivals, crew.n_threads)
+    push_lanes_of_each(groups, pulled, run, at, crew)
 
 
 @kernel
-def push_particles_vjp(
-    pairs: Any, drive: Drive, levels_bar: Levels, run: Run, bars: Bars, at: Substep, crew: Crew
+def push_vjp(
+    pulled: Pulled, pairs: Any, drive: Drive, levels_bar: Levels, run: Run, bars: Bars, at: Substep, crew: Crew
 ) -> None:
-    """Add what the forces' cotangent (`bars.push`) gives to those of the state and of the levels."""
-    if len(drive.forces) > 0:
-        barrier(run.work.arrivals, crew.n_threads)
-        exert_of_each_vjp(drive.forces, drive.levels, bars.push, at, crew)
-        barrier(run.work.arrivals, crew.n_threads)
-        push_lanes_of_each_vjp(pairs, drive.pulled, run, bars, at, crew)
-        if crew.thread == 0:
-            add_level_bars_of_each(drive.forces, levels_bar, at.control)
+    """Add to the cotangents of the state and of the levels from that of the forces (`bars.push`)."""
+    barrier(run.work.arrivals, crew.n_threads)
+    exert_of_each_vjp(drive.forces, drive.levels, bars.push, at, crew)
+    barrier(run.work.arrivals, crew.n_threads)
+    push_lanes_of_each_vjp(pairs, pulled, run, bars, at, crew)
+    if crew.thread == 0:
+        add_level_bars_of_each(drive.forces, levels_bar, at.control)
+
+
+push_if_pulled = for_each(push)
+push_if_pulled_vjp = for_each(push_vjp)

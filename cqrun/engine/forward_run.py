@@ -1,4 +1,4 @@
-"""The forward run of a rollout: the model's equations over all substeps, from packed inputs to records."""
+"""The forward run of a rollout: all substeps, from packed inputs to records."""
 
 from __future__ import annotations
 
@@ -10,47 +10,45 @@ from numba import config
 from cqrun.engine.model import Inputs, Model, Records
 from cqrun.engine.policy import Policy
 from cqrun.engine.probe import record
-from cqrun.engine.setting import MARGIN, Crew, Drive, Group, Run, Setting, make_work, node_strides, pulled_lanes
+from cqrun.engine.setting import MARGIN, Crew, Drive, Group, Run, Setting, make_work, node_strides
 from cqrun.engine.step import advance
 from cqrun.engine.team import Team
 from cqrun.errors import RolloutError
+from cqrun.forces.pulled import pulled_lanes
 from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import pack, unpack
 from cqrun.plugin.contract import Array
 from cqrun.state import DECAY, FORCE, MASS, VOLUME, ParticleFields, State
 
 THREAD_WORTH = 1000
-"""Particles for which a thread gains more than it costs to hand the grid over, pass by pass."""
+"""Number of particles per thread from which one more thread saves more time than the exchange of the grid costs."""
 
 CALL_WORTH = 2500
-"""Particles times substeps of a control step for which it gains more than waking it costs: often at each."""
+"""The same for particles times substeps of a control step, because threads are often woken at every control step."""
 
 CHAINED_FROM = 3 << 20
-"""Bytes of a state from which substeps are chained tile by tile: from there what one touches leaves the last cache."""
+"""Bytes of a state from which substeps are chained tile by tile: from about here a substep exceeds the last cache."""
 
 
 def useful_threads(model: Model, threads: int) -> int:
-    """Return how many of the threads have enough to do in a rollout."""
-    if config.DISABLE_JIT:  # there is no barrier for them to meet at
+    """Return how many of the threads have enough work in a rollout."""
+    if config.DISABLE_JIT:  # without the JIT there is no barrier
         return 1
     n, substeps = model.layout.n_particles, model.substeps
     return max(1, min(threads, n // THREAD_WORTH, n * substeps // CALL_WORTH))
 
 
 class ForwardRun:
-    """One model with one set of inputs, run forward.
+    """Run one model forward with one set of inputs.
 
     Args:
-        model: what is simulated.
-        inputs: the numbers it starts from.
-        threads: how many threads may take part; fewer do where each would have too little to do. The results do not
-            depend on it.
+        threads: number of threads at most; small models use fewer. The results do not depend on it.
         adjoint: whether `Rollout.gradient` will be called.
-        policy: decides the activations, control step by control step; without one they are those of the inputs.
+        policy: decides the activations at every control step; without it the activations are those of the inputs.
 
     Attributes:
-        activation: (T, A) as the policy decided, or as in the inputs.
-        memory: (T + 1, M) of the policy at every control step.
+        memory: (T + 1, M) memory of the policy at every control step.
+        decided: number of control steps whose activations are known.
 
     Raises:
         RolloutError: (from `run`) a particle left the grid or is not finite.
@@ -63,15 +61,14 @@ class ForwardRun:
         self.adjoint, self.policy = adjoint, policy
         self.team = Team(useful_threads(model, threads))
         self._pack()
-        self.rows = model.layout.table.n_rows
-        self.records: Array = np.zeros((model.n_controls + 1, self.rows, len(self.probe.start) - 1))
+        self.records: Array = np.zeros((model.n_controls + 1, model.layout.table.n_rows, len(self.probe.start) - 1))
         record(self.probe, self.start, self.records[0])
         self.memory = np.tile(inputs.state.memory, (model.n_controls + 1, 1))
         self.decided = model.n_controls if policy is None else 0
 
     @property
     def activation(self) -> Array:
-        """Activations (T, A) of the actuators, one row a control step."""
+        """Activations (T, A) of the actuators, one row per control step."""
         return self.drive.levels.activation[:, : len(self.model.actuators)]
 
     @property
@@ -81,14 +78,8 @@ class ForwardRun:
 
     @property
     def threads(self) -> int:
-        """How many threads take part."""
+        """Number of threads in use."""
         return self.team.size
-
-    # --- setting up ---------------------------------------------------------------------------------
-
-    def _chained(self) -> bool:
-        """Say whether substeps follow each other tile by tile."""
-        return self.start.nbytes >= CHAINED_FROM and self.model.substeps > 1
 
     def _pack(self) -> None:
         model, inputs = self.model, self.inputs
@@ -101,26 +92,18 @@ class ForwardRun:
         self.probe = model.kernel_probe()
         self.setting = Setting(
             (0,) * model.dim, node_strides(shape), tuple(float(n - 2) for n in shape), model.dx, model.dt,
-            model.substeps, self._chained(),
+            model.substeps, self.start.nbytes >= CHAINED_FROM and model.substeps > 1,
         )  # fmt: skip
-        self.work = make_work(
-            shape,
-            layout.n,
-            model.held(),
-            len(model.conditions),
-            real,
-            adjoint=self.adjoint,
-            team=self.team,
-        )
+        bits = model.condition_bits()
+        self.work = make_work(shape, layout.n, bits, len(model.conditions), real, adjoint=self.adjoint, team=self.team)
         push = model.no_push([*self.drive.steady, *self.drive.forces])
         self.bundle = Run(self.setting, self.work, self.fields, push)
         self._check_start()
 
     def _pack_fields(self, fields: ParticleFields) -> Array:
-        """Return the kernels' 3 + D packed rows; padding has no mass, no volume and feels no force."""
-        layout = self.model.layout
+        """Return the 3 + D packed rows of the fields; padding has no mass, no volume and no force."""
+        layout, columns = self.model.layout, self.model.layout.columns()
         out = np.zeros((FORCE + layout.dim, layout.n))
-        columns = layout.columns()
         out[MASS, columns], out[VOLUME, columns] = fields.mass, fields.volume
         out[DECAY] = 1.0
         out[DECAY, columns] = np.exp(-fields.damping * self.model.dt)
@@ -128,29 +111,25 @@ class ForwardRun:
         return pack(out, self.model.real)
 
     def kernel_groups(self, terms: list[list[Array]], drive: Drive) -> tuple[Group, ...]:
-        """Return every group's view of its terms, the active ones filled by the drive."""
-        model = self.model
+        """Return the kernels' view of every group; the drive fills the parameters of the active stresses."""
+        model, groups = self.model, []
         active = dict(zip(model.kinds()[0], drive.stresses, strict=True))
-        starts = np.cumsum([0, *model.layout.padded])
-        sources = model.layout.sources()
-        groups = []
+        starts, sources = np.cumsum([0, *model.layout.padded]), model.layout.sources()
         for g, slice_, thetas in zip(model.groups, model.group_slices(), terms, strict=True):
             lo, hi = int(starts[g.bodies[0]]), int(starts[g.bodies[-1] + 1])
-            views = []
-            histories = g.history or ((),) * len(g.kernel_terms)
+            views, histories = [], g.history or ((),) * len(g.kernel_terms)
             for make, theta, names in zip(g.kernel_terms, thetas, histories, strict=True):
                 full = np.zeros((len(theta), model.layout.n))
                 full[:, lo:hi] = theta[:, sources[lo:hi] - slice_.start]
                 view = make(pack(full, model.real))
                 views.append(view._replace(history=self._rows(names)) if names else view)
             views += [kind(active[kind].theta, (0,) * active[kind].theta.shape[1]) for kind in g.active]
-            groups.append(
-                Group(lo, hi, tuple(views), *pulled_lanes(drive.pulled.columns, lo, hi, lane_width(model.real)))
-            )
+            lanes = tuple(pulled_lanes(pulled.columns, lo, hi, lane_width(model.real)) for pulled in drive.pulled)
+            groups.append(Group(lo, hi, tuple(views), lanes))
         return tuple(groups)
 
     def _rows(self, names: tuple[str, ...]) -> tuple[int, ...]:
-        """Return the rows of the state that fields of these names have."""
+        """Return the rows of the state with the named fields."""
         rows = self.model.layout.table.rows
         return tuple(row for name in names for row in range(rows[name].start, rows[name].stop))
 
@@ -158,31 +137,24 @@ class ForwardRun:
         astray = self._astray(self.start)
         if astray.any():
             self._fail(int(np.flatnonzero(astray)[0]), 0, self.start)
-        # a node of mass NaN would count as empty, and hold its particles still without a word
-        light = np.flatnonzero(~np.isfinite(self.inputs.fields.mass))
-        if len(light):
-            self._report(int(light[0]), 0, "its mass is not finite", "check its density and attached masses")
+        # a node whose mass is NaN counts as empty: its particles would stand still without an error
+        infinite = np.flatnonzero(~np.isfinite(self.inputs.fields.mass))
+        if len(infinite):
+            self._report(int(infinite[0]), 0, "its mass is not finite", "check its density and attached masses")
 
     def _astray(self, q: Array) -> Array:
-        """Return which kernel columns are off the grid or not finite (n,)."""
+        """Return for each kernel column whether its particle is off the grid or not finite (n,)."""
         x = unpack(q)[: self.model.dim] / self.model.dx + MARGIN
         return ~np.all((x > 1.0) & (x < np.array(self.setting.upper)[:, None]), axis=0)
 
-    # --- forward --------------------------------------------------------------------------------------
-
     def run(
-        self,
-        observe: Callable[[int, State], None] | None = None,
-        should_stop: Callable[[], bool] | None = None,
+        self, observe: Callable[[int, State], None] | None = None, should_stop: Callable[[], bool] | None = None
     ) -> Records:
-        """Run all substeps.
+        """Run all substeps and return the probe's records; after an early end the rest of them is not filled.
 
         Args:
             observe: called with (control step, state) at control steps 0 .. T.
-            should_stop: looked at between control steps; a true value ends the run early.
-
-        Returns:
-            The probe's records; unfilled past an early end.
+            should_stop: called between control steps; if it returns True, the run ends early.
         """
         states = self.start[None].copy()
         n = self.model.n_controls
@@ -196,13 +168,13 @@ class ForwardRun:
         return Records.from_rows(self.records, self.model.layout.table)
 
     def unpack(self, q: Array, control: int) -> State:
-        """Return a packed state at a control step as a State."""
+        """Return a packed state of a control step as a State."""
         return State.unpack(q, self.model.layout, self.memory[control])
 
     def advance(self, begin: int, end: int, states: Array, *, keep: bool) -> None:
-        """Run substeps begin .. end from states[0]; with `keep` states[k] becomes the state after k of them.
+        """Run substeps begin .. end from states[0]; with `keep`, states[k] becomes the state after k of them.
 
-        A policy is asked at every control step that it has not decided yet; what it decided is replayed.
+        The policy decides each control step once; a repeated run uses its decisions.
         """
         at, substeps = begin, self.model.substeps
         while at < end:
@@ -221,25 +193,23 @@ class ForwardRun:
         self.decided = control + 1
 
     def _advance(self, begin: int, end: int, states: Array, keep: bool) -> None:
-        work = self.work
-        work.stray[:] = -1
+        stray = self.work.stray
+        stray[:] = -1
 
         def body(thread: int, to: int = end, n: int = self.threads) -> int:
-            crew = Crew(thread, n)
-            return int(
-                advance(
-                    self.groups, self.conditions, self.drive, self.bundle, states, begin, to, keep, self.probe,
-                    self.records, crew,
-                )
+            reached: int = advance(
+                self.groups, self.conditions, self.drive, self.bundle, states, begin, to, keep, self.probe,
+                self.records, Crew(thread, n),
             )  # fmt: skip
+            return reached
 
         if self.threads > 1:
-            body(0, begin, 1)  # compiled by one thread, before the others could wait for it
+            body(0, begin, 1)  # compile on one thread, so that the others do not wait for it at a barrier
         reached = self.team.run(body)
-        if work.stray.max() >= 0:
+        if stray.max() >= 0:
             q = states[reached - begin if keep else 0]
-            # a kernel names the first column of a lane that holds a stray
-            lane = int(work.stray[work.stray >= 0].min())
+            # a kernel writes the first column of the lane with the stray particle
+            lane = int(stray[stray >= 0].min())
             astray = np.flatnonzero(self._astray(q)[lane:])
             self._fail(lane + int(astray[0]) if len(astray) else lane, reached, q)
 
@@ -254,10 +224,6 @@ class ForwardRun:
         self._report(int(self.model.layout.sources()[column]), step, reason, advice)
 
     def _report(self, particle: int, step: int, reason: str, advice: str) -> None:
-        model = self.model
-        slices = model.layout.slices()
-        body = next(k for k, s in enumerate(slices) if s.start <= particle < s.stop)
-        raise RolloutError(
-            reason, body=model.body_names[body], particle=particle - slices[body].start, time=step * model.dt,
-            advice=advice,
-        )  # fmt: skip
+        slices, time = self.model.layout.slices(), step * self.model.dt
+        name, part = next((n, s) for n, s in zip(self.model.body_names, slices, strict=True) if particle < s.stop)
+        raise RolloutError(reason, body=name, particle=particle - part.start, time=time, advice=advice)

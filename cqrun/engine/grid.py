@@ -1,53 +1,28 @@
 """Passes over the nodes that may hold mass: clear, velocity and boundaries, and their adjoint.
 
-    v_n = mv_n / m_n,   v_n <- every boundary condition that holds the node, in order
+    v_n = mv_n / m_n,   v_n <- each boundary condition of the node, in order
 
-The velocity takes the place of momentum and mass. The adjoint has a record of its own beside it (`Work.both`).
-Gravity and other forces have come with the particles' momentum. Each thread takes whole blocks of nodes.
+The velocity replaces momentum and mass. The adjoint has a second record for each node (`Work.both`). The particles'
+momentum already contains gravity and other forces. Each thread takes whole blocks of nodes.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from numba.extending import overload
-
 from cqrun.boundaries.condition import project_all, project_all_vjp
+from cqrun.engine.arrays import components, record_of
 from cqrun.engine.blocks import BLOCK, first_node
 from cqrun.engine.setting import Crew, Run
 from cqrun.numerics.compile import kernel, share
 from cqrun.numerics.lanes import lane, with_lane
-from cqrun.numerics.records import load4, make4, store4
+from cqrun.numerics.records import load4, store4
 from cqrun.plugin.contract import Array
-
-
-def components(a: Any, dims: Any) -> Any:
-    """Return the first D entries of a record as a tuple of numbers."""
-    return tuple(a[k] for k in range(len(dims)))
-
-
-def record(u: Any, extra: Any, like: Array) -> Any:
-    """Return the record of a vector and a fourth entry."""
-    return make4(u[0], u[1], u[2] if len(u) == 3 else 0.0, extra, like)
-
-
-@overload(components)
-def _components(a, dims):
-    if len(dims) == 2:
-        return lambda a, dims: (lane(a, 0), lane(a, 1))
-    return lambda a, dims: (lane(a, 0), lane(a, 1), lane(a, 2))
-
-
-@overload(record)
-def _record(u, extra, like):
-    if len(u) == 2:
-        return lambda u, extra, like: make4(u[0], u[1], 0.0, extra, like)
-    return lambda u, extra, like: make4(u[0], u[1], u[2], extra, like)
 
 
 @kernel
 def clear(grid: Array, records: int, run: Run, crew: Crew) -> None:
-    """Set the listed nodes of a grid of so many records a node to zero."""
+    """Set the nodes that may hold mass to zero, in a grid with this number of records per node."""
     setting, work = run.setting, run.work
     lo, hi = share(work.blocks.n_nodes[0], crew.thread, crew.n_threads)
     strides = setting.strides
@@ -76,10 +51,10 @@ def update_grid(conditions: Any, run: Run, crew: Crew) -> None:
                     m = lane(mv, 3)
                     if m > 0.0:
                         v = mv / m
-                        held = work.held[node]
-                        if held != 0:
-                            after = project_all(conditions, node, held, components(v, setting.dims))
-                            v = record(after, 0.0, work.grid)
+                        bits = work.condition_bits[node]
+                        if bits != 0:
+                            after = project_all(conditions, node, bits, components(v, setting.dims))
+                            v = record_of(0.0, work.grid, after)
                         store4(work.grid, node, v)
                     else:
                         store4(work.grid, node, 0.0)
@@ -104,14 +79,14 @@ def update_grid_vjp(conditions: Any, run: Run, crew: Crew) -> None:
                     m = lane(mv, 3)
                     if m > 0.0:
                         v, v_bar = mv / m, load4(work.both, 2 * node + 1)
-                        held = work.held[node]
-                        if held != 0:
+                        bits = work.condition_bits[node]
+                        if bits != 0:
                             before, after_bar = components(v, setting.dims), components(v_bar, setting.dims)
-                            after = project_all(conditions, node, held, before)
+                            after = project_all(conditions, node, bits, before)
                             before_bar = project_all_vjp(
-                                conditions, node, held, before, after_bar, work.friction_bar, sums
+                                conditions, node, bits, before, after_bar, work.friction_bar, sums
                             )
-                            v, v_bar = record(after, 0.0, work.both), record(before_bar, 0.0, work.both)
+                            v, v_bar = record_of(0.0, work.both, after), record_of(0.0, work.both, before_bar)
                         mv_bar = v_bar / m
                         flow = mv_bar * mv / m
                         m_bar = -(lane(flow, 0) + lane(flow, 1) + lane(flow, 2))
@@ -124,7 +99,7 @@ def update_grid_vjp(conditions: Any, run: Run, crew: Crew) -> None:
 
 @kernel
 def add_friction_bar(coefficient_bar: Array, run: Run, crew: Crew) -> None:
-    """Add the blocks' partial sums (one thread, in block order)."""
+    """Add the blocks' partial sums in block order, on one thread."""
     work = run.work
     if crew.thread == 0:
         for index in range(work.blocks.n_nodes[0]):

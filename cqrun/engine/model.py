@@ -1,7 +1,7 @@
-"""Model and inputs: what a rollout is built from. Nothing here changes during a rollout.
+"""A rollout's model and inputs, which do not change in the rollout, and its records.
 
-`Model` is frozen: the grid, the bodies' layout, the terms of each body's stress, boundaries, actuators, time.
-`Inputs` are the numbers that gradients reach, in user order and float64; a cotangent is another `Inputs`.
+`Model` is frozen: grid, layout of the bodies, terms of their stress, boundaries, actuators, time.
+`Inputs` are the numbers that gradients reach, in user order and float64; their cotangent is another `Inputs`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from scipy import sparse
 
 from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
 from cqrun.engine.probe import make_probe
-from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, make_pulled, node_positions
+from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
 from cqrun.forces.force import Kind, Levels, is_force, make_forces
+from cqrun.forces.pulled import make_pulled
 from cqrun.forces.steady import is_steady, make_steady, starts_of
 from cqrun.numerics.packed import pack
 from cqrun.plugin.contract import Array
@@ -28,9 +29,8 @@ from cqrun.state import MOTION, Layout, ParticleFields, State, StateField, State
 class GroupModel:
     """Consecutive bodies with the same terms of stress.
 
-    `kernel_terms` make each term's kernel view from its packed parameters theta; `active` are the kinds of active
-    stress among its actuators, terms like the others but for the activations that fill them; `history` names the fields
-    of the state that belong to each of the terms, empty if no term has any.
+    `kernel_terms` make each term's kernel view from its packed parameters theta. `active` are the kinds of active
+    stress, terms whose parameters the activations fill. `history` has each term's fields of the state, or is empty.
     """
 
     bodies: tuple[int, ...]
@@ -43,8 +43,8 @@ class GroupModel:
 class ActuatorModel:
     """A part of an actuator, which has one activation, or of a force, which has none.
 
-    `kernel` is the class of its kind, `constants` what `Actuator.constants` says; particles are in user order, those
-    of a cable in the order of its route.
+    `kernel` is the class of its kind, `constants` are those of `Actuator.constants`. Particles are in user order; those
+    of a cable are in the order of its route.
     """
 
     name: str
@@ -55,7 +55,7 @@ class ActuatorModel:
 
 @dataclass(frozen=True)
 class ConditionModel:
-    """One plane of a boundary condition: which nodes it holds, and where it comes from."""
+    """One plane of a boundary condition, and the nodes (bool) that it applies to."""
 
     name: str
     spec: BoundaryCondition
@@ -64,14 +64,14 @@ class ConditionModel:
 
     def kernel(self, coefficient: float) -> Any:
         """Return the kernels' view."""
-        own = self.normal
-        normal = own if isinstance(own, tuple) else NodeNormals(own, (0,) * own.shape[1])
-        return self.spec.kernel_condition(normal)._replace(coefficient=float(coefficient))
+        n = self.normal
+        view = self.spec.kernel_condition(n if isinstance(n, tuple) else NodeNormals(n, (0,) * n.shape[1]))
+        return view._replace(coefficient=float(coefficient))
 
 
 @dataclass(frozen=True)
 class Model:
-    """Everything fixed about a rollout."""
+    """The parts of a rollout that are fixed."""
 
     size: Array  # of the world (D,) [m]
     dx: float
@@ -85,9 +85,9 @@ class Model:
     actuators: tuple[ActuatorModel, ...] = ()
     probe: sparse.csr_array | None = None  # (K, N) weighted sums to record
     real: Any = np.float64
-    memory_budget: int = 2 * 2**30  # bytes for states kept for gradients
+    memory_budget: int = 2 * 2**30  # for the states that gradients keep [bytes]
     forces: tuple[ActuatorModel, ...] = ()  # parts of forces without an activation
-    spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # memory for them (`checkpoint.py`)
+    spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # free memory for states
 
     @property
     def dim(self) -> int:
@@ -109,12 +109,12 @@ class Model:
         bodies = self.layout.slices()
         return [slice(bodies[g.bodies[0]].start, bodies[g.bodies[-1]].stop) for g in self.groups]
 
-    def held(self) -> Array:
-        """Return the bits of the conditions that hold each node (nodes,)."""
-        held = np.zeros(int(np.prod(self.grid_shape)), np.int64)
+    def condition_bits(self) -> Array:
+        """Return for each node the bits of the conditions that apply to it (nodes,)."""
+        bits = np.zeros(int(np.prod(self.grid_shape)), np.int64)
         for k, condition in enumerate(self.conditions):
-            held |= condition.nodes.astype(np.int64) << k
-        return held
+            bits |= condition.nodes.astype(np.int64) << k
+        return bits
 
     def kernel_probe(self) -> Probe:
         """Return the probe over kernel columns."""
@@ -123,23 +123,23 @@ class Model:
 
     @property
     def parts(self) -> tuple[ActuatorModel, ...]:
-        """All parts that have a strength: those of actuators, and after them those of forces without an activation."""
+        """All parts with a strength: those of actuators, then those of forces without an activation."""
         return (*self.actuators, *self.forces)
 
     def kinds(self) -> tuple[list[type], list[type], list[type]]:
-        """Return the kinds of active stress, of steady force, and of force that depends on the state."""
+        """Return the kinds of active stress, of steady forces, and of forces that depend on the state."""
         kinds = list(dict.fromkeys(part.kernel for part in self.parts))
         steady, forces = [k for k in kinds if is_steady(k)], [k for k in kinds if is_force(k)]
         return [k for k in kinds if k not in steady + forces], steady, forces
 
     @property
     def weight_slices(self) -> list[slice]:
-        """Each actuator's slice of the weights of particles."""
+        """Each actuator's slice of `Inputs.weights`."""
         ends = np.cumsum([0, *(len(a.particles) for a in self.actuators)])
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
     def kernel_drive(self, inputs: Inputs) -> Drive:
-        """Return what actuators and forces act through."""
+        """Return the kernels' view of actuators and forces."""
         weights, rest, parts = inputs.weights, inputs.rest, self.parts
         columns, (stresses, steady, forces) = self.layout.columns(), self.kinds()
         pieces, shares = [columns[part.particles] for part in parts], self.weight_slices
@@ -147,84 +147,61 @@ class Model:
             weights = np.ones(shares[-1].stop if shares else 0)
 
         def of(kind: type) -> tuple[Array, list[Array], list[Array]]:
-            mine = [k for k, part in enumerate(parts) if part.kernel is kind]
-            return np.array(mine, np.int64), [pieces[k] for k in mine], [parts[k].constants for k in mine]
+            chosen = [k for k, part in enumerate(parts) if part.kernel is kind]
+            return np.array(chosen, np.int64), [pieces[k] for k in chosen], [parts[k].constants for k in chosen]
 
         def stress(kind: type) -> Stresses:
-            mine, held, directions = of(kind)
+            chosen, particles, directions = of(kind)
             theta = pack(np.zeros((len(directions[0]), self.layout.n)), self.real)
-            weight = np.concatenate([weights[shares[k]] for k in mine])
-            return Stresses(theta, *starts_of(held), mine, np.array(directions, float), weight)
+            weight = np.concatenate([weights[shares[k]] for k in chosen])
+            return Stresses(theta, *starts_of(particles), chosen, np.array(directions, float), weight)
 
         always_on = np.ones((len(inputs.activation), len(self.forces)))
-        levels = Levels(
-            np.concatenate([np.asarray(inputs.activation, np.float64), always_on], axis=1),
-            np.array(inputs.strength, np.float64),
-            np.array(rest, np.float64) if len(rest) else np.zeros(len(parts)),
-        )
+        activation = np.concatenate([np.asarray(inputs.activation, np.float64), always_on], axis=1)
+        rest = np.array(rest, np.float64) if len(rest) else np.zeros(len(parts))
+        levels = Levels(activation, np.array(inputs.strength, np.float64), rest)
         kernels, all_shares = make_forces([Kind(kind, *of(kind)) for kind in forces], self.dim)
         return Drive(
             levels, tuple(stress(kind) for kind in stresses), tuple(make_steady(kind, *of(kind)) for kind in steady),
-            kernels, make_pulled(all_shares),
+            kernels, (make_pulled(all_shares),) if kernels else (),
         )  # fmt: skip
 
     def no_push(self, kinds: Sequence[Any]) -> Array:
-        """Return forces on particles of zero, packed; without columns where there is no kind of force."""
+        """Return zero forces on particles, packed; without columns if there is no kind of force."""
         return pack(np.zeros((self.dim, self.layout.n if kinds else 0)), self.real)
 
 
 @dataclass
 class Inputs:
-    """What a rollout depends on; as a cotangent, the derivative of the loss by each of them.
-
-    `terms[g][k]` (rows, N_g) are the parameters of term k of group g, `activation` (T, A) has one row a control step,
-    `strength` one number a part of `Model.parts`, in its own unit, `coefficients` one a plane of a boundary condition,
-    `weights` one a particle of each actuator, one actuator after another; all 1 if empty. Forces have no weights.
-    `rest` is the length at rest of each of these parts [m], which cables and springs have; all 0 if empty.
-    """
+    """The numbers that a rollout depends on; as a cotangent, the derivative of the loss by each of them."""
 
     state: State
     fields: ParticleFields
-    terms: list[list[Array]]
-    activation: Array
-    strength: Array
-    coefficients: Array = field(default_factory=lambda: np.zeros(0))
-    weights: Array = field(default_factory=lambda: np.zeros(0))
-    rest: Array = field(default_factory=lambda: np.zeros(0))
+    terms: list[list[Array]]  # [g][k]: parameters (rows, N_g) of term k of group g
+    activation: Array  # (T, A) one row per control step
+    strength: Array  # of each of `Model.parts`, in its own unit
+    coefficients: Array = field(default_factory=lambda: np.zeros(0))  # of each plane of a boundary condition
+    weights: Array = field(default_factory=lambda: np.zeros(0))  # of each particle of each actuator; all 1 if empty
+    rest: Array = field(default_factory=lambda: np.zeros(0))  # length at rest of each part [m]; all 0 if empty
 
     @classmethod
     def zeros_like(cls, other: Inputs) -> Inputs:
         """Return a zero cotangent."""
-        s, n, dim = other.state, *other.state.x.shape
-        return cls(
-            s.zeros_like(),
-            ParticleFields.zeros(n, dim),
-            [[np.zeros_like(theta) for theta in group] for group in other.terms],
-            np.zeros_like(other.activation),
-            np.zeros_like(other.strength),
-            np.zeros_like(other.coefficients),
-            np.zeros_like(other.weights),
-            np.zeros_like(other.rest),
-        )
+        terms = [[np.zeros_like(theta) for theta in group] for group in other.terms]
+        numbers = (other.activation, other.strength, other.coefficients, other.weights, other.rest)
+        fields = ParticleFields.zeros(*other.state.x.shape)
+        return cls(other.state.zeros_like(), fields, terms, *map(np.zeros_like, numbers))
 
 
 @dataclass
 class Records:
-    """What a rollout writes down at control steps 0 .. T of K weighted means over particles; or the cotangent of that.
+    """K weighted means over particles, recorded at control steps 0 .. T, or the cotangent of these records."""
 
-    Iterating over it gives x, v, C and F.
-
-    Attributes:
-        x, v: (T + 1, K, D) position [m], velocity [m/s].
-        C, F: (T + 1, K, D, D) velocity gradient [1/s], deformation gradient [1].
-        history: (T + 1, K, ...) of material terms that have one, by name.
-    """
-
-    x: Array
-    v: Array
-    C: Array
-    F: Array
-    history: dict[str, Array] = field(default_factory=dict)
+    x: Array  # (T + 1, K, D) position [m]
+    v: Array  # (T + 1, K, D) velocity [m/s]
+    C: Array  # (T + 1, K, D, D) velocity gradient [1/s]
+    F: Array  # (T + 1, K, D, D) deformation gradient [1]
+    history: dict[str, Array] = field(default_factory=dict)  # (T + 1, K, ...) of material terms that have one, by name
 
     def __iter__(self) -> Iterator[Array]:
         """Iterate over x, v, C and F."""
@@ -232,7 +209,7 @@ class Records:
 
     @classmethod
     def from_rows(cls, rows: Array, table: StateTable) -> Records:
-        """Return the records in kernel rows (T + 1, rows, K)."""
+        """Return the records of kernel rows (T + 1, rows, K)."""
         a = np.ascontiguousarray(rows.transpose(0, 2, 1))
         arrays = {f.name: a[..., table.rows[f.name]].reshape(*a.shape[:2], *f.shape) for f in table.fields}
         motion = {name: arrays.pop(name) for name in MOTION}
@@ -244,7 +221,7 @@ class Records:
         return Records(x, v, C, F, {name: np.zeros_like(a) for name, a in self.history.items()})
 
     def to_rows(self, table: StateTable) -> Array:
-        """Return kernel rows (T + 1, rows, K); histories that it lacks count as zero."""
+        """Return kernel rows (T + 1, rows, K); missing histories count as zero."""
         out = np.zeros((len(self.x), table.n_rows, self.x.shape[1]), self.x.dtype)
         for name, array in ({name: getattr(self, name) for name in MOTION} | self.history).items():
             rows = table.rows[name]
@@ -260,7 +237,7 @@ class Records:
 
 @dataclass
 class LossBar:
-    """Cotangents of what a rollout gives: records, the last state, activations (T, A); None for zero."""
+    """Cotangents of a rollout's results: records, final state, activations (T, A); None for zero."""
 
     records: Records | None = None
     final: State | None = None

@@ -1,10 +1,10 @@
 """Passes over particles, lane by lane: momentum before P2G, motion after G2P, and their adjoints.
 
-A particle's momentum for the next substep needs nothing but its own motion in this one. So `move` can go on with
-it tile by tile, while the tile is in the cache (`Substep.ahead`); so can `momentum_vjp` with the adjoint of the substep
-before. Only lanes that forces pull have to wait for all particles (`forces.py`).
+A particle's momentum for the next substep depends only on its own motion in this one. So `move` can also compute it,
+tile by tile, while the tile is in the cache (`Substep.ahead`), and `momentum_vjp` can start the adjoint of the previous
+substep. Only lanes that forces pull must wait for all particles (`forces.py`).
 
-Momentum (CQ1 eqs 3-5), with kappa = exp(-damping dt), all external forces f, and tau the Kirchhoff stress:
+Momentum (CQ1 eqs 3-5), with kappa = exp(-damping dt), the external forces f and the Kirchhoff stress tau:
 
     p = kappa m v + dt f,    G = kappa m C - (4 / dx^2) dt vol0 tau(F, C)
     mv_n = sum_p w (p + G d),  d = x_n - x_p
@@ -13,11 +13,14 @@ Motion (CQ1 eqs 8-10), with B = sum_n w v_n d^T:
 
     v' = sum_n w v_n,  C' = (4 / dx^2) B,  F' = (I + dt C') F,  x' = x + dt v'
 
-and then the histories of material terms, from F to F'. In cells, d = dx (o - f): P2G scatters a = p, columns dx G; G2P
-gathers B / dx.
+and then the histories of material terms. In cells d = dx (o - f), so P2G scatters p and dx G, and G2P gathers B / dx.
 """
 
 from __future__ import annotations
+
+from typing import Any
+
+from numba.extending import overload
 
 from cqrun.engine.arrays import (
     add_vector,
@@ -57,14 +60,14 @@ from cqrun.state import DECAY, FORCE, MASS, PADDING, VOLUME
 
 @kernel
 def tiles_of(group: Group, crew: Crew) -> tuple[int, int]:
-    """Return the columns of a body that fall to one thread, whole lanes of any precision."""
+    """Return one thread's columns of a group: whole lanes for any precision."""
     lo, hi = share((group.hi - group.lo) // PADDING, crew.thread, crew.n_threads)
     return group.lo + lo * PADDING, group.lo + hi * PADDING
 
 
 @kernel
 def momentum(group: Group, run: Run, at: Substep, crew: Crew) -> None:
-    """Write what P2G scatters for one body's particles."""
+    """Write the fields that P2G scatters for the particles of a group."""
     if not at.begun:
         lo, hi = tiles_of(group, crew)
         write_momentum(group, run, at.q, lo, hi)
@@ -72,15 +75,12 @@ def momentum(group: Group, run: Run, at: Substep, crew: Crew) -> None:
 
 @one_body
 def write_momentum(group: Group, run: Run, q: Array, lo: int, hi: int) -> None:
-    """Write what P2G scatters for columns lo .. hi of a body."""
+    """Write the fields that P2G scatters for columns lo .. hi of a group."""
     setting, work, fields, push = run.setting, run.work, run.fields, run.push
     dims, dx, dt = setting.dims, setting.dx, setting.dt
-    n = work.place.shape[0]
-    width = LANE_BYTES // q.itemsize
-    pushed = push.shape[0] > 0
+    n, width, pushed = work.place.shape[0], LANE_BYTES // q.itemsize, push.shape[0] > 0
     for i in range(lo, hi, width):
-        C = load_C(q, i, dims)
-        F = load_F(q, i, dims)
+        C, F = load_C(q, i, dims), load_F(q, i, dims)
         m, kept = load(fields, MASS, i), load(fields, MASS, i) * load(fields, DECAY, i)
         tau = total_kirchhoff(group.terms, q, i, F, C)
         f = load_vector(fields, FORCE, i, dims)
@@ -97,9 +97,9 @@ def write_momentum(group: Group, run: Run, q: Array, lo: int, hi: int) -> None:
 
 @kernel
 def move(group: Group, run: Run, at: Substep, crew: Crew) -> None:
-    """Gather the grid velocity and move one body's particles; go on with the momentum of the next substep if `ahead`.
+    """Gather the grid velocity and move a group's particles; if `ahead`, write the momentum of the next substep.
 
-    Leaves the greatest |v|^2 and the first stray particle in the thread's slots of `work`.
+    Write the largest |v|^2 and the first stray particle into the thread's entries of `work`.
     """
     setting, work, q, q_next, thread = run.setting, run.work, at.q, at.q_next, crew.thread
     dims, dx, dt = setting.dims, setting.dx, setting.dt
@@ -133,7 +133,7 @@ def move(group: Group, run: Run, at: Substep, crew: Crew) -> None:
 
 @kernel
 def move_vjp(groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep, crew: Crew) -> None:
-    """Write what the adjoint of G2P scatters, and begin the cotangent of q in place of that of q_next."""
+    """Write the fields that the adjoint of G2P scatters, and turn the cotangent of q_next into a part of that of q."""
     if not at.begun:
         lo, hi = tiles_of(groups[0], crew)
         begin_cotangent(groups, run, at.q, at.q_next, bars.q, lo, hi, crew.thread)
@@ -143,12 +143,11 @@ def move_vjp(groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep, cre
 def begin_cotangent(
     groups: tuple[Group, Group], run: Run, q: Array, q_next: Array, q_bar: Array, lo: int, hi: int, thread: int
 ) -> None:
-    """Do `move_vjp` for columns lo .. hi of a body."""
+    """Run `move_vjp` for columns lo .. hi of a group."""
     group, group_bar = groups
     setting, work = run.setting, run.work
     dims, dx, dt = setting.dims, setting.dx, setting.dt
-    n = work.place.shape[0]
-    width = LANE_BYTES // q.itemsize
+    n, width = work.place.shape[0], LANE_BYTES // q.itemsize
     fastest = load(q, 0, group.lo) * 0.0
     for i in range(lo, hi, width):
         v, C = load_v(q_next, i, dims), load_C(q_next, i, dims)
@@ -173,26 +172,22 @@ def begin_cotangent(
 
 @kernel
 def momentum_vjp(groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep, crew: Crew) -> None:
-    """Gather the adjoints of both transfers, finish the cotangent of q, add to those of all parameters.
+    """Gather the adjoints of both transfers, finish the cotangent of q, and add to those of all parameters.
 
-    `bars.push` becomes the cotangent of this substep's forces. If `ahead`, go on with the adjoint of the substep
-    before, but for lanes that forces pull.
+    Write the cotangent of the forces to `bars.push`. If `ahead`, start the adjoint of the previous substep in the lanes
+    that forces do not pull.
     """
     group, group_bar = groups
     setting, work, q, q_bar, fields, fields_bar = run.setting, run.work, at.q, bars.q, run.fields, bars.fields
     push_bar, steady_bar = bars.push, bars.steady_push
     dims, dx, dt = setting.dims, setting.dx, setting.dt
-    n = work.place.shape[0]
-    width = LANE_BYTES // q.itemsize
+    n, width, thread = work.place.shape[0], LANE_BYTES // q.itemsize, crew.thread
     lo, hi = tiles_of(group, crew)
-    thread = crew.thread
     value, moment, slope = work.tile_value[thread], work.tile_moment[thread], work.tile_slope[thread]
     fields_1, fields_2 = (work.value, work.affine), (work.value_2, work.affine_2)
     for tile in range(lo, hi, TILE):
         end = min(tile + TILE, hi)
-        gather_vjp(
-            work.both, fields_1, fields_2, work.place, value, moment, slope, tile, end, setting.strides, dims
-        )  # fmt: skip
+        gather_vjp(work.both, fields_1, fields_2, work.place, value, moment, slope, tile, end, setting.strides, dims)
         for i in range(tile, end, width):
             v, C = load_v(q, i, dims), load_C(q, i, dims)
             F, A = load_F(q, i, dims), get_columns(work.affine, n, i, dims)
@@ -219,19 +214,18 @@ def momentum_vjp(groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep,
             F_bar, C_bar = total_kirchhoff_vjp(group.terms, group_bar.terms, q, q_bar, i, F, C, tau_bar)
             store_v(q_bar, i, scale(p_bar, m * kappa), dims)
             store_C(q_bar, i, add(C_bar, scale(G_bar, m * kappa)), dims)
-            F_bar = add(F_bar, load_F(q_bar, i, dims))
-            store_F(q_bar, i, F_bar, dims)
+            store_F(q_bar, i, add(F_bar, load_F(q_bar, i, dims)), dims)
         if at.ahead:
-            begin_between_lanes(groups, run, bars, at, tile, end, thread)
+            begin_but_for(groups[0].pulled, groups, run, bars, at, tile, end, thread)
             write_momentum(group, run, at.q_before, tile, end)
 
 
 @kernel
 def begin_between_lanes(
-    groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep, lo: int, hi: int, thread: int
+    lanes: Array, groups: tuple[Group, Group], run: Run, bars: Bars, at: Substep, lo: int, hi: int, thread: int
 ) -> None:
-    """Begin the adjoint of the substep before in columns lo .. hi, but for the lanes that forces pull."""
-    lanes, begin = groups[0].lanes, lo
+    """Start the adjoint of the previous substep in columns lo .. hi without the lanes that forces pull."""
+    begin = lo
     for lane_at in lanes[first_at_least(lanes, lo) : first_at_least(lanes, hi)]:
         if lane_at > begin:
             begin_cotangent(groups, run, at.q_before, at.q, bars.q, begin, lane_at, thread)
@@ -240,16 +234,32 @@ def begin_between_lanes(
         begin_cotangent(groups, run, at.q_before, at.q, bars.q, begin, hi, thread)
 
 
+def begin_but_for(pulled: Any, groups: Any, run: Run, bars: Bars, at: Substep, lo: int, hi: int, thread: int) -> None:
+    """Start the adjoint of the previous substep in columns lo .. hi without the lanes in `pulled`, if there is any."""
+    if pulled:
+        begin_between_lanes(pulled[0].first, groups, run, bars, at, lo, hi, thread)
+    else:
+        begin_cotangent(groups, run, at.q_before, at.q, bars.q, lo, hi, thread)
+
+
+@overload(begin_but_for)
+def _begin_but_for(pulled, groups, run, bars, at, lo, hi, thread):
+    def some(pulled, groups, run, bars, at, lo, hi, thread):
+        begin_between_lanes(pulled[0].first, groups, run, bars, at, lo, hi, thread)
+
+    def none(pulled, groups, run, bars, at, lo, hi, thread):
+        begin_cotangent(groups, run, at.q_before, at.q, bars.q, lo, hi, thread)
+
+    return some if len(pulled) else none
+
+
 @kernel
 def first_at_least(increasing: Array, value: int) -> int:
     """Return the index of the first entry that is not less than a value."""
     lo, hi = 0, len(increasing)
     while lo < hi:
         middle = (lo + hi) // 2
-        if increasing[middle] < value:
-            lo = middle + 1
-        else:
-            hi = middle
+        lo, hi = (middle + 1, hi) if increasing[middle] < value else (lo, middle)
     return lo
 
 

@@ -1,8 +1,7 @@
-"""What decides the activations of a rollout: observers and a controller, seen from the engine.
+"""The policy of a rollout: observers and a controller, as the engine sees them.
 
-At the beginning of control step k the engine shows the policy what its probe recorded of the state, and what the
-policy remembered; it answers with the activations of that control step and with what to remember. In the backward
-run it is asked for the adjoint of that answer, last control step first.
+At the start of a control step the engine calls the policy with the probe's record of the state and the policy's memory.
+It returns the activations of the control step and the next memory. The backward run calls its adjoint in reverse order.
 """
 
 from __future__ import annotations
@@ -15,10 +14,9 @@ from cqrun.state import State
 
 
 class Policy(Protocol):
-    """A map from what is observed and remembered to activations and memory.
+    """A map from a record (rows, K) of x, v, C, F, row-major, and a memory (M,) to activations and the next memory.
 
-    `record` (rows, K) are the probe's rows of the state: x, v, C, F, row-major; `memory` (M,) is what was remembered;
-    `state` gives the whole state, at the price of unpacking it.
+    `state` unpacks the whole state, which takes time.
     """
 
     def act(self, control: int, record: Array, memory: Array, state: Callable[[], State]) -> tuple[Array, Array]:
@@ -32,12 +30,12 @@ class Policy(Protocol):
         """Return the cotangents of record, memory and state (None for zero).
 
         Args:
-            control, record, memory, state: as `act` had them.
-            activation_bar, memory_bar: cotangents of what it returned.
-            parameters_bar: the cotangents of its parameters, to which it adds.
+            control, record, memory, state: the arguments of `act`.
+            activation_bar, memory_bar: cotangents of its results.
+            parameters_bar: cotangents of the policy's parameters; it adds to them.
         """
         ...
 
     def parameters_zero(self) -> Any:
-        """Return cotangents of its parameters to begin with, which the engine only hands on."""
+        """Return zero cotangents of the policy's parameters, which the engine only passes on."""
         ...

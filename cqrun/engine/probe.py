@@ -1,15 +1,14 @@
-"""Recording weighted sums of particles at control steps, and the adjoint. One thread runs these.
+"""Record weighted sums of particles at control steps, and the adjoint. One thread runs these.
 
-A row of few particles (a marker) is summed one by one. One of many (a body's centroid) takes whole lanes, 25 times as
-fast: particles whose columns leave the same remainder by PADDING go into one part of the sum, whatever the precision
-and the processor's lanes, and the parts are added up at the end.
+A row with few particles (a marker) is summed one by one. A row with many (a body's centroid) is summed by lanes, which
+is 25 times as fast: particles whose columns have the same remainder by PADDING go into one partial sum, for any
+precision and width of a lane, and the partial sums are added at the end.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from scipy import sparse
 
 from cqrun.engine.setting import Probe
 from cqrun.numerics.compile import kernel
@@ -19,33 +18,28 @@ from cqrun.numerics.wide_records import load_wide, store_wide
 from cqrun.plugin.contract import Array
 from cqrun.state import PADDING
 
-if TYPE_CHECKING:
-    from scipy import sparse
-
 MANY = 64
-"""Particles from which a row is summed by lanes."""
+"""Number of particles from which a row is summed by lanes."""
 
 
 def make_probe(matrix: sparse.csr_array, columns: Array, rows: int) -> Probe:
-    """Return the probe of a matrix (K, N).
-
-    Args:
-        columns: the kernel column of each particle (N,).
-        rows: of the packed state q.
-    """
+    """Return the probe of a matrix (K, N), for the kernel columns (N,) of particles and the rows of the state."""
     counts = np.diff(matrix.indptr)
     many = np.flatnonzero(counts >= MANY)
     few = np.repeat(counts < MANY, counts)
     start = np.concatenate([[0], np.cumsum(np.where(counts < MANY, counts, 0))])
-    runs, shares = [], []
+    runs, shares = [], [np.zeros((0, PADDING))]
     for k in many:
-        own = slice(matrix.indptr[k], matrix.indptr[k + 1])
-        place = columns[matrix.indices[own]]
-        held, which = np.unique(place // PADDING, return_inverse=True)
-        share = np.zeros((len(held), PADDING))
-        np.add.at(share, (which, place % PADDING), matrix.data[own])
-        runs.append(held)
+        entries = slice(matrix.indptr[k], matrix.indptr[k + 1])
+        column = columns[matrix.indices[entries]]
+        blocks, block = np.unique(column // PADDING, return_inverse=True)
+        share = np.zeros((len(blocks), PADDING))
+        np.add.at(share, (block, column % PADDING), matrix.data[entries])
+        runs.append(blocks)
         shares.append(share)
+    table = np.concatenate(shares).reshape(-1, 4)
+    records = aligned(table.shape, table.dtype)
+    records[...] = table
     return Probe(
         start.astype(np.int64),
         columns[matrix.indices[few]].astype(np.int64),
@@ -53,17 +47,9 @@ def make_probe(matrix: sparse.csr_array, columns: Array, rows: int) -> Probe:
         many.astype(np.int64),
         np.cumsum([0, *map(len, runs)]).astype(np.int64),
         np.concatenate([*runs, np.zeros(0)]).astype(np.int64),
-        _records([*shares, np.zeros((0, PADDING))]),
+        records,
         aligned((rows * PADDING // 4, 4), np.float64),
     )
-
-
-def _records(tables: list[Array]) -> Array:
-    """Return tables below each other as records of four."""
-    whole = np.concatenate(tables).reshape(-1, 4)
-    out = aligned(whole.shape, whole.dtype)
-    out[...] = whole
-    return out
 
 
 @kernel
@@ -114,6 +100,6 @@ def record_vjp(probe: Probe, q_bar: Array, out_bar: Array) -> None:
                 share = load_wide(probe.shares, index * parts + part, as_real(load(q_bar, 0, i), probe.shares))
                 for row in range(q_bar.shape[1]):
                     bar = out_bar[row, probe.rows[j]]
-                    if bar != 0.0:  # most terms ask for some of x, v, C and F
+                    if bar != 0.0:  # most terms use only some of x, v, C and F
                         added = as_real(load(q_bar, row, i), probe.shares) + share * bar
                         store(q_bar, row, i, as_real(added, q_bar))

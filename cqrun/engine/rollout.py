@@ -1,11 +1,11 @@
-"""A rollout: the model's equations run over all substeps, and its adjoint in bounded memory."""
+"""A rollout: all substeps of a model, and their adjoint in bounded memory."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from checkpoint_schedules import Copy, EndForward, EndReverse, Forward, Move, MultistageCheckpointSchedule, Reverse
+from checkpoint_schedules import Copy, EndForward, Forward, Move, MultistageCheckpointSchedule, Reverse
 
 from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.checkpoint import Plan, borrowed, make_plan
@@ -15,25 +15,18 @@ from cqrun.engine.policy import Policy
 from cqrun.plugin.contract import Array
 from cqrun.state import State
 
-_ONE = (
-    Forward(0, 1, False, True, None),
-    EndForward(),
-    Reverse(1, 0, True),
-    EndReverse(),
-)
-"""The schedule of a rollout whose states all fit."""
+_ONE = (Forward(0, 1, False, True, None), EndForward(), Reverse(1, 0, True))
+"""The schedule of a rollout of one chunk: all its states fit the memory."""
 
 
 class Rollout(ForwardRun):
-    """One model with one set of inputs: run forward, and backward for gradients.
-
-    Arguments, attributes and errors are those of `ForwardRun`, and:
+    """Run one model with one set of inputs forward, and backward for gradients; see `ForwardRun`.
 
     Attributes:
         plan: how the last gradient kept its states; None before the first.
-        growth_at: after gradients under a policy, the control step where one grew most; -1 if no load depends on the
+        growth_at: after gradients with a policy, the control step where one grew most; -1 if no loss depends on the
             motion.
-        parameters_bar: after `gradient` under a policy, the cotangent of the policy's parameters.
+        parameters_bar: after `gradient` with a policy, the cotangent of the policy's parameters.
     """
 
     def __init__(
@@ -47,10 +40,8 @@ class Rollout(ForwardRun):
     def gradient(self, loss_bar: Callable[[Records, State], LossBar]) -> tuple[Records, Inputs]:
         """Run forward and backward; return the records and the cotangent of the inputs.
 
-        That of the policy's parameters, if there is a policy, is then in `parameters_bar`.
-
         Args:
-            loss_bar: given the records and the final state, returns the loss's cotangents.
+            loss_bar: returns the loss's cotangents for the records and the final state.
         """
         records, (sweep,) = self.gradients(lambda records, final: [loss_bar(records, final)])
         self.parameters_bar = sweep.parameters_bar
@@ -59,15 +50,13 @@ class Rollout(ForwardRun):
     def gradients(self, loss_bars: Callable[[Records, State], Iterable[LossBar]]) -> tuple[Records, list[BackwardRun]]:
         """Run forward once, and backward once for each of several functions; return the records and the sweeps.
 
-        States that were not kept are computed again once, whatever the number of functions.
+        The functions share the states that are computed again.
 
         Args:
-            loss_bars: given the records and the final state, returns each function's cotangents; from an iterator
-                one is taken after the other, and not kept.
+            loss_bars: returns each function's cotangents for the records and the final state; may be an iterator.
         """
         model = self.model
-        n_steps = model.n_steps
-        plan = self.plan = make_plan(n_steps, self.state_bytes, model.memory_budget)
+        plan = self.plan = make_plan(model.n_steps, self.state_bytes, model.memory_budget)
         with borrowed(model.spare, (plan.states, *self.start.shape), model.real) as states:
             records, sweeps = self._sweep(plan, states, loss_bars)
         self.growth_at = max((sweep.growth for sweep in sweeps), default=(0.0, -1))[1]
@@ -76,9 +65,8 @@ class Rollout(ForwardRun):
     def _sweep(
         self, plan: Plan, states: Array, loss_bars: Callable[[Records, State], Iterable[LossBar]]
     ) -> tuple[Records, list[BackwardRun]]:
-        """Run forward and backward as planned, with memory for the plan's states."""
-        model = self.model
-        n_steps = model.n_steps
+        """Run forward and backward by the plan, in the memory for its states."""
+        model, n_steps = self.model, self.model.n_steps
         chunk_states, spare = states[: plan.chunk + 1], list(states[plan.chunk + 1 :])
         snapshots: dict[int, Array] = {}
         current = self.start[None].copy()
@@ -109,6 +97,4 @@ class Rollout(ForwardRun):
                 current[0] = snapshots[action.n]
                 if isinstance(action, Move):
                     spare.append(snapshots.pop(action.n))
-            if isinstance(action, EndReverse):
-                break
         return records, sweeps

@@ -1,4 +1,4 @@
-"""What the kernels share: constants, work arrays, and the parameters of each body."""
+"""The arguments of the kernels: constants, work arrays, and the parameters of each body."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ import numpy as np
 
 from cqrun.engine.blocks import BLOCK, Blocks, make_blocks
 from cqrun.engine.team import Team
-from cqrun.forces.force import Levels, Shares
+from cqrun.forces.force import Levels
+from cqrun.forces.pulled import Pulled, PulledLanes
 from cqrun.numerics.packed import aligned
 from cqrun.plugin.contract import Array
 
 MARGIN = 3
-"""Grid nodes beyond each face of the world, so that stencils near a wall stay on the grid."""
+"""Number of grid nodes beyond each face of the world; they keep the stencils near a wall on the grid."""
 
 TILE = 512
-"""Particles gathered at a time into arrays that stay in the first cache."""
+"""Number of particles that are gathered at a time; their arrays fit the first-level cache."""
 
 
 class Setting(NamedTuple):
@@ -32,116 +33,92 @@ class Setting(NamedTuple):
 
 
 class Group(NamedTuple):
-    """A body's columns, the terms of its stress, and the lanes of it that forces pull.
-
-    A pulled lane is written once more after the forces are known, so tiles need not wait for them (`forces.py`).
-    """
+    """Consecutive bodies with the same terms of stress: columns lo .. hi, and the lanes in them that forces pull."""
 
     lo: int
     hi: int
     terms: tuple[Any, ...]
-    lanes: Array  # (L,) first columns of the lanes with pulled particles, increasing
-    pulled: Array  # (L + 1,) where the particles of each of these lanes begin in `Pulled.columns`
+    pulled: tuple[PulledLanes, ...]  # one entry, or none if no force depends on the state
 
 
 class Stresses(NamedTuple):
-    """Active stresses of one kind; as a cotangent, theta and weight are theirs.
-
-    theta is the sum over a particle's actuators of activation strength weight direction.
-    """
+    """Active stresses of one kind (`drive.py`); a cotangent differs from it in theta and weight."""
 
     theta: Array  # (rows, n) parameters of the kind's stress term, packed [Pa]
     start: Array  # (A_k + 1,) where an actuator's columns begin
     columns: Array  # particles of all actuators of the kind
-    actuators: Array  # (A_k,) which of all A actuators they are
+    actuators: Array  # (A_k,) their numbers among all A actuators
     direction: Array  # (A_k, rows)
-    weight: Array  # of each of the columns [1]
-
-
-class Pulled(NamedTuple):
-    """The particles that forces pull, and which shares each of them adds up."""
-
-    columns: Array  # (P,) increasing
-    begin: Array  # (P + 1,) where the shares of a particle begin in `order`
-    order: Array  # (S,) shares, those of a particle in the order in which they are added
-    shares: Shares  # of all kinds of force
-    base: Array  # (P, D) the steady force on each [N]
+    weight: Array  # of each entry of `columns` [1]
 
 
 class Drive(NamedTuple):
-    """What drives particles: the parts of actuators, and after them those of forces without an activation.
-
-    As a cotangent, the theta and weight of the stresses and the levels are theirs.
-    """
+    """The parts of actuators, then of forces without an activation; a cotangent differs in levels and stresses."""
 
     levels: Levels
-    stresses: tuple[Stresses, ...]  # one a kind of active stress
-    steady: tuple[Any, ...]  # one kernel a kind of steady force
-    forces: tuple[Any, ...]  # one kernel a kind of force that depends on the state
-    pulled: Pulled
+    stresses: tuple[Stresses, ...]  # one per kind of active stress
+    steady: tuple[Any, ...]  # one kernel per kind of steady force
+    forces: tuple[Any, ...]  # one kernel per kind of force that depends on the state
+    pulled: tuple[Pulled, ...]  # one entry, or none if `forces` is empty: then kernels hold no code for it
 
 
 class Probe(NamedTuple):
-    """Weighted sums of particles to record, a sparse matrix (K, n); rows of many particles apart, in PADDING parts."""
+    """Weighted sums of particles to record, a sparse matrix (K, n) in two parts (`probe.py`)."""
 
-    start: Array  # (K + 1,) compressed rows of few particles: columns, weights; those of many are empty here
+    start: Array  # (K + 1,) compressed rows with few particles: columns, weights; rows with many are empty here
     columns: Array
     weights: Array
-    rows: Array  # (R,) which rows have many, and in which runs of PADDING columns (begin (R + 1,), runs)
+    rows: Array  # (R,) the rows with many particles; row j has the runs begin[j] .. begin[j + 1] of PADDING columns
     begin: Array
     runs: Array
     shares: Array  # (runs * PADDING / 4, 4) weights of the columns of a run
-    sums: Array  # (rows of q * PADDING / 4, 4) of one row, PADDING parts of its sum
+    sums: Array  # (rows of q * PADDING / 4, 4) PADDING partial sums of one row
 
 
 class Work(NamedTuple):
-    """Arrays that passes hand to each other."""
+    """Arrays that one pass writes and another reads."""
 
-    value: Array  # (n, 4), affine (3 n, 4), place (n, 4): what P2G scatters
+    value: Array  # (n, 4), affine (3 n, 4), place (n, 4): the fields that P2G scatters
     affine: Array
     place: Array
-    value_2: Array  # what the adjoint of G2P scatters; empty (0, 4) in a forward rollout
+    value_2: Array  # the fields that the adjoint of G2P scatters; empty (0, 4) in a forward rollout
     affine_2: Array
     grid: Array  # (nodes, 4) momentum and mass, then velocity after the boundaries
-    both: Array  # (2 nodes, 4) in the adjoint: every node's record as in `grid`, and after it that of its cotangent
-    held: Array  # (nodes,) bit k: boundary condition k holds the node
+    both: Array  # (2 nodes, 4) in the adjoint: the record of each node as in `grid`, then that of its cotangent
+    condition_bits: Array  # (nodes,) bit k: boundary condition k applies to the node
     friction_bar: Array  # (blocks * conditions,) partial sums
-    speed: Array  # (threads,) greatest |v|^2 of the substep [m^2/s^2]
+    speed: Array  # (threads,) largest |v|^2 of the substep [m^2/s^2]
     stray: Array  # (threads,) first particle that left the grid or is not finite, else -1
-    tile_value: Array  # (threads, TILE, 4), tile_moment (threads, 3 TILE, 4): what a thread gathers at a time
+    tile_value: Array  # (threads, TILE, 4), tile_moment (threads, 3 TILE, 4): one tile of each thread
     tile_moment: Array
     tile_slope: Array  # (threads, TILE, 4)
     blocks: Blocks
-    arrivals: Array  # where threads meet (`team.py`)
-
-
-# --- what passes take: what stays the same through a rollout, the cotangents, one substep, one thread -------------
+    arrivals: Array  # of the barrier (`team.py`)
 
 
 class Run(NamedTuple):
-    """What all passes of a rollout work with."""
+    """The arguments that stay the same in a rollout."""
 
     setting: Setting
     work: Work
     fields: Array  # of particles (`state.py`), packed
-    push: Array  # (D, n) force of actuators and forces on particles, packed [N]; no columns where nothing pushes
+    push: Array  # (D, n) force of actuators and forces on particles, packed [N]; without columns if there are none
 
 
 class Bars(NamedTuple):
-    """The cotangents of the state and of what all particles have, packed."""
+    """The cotangents of the state and of the fields of all particles, packed."""
 
-    q: Array  # from that of q_next to that of q
+    q: Array  # of q_next before a substep's adjoint, of q after it
     fields: Array
     push: Array  # of one substep
-    steady_push: Array  # of the steady forces, summed over a control step; no columns where there are none
+    steady_push: Array  # of the steady forces, summed over a control step; without columns if there are none
 
 
 class Substep(NamedTuple):
     """One substep, from the state q to q_next, which may be q.
 
-    `begun` says that the substep before has done this one's first pass, `ahead` that this one does the first of the
-    next (`step.py`); backward, before and next change places. Particles are sorted where `due` is a multiple of
-    SORT_EVERY.
+    If `begun`, the previous substep has already run the first pass of this one; if `ahead`, this one runs the first
+    pass of the next (`step.py`). Particles are sorted if `due` is a multiple of SORT_EVERY.
     """
 
     control: int
@@ -150,7 +127,7 @@ class Substep(NamedTuple):
     ahead: bool
     q: Array
     q_next: Array
-    q_before: Array  # the state that the substep before began from; used backward if `ahead`
+    q_before: Array  # the state before the previous substep; the adjoint uses it if `ahead`
 
 
 class Crew(NamedTuple):
@@ -160,52 +137,34 @@ class Crew(NamedTuple):
     n_threads: int
 
 
-def make_pulled(shares: Shares) -> Pulled:
-    """Return which particles all shares pull, in the order of their columns."""
-    columns, order = np.unique(shares.columns), np.argsort(shares.columns, kind="stable")
-    begin = np.append(np.searchsorted(shares.columns[order], columns), len(order))
-    base = np.zeros((len(columns), shares.force.shape[1]))
-    return Pulled(columns.astype(np.int64), begin.astype(np.int64), order.astype(np.int64), shares, base)
-
-
-def pulled_lanes(columns: Array, lo: int, hi: int, width: int) -> tuple[Array, Array]:
-    """Return the lanes of columns lo .. hi that hold pulled particles: their first columns, and `Group.pulled`."""
-    first, last = np.searchsorted(columns, [lo, hi])
-    lanes = np.unique(columns[first:last] // width) * width
-    return lanes.astype(np.int64), np.searchsorted(columns, [*lanes, hi]).astype(np.int64)
-
-
 def grid_shape(size: Array, dx: float) -> tuple[int, ...]:
-    """Return the number of nodes along each axis, a whole number of blocks."""
+    """Return the number of nodes along each axis, a multiple of BLOCK."""
     cells = np.ceil(np.asarray(size) / dx - 1e-9).astype(int)
     return tuple(int(-(-(c + 1 + 2 * MARGIN) // BLOCK) * BLOCK) for c in cells)
 
 
 def node_positions(shape: tuple[int, ...], dx: float) -> Array:
-    """Return every node's position (nodes, D) [m] in row-major order."""
+    """Return the positions of all nodes (nodes, D) [m] in row-major order."""
     axes = [(np.arange(n) - MARGIN) * dx for n in shape]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(shape))
 
 
 def make_work(
-    shape: tuple[int, ...], n: int, held: Array, n_conditions: int, real: Any, *, adjoint: bool, team: Team
+    shape: tuple[int, ...], n: int, bits: Array, n_conditions: int, real: Any, *, adjoint: bool, team: Team
 ) -> Work:
     """Return work arrays for a grid of `shape` nodes and n particle columns."""
-    loop_shape = (1, *shape) if len(shape) == 2 else shape
-    n_nodes = int(np.prod(shape))
-    blocks = (-(-loop_shape[0] // BLOCK), loop_shape[1] // BLOCK, loop_shape[2] // BLOCK)
+    blocks = (*(1,) * (3 - len(shape)), *(nodes // BLOCK for nodes in shape))
+    n_nodes, threads = int(np.prod(shape)), team.size
     n_2, nodes_2 = (n, n_nodes) if adjoint else (0, 0)
-    threads = team.size
 
     def records(*rows: int) -> Array:
         return aligned((*rows, 4), real)
 
     return Work(
-        records(n), records(3 * n), records(n), records(n_2), records(3 * n_2),
-        records(n_nodes), records(2 * nodes_2), held,
-        np.zeros(int(np.prod(blocks)) * n_conditions), np.zeros(threads), np.full(threads, -1),
-        records(threads, TILE), records(threads, 3 * TILE), records(threads, TILE),
-        make_blocks(blocks, n), team.arrivals,
+        records(n), records(3 * n), records(n), records(n_2), records(3 * n_2), records(n_nodes), records(2 * nodes_2),
+        bits, np.zeros(int(np.prod(blocks)) * n_conditions), np.zeros(threads), np.full(threads, -1),
+        records(threads, TILE), records(threads, 3 * TILE), records(threads, TILE), make_blocks(blocks, n),
+        team.arrivals,
     )  # fmt: skip
 
 

@@ -1,10 +1,9 @@
-"""The substep as a list of passes, and its adjoint, that list reversed; the loops over substeps.
+"""The passes of a substep and of its adjoint, and the loops over substeps.
 
-Every thread runs these loops as one of a crew, and meets the others after each pass (`compile.py`).
+Every thread runs these loops; after each pass the threads wait for each other at a barrier (`compile.py`).
 
-Where a state does not fit the cache, the last pass of a substep does the first of the next as well, tile by tile
-(`follows`): the same arithmetic in the same order for each particle, with fewer ways to the memory. A substep whose
-first pass is done already was `begun`; one that does the next one's goes `ahead`.
+If a state does not fit the cache, the last pass of a substep also runs the first pass of the next, tile by tile
+(`follows`): the same arithmetic in the same order for each particle, with less traffic to the memory.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 
 from cqrun.engine.blocks import SORT_EVERY, sort_particles
 from cqrun.engine.drive import activate, activate_vjp
-from cqrun.engine.forces import push_particles, push_particles_vjp
+from cqrun.engine.forces import push_if_pulled, push_if_pulled_vjp
 from cqrun.engine.grid import add_friction_bar, clear, update_grid, update_grid_vjp
 from cqrun.engine.particles import momentum_of_each, momentum_of_each_vjp, move_each, move_each_vjp
 from cqrun.engine.probe import record, record_vjp
@@ -26,12 +25,12 @@ from cqrun.numerics.compile import Pass, barrier, in_order, kernel, share
 from cqrun.plugin.contract import Array
 
 MAX_TRAVEL = 0.99
-"""Cells that a particle may move before particles are sorted again (`blocks.py`: one, less round-off)."""
+"""Cells that a particle may move before particles are sorted again: one, less a margin for rounding (`blocks.py`)."""
 
 
 @kernel
 def scatter_blocks(grid: Array, values: Any, affines: Any, run: Run, crew: Crew) -> None:
-    """Scatter all particles, colour by colour; one field to a node or two (`transfer.scatter`)."""
+    """Scatter all particles, colour by colour, with one or two fields per node (`transfer.scatter`)."""
     setting, work, blocks = run.setting, run.work, run.work.blocks
     for colour in range(8):
         begin, n_work = blocks.colour[colour], blocks.colour[colour + 1] - blocks.colour[colour]
@@ -45,7 +44,7 @@ def scatter_blocks(grid: Array, values: Any, affines: Any, run: Run, crew: Crew)
 
 @kernel
 def sort(run: Run, at: Substep, crew: Crew) -> None:
-    """Sort particles where the last sort no longer serves; one thread, between two barriers."""
+    """Sort particles if the last sort is no longer valid, on one thread between two barriers."""
     work, setting = run.work, run.setting
     barrier(work.arrivals, crew.n_threads)
     if crew.thread == 0:
@@ -60,64 +59,37 @@ def sort(run: Run, at: Substep, crew: Crew) -> None:
     barrier(work.arrivals, crew.n_threads)
 
 
-@kernel
-def clear_grid(run: Run, crew: Crew) -> None:
-    """Set the nodes that may hold mass to zero."""
-    clear(run.work.grid, 1, run, crew)
-
-
-@kernel
-def clear_both(run: Run, crew: Crew) -> None:
-    """Set the nodes that may hold mass, and their cotangents, to zero."""
-    clear(run.work.both, 2, run, crew)
-
-
-@kernel
-def meet(run: Run, crew: Crew) -> None:
-    """Wait for the other threads."""
-    barrier(run.work.arrivals, crew.n_threads)
-
-
-@kernel
-def scatter_one(run: Run, crew: Crew) -> None:
-    """Scatter momentum and mass."""
-    scatter_blocks(run.work.grid, (run.work.value,), (run.work.affine,), run, crew)
-
-
-@kernel
-def scatter_both(run: Run, crew: Crew) -> None:
-    """Scatter momentum and mass, and the adjoint of G2P."""
-    work = run.work
-    scatter_blocks(work.both, (work.value, work.value_2), (work.affine, work.affine_2), run, crew)
-
-
-MEET = Pass("meet", meet, "run, crew")
+WORK = "run.work"
+MEET = Pass("meet", barrier, f"{WORK}.arrivals, crew.n_threads")
 
 FORWARD = (
-    Pass("momentum", momentum_of_each, "groups, run, at, crew"),
-    Pass("forces", push_particles, "groups, drive, run, at, crew"),
+    Pass("momentum", momentum_of_each, "groups, run, at, crew", tiled=True),
+    Pass("forces", push_if_pulled, "drive.pulled, groups, drive, run, at, crew"),
     Pass("sort", sort, "run, at, crew"),
-    Pass("clear", clear_grid, "run, crew"),
+    Pass("clear", clear, f"{WORK}.grid, 1, run, crew"),
     MEET,
-    Pass("scatter", scatter_one, "run, crew"),
+    Pass("scatter", scatter_blocks, f"{WORK}.grid, ({WORK}.value,), ({WORK}.affine,), run, crew"),
     Pass("update_grid", update_grid, "conditions, run, crew"),
     MEET,
-    Pass("move", move_each, "groups, run, at, crew"),
+    Pass("move", move_each, "groups, run, at, crew", tiled=True),
 )
 """The passes of a substep: q_next = one substep from q."""
 
 BACKWARD = (
-    Pass("move_vjp", move_each_vjp, "pairs, run, bars, at, crew"),
-    *FORWARD[:3],  # what P2G scatters, once more
-    Pass("clear_both", clear_both, "run, crew"),
+    Pass("move_vjp", move_each_vjp, "pairs, run, bars, at, crew", tiled=True),
+    *FORWARD[:3],  # the fields that P2G scatters, once more
+    Pass("clear_both", clear, f"{WORK}.both, 2, run, crew"),
     MEET,
-    Pass("scatter_both", scatter_both, "run, crew"),
+    Pass(
+        "scatter_both", scatter_blocks,
+        f"{WORK}.both, ({WORK}.value, {WORK}.value_2), ({WORK}.affine, {WORK}.affine_2), run, crew",
+    ),
     Pass("update_grid_vjp", update_grid_vjp, "conditions, run, crew"),
     MEET,
     Pass("friction_vjp", add_friction_bar, "coefficient_bar, run, crew"),
-    Pass("momentum_vjp", momentum_of_each_vjp, "pairs, run, bars, at, crew"),
-    Pass("forces_vjp", push_particles_vjp, "pairs, drive, levels_bar, run, bars, at, crew"),
-)
+    Pass("momentum_vjp", momentum_of_each_vjp, "pairs, run, bars, at, crew", tiled=True),
+    Pass("forces_vjp", push_if_pulled_vjp, "drive.pulled, pairs, drive, levels_bar, run, bars, at, crew"),
+)  # fmt: skip
 """The passes of a substep's adjoint: they turn bars.q from the cotangent of q_next into that of q."""
 
 substep = in_order("substep", "groups, conditions, drive, run, at, crew", FORWARD)
@@ -128,7 +100,7 @@ substep_vjp = in_order(
 
 @kernel
 def follows(step: int, setting: Setting) -> bool:
-    """Say whether a substep follows the one before it tile by tile: it does within a control step."""
+    """Return whether a substep follows the previous one tile by tile, which it can within a control step."""
     return setting.chained and step % setting.substeps != 0
 
 
@@ -139,8 +111,8 @@ def advance(
 ) -> int:  # fmt: skip
     """Run substeps begin .. end from states[0]; return the substep reached.
 
-    With `keep`, states[k] becomes the state after k substeps; without, states[0] moves along. Stops early
-    when a particle is astray (`work.stray`). The state at the end of every control step is recorded.
+    With `keep`, states[k] becomes the state after k substeps; otherwise states[0] is overwritten. Stop early if a
+    particle is stray (`work.stray`). Record the state at the end of every control step.
     """
     setting, work = run.setting, run.work
     for step in range(begin, end):
@@ -149,7 +121,7 @@ def advance(
         control = step // setting.substeps
         if step % setting.substeps == 0 or step == begin:
             if crew.thread == 0:
-                activate(drive, run, control)
+                activate(drive, run.fields, run.push, control)
             barrier(work.arrivals, crew.n_threads)
         begun, ahead = step > begin and follows(step, setting), step + 1 < end and follows(step + 1, setting)
         substep(groups, conditions, drive, run, Substep(control, step, begun, ahead, q, q_next, q), crew)
@@ -169,8 +141,7 @@ def reverse(
 ) -> None:  # fmt: skip
     """Run the adjoints of substeps end - 1 .. begin; states[k] is the state of substep begin + k.
 
-    Args:
-        pairs, stresses: the groups, and the drive's active stresses, each with its cotangent.
+    `pairs` and `stresses` are the groups and the active stresses, each with its cotangent.
     """
     setting, work = run.setting, run.work
     for step in range(end - 1, begin - 1, -1):
@@ -178,11 +149,11 @@ def reverse(
         control = step // setting.substeps
         if (step + 1) % setting.substeps == 0 or step == end - 1:
             if crew.thread == 0:
-                activate(drive, run, control)
+                activate(drive, run.fields, run.push, control)
                 if (step + 1) % setting.substeps == 0:
                     record_vjp(probe, bars.q, records_bar[control + 1])
             barrier(work.arrivals, crew.n_threads)
-        # sorted where a forward run counted down would be: at the chunk's start and every SORT_EVERY
+        # sort at the end of the chunk and at every SORT_EVERY substeps
         due = 0 if step == end - 1 or (step + 1) % SORT_EVERY == 0 else 1
         begun, ahead = step + 1 < end and follows(step + 1, setting), step > begin and follows(step, setting)
         q_before = states[step - begin - 1] if ahead else q
@@ -190,5 +161,5 @@ def reverse(
         substep_vjp(groups, pairs, conditions, coefficient_bar, drive, levels_bar, run, bars, at, crew)
         barrier(work.arrivals, crew.n_threads)
         if step % setting.substeps == 0 and crew.thread == 0:
-            activate_vjp(stresses, drive, levels_bar, run, bars, control)
+            activate_vjp(stresses, drive, levels_bar, run.fields, bars, control)
         barrier(work.arrivals, crew.n_threads)

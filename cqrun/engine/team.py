@@ -1,4 +1,4 @@
-"""Threads that run the same compiled loop, each with its number."""
+"""A team of threads that run the same compiled loop, each with its number."""
 
 from __future__ import annotations
 
@@ -15,20 +15,16 @@ import numpy as np
 from cqrun.numerics.packed import LINE, aligned
 
 Tasks = SimpleQueue[Any]
-"""Of one thread: (body, its number, where to answer), or None to end."""
+"""Tasks of one thread: (body, number of the thread, queue for the answer), or None to end it."""
 
 Answers = SimpleQueue[BaseException | None]
-"""What each thread but the first raised, if it did."""
+"""The error of each thread but the first, or None."""
 
 
 class Team:
-    """Threads that run a function side by side, and wait for the next: starting one is slow.
+    """Run functions on `size` threads, the caller's included, which are started once because starting is slow.
 
-    Args:
-        size: how many, with the one that calls.
-
-    Attributes:
-        arrivals: where they meet (`compile.barrier`), on a line of the cache of its own.
+    `arrivals` is the memory of their barrier (`compile.barrier`), on a cache line of its own.
     """
 
     def __init__(self, size: int) -> None:
@@ -36,20 +32,20 @@ class Team:
         self._process, self._others = 0, list[Tasks]()
 
     def __reduce__(self) -> tuple[type[Team], tuple[int]]:
-        """Copy the size: threads are nobody else's."""
+        """Copy the size only: a copy starts its own threads."""
         return Team, (self.size,)
 
     def run(self, body: Callable[[int], Any]) -> Any:
         """Run body(thread) on every thread and return the result of thread 0.
 
         Raises:
-            RuntimeError: an earlier run was interrupted. And what a body raises.
+            RuntimeError: an earlier run was interrupted. Errors of a body are raised again.
         """
         if self.size == 1:
             return body(0)
         if self.arrivals[1]:
             raise RuntimeError("threads were interrupted in the middle of a rollout: make a new one")
-        if self._process != os.getpid():  # the first run, or a forked child's, which has none of its parent's threads
+        if self._process != os.getpid():  # the first run, or a forked child: it has no threads yet
             self._start()
         answers, asked = Answers(), 0
         try:
@@ -58,7 +54,7 @@ class Team:
                 asked += 1
             result = body(0)
         except BaseException:
-            self.arrivals[1] = 1  # or they would wait for this thread at a barrier for ever
+            self.arrivals[1] = 1  # otherwise the others would wait for this thread at a barrier for ever
             _wait(answers, asked)
             raise
         for error in [answers.get() for _ in self._others]:
@@ -82,14 +78,14 @@ def _work(tasks: Tasks) -> None:
             answers.put(None)
         except BaseException as error:
             answers.put(error)
-        del task, body, answers  # an idle thread keeps no rollout alive
+        del task, body, answers  # an idle thread must not keep a rollout alive
 
 
 def _wait(answers: Answers, asked: int) -> None:
-    """Wait for threads that still write to their rollout's memory, whoever interrupts."""
+    """Wait for the threads that still write to the rollout's memory, even after another interrupt."""
     while True:
         try:
-            while answers.qsize() < asked:  # counted, not taken: an interrupt in between would lose one
+            while answers.qsize() < asked:  # `get` could lose an answer if it is interrupted
                 time.sleep(1e-3)
             return
         except KeyboardInterrupt:

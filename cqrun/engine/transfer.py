@@ -1,21 +1,19 @@
-"""Transfers between particles and grid: one scatter and one gather, and the gather of their adjoints.
+"""Transfers between particles and grid: a scatter, a gather, and the gather of their adjoints.
 
-Both P2G and the adjoint of G2P scatter an affine field of each particle to the 3^D nodes of its stencil,
+P2G and the adjoint of G2P scatter an affine field of each particle to the 3^D nodes of its stencil,
 
     grid_n += sum_p w_np (a_p + B_p (o_n - f_p)),
 
-and both G2P and the adjoint of P2G gather its moments, sum_n w g_n and sum_n w g_n (o_n - f_p)^T. Here o_n in
-{0, 1, 2}^D is the node's place in the stencil, f the particle's (f in [1/2, 3/2]), both in cells.
+and G2P and the adjoint of P2G gather the moments sum_n w g_n and sum_n w g_n (o_n - f_p)^T. o_n in {0, 1, 2}^D is the
+node's place in the stencil, f in [1/2, 3/2]^D the particle's, both in cells. Weights: quadratic B-splines,
+1/2 (3/2 - f)^2, 3/4 - (f - 1)^2, 1/2 (f - 1/2)^2 (CQ1 eq 3).
 
-A node is a record of 4: three components and the mass. In 2D the record is (v_x, v_y, 0, m), and a position
-is (-, x, y, -) so that the last axis is lane 2 in both dimensions; the first loop of the stencil then has
-one round. Weights: quadratic B-splines, 1/2 (3/2 - f)^2, 3/4 - (f - 1)^2, 1/2 (f - 1/2)^2 (CQ1 eq 3).
+A node is a record of 4: three components and the mass. In 2D a record is (v_x, v_y, 0, m), and a position (-, x, y, -),
+so that the last axis is entry 2 in both dimensions. A substep's adjoint scatters both fields at once, because their
+weights and nodes are the same: there each node has two records, one after the other (`Work.both`).
 
-The adjoint of a substep scatters what P2G does and what the adjoint of G2P does in one go, since weights and nodes
-are the same: there a node is two records, one after the other (`Work.both`).
-
-Arrays of records: `value` (n, 4) holds a_p - B_p f_p, `affine` (3 n, 4) the columns of B_p, one axis after
-the other, `place` (n, 4) the position in cells.
+Arrays of records: `value` (n, 4) has a_p - B_p f_p, `affine` (3 n, 4) the columns of B_p, axis by axis, and `place`
+(n, 4) the position in cells.
 """
 
 from __future__ import annotations
@@ -44,7 +42,7 @@ from cqrun.numerics.wide_records import (
 from cqrun.plugin.contract import Array
 
 AHEAD = 16
-"""How many particles before its turn what one scatters is asked for, since the blocks of a colour lie apart."""
+"""How many particles ahead `scatter` prefetches: the particles of a colour's blocks are far apart in memory."""
 
 
 @kernel
@@ -61,7 +59,7 @@ def slopes(f: Any) -> Any:
 
 
 def first_nodes(base: Any, strides: Any) -> Any:
-    """Return the node number of every record (i, j, k, -), as a tuple."""
+    """Return the node number of each record (i, j, k, -) as a tuple."""
     i, j, k = (base[axis::4].astype(int) for axis in range(3))
     return tuple(i * strides[0] + j * strides[1] + k)
 
@@ -85,7 +83,7 @@ def stencil(place: Array, p: int, strides: Any) -> Any:
 
 @kernel
 def prefetch_fields(place: Array, values: Any, affines: Any, p: int, n: int, in_3d: bool) -> None:
-    """Ask for what `scatter` reads of particle p of n."""
+    """Prefetch the records that `scatter` reads for particle p of n."""
     prefetch_each((place,), p)
     prefetch_each(values, p)
     if in_3d:
@@ -101,13 +99,10 @@ def scatter(
     """Add the affine fields of particles order[lo:hi] to the grid.
 
     Args:
-        grid: (nodes, 4), or (2 nodes, 4) for two fields at once: a node's records one after the other.
-        values, affines: a tuple of as many arrays as there are fields, each.
-        strides: of the nodes along the three loop axes, the first 0 in 2D.
-        dims: a tuple whose length is the dimension.
+        grid: (nodes, 4), or (2 nodes, 4) for two fields: the records of a node one after the other.
+        values, affines: tuples with one array per field.
     """
-    n = place.shape[0]
-    in_3d = len(dims) == 3
+    n, in_3d = place.shape[0], len(dims) == 3
     for index in range(lo, hi):
         p = order[index]
         prefetch_fields(place, values, affines, order[min(index + AHEAD, n - 1)], n, in_3d)
@@ -139,15 +134,11 @@ def stencils(place: Array, p: int, strides: Any) -> Any:
 
 @kernel
 def gather(grid: Array, place: Array, value: Array, moment: Array, lo: int, hi: int, strides: Any, dims: Any) -> None:
-    """Gather particles lo:hi into tile arrays: value[p - lo] = sum w g, moment = sum w g (o - f)^T.
+    """Gather particles lo:hi into `value` (tile, 4), sum w g, and `moment` (3 tile, 4), sum w g (o - f)^T axis by axis.
 
-    As many particles as there are records in a lane value go side by side; hi - lo is a multiple of them.
-
-    Args:
-        value: (tile, 4); moment: (3 tile, 4), one axis after the other.
+    Each step handles one particle for each record in a lane value; hi - lo is a multiple of their number.
     """
-    n = value.shape[0]
-    in_3d = len(dims) == 3
+    n, in_3d = value.shape[0], len(dims) == 3
     zero, one = filled(0.0, grid), filled(1.0, grid)
     for p in range(lo, hi, records_in_lane(grid)):
         nodes, f = stencils(place, p, strides)
@@ -181,17 +172,14 @@ def gather_vjp(
     grid: Array, fields: Any, fields_2: Any, place: Array, value: Array, moment: Array, slope: Array, lo: int, hi: int,
     strides: Any, dims: Any,
 ) -> None:  # fmt: skip
-    """Gather the adjoints of P2G and of G2P for particles lo:hi into tile arrays, side by side as in `gather`.
+    """Gather the adjoints of P2G and G2P for particles lo:hi into tile arrays, as in `gather`.
 
-    A node of the grid (2 nodes, 4) is its velocity v_n and the cotangent g_n of its momentum and mass. `value` and
-    `moment` as in `gather`, of g_n; `slope` (tile, 4) is the derivative by the position in cells, through the weights
-    alone, of sum_n w (g_n . P2G's field) + sum_n w (v_n . the field that the adjoint of G2P scatters).
-
-    Args:
-        fields: (value, affine) that P2G scattered; fields_2: those of the adjoint of G2P.
+    The two records of a node are its velocity v_n and the cotangent g_n of its momentum and mass. `value` and `moment`
+    are those of g_n. `slope` (tile, 4) is the derivative by the position in cells, through the weights only, of
+    sum_n w (g_n . P2G's field) + sum_n w (v_n . the field of the adjoint of G2P). `fields` is P2G's field as (value,
+    affine), `fields_2` that of the adjoint of G2P.
     """
-    n, m = value.shape[0], place.shape[0]
-    in_3d = len(dims) == 3
+    n, m, in_3d = value.shape[0], place.shape[0], len(dims) == 3
     zero, one = filled(0.0, grid), filled(1.0, grid)
     for p in range(lo, hi, records_in_lane(grid)):
         nodes, f = stencils(place, p, strides)
@@ -214,7 +202,7 @@ def gather_vjp(
                 u0, g0 = load_pairs(grid, nodes, node)
                 u1, g1 = load_pairs(grid, nodes, node + 1)
                 u2, g2 = load_pairs(grid, nodes, node + 2)
-                # entries of the scalar product <g, field>; the four are summed at the end
+                # the four entries of the scalar product <g, field>, which are summed at the end
                 t0 = g0 * a_j + u0 * e_j
                 a_j, e_j = a_j + b2, e_j + c2
                 t1 = g1 * a_j + u1 * e_j

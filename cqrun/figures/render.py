@@ -43,7 +43,7 @@ NO_TRAIL = "none"
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """What to draw.
+    """Options of the drawing.
 
     Attributes:
         kind: a movie (gif, mp4), the last frame (png), several pictures (stills), or several instants in one (onion).

@@ -132,16 +132,16 @@ class RunData:
 
     @property
     def tables(self) -> dict[str, type[Measurement]]:
-        """The files with data and model that a run of sysid writes, and what they are of."""
+        """The files with data and model that a run of sysid writes, each with its measurement."""
         data = self.scene.data
         return {} if data is None else {m.table_file(): type(m) for m in data.measurements}
 
     def has_tables(self) -> bool:
-        """Say whether a file with data and model is there."""
+        """Return whether a file with data and model exists."""
         return any(self.has(name) for name in self.tables)
 
     def require_tables(self, why: str) -> None:
-        """Raise a UsageError if no file with data and model is there."""
+        """Raise a UsageError if no file with data and model exists."""
         if not self.has_tables():
             self.require(next(iter(self.tables), Markers.table_file()), why)
 

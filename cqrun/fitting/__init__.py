@@ -1,1 +1,1 @@
-"""Fits: a model held against recordings, and how sure the result is."""
+"""Fits of a model to recordings, and their uncertainty."""

@@ -1,4 +1,4 @@
-"""A case: one rollout of a fit, and what its records are compared with."""
+"""A case: one rollout of a fit, and the comparisons of its records with data."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from cqrun.state import State
 
 @dataclass(frozen=True)
 class Case:
-    """One rollout and what its records are compared with.
+    """One rollout and the comparisons of its records with data.
 
     Attributes:
-        name: of the recording or sequence.
+        name: name of the recording or sequence.
         built: the scene with this case's overrides; its model records the probe.
-        comparisons: one a recording; copies of one sequence share the rollout.
+        comparisons: one per recording; noisy copies of a sequence share the rollout.
         start_path: key path of the recording's start, or None.
-        start: where it begins [s].
-        holdout: predicted, never fitted.
+        start: start of the recording [s].
+        holdout: whether it is only predicted, never fitted.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Case:
 
     @classmethod
     def probed(cls, name: str, built: Built, comparisons: tuple[Comparison, ...], **rest: Any) -> Case:
-        """Return the case whose model records what its comparisons ask for: all for the same sums of particles."""
+        """Return the case whose model records the sums of particles that its comparisons need, the same for all."""
         return cls(name, replace(built, model=replace(built.model, probe=comparisons[0].rows)), comparisons, **rest)
 
     def inputs(self, values: Mapping[str, Array]) -> Inputs:
@@ -52,25 +52,22 @@ class Case:
         return self.start if path is None or path not in values else float(values[path])
 
     def run(
-        self,
-        values: Mapping[str, Array],
-        threads: int = 1,
-        observe: Callable[[int, State], None] | None = None,
+        self, values: Mapping[str, Array], threads: int = 1, observe: Callable[[int, State], None] | None = None
     ) -> Records:
-        """Run forward, `observe` called with every control step and its state; return the records."""
+        """Run forward and return the records; call `observe` with every control step and its state."""
         return Rollout(self.built.model, self.inputs(values), threads=threads).run(observe)
 
     def residuals(self, records: Records, values: Mapping[str, Array]) -> list[Array]:
-        """Return every comparison's residuals."""
+        """Return the residuals of every comparison."""
         start = self.start_of(values)
         return [comparison.residuals(records, start) for comparison in self.comparisons]
 
     def losses(self, records: Records, start: float) -> Array:
-        """Return every comparison's loss (K,)."""
+        """Return the loss of every comparison (K,)."""
         return np.array([comparison.loss(records, start) for comparison in self.comparisons])
 
     def still_records(self) -> Records:
-        """Return the records of bodies that stay where they are."""
+        """Return the records of bodies that do not move."""
         model, probe = self.built.model, self.built.model.probe
         assert probe is not None
         shape = (model.n_controls + 1, probe.shape[0], model.dim)
@@ -79,24 +76,25 @@ class Case:
         return Records(x, np.zeros(shape), zeros, zeros + np.eye(model.dim))
 
     def still_losses(self) -> Array:
-        """Return every comparison's loss for bodies that stay where they are (K,)."""
+        """Return the loss of every comparison for bodies that do not move (K,)."""
         return self.losses(self.still_records(), self.start)
 
     def gradient(
         self, values: Mapping[str, Array], weights: Array, threads: int = 1, budget: int | None = None
     ) -> tuple[float, dict[str, Array], Effort]:
-        """Return sum of weights[k] * loss_k, its gradient by path, and what that cost."""
+        """Return the sum of weights[k] * loss_k, its gradient by path, and the cost."""
         model = self.built.model if budget is None else replace(self.built.model, memory_budget=budget)
         start = self.start_of(values)
         rollout = Rollout(model, self.inputs(values), threads=threads, adjoint=True)
-        found: dict[str, float] = {"loss": 0.0, "start": 0.0}
+        loss = start_gradient = 0.0
 
         def loss_bar(records: Records, final: Any) -> LossBar:
+            nonlocal loss, start_gradient
             total = records.zeros_like()
             for weight, comparison in zip(weights, self.comparisons, strict=True):
-                found["loss"] += weight * comparison.loss(records, start)
+                loss += weight * comparison.loss(records, start)
                 bar, start_bar = comparison.loss_vjp(records, start, weight)
-                found["start"] += start_bar
+                start_gradient += start_bar
                 for out, part in zip(total, bar, strict=True):
                     out += part
                 for name, part in bar.history.items():
@@ -106,5 +104,5 @@ class Case:
         _, inputs_bar = rollout.gradient(loss_bar)
         gradient = self.built.assembly.gradient(values, inputs_bar)
         if self.start_path in gradient:
-            gradient[str(self.start_path)] += found["start"]
-        return found["loss"], gradient, Effort.of(rollout)
+            gradient[str(self.start_path)] += start_gradient
+        return loss, gradient, Effort.of(rollout)

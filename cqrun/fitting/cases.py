@@ -1,7 +1,4 @@
-"""Cases: the rollouts that a fit compares with data, one a recording or a sequence of activations, or one a wish.
-
-A case is the scene with a recording's overrides and length, its model, and what its records are compared with.
-"""
+"""Make the cases of a fit: one per recording or sequence of activations, or a single one for an objective."""
 
 from __future__ import annotations
 
@@ -20,26 +17,26 @@ from cqrun.store.run import RunDirectory
 
 
 def is_fit(scene: Scene) -> bool:
-    """Say whether a scene has unknowns and, without a controller, what they are fitted to: data or an objective."""
+    """Return whether a scene has unknowns, data or an objective to fit them to, and no controller."""
     return bool(scene.unknowns) and scene.controller is None and (scene.data is not None or bool(scene.objective))
 
 
 def make_cases(built: Built, directory: Path | None = None) -> list[Case]:
-    """Return the cases of a scene's data or, without any, of its objective.
+    """Return the cases of a scene's data or, without data, of its objective.
 
     Args:
-        built: the scene, its substeps resolved.
-        directory: where synthetic data is kept; without one it is made in memory.
+        built: the scene.
+        directory: folder for synthetic data; without it the data stay in memory.
 
     Raises:
-        SceneError: data, or an objective, that cannot be used.
+        SceneError: the data or the objective cannot be used.
     """
     data = built.scene.data
     if data is None and built.scene.objective:
         return [wanted_case(built)]
     if data is None:
         where = built.scene.where("")
-        raise SceneError([Problem(where, "data", "there is none: give `recordings` or `synthetic`")])
+        raise SceneError([Problem(where, "data", "is missing: add `recordings` or `synthetic`")])
     if data.recordings is not None:
         return recorded_cases(built, data.recordings)
     assert data.synthetic is not None
@@ -47,17 +44,17 @@ def make_cases(built: Built, directory: Path | None = None) -> list[Case]:
 
 
 def given_cases(built: Built) -> list[Case] | None:
-    """Return the cases of recordings, or of an objective; None where there are none, or the run makes its own data.
+    """Return the cases of recordings or an objective; None if there are none, or if the run makes its own data.
 
-    Read before there is a run: one whose data cannot be used leaves nothing behind.
+    They are read before the run directory is made, so that unusable data leave no directory behind.
 
     Raises:
-        SceneError: data that is missing or cannot be used, or of which nothing is fitted.
+        SceneError: data are missing or cannot be used, or all are held out.
     """
     scene = built.scene
     if scene.synthetic is not None or (scene.data is None and not is_fit(scene)):
         return None
-    data_files(scene)  # all that are missing are told at once
+    data_files(scene)  # reports all missing files at once
     cases = make_cases(built)
     if all(case.holdout for case in cases):
         message = "every recording is held out: nothing is left to fit"
@@ -65,15 +62,15 @@ def given_cases(built: Built) -> list[Case] | None:
     return cases
 
 
-def own_warnings(built: Built, cases: Sequence[Case]) -> Iterator[str]:
-    """Yield the warnings of recordings' own scenes that are not the scene's."""
-    told = {warning.message for warning in built.warnings}
+def recording_warnings(built: Built, cases: Sequence[Case]) -> Iterator[str]:
+    """Yield the warnings of recordings' scenes that the scene itself does not have."""
+    known = {warning.message for warning in built.warnings}
     for case in cases:
-        yield from (f"{case.name}: {warning}" for warning in case.built.warnings if warning.message not in told)
+        yield from (f"{case.name}: {warning}" for warning in case.built.warnings if warning.message not in known)
 
 
 def remarks(cases: Sequence[Case]) -> Iterator[str]:
-    """Yield a sentence on how each recording was taken."""
+    """Yield a sentence about how each recording was read."""
     for case in cases:
         yield from (f"{case.name}: {comparison.remark}" for comparison in case.comparisons if comparison.remark)
 
@@ -82,7 +79,7 @@ def made_cases(run: RunDirectory, built: Built) -> list[Case]:
     """Return the cases of the data that a run makes with the true values.
 
     Raises:
-        RunError: the scene blows up with them.
+        RunError: the rollout with the true values fails.
     """
     try:
         return make_cases(built, run.path)

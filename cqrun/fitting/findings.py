@@ -1,8 +1,8 @@
-"""What an identification found: values with intervals, errors by recording, data beside the model, the trajectory.
+"""Write the results of an identification.
 
-result.json     values, intervals, errors, what the data leave open
-tracks.csv      recorded and modelled markers, for the plots; of other measurements a table of their own
-trajectory.h5   the first fitted case with the values found, which it names beside the scene
+result.json     values, intervals, errors, findings
+tracks.csv      recorded and modelled markers, for the plots; other measurements have their own table
+trajectory.h5   the first fitted case with the identified values, which are among its attributes
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from cqrun.units import format_bytes
 
 
 def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome) -> SysidResult:
-    """Write result.json and, unless the run failed or was stopped, tables and trajectory; return the result."""
+    """Write result.json and, if the run has finished and did not fail, tables and trajectory; return the result."""
     params = problem.params
     values = params.unpack(outcome.x)
     result = SysidResult(
@@ -46,28 +46,28 @@ def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, ou
         unknowns={b.path: Identified(initial=_plain(b.initial), value=_plain(values[b.path])) for b in params.blocks},
     )
     if outcome.status == "stopped":
-        _no_intervals(result, "the run was stopped; the values are those of where it stands")
+        _no_intervals(result, "the run was stopped; the values are those of its last iteration")
     elif outcome.status != "failed":
         _add_intervals(result, problem, outcome)
         records = _predict(cases, values, problem, result)
         result.loss = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
         result.recordings = _errors(cases, records, values)
         _write_tables(run, cases, records, values)
-        first = next(case for case in cases if not case.holdout)  # one held out may blow up
+        first = next(case for case in cases if not case.holdout)  # a held-out case may blow up
         rollout = Rollout(first.built.model, first.inputs(values), threads=problem.threads)
-        told = as_found(values) | first.comparisons[0].wanted()
-        write_trajectory(run.path / "trajectory.h5", first.built, rollout, provenance=told)
+        provenance = as_found(values) | first.comparisons[0].wanted()
+        write_trajectory(run.path / "trajectory.h5", first.built, rollout, provenance=provenance)
     if outcome.status in ("iteration_limit", "stalled"):
-        result.findings.append(f"{outcome.status.replace('_', ' ')}: values and intervals are those of where it ended")
+        result.findings.append(f"{outcome.status.replace('_', ' ')}: values and intervals are those of the last point")
     for sentence in result.findings:
         run.log(sentence)
-    _tell_effort(run, problem)
+    _record_effort(run, problem)
     write_result(run.path, result)
     return result
 
 
 def _loss(problem: FitProblem, records: Mapping[str, Records | None], values: Mapping[str, Array]) -> float:
-    """Return the loss of all fitted data with the values found, also where an optimizer saw mini-batches of it."""
+    """Return the loss of all fitted data with the identified values; an optimizer may have used mini-batches."""
     total = 0.0
     for case, weights in zip(problem.cases, problem.weights, strict=True):
         record = records[case.name]
@@ -76,13 +76,13 @@ def _loss(problem: FitProblem, records: Mapping[str, Records | None], values: Ma
     return total
 
 
-def _tell_effort(run: RunDirectory, problem: FitProblem) -> None:
-    """Put what gradients cost into run.json: it depends on the number of threads, the result does not."""
+def _record_effort(run: RunDirectory, problem: FitProblem) -> None:
+    """Write the cost of gradients into run.json: unlike the result, it depends on the number of threads."""
     effort = problem.effort
-    if effort.recompute:  # none were computed where all are known from before a kill
+    if effort.recompute:  # 0 if a resumed run has computed no gradient
         run.log(
-            f"gradients: {effort.recompute:.3g} forward substeps for each of the rollout, "
-            f"{format_bytes(effort.peak)} of states kept at the most"
+            f"gradients: {effort.recompute:.3g} forward substeps for each substep of the rollout, "
+            f"at most {format_bytes(effort.peak)} of kept states"
         )
         run.add_facts(gradient={"recompute_factor": effort.recompute, "peak_bytes": effort.peak})
 
@@ -98,7 +98,7 @@ def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -
     unknowns, held = list_unknowns(problem, outcome.x), assumptions.held_numbers(problem)
     result.findings += assumptions.at_bounds(problem, outcome.x, held)
     if problem.cases[0].built.scene.data is None:
-        _no_intervals(result, "an objective is met or missed: there is no noise to compute an interval from")
+        _no_intervals(result, "a fit to an objective has no noise to compute an interval from")
         return
     try:
         jacobian = _find_jacobian(problem, outcome.x, unknowns)
@@ -106,20 +106,20 @@ def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -
         _no_intervals(result, str(reason))
         result.findings += assumptions.without_intervals(held)
         return
-    found = intervals(jacobian, problem.residuals(outcome.x), problem.series(), unknowns)
+    uncertainty = intervals(jacobian, problem.residuals(outcome.x), problem.series(), unknowns)
     for block in problem.params.blocks:
         names = _names(block)
         entry = result.unknowns[block.path]
         if isinstance(block, Spread):
-            entry.reason = "its values follow from fewer numbers, of a field or of mirrored pairs, and have no own"
+            entry.reason = "its values follow from fewer numbers, those of a field or of mirrored pairs"
             continue
-        pairs = [_pair(found.intervals[n]) for n in names]
+        pairs = [_pair(uncertainty.intervals[n]) for n in names]
         entry.interval = pairs if block.initial.ndim else pairs[0]
-        reasons = {n: found.reasons[n] for n in names if n in found.reasons}
+        reasons = {n: uncertainty.reasons[n] for n in names if n in uncertainty.reasons}
         if reasons:
             entry.reason = "; ".join(dict.fromkeys(reasons.values()))
-    at_optimum = problem, outcome.x, jacobian, unknowns, found
-    result.findings += found.findings
+    at_optimum = problem, outcome.x, jacobian, unknowns, uncertainty
+    result.findings += uncertainty.findings
     result.findings += [*assumptions.of_the_substep(*at_optimum), *assumptions.of_held_numbers(*at_optimum, held)]
 
 
@@ -137,7 +137,7 @@ def _names(block: Block) -> list[str]:
 
 
 def list_unknowns(problem: FitProblem, x: Array) -> list[Unknown]:
-    """Return every fitted number at x, as the statistics take it."""
+    """Return every fitted number at x in the form that the statistics use."""
     params = problem.params
     return [
         Unknown(name, float(value), block.lower, block.upper, block.log)
@@ -155,26 +155,19 @@ def _find_jacobian(problem: FitProblem, x: Array, unknowns: Sequence[Unknown]) -
     if len(unknowns) > MOST_UNKNOWNS:
         raise NoIntervals(f"more than {MOST_UNKNOWNS} unknowns")
     if problem.cases[0].built.scene.precision == "float32":
-        raise NoIntervals("`precision: float32` is too coarse for the differences that intervals come from")
+        raise NoIntervals("`precision: float32` is too coarse for the finite differences of intervals")
     try:
         return find_jacobian(problem, x, unknowns)
     except TrialFailed as failure:
-        raise NoIntervals(f"a rollout beside the optimum failed: {failure}") from failure
+        raise NoIntervals(f"a rollout near the optimum failed: {failure}") from failure
 
 
 def find_jacobian(problem: FitProblem, x: Array, unknowns: Sequence[Unknown]) -> Array:
-    """Return dr/dz (n, p) at the optimum, by central differences."""
+    """Return dr/dz (n, p) at the optimum by central differences."""
+    parts = list(zip(problem.params.blocks, problem.params.slices.values(), strict=True))
 
     def residuals_at(points: list[Array]) -> list[Array]:
-        scaled = [
-            np.concatenate(
-                [
-                    block.to_scaled(point[part]).reshape(-1)
-                    for block, part in zip(problem.params.blocks, problem.params.slices.values(), strict=True)
-                ]
-            )
-            for point in points
-        ]
+        scaled = [np.concatenate([b.to_scaled(point[part]).reshape(-1) for b, part in parts]) for point in points]
         return problem.residuals_at(scaled) if scaled else []
 
     return central_jacobian(residuals_at, unknowns)
@@ -186,7 +179,7 @@ def find_jacobian(problem: FitProblem, x: Array, unknowns: Sequence[Unknown]) ->
 def _predict(
     cases: list[Case], values: Mapping[str, Array], problem: FitProblem, result: SysidResult
 ) -> list[Records | None]:
-    """Return every case's records with the values found, None where a held-out one blows up; note fractures."""
+    """Return every case's records with the identified values, None if a held-out one blows up; report fractures."""
     records: list[Records | None] = []
     most = {name: 0 for case in cases for name in case.built.particles.names}
     for case in cases:
@@ -201,7 +194,7 @@ def _predict(
             if not case.holdout:
                 raise
             records.append(None)
-            result.findings.append(f"{case.name}: held out, and it blows up with the values found: {error}")
+            result.findings.append(f"{case.name}: held out, and it blows up with the identified values: {error}")
         most |= {name: max(most[name], number) for name, number in fracture.most.items()}
         result.findings += [f"{case.name}: {sentence}" for sentence in fracture.findings()]
     result.fracture = most
@@ -211,8 +204,8 @@ def _predict(
 def _errors(
     cases: list[Case], records: list[Records | None], values: Mapping[str, Array]
 ) -> dict[str, RecordingError] | None:
-    """Return RMSE, in all and by channel, and facts of the recording, by its name; None where there are no data."""
-    found: dict[str, RecordingError] = {}
+    """Return the RMSE, in total and by channel, and facts about each recording by its name; None without data."""
+    errors: dict[str, RecordingError] = {}
     for case, record in zip(cases, records, strict=True):
         data = case.built.scene.data
         if data is None:
@@ -227,16 +220,16 @@ def _errors(
             entry[rmse] = factor * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
             if len(misfits) == 1:
                 entry[measured.error_key(f"{measured.channel}s")] = {
-                    name: None if np.isnan(own) else factor * own for name, own in misfits[0].channels.items()
+                    name: None if np.isnan(e) else factor * e for name, e in misfits[0].channels.items()
                 }
-        found[case.name] = RecordingError(holdout=case.holdout, **entry)
-    return found
+        errors[case.name] = RecordingError(holdout=case.holdout, **entry)
+    return errors
 
 
 def _write_tables(
     run: RunDirectory, cases: list[Case], records: list[Records | None], values: Mapping[str, Array]
 ) -> None:
-    """Write the first copy of every case: recording, channel, time since the run began, data, model; in SI units."""
+    """Write recording, channel, time in the run, data and model in SI units, for the first copy of every case."""
     tables: dict[str, list[list[object]]] = {}
     for case, record in zip(cases, records, strict=True):
         data = case.built.scene.data

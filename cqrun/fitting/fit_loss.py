@@ -15,7 +15,7 @@ from cqrun.running.unknowns import make_params
 
 
 def fit_loss(built: Built, cases: Sequence[Case], threads: int) -> Loss:
-    """Return the loss that `cqrun sysid` minimises, at the scene's start."""
+    """Return the loss that `cqrun sysid` minimises, at the scene's start values."""
     params = make_params(built)
     problem = FitProblem(cases, params, threads=threads)
 

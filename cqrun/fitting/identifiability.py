@@ -1,7 +1,7 @@
-"""Which unknowns the data tell at all, and which they do not tell apart.
+"""Identifiability: unknowns on which the data do not depend, and combinations that cannot be told apart.
 
-Columns of the Jacobian are compared over the whole width of the unknowns' bounds, to find the flat
-ones, and then as directions, to find combinations that leave every residual where it is.
+The columns of the Jacobian are compared by their effect over the whole range of the bounds, to find flat unknowns, and
+then by their directions, to find combinations that change no residual.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 from cqrun.plugin.contract import Array
 
 FLAT = 1e-6
-"""An unknown is flat if its bounds' width moves the residuals by less than this part of the strongest's."""
+"""An unknown is flat if its range moves the residuals by less than this part of the strongest unknown's effect."""
 
 TOGETHER = 1e-4
-"""Singular values of the unit columns below this part of the largest are of combinations that do nothing."""
+"""Singular values of the unit columns below this part of the largest belong to combinations without effect."""
 
 _NAMED = 0.1
 _TOUCHED = 0.03
@@ -33,7 +33,7 @@ class Unknown:
         name: its key path.
         value: at the optimum, in its own unit.
         lower, upper: bounds in its own unit.
-        log: whether it is fitted, and its interval taken, in the logarithm.
+        log: whether its logarithm is fitted.
     """
 
     name: str
@@ -63,13 +63,13 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Directions:
-    """What the columns of a Jacobian tell of p unknowns.
+    """The directions of p unknowns that the columns of a Jacobian resolve.
 
     Attributes:
-        inverse: (p, p) pseudo-inverse of J^T J without the directions that do nothing.
-        rank: number of directions kept.
+        inverse: (p, p) pseudo-inverse of J^T J without the directions that have no effect.
+        rank: number of directions with an effect.
         reasons: why an unknown has no interval, by name.
-        findings: sentences for a person.
+        findings: sentences for the user.
         singular_values: of the unit columns, largest first.
     """
 
@@ -85,7 +85,7 @@ def find_directions(jacobian: Array, unknowns: Sequence[Unknown]) -> Directions:
 
     Args:
         jacobian: (n, p) dr/dz in working coordinates.
-        unknowns: p of them.
+        unknowns: the p unknowns.
     """
     p = len(unknowns)
     sizes = np.linalg.norm(jacobian, axis=0)
@@ -111,12 +111,12 @@ def find_directions(jacobian: Array, unknowns: Sequence[Unknown]) -> Directions:
 
 
 def follow(jacobian: Array, residuals: Array, unknowns: Sequence[Unknown]) -> Array:
-    """Return the values (p,) that fit best within the bounds where residuals become these, to first order.
+    """Return the values (p,) that fit best within the bounds for new residuals, to first order.
 
     Args:
         jacobian: (n, p) dr/dz in working coordinates.
-        residuals: (n,) with the values that the unknowns have.
-        unknowns: p of them; one whose column is nought stays.
+        residuals: (n,) the new residuals at the current values.
+        unknowns: the p unknowns; one whose column is zero keeps its value.
     """
     from scipy.optimize import lsq_linear
 
@@ -130,13 +130,13 @@ def follow(jacobian: Array, residuals: Array, unknowns: Sequence[Unknown]) -> Ar
 
 
 def _combination(change: Array, share: Array, unknowns: Sequence[Unknown]) -> str:
-    """Return a sentence on a combination of unknowns that does nothing.
+    """Return a sentence on a combination of unknowns without effect.
 
-    `change` (p,) is the direction in working coordinates, `share` (p,) in units of each one's effect.
+    `change` (p,) is its direction in working coordinates, `share` (p,) in units of each unknown's effect.
     """
     named = [int(i) for i in np.argsort(-np.abs(share)) if abs(share[i]) > _NAMED * np.abs(share).max()]
     lead = unknowns[named[0]]
-    # One per cent of the first: of its value on a log scale, of its bounds' width on a linear one.
+    # 1 % of the first unknown: of its value on a log scale, of its range on a linear scale
     unit = 0.01 * (1.0 if lead.log else lead.ends[1] - lead.ends[0]) / change[named[0]]
     changes = [
         f"{unknowns[i].name} by {100 * unit * change[i]:+.3g} %"
@@ -146,15 +146,14 @@ def _combination(change: Array, share: Array, unknowns: Sequence[Unknown]) -> st
     ]
     names = _listed([unknowns[i].name for i in named])
     return (
-        f"{names} cannot be told apart: changing {_listed(changes)} together leaves the data as they are; "
-        "fix one of them"
+        f"{names} cannot be told apart: changing {_listed(changes)} together does not change the data; fix one of them"
     )
 
 
 def _alike(inverse: Array, unknowns: Sequence[Unknown], reasons: dict[str, str]) -> list[str]:
-    """Return sentences on pairs that are told apart, but barely."""
-    told = [i for i, u in enumerate(unknowns) if u.name not in reasons]
-    pairs = [(i, j) for a, i in enumerate(told) for j in told[a + 1 :]]
+    """Return sentences on pairs that are hard to tell apart."""
+    resolved = [i for i, u in enumerate(unknowns) if u.name not in reasons]
+    pairs = [(i, j) for a, i in enumerate(resolved) for j in resolved[a + 1 :]]
     alike = {(i, j): inverse[i, j] / np.sqrt(inverse[i, i] * inverse[j, j]) for i, j in pairs}
     return [
         f"{unknowns[i].name} and {unknowns[j].name} are hard to tell apart (correlation {rho:+.3f})"

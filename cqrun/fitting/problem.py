@@ -1,12 +1,12 @@
-"""The fit of unknowns to cases, as an optimizer sees it.
+"""The fit of unknowns to cases as an optimization problem.
 
     f(x) = loss / unit,   loss = sum over fitted recordings of w_k loss_k / sum w_k,   loss_k = RMSE_k^2
 
-x are the unknowns in scaled coordinates (`design/params.py`), and `unit` is the loss of bodies that stay where they
-are: so f is of order one, and an optimizer's tolerances mean the same in millimetres and in metres. Where recordings
-are of different units each loss_k is counted in its own such unit. The residuals r are those of the measurements,
-scaled so that f = r.r / 2. Rollouts of one evaluation run side by side on the cores, and share the threads where these
-are more. Neither changes a bit of the result.
+x are the unknowns in scaled coordinates (`design/params.py`), and `unit` is the loss of bodies that do not move. So f
+is of order one, and an optimizer's tolerances mean the same in millimetres and in metres. If recordings have different
+units, each loss_k is divided by its own such loss. The residuals r are those of the measurements, scaled so that
+f = r.r / 2. The rollouts of an evaluation run in parallel and share the threads; the results are bit-for-bit identical
+for any number of threads.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from cqrun.running.side_by_side import Effort, side_by_side, the_value, trial
 from cqrun.scene.paths import with_values
 
 DIFFERENCE = 1e-4
-"""Step of the forward-difference Jacobian in scaled coordinates, where bounds are 1 apart."""
+"""Step of the forward-difference Jacobian in scaled coordinates, in which the bounds are 1 apart."""
 
 
 class FitProblem:
     """A `Problem` (optimizers/base.py) over the cases of a scene.
 
     Args:
-        cases: all of them; those held out are never fitted.
+        cases: all cases; the held-out ones are not fitted.
         params: the unknowns.
-        threads: cores to use.
+        threads: number of threads.
 
     Attributes:
-        unit: loss of bodies that stay where they are; a cell squared where that is nought.
-        weights: of each case's comparisons in the loss; all together they sum to 1, where all are of one unit.
-        effort: what gradients have cost so far.
+        unit: loss of bodies that do not move; the square of a cell if that is zero.
+        weights: for each case, the weights of its comparisons in the loss; they sum to 1 if all have the same unit.
+        effort: cost of the gradients so far.
     """
 
     stochastic = False
@@ -62,13 +62,13 @@ class FitProblem:
         still = [case.still_losses() for case in self.cases]
         self.weights = [np.array([o.weight / total for o in case.comparisons]) for case in self.cases]
         if self._of_several_units():
-            self.weights = [w / own for w, own in zip(self.weights, map(_moving, self.cases, still), strict=True)]
-        unit = sum(float(w @ own) for w, own in zip(self.weights, still, strict=True))
+            self.weights = [w / loss for w, loss in zip(self.weights, map(_moving, self.cases, still), strict=True)]
+        unit = sum(float(w @ loss) for w, loss in zip(self.weights, still, strict=True))
         self.unit = unit or self.cases[0].built.model.dx ** 2
 
     @property
     def unit_text(self) -> str:
-        """The unit of f, with its own unit where one is known."""
+        """The unit of f as text."""
         return f"{self.unit:.4g} {self.cases[0].built.scene.loss_unit}".rstrip()
 
     def _of_several_units(self) -> bool:
@@ -80,11 +80,7 @@ class FitProblem:
         return self.params.unpack(x)
 
     def require_reached(self, values: Mapping[str, Array]) -> None:
-        """Refuse starts of recordings, outside their bounds, that leave frames after the end of the model's run.
-
-        Raises:
-            UsageError: one is too early.
-        """
+        """Raise UsageError if a recording starts so early that the run ends before its last frames."""
         for case in self.cases:
             for comparison in case.comparisons:
                 if wrong := comparison.too_early(case.start_of(values)):
@@ -93,11 +89,11 @@ class FitProblem:
     # --- values ---------------------------------------------------------------------------------------------
 
     def value(self, x: Array, batch: tuple[int, ...] | None = None) -> float:
-        """Return f, over all cases or scaled up from those in `batch`, by rollouts forward."""
+        """Return f over all cases, or estimated from those in `batch`, by forward rollouts."""
         return the_value(self.values_at([x], batch))
 
     def values_at(self, points: Sequence[Array], batch: tuple[int, ...] | None = None) -> list[float | TrialFailed]:
-        """Return f at every point, or how its trial failed; the points' rollouts side by side."""
+        """Return f at every point, or its failed trial; the rollouts run in parallel."""
         chosen, share = self._chosen(batch)
 
         def task(x: Array) -> Callable[[int], float | TrialFailed]:
@@ -121,7 +117,7 @@ class FitProblem:
         return sum(0.5 * scale**2 * float(np.sum(r**2)) for r, scale in parts)
 
     def _chosen(self, batch: tuple[int, ...] | None) -> tuple[Sequence[int], float]:
-        """Return which cases a batch means, and by how much their parts are scaled up."""
+        """Return the cases of a batch, and the factor by which their parts are scaled up."""
         if batch is None:
             return range(self.n_batches), 1.0
         return batch, 1.0 / sum(float(self.weights[c].sum()) for c in batch)
@@ -129,7 +125,7 @@ class FitProblem:
     # --- gradients ------------------------------------------------------------------------------------------
 
     def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
-        """Return f and its gradient (n,), over all cases or scaled up from those in `batch`."""
+        """Return f and its gradient (n,) over all cases, or estimated from those in `batch`."""
         values = self.values(x)
         with trial(self.params, x):
             parts, gradient = self.losses_and_gradient(values, batch)
@@ -138,7 +134,7 @@ class FitProblem:
     def losses_and_gradient(
         self, values: Mapping[str, Array], batch: tuple[int, ...] | None = None
     ) -> tuple[dict[str, float], dict[str, Array]]:
-        """Return every case's part of the loss, and the loss's gradient by path, for values by path.
+        """Return every case's part of the loss, and the gradient of the loss by path, for values by path.
 
         Raises:
             RolloutError: a case blows up.
@@ -150,16 +146,16 @@ class FitProblem:
             budget = self.cases[case].built.model.memory_budget // at_once
             return lambda threads: self.cases[case].gradient(values, share * self.weights[case], threads, budget)
 
-        found = side_by_side([task(c) for c in chosen], self.threads, at_once)
+        results = side_by_side([task(c) for c in chosen], self.threads, at_once)
         total = {path: np.zeros(np.shape(value)) for path, value in values.items()}
-        for _, gradient, effort in found:
+        for _, gradient, effort in results:
             self.effort.add(effort)
             for path in total:
                 total[path] = total[path] + gradient[path]
-        return {self.cases[c].name: loss for c, (loss, _, _) in zip(chosen, found, strict=True)}, total
+        return {self.cases[c].name: loss for c, (loss, _, _) in zip(chosen, results, strict=True)}, total
 
     def term_values(self) -> Array:
-        """Return no terms: the loss has one."""
+        """Return no terms: the loss is a single one."""
         return np.zeros(0)
 
     # --- residuals --------------------------------------------------------------------------------------------
@@ -169,7 +165,7 @@ class FitProblem:
         return self.residuals_at([x])[0]
 
     def residuals_at(self, points: Sequence[Array], cases: Sequence[Case] | None = None) -> list[Array]:
-        """Return r (m,) at every point, their rollouts side by side."""
+        """Return r (m,) at every point; the rollouts run in parallel."""
         cases = self.cases if cases is None else cases
         by_point = [self.values(x) for x in points]
         records = self._records_at(points, by_point, cases)
@@ -177,11 +173,8 @@ class FitProblem:
         out = []
         for x, values in zip(points, by_point, strict=True):
             parts = [self._residuals_of(case, x, values, records) for case in cases]
-            out.append(
-                np.concatenate(
-                    [s * r for rs, ss in zip(parts, scales, strict=True) for r, s in zip(rs, ss, strict=True)]
-                )
-            )
+            pairs = ((r, s) for rs, ss in zip(parts, scales, strict=True) for r, s in zip(rs, ss, strict=True))
+            out.append(np.concatenate([s * r for r, s in pairs]))
         return out
 
     def _residuals_of(
@@ -192,7 +185,7 @@ class FitProblem:
             return case.residuals(record, values)
 
     def _rollout_key(self, case: Case, values: Mapping[str, Array]) -> tuple[int, bytes]:
-        """Return what tells rollouts apart: a recording's start moves the data, not the model."""
+        """Return a key of a rollout; a recording's start is not part of it, because it moves the data only."""
         starts = {c.start_path for c in self.cases}
         moving = [np.asarray(value, float).ravel() for path, value in values.items() if path not in starts]
         return id(case), np.concatenate([np.zeros(0), *moving]).tobytes()
@@ -200,7 +193,7 @@ class FitProblem:
     def _records_at(
         self, points: Sequence[Array], by_point: Sequence[dict[str, Array]], cases: Sequence[Case]
     ) -> dict[tuple[int, bytes], Records]:
-        """Return the records of every rollout that the points ask for, each run once; keep those of the first."""
+        """Run every rollout that the points need once and return the records; keep those of the first point."""
         wanted = {
             self._rollout_key(case, values): (case, x, values)
             for x, values in zip(points, by_point, strict=True)
@@ -216,8 +209,8 @@ class FitProblem:
             return run
 
         missing = [key for key in wanted if key not in self._kept]
-        found = side_by_side([task(*wanted[key]) for key in missing], self.threads)
-        known = self._kept | dict(zip(missing, found, strict=True))
+        results = side_by_side([task(*wanted[key]) for key in missing], self.threads)
+        known = self._kept | dict(zip(missing, results, strict=True))
         self._kept = {key: known[key] for key in (self._rollout_key(case, by_point[0]) for case in cases)}
         return known
 
@@ -226,14 +219,14 @@ class FitProblem:
         return [float(np.sqrt(2.0 * w / (o.count * self.unit))) for w, o in zip(weights, case.comparisons, strict=True)]
 
     def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
-        """Return r (m,) and J (m, n) by one-sided differences, inside the bounds."""
+        """Return r (m,) and J (m, n) by one-sided differences inside the bounds."""
         steps = np.where(x + DIFFERENCE <= self.upper, DIFFERENCE, -DIFFERENCE)
         points = [x, *(x + step * unit for step, unit in zip(steps, np.eye(len(x)), strict=True))]
         r, *moved = self.residuals_at(points)
         return r, np.stack([(m - r) / step for m, step in zip(moved, steps, strict=True)], axis=1)
 
     def with_half_substep(self) -> FitProblem:
-        """Return the same fit with twice the substeps: its residuals differ by what the substep does to the model."""
+        """Return the same fit with twice the substeps; its residuals show the effect of the substep."""
 
         def halved(case: Case) -> Case:
             model = case.built.model
@@ -271,9 +264,9 @@ class FitProblem:
 
 
 def _moving(case: Case, still: Array) -> Array:
-    """Return the losses of bodies that stay where they are; SceneError where one is 0, as of a recording of nothing."""
+    """Return the losses of bodies that do not move; raise SceneError if one is 0, for a recording without motion."""
     if (still == 0).any():
         path = f"data.recordings.{case.name}"
-        message = "shows no change, so its errors cannot be counted beside those in another unit: remove it"
+        message = "shows no change, so its errors cannot be compared with those in another unit: remove it"
         raise SceneError([Problem(case.built.scene.where(path), path, message)])
     return still

@@ -1,4 +1,4 @@
-"""The cases of recordings: each with its own overrides, length and start."""
+"""The cases of recordings, each with its own overrides, length and start."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cqrun.store.recordings import read_recording
 
 
 def recorded_cases(built: Built, specs: Mapping[str, Recording]) -> list[Case]:
-    """Return the cases of all recordings, or raise what is wrong with any of them."""
+    """Return the cases of all recordings; raise a SceneError with the problems of all of them."""
     cases, problems = [], []
     for name, spec in specs.items():
         try:
@@ -36,49 +36,49 @@ def recorded_cases(built: Built, specs: Mapping[str, Recording]) -> list[Case]:
 
 def _recorded(built: Built, name: str, spec: Recording) -> Case:
     scene, path = built.scene, f"data.recordings.{name}.start"
-    own = _own(built, spec)
+    variant = _variant(built, spec)
     file = scene.resolve_path(spec.file)
-    begins = starts(scene).get(path, spec.start)  # an unknown's own start, or one that it follows
+    start = starts(scene).get(path, spec.start)  # may be an unknown, or follow one
     window = Window(
-        scene.time.control_step, own.model.n_controls, begins, bounds_of(scene, path), spec.skip, source=str(file)
+        scene.time.control_step, variant.model.n_controls, start, bounds_of(scene, path), spec.skip, source=str(file)
     )
     recorded = Recorded(
         file, spec.body, window, lambda: read_recording(file, units=spec.units), spec.units,
         None if spec.still is None else (spec.still[0], spec.still[1]), spec.weight,
     )  # fmt: skip
-    comparison = spec.measurement.bind(recorded, matter_of(own, {}))
-    return Case.probed(name, own, (comparison,), start_path=path, start=begins, holdout=spec.holdout)
+    comparison = spec.measurement.bind(recorded, matter_of(variant, {}))
+    return Case.probed(name, variant, (comparison,), start_path=path, start=start, holdout=spec.holdout)
 
 
-def _own(built: Built, spec: Recording) -> Built:
-    """Return the scene of one recording: with its overrides, for its length."""
+def _variant(built: Built, spec: Recording) -> Built:
+    """Return the scene with a recording's overrides and length."""
     scene, step = built.scene, built.scene.time.control_step
     length = scene.time.duration if spec.length is None else spec.length
     steps = round(length / step)
     if abs(steps * step - length) > ON_CONTROL_STEP * length:
         raise DataError(
-            f"`length`, {length:.10g} s, is no multiple of the control step {step:.10g} s; the nearest is "
+            f"`length`, {length:.10g} s, is not a multiple of the control step {step:.10g} s; the nearest is "
             f"{max(1, steps) * step:.10g} s"
         )
-    own = build(with_values(scene, {**_signals(scene), **spec.overrides, "time.duration": steps * step}))
-    _require_same_particles(built, own)
-    return own
+    variant = build(with_values(scene, {**_signals(scene), **spec.overrides, "time.duration": steps * step}))
+    _require_same_particles(built, variant)
+    return variant
 
 
 def _signals(scene: Scene) -> dict[str, float]:
-    """Return what keeps the scene's signals as they are in a recording of another length."""
+    """Return overrides that keep the scene's signals unchanged in a recording of another length."""
     signals = scene.activation
     return {} if signals is None or signals.over is not None else {"activation.over": scene.time.duration}
 
 
-def _require_same_particles(built: Built, own: Built) -> None:
-    """Refuse overrides that change the particles of a body of which each, or a field over them, is unknown."""
+def _require_same_particles(built: Built, variant: Built) -> None:
+    """Raise DataError if overrides change the particles of a body with an unknown per particle or field."""
     for path, unknown in built.scene.unknowns.items():
         for body in {body_of(built.scene, canonical(built.scene, p)) for p in (path, *unknown.also)} - {""}:
             if unknown.per in ("particle", "field"):
-                ours, theirs = (b.particles.x[b.particles.of(body)] for b in (built, own))
+                ours, theirs = (b.particles.x[b.particles.of(body)] for b in (built, variant))
                 if not np.array_equal(ours, theirs):
                     raise DataError(
-                        f"its overrides change the particles of '{body}', each of which has a value of the unknown "
-                        f"'{path}': leave the body's particles as they are, or use `per: body`"
+                        f"its overrides change the particles of '{body}', and the unknown '{path}' has a value for "
+                        "each of them: do not change the body's particles, or use `per: body`"
                     )

@@ -1,4 +1,4 @@
-"""The cases of data that a scene makes itself: one a sequence of activations, with its noisy copies."""
+"""The cases of synthetic data: one per sequence of activations, with its noisy copies."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from cqrun.store.recordings import read_recording
 from cqrun.store.synthetic import make_synthetic
 
 SYNTHETIC = "synthetic"
-"""Folder of a run that holds the data it made for itself."""
+"""Folder of a run with its synthetic data."""
 
 
 def synthetic_cases(built: Built, spec: Synthetic, directory: Path | None) -> list[Case]:
-    """Return the cases of a scene's own data, kept in a directory if one is given."""
+    """Return the cases of a scene's synthetic data; keep the data in a directory, if one is given."""
     scene, matter = built.scene, matter_of(built, {})
     rng = np.random.default_rng(spec.seed)
     names, observer = _observed(spec, matter, rng)
@@ -39,21 +39,21 @@ def synthetic_cases(built: Built, spec: Synthetic, directory: Path | None) -> li
     cases = []
     for sequence in range(scene.sequences):
         name = f"sequence_{sequence}" if random else "synthetic"
-        own = replace(base, assembly=base.assembly.with_sequence(sequence))
-        model = own.model
+        variant = replace(base, assembly=base.assembly.with_sequence(sequence))
+        model = variant.model
         comparisons = tuple(
             in_the_scenes_frame(
                 recording, observer, rows,
                 Window(model.dt * model.substeps, model.n_controls, start=0.0, source=recording.source),
             )
-            for recording in _made(own, spec, name, names, observer, rng, directory)
+            for recording in _made(variant, spec, name, names, observer, rng, directory)
         )  # fmt: skip
-        cases.append(Case(name, own, comparisons))
+        cases.append(Case(name, variant, comparisons))
     return cases
 
 
 def _observed(spec: Synthetic, matter: Matter, rng: np.random.Generator) -> tuple[tuple[str, ...], Points]:
-    """Return the names of the points that are seen, and their observer."""
+    """Return the names of the observed points, and their observer."""
     if spec.markers is not None:
         rest = {name: np.array(position) for name, position in spec.markers.items()}
         return tuple(rest), observe_markers(matter, spec.body, rest)
@@ -67,8 +67,8 @@ def _made(
     built: Built, spec: Synthetic, name: str, names: tuple[str, ...], observer: Points, rng: np.random.Generator,
     directory: Path | None,
 ) -> list[Recording]:  # fmt: skip
-    """Return the noisy copies of one sequence: read from the run, or made and written there."""
-    draw = np.random.default_rng(rng.integers(2**63))  # one generator a sequence, whatever is on disk already
+    """Return the noisy copies of a sequence: read them from the run, or make and write them."""
+    draw = np.random.default_rng(rng.integers(2**63))  # one generator per sequence, whether its files exist or not
     files = [(directory / SYNTHETIC / f"{name}_{copy}.csv") if directory else None for copy in range(spec.copies)]
     if all(file is not None and file.is_file() for file in files):
         return [read_recording(file) for file in files if file is not None]
@@ -87,5 +87,5 @@ def _made(
             beginning = file.with_suffix(".part")
             with disk_errors(file):
                 write_csv(recording, beginning)
-                beginning.replace(file)  # a run that is killed here never reads half a file
+                beginning.replace(file)  # if the run is killed here, it will not read an incomplete file
     return made

@@ -1,4 +1,4 @@
-"""A fit without data: the objective of a scene, made small by its unknowns."""
+"""A fit without data: the unknowns minimise the objective of a scene."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
 
 NAME = "objective"
-"""Of the only case."""
+"""Name of the only case."""
 
 
 def wanted_case(built: Built) -> Case:
     """Return the case of a scene's objective, with every goal at its position.
 
     Raises:
-        SceneError: a term does not fit the scene, or is no distance of a motion.
+        SceneError: a term does not fit the scene, or does not measure a distance between motions.
     """
     scene, matter = built.scene, matter_of(built, {})
     terms: dict[str, Any] = {name: chosen.value for name, chosen in scene.objective.items()}
@@ -44,13 +44,14 @@ def wanted_case(built: Built) -> Case:
 
 
 def _no_distances(scene: Scene, terms: Mapping[str, Any], track: Track, objective: Objective) -> Iterator[Problem]:
-    """Yield what is wrong with terms that have no least value of 0, or are not of the motion alone."""
+    """Yield problems of terms whose smallest value is not 0, or that do not depend on the motion only."""
     for name, term in terms.items():
         bar = objective.values_vjp(track, {name: 1.0})
         if bar.activation is not None or bar.design is not None:
-            yield _problem(scene, name, "sysid looks at the motion alone: `cqrun control` and `cqrun codesign` take it")
+            message = "sysid takes only terms of the motion; `cqrun control` and `cqrun codesign` also take this one"
+            yield _problem(scene, name, message)
         elif term.sense < 0 or term.least != 0 or term.weight <= 0:
-            message = "sysid makes small what is 0 at best, such as `track` and `reach` with a positive weight"
+            message = "sysid takes only terms that are 0 at best, such as `track` and `reach` with a positive weight"
             yield _problem(scene, name, message)
 
 
@@ -59,19 +60,19 @@ def _problem(scene: Scene, name: str, message: str) -> Problem:
 
 
 class Wanted(Comparison):
-    """The objective's terms over a rollout's records, each a distance that is 0 where the motion is as wanted."""
+    """The terms of the objective over a rollout's records; each is a distance to the wanted motion."""
 
     def __init__(self, objective: Objective, goals: Mapping[str, Array], matter: Matter) -> None:
         self.objective, self.rows, self.goals, self.matter = objective, objective.rows, goals, matter
 
     def track(self, records: Records) -> Track:
-        """Return a rollout as the terms see it."""
+        """Return the records in the form that the terms take."""
         nothing, matter = np.zeros((self.matter.n_controls, self.matter.n_actuators)), self.matter
         x, v, C, F = records
         return Track(x, v, C, F, nothing, self.goals, matter.control_step, matter.design)
 
     def wanted(self) -> dict[str, Any]:
-        """Return what a trajectory says of where its bodies should go [m]."""
+        """Return the goal positions [m] for the attributes of a trajectory."""
         return self.objective.wanted(self.goals)
 
     def residuals(self, records: Records, start: float) -> Array:
@@ -83,7 +84,6 @@ class Wanted(Comparison):
         return self.objective.loss(self.track(records))
 
     def loss_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Records, float]:
-        """Return the cotangents of the records and, 0, of `start` from that of the loss."""
+        """Return the cotangent of the records from that of the loss, and 0 as that of `start`."""
         bar = self.objective.loss_vjp(self.track(records), loss_bar)
-        found = {name: part for name in "xvCF" if (part := getattr(bar, name)) is not None}
-        return replace(records.zeros_like(), **found), 0.0
+        return replace(records.zeros_like(), **{k: b for k in "xvCF" if (b := getattr(bar, k)) is not None}), 0.0

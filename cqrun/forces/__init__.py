@@ -1,1 +1,1 @@
-"""Forces on particles: those that depend on the state, and those that are steady through a control step."""
+"""Forces on particles: those that depend on the state, and those that are constant in a control step."""

@@ -1,18 +1,18 @@
-"""What a force that depends on the state is: something that pulls some particles, every substep.
+"""Forces that depend on the state; they are computed in every substep.
 
-A force is made of items: a cable, a spring, a face under pressure. An item touches some particles and pulls each of
-them with a share of its own. Items are independent, so threads take them side by side; then each particle adds up its
-shares, in a fixed order. No two threads write one number, and the sums do not depend on how many threads there are.
+A force consists of items, such as a cable, a spring or a face under pressure. An item pulls each of its particles with
+a share. Items are independent, so threads compute them in parallel; then each particle sums its shares in a fixed
+order. No two threads write the same number, and the sums do not depend on the number of threads.
 
-A kind of force reaches the kernels as a `NamedTuple` of its own class, with the fields `shares` and `parts` and what
-else it needs. The class picks two functions, each called for one item:
+Kernels get a kind of force as a `NamedTuple` of its own class, with the fields `shares`, `parts` and others. The class
+selects two functions, each called for one item:
 
     exert(kernel, item, levels, control, q)                  writes shares.force of the item's shares
     exert_vjp(kernel, item, levels, control, q, push_bar)    writes shares.x_bar, shares.v_bar and shares.level_bar
 
-With a = kernel.parts[item], `levels.activation[control, a]` [1], `levels.strength[a]` in the force's own unit, and
-`levels.rest[a]` [m] are the numbers of the item's part. q and push_bar, the cotangent of the force on every particle,
-are packed (`state.py`, `packed.py`).
+The numbers of the item's part a = kernel.parts[item] are `levels.activation[control, a]` [1], `levels.strength[a]` in
+the force's own unit, and `levels.rest[a]` [m]. q and push_bar, the cotangent of the force on every particle, are packed
+(`state.py`, `packed.py`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from cqrun.numerics.dispatch import ByClass
 from cqrun.plugin.contract import Array, Plugin
 
 Inside = Callable[[str | None, Any], Array]
-"""From a body and a region, each or neither, to the indices of the particles there."""
+"""Returns the indices of the particles in a body and a region; None stands for any."""
 
 ACTIVATION, STRENGTH, REST = 0, 1, 2
 """Columns of `Shares.level_bar`."""
@@ -41,13 +41,13 @@ _ITEMS: dict[type, Callable[[Array, Array], list[Array]]] = {}
 
 
 class Shares(NamedTuple):
-    """What the items of a kind of force pull their particles with."""
+    """The shares of force of the items of one kind, or of all kinds."""
 
     begin: Array  # (I + 1,) where the shares of an item begin
-    columns: Array  # (S,) which particle a share pulls
+    columns: Array  # (S,) the particle of each share
     force: Array  # (S, D) [N]
-    x_bar: Array  # (S, D) what a share adds to the cotangent of its particle's position
-    v_bar: Array  # (S, D) and of its velocity
+    x_bar: Array  # (S, D) the share's part of the cotangent of its particle's position
+    v_bar: Array  # (S, D) the same of the velocity
     level_bar: Array  # (I, 3) cotangents of an item's activation, strength and rest length
 
 
@@ -55,12 +55,12 @@ own_symbols(Shares)
 
 
 class Levels(NamedTuple):
-    """How strong each part of an actuator or a force is; or the cotangent of that.
+    """Activation, strength and rest length of each part of an actuator or a force; or their cotangents.
 
-    Forces without an activation come last; the columns of `activation` that belong to them are 1.
+    Forces without an activation come last; their columns of `activation` are 1.
     """
 
-    activation: Array  # (T, A) one row a control step [1]
+    activation: Array  # (T, A) one row per control step [1]
     strength: Array  # (A,) in each part's own unit
     rest: Array  # (A,) length at rest [m]
 
@@ -69,9 +69,9 @@ own_symbols(Levels)
 
 
 class ParticleForce(Plugin):
-    """A force on particles that depends on where they are, without an activation.
+    """A force on particles that depends on their positions and has no activation.
 
-    A force may have several parts; each has a strength and a rest length of its own.
+    A force may have several parts, each with its own strength and rest length.
     """
 
     scale: ClassVar[str] = ""
@@ -81,7 +81,7 @@ class ParticleForce(Plugin):
     """The class of the kernels' view."""
 
     def parts(self) -> tuple[str, ...]:
-        """Return the names of its parts; one without a name if there is only one."""
+        """Return the names of its parts; a single part has an empty name."""
         return ("",)
 
     @abstractmethod
@@ -95,11 +95,11 @@ class ParticleForce(Plugin):
         """
 
     def constants(self, x: Array) -> Array:
-        """Return what else a kernel needs of a part, as numbers, given its particles at rest x (n, D) [m]."""
+        """Return a part's other numbers for its kernel, for its particles at rest x (n, D) [m]."""
         return np.zeros(0)
 
     def rest_length(self, x: Array) -> float:
-        """Return the length at rest [m] of a part whose particles at rest are x (n, D) [m]; 0 where it has none."""
+        """Return the length at rest [m] of a part whose particles at rest are x (n, D) [m]; 0 if it has none."""
         return 0.0
 
     def rest_length_vjp(self, x: Array, bar: float) -> Array:
@@ -107,25 +107,23 @@ class ParticleForce(Plugin):
         return np.zeros(x.shape)
 
     def problem(self, x: Array, dx: float) -> str | None:
-        """Return what is wrong with a part whose particles at rest are x (n, D) [m], in cells of dx [m], or None."""
+        """Return the error in a part whose particles at rest are x (n, D) [m], with cells of dx [m], or None."""
         return None
 
     def stiffness_at_nodes(self, strength: float) -> float:
-        """Return the stiffness that a part adds to nodes of the grid that its particles touch [N/m]."""
+        """Return the stiffness that a part adds to the grid nodes near its particles [N/m]."""
         return 0.0
 
 
 def register_force(
-    kernel_class: type,
-    items: Callable[[Array, Array], list[Array]],
-    exert: Callable[..., None],
+    kernel_class: type, items: Callable[[Array, Array], list[Array]], exert: Callable[..., None],
     exert_vjp: Callable[..., None],
-) -> None:
-    """Make the functions those of a kernel class, whose fields are `shares`, `parts` and `constants`.
+) -> None:  # fmt: skip
+    """Register the functions of a kernel class.
 
     Args:
-        kernel_class: a NamedTuple of these fields; constants (I, ...) has a row an item.
-        items: from the particles (n,) and constants of a part to the particles that each of its items pulls.
+        kernel_class: a NamedTuple of `shares`, `parts` and `constants` (I, ...), one row per item.
+        items: returns the particles of each item of a part, for its particles (n,) and constants.
         exert, exert_vjp: see the top of this file.
     """
     _EXERT.register(kernel_class, exert)
@@ -134,12 +132,12 @@ def register_force(
 
 
 def is_force(kernel_class: type) -> bool:
-    """Say whether a kernel class is of a force that depends on the state."""
+    """Return whether a kernel class belongs to a force that depends on the state."""
     return kernel_class in _ITEMS
 
 
 class Kind(NamedTuple):
-    """All parts of one kind of force: their numbers among all parts, their particles' columns, and their constants."""
+    """All parts of one kind of force: their numbers among all parts, the columns of their particles, the constants."""
 
     kernel: type
     parts: Array
@@ -148,10 +146,7 @@ class Kind(NamedTuple):
 
 
 def make_forces(kinds: Sequence[Kind], dim: int) -> tuple[tuple[Any, ...], Shares]:
-    """Return the kernels' view of every kind, and the shares of all of them one after the other.
-
-    The shares of a kind are a piece of those of all, so what one writes the other reads.
-    """
+    """Return the kernels' view of every kind, and the shares of all kinds, of which those of a kind are a view."""
     pulled = [
         [(int(a), item, c) for a, columns, c in zip(k.parts, k.columns, k.constants, strict=True)
          for item in _ITEMS[k.kernel](columns, c)]
@@ -169,7 +164,7 @@ def make_forces(kinds: Sequence[Kind], dim: int) -> tuple[tuple[Any, ...], Share
 
 
 def _shares(items: Sequence[Array], dim: int) -> Shares:
-    """Return empty shares of items that pull these particles."""
+    """Return shares of zero for the particles of each item."""
     begin = np.cumsum([0, *map(len, items)]).astype(np.int64)
     columns = np.concatenate([np.zeros(0, np.int64), *items]).astype(np.int64)
     force, x_bar, v_bar = (np.zeros((len(columns), dim)) for _ in range(3))
@@ -177,7 +172,7 @@ def _shares(items: Sequence[Array], dim: int) -> Shares:
 
 
 def _piece(shares: Shares, first: int, last: int) -> Shares:
-    """Return the shares of items first .. last, without a copy but for where each begins."""
+    """Return a view of the shares of items first .. last; only `begin` is a copy."""
     piece = slice(int(shares.begin[first]), int(shares.begin[last]))
     arrays = (a[piece] for a in (shares.columns, shares.force, shares.x_bar, shares.v_bar))
     return Shares(shares.begin[first : last + 1] - piece.start, *arrays, shares.level_bar[first:last])

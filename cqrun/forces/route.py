@@ -1,9 +1,9 @@
-"""Straight lines through particles, along which cables and springs pull.
+"""Routes: straight lines through particles, along which cables and springs pull.
 
-With the particles x_1 .. x_r of a route, its length is L = sum_i |x_{i+1} - x_i|, and t_i the unit vector from x_i to
-x_{i+1}. A tension T along it pulls x_i with T (t_i - t_{i-1}): no net force and no net torque.
+The length of a route along particles x_1 .. x_r is L = sum_i |x_{i+1} - x_i|; t_i is the unit vector from x_i to
+x_{i+1}. A tension T pulls x_i with T (t_i - t_{i-1}), which adds no net force and no net torque.
 
-As shares of an item (`force.py`) a route is its segments, one after the other; the two shares of a segment pull its
+The shares of a route (`force.py`) are those of its segments, one after the other; the two shares of a segment pull its
 first and its last particle.
 """
 
@@ -19,6 +19,7 @@ from cqrun.explain import Loc
 from cqrun.forces.force import Inside, Shares
 from cqrun.numerics.compile import kernel
 from cqrun.plugin.contract import Array
+from cqrun.state import X
 
 Point = Annotated[list[float], Field(min_length=2, max_length=3)]
 
@@ -27,21 +28,21 @@ Point = Annotated[list[float], Field(min_length=2, max_length=3)]
 
 
 def route_problems(route: list[Point], dim: int) -> list[tuple[Loc, str]]:
-    """Return what is wrong with the points of a route in a world of `dim` dimensions."""
-    wrong: list[tuple[Loc, str]] = [
+    """Return the errors in the points of a route in a world of `dim` dimensions."""
+    problems: list[tuple[Loc, str]] = [
         (("route", k), f"must have {dim} entries in this {dim}D world, has {len(point)}")
         for k, point in enumerate(route)
         if len(point) != dim
     ]
-    return wrong + [
-        (("route", k + 1), "is where the point before it is: remove one of the two")
+    return problems + [
+        (("route", k + 1), "is the same as the point before it: remove one of the two")
         for k, (point, next_point) in enumerate(itertools.pairwise(route))
         if point == next_point
     ]
 
 
 def particles_along(route: list[Point], spacing: float | None, body: str, x: Array, inside: Inside) -> Array:
-    """Return the particles along a route, in order: those nearest to its points, and between them every `spacing`."""
+    """Return the particles along a route, in order: the nearest to its points, and to places every `spacing`."""
     of_body = inside(body, None)
 
     def nearest(place: Array) -> int:
@@ -54,7 +55,7 @@ def particles_along(route: list[Point], spacing: float | None, body: str, x: Arr
         pieces = 1 if spacing is None else max(1, round(float(np.linalg.norm(end - begin)) / spacing))
         for piece in range(1, pieces):
             particle = nearest(begin + (end - begin) * piece / pieces)
-            # a line that is tied more often than there are particles meets some of them again
+            # if the spacing is less than the distance of particles, the same particle is nearest again
             if particle not in (along[-1], tied[k + 1]):
                 along.append(particle)
         along.append(tied[k + 1])
@@ -62,14 +63,14 @@ def particles_along(route: list[Point], spacing: float | None, body: str, x: Arr
 
 
 def route_problem(route: list[Point], body: str, x: Array, dx: float) -> str | None:
-    """Return what is wrong with a route along particles at x (r, D) in cells of dx, or None."""
+    """Return the error in a route along particles at x (r, D) [m] with cells of dx [m], or None."""
     for point in route:
         gap = np.linalg.norm(x - np.array(point), axis=1)
         if gap.min() > dx:
             near, place = (", ".join(f"{c:.4g}" for c in of) for of in (x[np.argmin(gap)], point))
             return (
                 f"its point ({place}) is {gap.min():.3g} m from the body '{body}', whose nearest particle at "
-                f"rest is at ({near}): each point of a route lies within a cell ({dx:.3g} m) of a particle"
+                f"rest is at ({near}): each point of a route must lie within a cell ({dx:.3g} m) of a particle"
             )
     different = len(np.unique(x, axis=0))
     if different < 2:
@@ -96,17 +97,17 @@ def route_length_vjp(x: Array, bar: float) -> Array:
 
 
 def segments_of(columns: Array, constants: Array) -> list[Array]:
-    """Return the one item of a part: the particles of its segments, the first and the last of each."""
+    """Return the single item of a part: the first and the last particle of each segment."""
     return [np.repeat(columns, 2)[1:-1]]
 
 
 @kernel
 def segment(q: Array, p: int, r: int, in_3d: bool) -> tuple[float, float, float, float]:
-    """Return the unit vector from particle p to particle r, and their distance [m]; x has the first rows of q."""
+    """Return the unit vector from particle p to particle r, and their distance [m]."""
     w = q.shape[2]
-    x = q[r // w, 0, r % w] - q[p // w, 0, p % w]
-    y = q[r // w, 1, r % w] - q[p // w, 1, p % w]
-    z = q[r // w, 2, r % w] - q[p // w, 2, p % w] if in_3d else 0.0 * x
+    x = q[r // w, X, r % w] - q[p // w, X, p % w]
+    y = q[r // w, X + 1, r % w] - q[p // w, X + 1, p % w]
+    z = q[r // w, X + 2, r % w] - q[p // w, X + 2, p % w] if in_3d else 0.0 * x
     length = np.sqrt(x * x + y * y + z * z)
     inverse = 1.0 / length if length > 0.0 else 0.0 * length
     return x * inverse, y * inverse, z * inverse, length
@@ -147,7 +148,7 @@ def clear_item(table: Array, shares: Shares, item: int) -> None:
 
 @kernel
 def difference(force_bar: Array, p: int, r: int, in_3d: bool) -> tuple[float, float, float]:
-    """Return the cotangent of the force on p less that of the force on r."""
+    """Return the cotangent of the force on p minus that of the force on r."""
     w = force_bar.shape[2]
     x = force_bar[p // w, 0, p % w] - force_bar[r // w, 0, r % w]
     y = force_bar[p // w, 1, p % w] - force_bar[r // w, 1, r % w]
@@ -169,7 +170,7 @@ def tension_bar(shares: Shares, item: int, q: Array, push_bar: Array) -> float:
 
 @kernel
 def pull_along_vjp(shares: Shares, item: int, tension: float, length_bar: float, q: Array, push_bar: Array) -> None:
-    """Write the cotangents of the particles' positions, through the length and through the segments' directions."""
+    """Write the cotangents of the particles' positions, through the length and the segments' directions."""
     in_3d = shares.force.shape[1] == 3
     for s in range(shares.begin[item], shares.begin[item + 1], 2):
         p, r = shares.columns[s], shares.columns[s + 1]

@@ -1,4 +1,4 @@
-"""Spring: pulls and pushes the particles along its route towards its rest length.
+"""Spring: it pulls and pushes the particles along its route towards its rest length.
 
 With the length L of the route (`route.py`), its rest length R and the stiffness k, the energy is E = k / 2 (L - R)^2,
 so the tension is T = k (L - R), negative where the spring is compressed.
@@ -41,16 +41,16 @@ class SpringKernel(NamedTuple):
 
 @plugin("force", "spring")
 class Spring(ParticleForce):
-    """A spring along a route of particles: its force is stiffness (length - rest length), at rest zero.
+    """A spring along a route of particles: its force is stiffness (length - rest length).
 
-    It works in both directions: it pulls where it is stretched, and pushes where it is compressed.
+    It pulls if it is stretched, and pushes if it is compressed.
     """
 
-    body: BodyName = Field(description="Body it lies in")
+    body: BodyName = Field(description="Body that contains it")
     route: list[Point] = quantity(
-        "m", "Points at rest that it runs through in straight lines, each at the nearest particle", min_length=2
+        "m", "Points at rest, joined by straight lines; it is tied to the nearest particle of each", min_length=2
     )
-    stiffness: float = quantity("N/m", "Force over stretch", differentiable=True, ge=0)
+    stiffness: float = quantity("N/m", "Force divided by stretch", differentiable=True, ge=0)
 
     scale = "stiffness"
     kernel = SpringKernel
@@ -64,7 +64,7 @@ class Spring(ParticleForce):
         return particles_along(self.route, None, self.body, x, inside)
 
     def problem(self, x: Array, dx: float) -> str | None:
-        """Return what is wrong with a route along particles at x (r, D) in cells of dx, or None."""
+        """Return the error in a route along particles at x (r, D) [m] with cells of dx [m], or None."""
         return route_problem(self.route, self.body, x, dx)
 
     def rest_length(self, x: Array) -> float:
@@ -76,7 +76,7 @@ class Spring(ParticleForce):
         return route_length_vjp(x, bar)
 
     def stiffness_at_nodes(self, strength: float) -> float:
-        """Return that of a node between two segments of the spring's stiffness [N/m]."""
+        """Return the stiffness at a node between two segments of the spring's stiffness [N/m]."""
         return 4.0 * strength
 
 

@@ -1,12 +1,12 @@
-"""What a force that stays the same through a control step is: it depends on the activation alone, not on the state.
+"""Steady forces: they depend on the activation only, not on the state, and so are constant in a control step.
 
-A kind of steady force reaches the kernels as a `NamedTuple` of its own class that holds all actuators of the kind, with
-the field `columns`, their particles. The class picks two functions, called once a control step by one thread:
+Kernels get a kind of steady force as a `NamedTuple` of its own class with all actuators of the kind; its field
+`columns` has their particles. The class selects two functions, which one thread calls once per control step:
 
     hold(kernel, levels, control, fields, force)                                     adds to force
     hold_vjp(kernel, levels, levels_bar, control, fields, fields_bar, force_bar)      adds to the other cotangents
 
-fields, force (D, n) [N] and its cotangent, summed over the substeps of the control step, are packed (`packed.py`).
+`fields`, `force` (D, n) [N] and its cotangent, summed over the substeps of the control step, are packed (`packed.py`).
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ def register_steady(
     hold: Callable[..., None],
     hold_vjp: Callable[..., None],
 ) -> None:
-    """Make `hold` and `hold_vjp` the functions of a kernel class, and `make` what builds it.
+    """Register the functions of a kernel class.
 
-    `make(actuators, columns, constants)` takes the numbers of the kind's actuators among all, and for each its
-    particles and its `Actuator.constants`.
+    `make(actuators, columns, constants)` returns the kernels' view, for the numbers of the kind's actuators among all
+    actuators, and for the particles and `Actuator.constants` of each.
     """
     _HOLD.register(kernel_class, hold)
     _HOLD_VJP.register(kernel_class, hold_vjp)
@@ -48,7 +48,7 @@ def make_steady(kernel_class: type, actuators: Array, columns: list[Array], cons
 
 
 def is_steady(kernel_class: type) -> bool:
-    """Say whether a kernel class is of a steady force."""
+    """Return whether a kernel class belongs to a steady force."""
     return kernel_class in _MAKE
 
 

@@ -30,7 +30,7 @@ class RegionDifference(Region):
 
     shorthand: ClassVar[str] = "shapes"
 
-    shapes: list[ChosenRegion] = Field(description="A region, then those that are taken out of it", min_length=2)
+    shapes: list[ChosenRegion] = Field(description="A region, then the regions to remove from it", min_length=2)
 
     def pick(self, points: Points) -> Array:
         first, *others = (region.value.pick(points) for region in self.shapes)

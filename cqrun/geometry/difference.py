@@ -20,7 +20,7 @@ class Difference(Shape):
 
     shorthand: ClassVar[str] = "shapes"
 
-    shapes: list[ChosenShape] = Field(description="A shape, then those that are cut out of it", min_length=2)
+    shapes: list[ChosenShape] = Field(description="A shape, then the shapes to cut out of it", min_length=2)
 
     def inside(self, points: Array) -> Array:
         first, *holes = (part.value for part in self.shapes)

@@ -5,11 +5,13 @@ from __future__ import annotations
 from abc import abstractmethod
 from pathlib import Path
 
+import psutil
 from pydantic import Field
 
 from cqrun.errors import UsageError
 from cqrun.geometry.shape import Shape
-from cqrun.plugin.reference import FileName
+from cqrun.plugin.reference import FileName, why_unreadable
+from cqrun.units import format_bytes
 
 
 class FileShape(Shape):
@@ -26,13 +28,11 @@ class FileShape(Shape):
         """Return what identifies this version of the file: path, time and size.
 
         Raises:
-            UsageError: there is no such file.
+            UsageError: there is no such file, or none that can be read.
         """
-        try:
-            stat = self.path.stat()
-        except OSError as error:
-            message = f"{self.path}: cannot be read ({error.strerror}); the name starts from the scene's folder"
-            raise UsageError(message) from None
+        if why := why_unreadable(self.path):
+            raise UsageError(f"{self.path}: cannot be read ({why}); the name starts from the scene's folder")
+        stat = self.path.stat()
         return self.path, stat.st_mtime_ns, stat.st_size
 
     @abstractmethod
@@ -42,3 +42,12 @@ class FileShape(Shape):
         Raises:
             UsageError: it is missing or unreadable, or no body can be made from it.
         """
+
+
+def require_memory(path: Path, need: int, advice: str) -> None:
+    """Raise a UsageError if reading a file needs more memory [bytes] than is free."""
+    free = psutil.virtual_memory().available
+    if need > free:
+        raise UsageError(
+            f"{path}: reading it needs about {format_bytes(need)}; {format_bytes(free)} are free: {advice}"
+        )

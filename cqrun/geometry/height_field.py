@@ -19,7 +19,7 @@ class Sinusoid(Spec):
     """Hills: h = base + amplitude sin(2 pi x / wavelength + phase)."""
 
     amplitude: float = quantity("m", "Half the height from valley to crest", gt=0, geometric=True)
-    wavelength: float = quantity("m", "From crest to crest", gt=0, geometric=True)
+    wavelength: float = quantity("m", "Distance from crest to crest", gt=0, geometric=True)
     base: float = quantity("m", "Height in the middle", geometric=True)
     phase: float = quantity("deg", "Phase at x = 0", geometric=True, default=0.0)
 
@@ -34,7 +34,7 @@ class HeightField(Shape):
 
     points: list[Pair] | None = quantity("m", "Profile: [x, height] each, x increasing", min_length=2, default=None)
     sinusoid: Sinusoid | None = Field(description="Profile of hills instead of points", default=None)
-    span: Pair | None = quantity("m", "Where along x it begins and ends; infinite if absent", default=None)
+    span: Pair | None = quantity("m", "Range of x that it covers; infinite if absent", default=None)
     bottom: float | None = quantity("m", "Height of its lower side; infinite if absent", geometric=True, default=None)
     up: Literal["y", "z"] | None = Field(description="Axis of the height in 3D; y in 2D", default=None)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -12,12 +13,15 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cqrun.errors import UsageError
 from cqrun.explain import Loc, complaint, finding, listed, suggest
-from cqrun.geometry.file_shape import FileShape
+from cqrun.geometry.file_shape import FileShape, require_memory
 from cqrun.plugin.contract import Array, quantity, vector
 from cqrun.plugin.registry import plugin
 
 MAX_PIXELS = 40_000_000
 """A larger image is refused: particles are far coarser."""
+
+_PIXEL_MEMORY = 25
+"""Memory that a pixel takes while an image is read and its colours are found, as measured [bytes]."""
 
 _OPAQUE = 128
 """Smallest alpha of an opaque pixel, of 255."""
@@ -159,8 +163,11 @@ class Image(FileShape):
 
     def _far_from(self, colour: str) -> Array:
         """Return the largest difference in red, green and blue from a colour (rows, columns)."""
-        wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
-        return np.abs(self._pixels()[..., :3].astype(int) - wanted).max(axis=2)
+        far = np.zeros(self._pixels().shape[:2], np.uint8)
+        for k, channel in enumerate(np.moveaxis(self._pixels()[..., :3], 2, 0)):
+            wanted = np.uint8(int(colour[1 + 2 * k : 3 + 2 * k], 16))
+            np.maximum(far, np.maximum(channel, wanted) - np.minimum(channel, wanted), out=far)
+        return far
 
     def _cut_out(self) -> Array:
         """Return which pixels are part of the body (rows, columns)."""
@@ -171,10 +178,13 @@ class Image(FileShape):
     def _nearest(self) -> Array:
         """Return the index of each pixel's named colour (rows, columns), -1 for none."""
         body = self._cut_out()
-        if not self.colours:
-            return np.full(body.shape, -1)
-        far = np.array([self._far_from(colour) for colour in self.colours.values()])
-        return np.where(body & (far.min(axis=0) <= self.tolerance), far.argmin(axis=0), -1)
+        nearest = np.full(body.shape, -1, np.int32)
+        least = np.full(body.shape, self.tolerance + 1, np.int16)
+        for k, colour in enumerate(self.colours.values()):  # one after the other: a stack of all would fill the memory
+            far = self._far_from(colour)
+            nearer = body & (far < least)
+            nearest[nearer], least[nearer] = k, far[nearer]
+        return nearest
 
 
 def _hex(pixel: Array) -> str:
@@ -183,35 +193,62 @@ def _hex(pixel: Array) -> str:
 
 def _most_common(pixels: Array, count: int = 4) -> list[str]:
     """Return the most common colours of pixels (n, 4), with their shares."""
-    packed = (pixels[:, :3].astype(int) << [16, 8, 0]).sum(axis=1)
+    red, green, blue = pixels[:, :3].astype(np.uint32).T
+    packed = (red << 16) | (green << 8) | blue
     values, counts = np.unique(packed, return_counts=True)
     most = np.argsort(-counts, kind="stable")[:count]
     return [f"#{values[k]:06x} ({counts[k] / len(packed):.1%})" for k in most]
 
 
-def _eight_bits(image: Any) -> Any:
-    """Scale a grey image from 16 bits to 8 bits per pixel; `convert` would clip its values at 255 instead."""
-    from PIL import Image as Pillow
-
-    if not image.mode.startswith("I"):
-        return image
-    return Pillow.fromarray((np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8))
-
-
 @lru_cache(maxsize=8)
 def _read(path: Path, time: int, size: int) -> Array:
-    """Read the pixels of an image file (rows, columns, 4); it is read again when it changes."""
+    """Read the pixels of a PNG (rows, columns, 4); it is read again when it changes.
+
+    Raises:
+        UsageError: it is no PNG, damaged, or too large.
+    """
     from PIL import Image as Pillow
     from PIL import UnidentifiedImageError
 
     try:
-        with Pillow.open(path) as image:
-            if image.width * image.height > MAX_PIXELS:
+        with warnings.catch_warnings(action="ignore"), Pillow.open(path, formats=("PNG",)) as image:
+            count = image.width * image.height
+            if count > MAX_PIXELS:
                 raise UsageError(f"{path}: {image.width} x {image.height} pixels; at most {MAX_PIXELS:.0e} are read")
-            pixels = np.asarray(_eight_bits(image).convert("RGBA"))
+            require_memory(path, _PIXEL_MEMORY * count, "save it with fewer pixels")
+            pixels = _rgba(image, _bit_depth(path))
     except UnidentifiedImageError:
-        raise UsageError(f"{path}: is not an image that can be read; save it as PNG") from None
-    except (OSError, SyntaxError, ValueError, Pillow.DecompressionBombError) as error:
-        raise UsageError(f"{path}: cannot be read as an image: {error}; save it as PNG again") from None
+        raise UsageError(f"{path}: is not a PNG; only PNG is read, whatever a file is called: save it as PNG") from None
+    except UsageError:
+        raise
+    except Exception as error:  # the reader raises many kinds of errors for a broken file
+        raise UsageError(f"{path}: cannot be read as PNG: {error}; save it again") from None
     pixels.flags.writeable = False
     return pixels
+
+
+def _bit_depth(path: Path) -> int:
+    """Return the number of bits of a PNG's samples; the first chunk has it behind the width and the height."""
+    with path.open("rb") as file:
+        return file.read(25)[24]
+
+
+def _rgba(image: Any, depth: int) -> Array:
+    """Return red, green, blue and alpha of a PNG with 8 bits each (rows, columns, 4).
+
+    The file gives its transparent colour with as many bits as its samples have, but Pillow compares it with samples
+    that it has scaled to 8 bits, and forgets it where samples of 16 bits are kept.
+    """
+    clear = image.info.get("transparency")
+    if image.mode.startswith("I"):  # grey of 16 bits
+        grey = np.asarray(image)
+        pixels = np.full((*grey.shape, 4), 255, np.uint8)
+        pixels[..., :3] = (grey >> 8)[..., None]
+        if clear is not None:
+            pixels[grey == clear, 3] = 0
+        return pixels
+    if image.mode == "L" and clear is not None:
+        image.info["transparency"] = clear * 255 // (2**depth - 1)
+    elif image.mode == "RGB" and clear is not None and depth == 16:
+        image.info["transparency"] = tuple(sample >> 8 for sample in clear)
+    return np.array(image.convert("RGBA"))

@@ -60,7 +60,7 @@ class Place(Spec):
     def world_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Return the world corners (D,) [m] of a box around a local box, which may be infinite."""
         R = self.matrix(len(lower))
-        # 0 * inf is nan, so axes with a zero entry are left out
+        # 0 * inf is nan, so axes with a zero entry are omitted
         ends = [np.multiply(R, end, out=np.zeros_like(R), where=R != 0) for end in (lower, upper)]
         low, high = np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
         return self._origin() + self.scale * low, self._origin() + self.scale * high

@@ -1,17 +1,17 @@
-"""cqrun from Python: a scene as a function, NumPy in and out.
+"""Use cqrun from Python: a scene is a function of its numbers, with NumPy arrays in and out.
 
     problem = cqrun.load("scenes/sysid/beam_twin.yaml", ["time.duration=0.3"])
     loss, gradient, aux = problem.value_and_grad({"loads.air.damping.rate": 2.0})
     motion = problem.simulate()
 
-A scene with a controller and an objective is a function of the controller's parameters too, by the names of its blocks:
+If a scene has a controller and an objective, it is also a function of the controller's parameters, named by block:
 
     problem = cqrun.load("scenes/control/finger.yaml")
     weights = problem.params["controller.weights"]       # (actuators, observations)
     loss, gradient, aux = problem.value_and_grad({"controller.weights": 0.5 * weights})
     motion = problem.simulate(goals={"target": [0.55, 0.6]})
 
-A run goes on from here: its scene, and what it found.
+A run directory gives its scene and the values that it found:
 
     problem = cqrun.load("results/finger/d47b0a4e3f21")
     motion = problem.simulate(problem.found)
@@ -53,22 +53,22 @@ from cqrun.store.result import read_result, values_in
 from cqrun.store.run import read_record
 
 Values = Mapping[str, Any]
-"""Key path -> number, or an array with one number a group or a particle of the body; `controller.<block>` -> array.
+"""Key path -> number, or an array with one number per group or particle of the body; `controller.<block>` -> array.
 
-What follows an unknown (`also`) follows its value here too, unless it is given itself; a number then stands for all.
+Values that follow an unknown (`also`) follow it here too, unless they are given; a single number applies to all.
 """
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What a simulation did.
+    """The motion of a simulation.
 
     Attributes:
-        time: of the control steps 0 .. T (T + 1,) [s].
+        time: times of the control steps 0 .. T (T + 1,) [s].
         x: positions (T + 1, N, D) [m].
         v: velocities (T + 1, N, D) [m/s].
         bodies: each body's slice of the N particles.
-        activation: of the actuators' A parts in every control step (T, A), as the controller or the signals drove them.
+        activation: activations of the actuators' A parts in every control step (T, A).
     """
 
     time: Array
@@ -82,15 +82,15 @@ class Experiment:
     """A scene as a function of its numbers.
 
     Args:
-        scene: validated.
-        threads: how many to use at most; all cores if not given. Results do not depend on it.
-        run: directory of the run that the scene is of, if it is one's.
+        scene: a validated scene.
+        threads: largest number of threads; all cores if not given. Results do not depend on it.
+        run: the run directory of the scene, if it has one.
 
     Attributes:
         built: the scene's particles and model.
-        params: its unknowns at their starts, by key path; arrays where there is one number a group or particle. Before
-            them the controller's parameters, if it has one, as `controller.<block>`: arrays of the block's shape, such
-            as (A, observations) for the weights of `linear_tanh`, with A the parts of all actuators.
+        params: start values by key path: first the controller's parameters, if there is a controller, as
+            `controller.<block>` with the shape of the block, such as (A, observations) for the weights of `linear_tanh`
+            with A actuator parts; then the unknowns, as arrays if they have one number per group or particle.
 
     Raises:
         SceneError: the scene cannot be built, or an observer or a term of the objective does not fit it.
@@ -116,40 +116,40 @@ class Experiment:
 
     @property
     def found(self) -> dict[str, Any]:
-        """What the run found, as `params` to go on with: its unknowns, and its controller's parameters.
+        """The values that the run found, in the form of `params`: unknowns and the controller's parameters.
 
-        Of a run of control or co-design that still goes on, those of its best iteration so far.
+        If a run of control or co-design has not finished, they are those of its best iteration so far.
 
         Raises:
-            UsageError: the scene is no run's, or the run has found nothing.
+            UsageError: the scene does not belong to a run, or the run has found nothing.
         """
         if self._run is None:
-            raise UsageError("found: this scene is no run's; load the run's directory, results/<scene>/<12 hex digits>")
+            raise UsageError("found: this scene has no run; load a run directory, results/<scene>/<12 hex digits>")
         values = _found_in(self._run)
         followers = {f.path for b in self._params.blocks for f in b.followers}
-        own = {p: _plain(np.array(v, float)) for p, v in values.items() if p not in followers}
-        if not own:
+        params = {p: _plain(np.array(v, float)) for p, v in values.items() if p not in followers}
+        if not params:
             record = read_record(self._run)
             raise UsageError(f"{self._run}: found nothing (a run of {record.get('job')}, {record['status']})")
-        return own
+        return params
 
     def value_and_grad(self, params: Values | None = None) -> tuple[float, dict[str, Any], dict[str, Any]]:
-        """Return the loss of the scene's data, or the mean loss of its episodes, its gradient, and what else is known.
+        """Return the loss of the scene's data, or the mean loss of its episodes, its gradient, and further results.
 
-        Episodes are those of the first iteration of `cqrun control`: goals that are drawn are the same at every call.
+        The episodes are those of the first iteration of `cqrun control`; their goals are the same at every call.
 
         Args:
-            params: values by key path: of any numbers that gradients reach, not of the unknowns alone, and of the
-                controller's parameters. Those that are left out keep their start; bounds are not enforced.
+            params: values by key path, of the controller's parameters and of any numbers that gradients reach, also
+                those that are not unknowns. Missing ones keep their start value; bounds are not enforced.
 
         Returns:
-            The loss; its derivative by every unknown, every parameter of the controller and every number in `params`,
-            of the shape of its value; and {"losses": part of the loss by recording or sequence, or the loss of each
-            episode, "gradient": {"recompute_factor", "peak_bytes"}}, with "terms" and "constraints" (the mean of
-            each over the episodes, by name) and "goals" (of each episode) where there are episodes.
+            The loss; its derivatives by every unknown, every parameter of the controller and every number in `params`,
+            in the shape of the value; and {"losses": part of the loss by recording or sequence, or the loss of each
+            episode, "gradient": {"recompute_factor", "peak_bytes"}}. If there are episodes, also "terms" and
+            "constraints" (means over the episodes, by name) and "goals" (of each episode).
 
         Raises:
-            UsageError: a path or a shape that cannot be, or a scene with neither data nor an objective.
+            UsageError: a path or a shape is wrong, or the scene has neither data nor an objective.
             RolloutError: the scene blows up.
         """
         with one_blas_thread():
@@ -171,14 +171,14 @@ class Experiment:
         return float(sum(losses.values())), self._with_followers(gradient, params), aux
 
     def simulate(self, params: Values | None = None, goals: Mapping[str, Any] | None = None) -> Motion:
-        """Run the scene forward, under its controller if it has one.
+        """Run the scene forward, with its controller if it has one.
 
         Args:
             params: values by key path, as for `value_and_grad`.
-            goals: goal -> its entries [m]; a goal that is left out is at its position, the middle of its range.
+            goals: goal -> its entries [m]; a missing goal is in the middle of its range.
 
         Raises:
-            UsageError: a path, a goal or a shape that cannot be. RolloutError: the scene blows up.
+            UsageError: a path, a goal or a shape is wrong. RolloutError: the scene blows up.
         """
         n_controls, step = self.built.model.n_controls, self.scene.time.control_step
         n, dim = self.built.particles.x.shape
@@ -197,16 +197,16 @@ class Experiment:
     def _rollout(self, values: dict[str, Array], goals: Mapping[str, Any]) -> Rollout:
         if not isinstance(goals, Mapping):
             raise UsageError(f"goals must be a mapping from goals to their entries, is {shown(goals)}")
-        known = {} if self._agent is None else dict(self._agent.goals_in_the_middle)
+        chosen = {} if self._agent is None else dict(self._agent.goals_in_the_middle)
         for name, entries in goals.items():
-            if name not in known:
-                raise UsageError(f"goals: there is no '{name}'{suggest(name, known)}; there are: {listed(known)}")
+            if name not in chosen:
+                raise UsageError(f"goals: there is no '{name}'{suggest(name, chosen)}; there are: {listed(chosen)}")
             goal = _numbers(f"goals: '{name}'", entries)
-            if goal.shape != known[name].shape or not np.isfinite(goal).all():
-                raise UsageError(f"goals: '{name}' must be {len(known[name])} finite numbers, is {entries!r}")
-            known[name] = goal
+            if goal.shape != chosen[name].shape or not np.isfinite(goal).all():
+                raise UsageError(f"goals: '{name}' must be {len(chosen[name])} finite numbers, is {entries!r}")
+            chosen[name] = goal
         if self._agent is not None:
-            return self._agent.rollout(values, known, self.threads)
+            return self._agent.rollout(values, chosen, self.threads)
         return Rollout(self.built.model, self.built.assembly.inputs(values), threads=self.threads)
 
     @cached_property
@@ -218,8 +218,8 @@ class Experiment:
             raise UsageError(f"params must be a mapping from key paths to values, is {shown(params)}")
         given: dict[str, Array] = {}
         for path, value in (params or {}).items():
-            known = self._known(path)
-            given[known] = self._shaped(known, _numbers(path, value))
+            full = self._full_path(path)
+            given[full] = self._shaped(full, _numbers(path, value))
         self._require_legal(given)
         values = {b.path: b.initial.copy() for b in self._params.blocks} | given
         for block in self._params.blocks:
@@ -230,18 +230,18 @@ class Experiment:
         return values
 
     def _require_legal(self, given: Mapping[str, Array]) -> None:
-        """Refuse values that the scene would refuse, of arrays the least and the greatest."""
-        own = {path: value for path, value in given.items() if not path.startswith(CONTROLLER)}
-        for end in (np.min, np.max) if any(value.ndim for value in own.values()) else (np.min,):
+        """Raise UsageError for values that the scene refuses; check the smallest and largest number of arrays."""
+        of_scene = {path: value for path, value in given.items() if not path.startswith(CONTROLLER)}
+        for end in (np.min, np.max) if any(value.ndim for value in of_scene.values()) else (np.min,):
             try:
-                with_values(self.scene, {path: float(end(value)) for path, value in own.items()})
+                with_values(self.scene, {path: float(end(value)) for path, value in of_scene.items()})
             except SceneError as error:
                 raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
 
     def _stable(self, params: Values | None) -> dict[str, Array]:
-        """Return all values; refuse those for which the substep is too large that `auto` has chosen for the scene.
+        """Return all values; raise UsageError if they are not stable with the substep that `auto` has chosen.
 
-        A number of substeps that the scene gives is its user's own: values that it does not suit blow up.
+        A number of substeps that the scene gives is not checked: unsuitable values blow up.
         """
         values = self._values(params)
         if not (params and self._auto):
@@ -252,30 +252,29 @@ class Experiment:
             raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
         if self.built.model.dt > least.dt:
             raise UsageError(
-                f"{least.part}: with these values the largest stable substep is {least.dt:.3g} s, and `auto` has "
-                f"chosen {self.built.model.dt:.3g} s for the scene as it is: load it with time.substeps={needed}, or "
-                "with what changes as an unknown whose bounds hold these values"
+                f"{least.part}: with these values the largest stable substep is {least.dt:.3g} s, but `auto` has "
+                f"chosen {self.built.model.dt:.3g} s for the scene: load it with time.substeps={needed}, or make what "
+                "changes an unknown with bounds that contain these values"
             )
         return values
 
     def _with_followers(self, gradient: dict[str, Array], params: Values | None) -> dict[str, Any]:
-        """Return a gradient in which an unknown's has that of what follows it, unless that was given on its own."""
-        given = {self._known(path) for path in params or {}}
+        """Return the gradient with the parts of followers added to their unknowns, unless a follower was given."""
+        given = {self._full_path(path) for path in params or {}}
         for block in self._params.blocks:
             for follower in block.followers:
                 if follower.path not in given:
                     gradient[block.path] = gradient[block.path] + follower.of_vjp(gradient.pop(follower.path))
         return {path: _plain(bar) for path, bar in gradient.items()}
 
-    def _known(self, path: str) -> str:
-        """Return the long spelling of a path that gradients reach; a block of the controller has but one."""
+    def _full_path(self, path: str) -> str:
+        """Return the long form of a path that gradients reach."""
         if not isinstance(path, str):
             raise UsageError(f"params: a key path is text, such as 'world.gravity.1', not {shown(path)}")
-        own = [b.path for b in self._params.blocks]
         if path.startswith(CONTROLLER):
-            if path in own:
+            blocks = [b.path for b in self._params.blocks if b.path.startswith(CONTROLLER)]
+            if path in blocks:
                 return path
-            blocks = [p for p in own if p.startswith(CONTROLLER)]
             raise UsageError(f"{path}: no block of the controller{suggest(path, blocks)}; there are: {listed(blocks)}")
         reached = list(leaves(self.scene, differentiable=True))
         try:
@@ -286,7 +285,7 @@ class Experiment:
         raise UsageError(f"{path}: no gradient reaches it{suggest(path, reached)}; there are: {listed(reached)}")
 
     def _shaped(self, path: str, value: Array) -> Array:
-        """Return a value of a legal shape: a block's, or () or, of a material or weight, one a group or a particle."""
+        """Check a value: its shape is a block's, (), or for materials and weights one number per group or particle."""
         keys = path.split(".")
         legal: list[tuple[int, ...]] = [()]
         if path.startswith(CONTROLLER):
@@ -302,21 +301,21 @@ class Experiment:
 
 
 def _of_episodes(problem: EpisodeProblem, values: dict[str, Array]) -> tuple[float, dict[str, Array], dict[str, Any]]:
-    """Return the mean loss of the first iteration's episodes, its gradient, and what else is known."""
+    """Return the mean loss of the first iteration's episodes, its gradient, and further results."""
     goals = problem.goals(None)
-    found, (gradient,) = problem.attempts_with_gradients(values, goals)
+    attempts, (gradient,) = problem.attempts_with_gradients(values, goals)
     aux = {
-        "losses": {f"episode {k}": float(attempt.loss) for k, attempt in enumerate(found)},
-        "terms": {name: float(np.mean([a.terms[name] for a in found])) for name in problem.summands},
-        "constraints": {name: float(np.mean([a.held[name] for a in found])) for name in problem.constraint_names},
+        "losses": {f"episode {k}": float(attempt.loss) for k, attempt in enumerate(attempts)},
+        "terms": {name: float(np.mean([a.terms[name] for a in attempts])) for name in problem.summands},
+        "constraints": {n: float(np.mean([a.constraints[n] for a in attempts])) for n in problem.constraint_names},
         "goals": [{name: goal.copy() for name, goal in drawn.items()} for drawn in goals],
         "gradient": {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak},
     }
-    return float(np.mean([a.loss for a in found])), gradient, aux
+    return float(np.mean([a.loss for a in attempts])), gradient, aux
 
 
 def _followed(block: Block, value: Array) -> Array:
-    """Return the value of an unknown that others follow, entry by entry: one number stands for all."""
+    """Return the value of an unknown with followers in its full shape; a single number applies to all entries."""
     if value.shape not in ((), block.initial.shape):
         some = f" or of shape {block.initial.shape}" if block.initial.ndim else ""
         others = listed(follower.path for follower in block.followers)
@@ -327,7 +326,7 @@ def _followed(block: Block, value: Array) -> Array:
 
 
 def _found_in(run: Path) -> dict[str, Any]:
-    """Return the numbers that a run has found by path, from its controller's file or its result."""
+    """Return the values that a run has found by path, from its controller's file or its result."""
     if (run / FILE).is_file():
         parameters, meta = read_controller(run / FILE)
         return {CONTROLLER + name: value for name, value in parameters.items()} | meta.get("unknowns", {})
@@ -342,7 +341,7 @@ def _numbers(path: str, value: Any) -> Array:
 
 
 def _plain(value: Array) -> Any:
-    """Return a number for an array of no dimension, else a copy of the array."""
+    """Return a 0-dimensional array as a number, another as a copy."""
     return float(value) if np.ndim(value) == 0 else np.array(value)
 
 
@@ -356,15 +355,15 @@ def load(
     """Return a scene as a function.
 
     Args:
-        scene: a file's path, YAML text (with a line break), plain data, or a run's directory: its scene, with all
-            values as they were at its start; `found` has those at its end.
-        overrides: `key.path=value` each, as `-o` of the command line.
-        threads: how many to use at most; all cores if not given.
-        allow_plugins: whether the Python files that the scene names as its plug-ins may be run.
+        scene: path of a file, YAML text (with a line break), plain data, or a run directory. The scene of a run has the
+            values of its start; `found` has those of its end.
+        overrides: list of `key.path=value`, as for `-o` of the command line.
+        threads: largest number of threads; all cores if not given.
+        allow_plugins: whether the Python files of the scene's plug-ins may be run.
 
     Raises:
-        SceneError: every problem of the scene, each with its place. UsageError: an argument that cannot be, or a run
-            that reads a file which has changed since.
+        SceneError: all problems of the scene with their places. UsageError: an argument is wrong, or a file that the
+            run uses has changed since.
     """
     n_threads = checked_threads("load", scene, overrides, threads)
     is_run = not isinstance(scene, dict) and os.path.isdir(scene)  # noqa: PTH112  Path's own raises at a long text

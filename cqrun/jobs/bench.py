@@ -1,9 +1,9 @@
-"""`cqrun bench`: nanoseconds a particle and substep, pass by pass, forward and backward.
+"""`cqrun bench`: measure nanoseconds per particle and substep, for each pass, forward and backward.
 
-Without a scene, of a block of fixed-corotated material with its own modulus for every particle that falls and deforms,
-8 particles a cell in 3D and 4 in 2D, as in CQ1 Table II. Of a scene, from the middle of its rollout on, under its
-controller as it starts, with what a gradient costs. Times are medians over repetitions, all in one process; ratios
-within a run mean more than figures across machines.
+Without a scene it measures a falling block of fixed-corotated material, with its own modulus for every particle and 8
+particles per cell in 3D, 4 in 2D, as in CQ1 Table II. For a scene it measures substeps from the middle of the rollout,
+with the untrained controller, and the cost of a gradient. Times are medians over repetitions in one process. Ratios in
+one run are more reliable than comparisons of machines.
 """
 
 from __future__ import annotations
@@ -47,23 +47,23 @@ SIZES = ((2, 80), (3, 20), (3, 40), (3, 80), (2, 320))
 SUBSTEPS = 8
 REPEAT = 9
 COPIED = 128 << 20
-"""Bytes that a core copies at a time to measure the memory's speed: more than the last cache holds."""
+"""Bytes that a core copies to measure the speed of the memory: more than the last cache holds."""
 
 PARTS = 8
-"""Of the block, whose centroids are recorded."""
+"""Number of parts of the block whose centroids are recorded."""
 
 CORNERS_LIMIT = 20
-"""Particles along an edge of each of the two blocks that measure the cost of empty world."""
+"""Particles along an edge of each of the two blocks that measure the cost of empty space."""
 
 SCENE_SUBSTEPS = 10
-"""Of an excerpt from a scene, at least: whole control steps."""
+"""Smallest number of substeps that are measured in a scene; they are whole control steps."""
 
 
 def falling_block(dim: int, edge: int, real: Any, *, world: float = 2.0, corners: bool = False) -> tuple[Model, Inputs]:
-    """Return a block of edge^dim particles in the unit box's middle, or two in opposite corners of the world.
+    """Return a block of edge^dim particles in the middle of the world, or two in opposite corners.
 
     Args:
-        world: edge of the world over that of the block.
+        world: edge of the world divided by that of the block.
     """
     spacing = 1.0 / edge
     dx = 2.0 * spacing
@@ -90,7 +90,7 @@ def falling_block(dim: int, edge: int, real: Any, *, world: float = 2.0, corners
 
 
 def excerpt_of_block(dim: int, edge: int, real: Any, threads: int) -> Excerpt:
-    """Return the first substeps of a falling block, the centroids of whose parts are recorded."""
+    """Return the first substeps of a falling block; the centroids of its parts are recorded."""
     model, inputs = falling_block(dim, edge, real)
     n = model.layout.n_particles
     part = np.arange(n) * PARTS // n
@@ -101,9 +101,9 @@ def excerpt_of_block(dim: int, edge: int, real: Any, threads: int) -> Excerpt:
 
 
 def empty_world(edge: int, repeat: int) -> float:
-    """Return the cost of two blocks in opposite corners of 8 times the volume, over that of the small world.
+    """Return the time of two blocks in opposite corners of 8 times the volume divided by that in the small world.
 
-    The median of the ratios of alternating runs, one thread, float64.
+    It is the median of the ratios of alternating runs on one thread in float64.
     """
     rollouts = []
     for world in (2.5, 5.0):
@@ -122,9 +122,9 @@ def empty_world(edge: int, repeat: int) -> float:
 
 
 def memory_speed(threads: int) -> float:
-    """Return how much so many cores read and write together as they copy what no cache holds [GB/s].
+    """Return how much data this number of cores reads and writes when it copies arrays larger than the cache [GB/s].
 
-    The median of repetitions. A pass that streams through the memory does hardly more.
+    It is the median of repetitions, and about the limit for a pass that streams through the memory.
     """
     arrays = [(np.ones(COPIED, np.uint8), np.ones(COPIED, np.uint8)) for _ in range(threads)]
     with ThreadPoolExecutor(threads) as pool:
@@ -133,7 +133,7 @@ def memory_speed(threads: int) -> float:
 
 
 def machine() -> dict[str, Any]:
-    """Return what the figures depend on."""
+    """Return facts about the machine that the times depend on."""
     model = platform.processor()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.is_file():
@@ -149,11 +149,11 @@ def machine() -> dict[str, Any]:
 
 
 def run_bench(output: Path | None, *, threads: int | None = None, quick: bool = False) -> dict[str, Any]:
-    """Measure, print a table, and write JSON if asked for; return what is written."""
+    """Measure, print a table, write it as JSON if `output` is given, and return it."""
     require_writable(output)
     sizes, repeat = (((2, 48), (3, 13)), 2) if quick else (SIZES, REPEAT)
     result: dict[str, Any] = {"machine": machine(), "engine": engine_hash(), "versions": versions(), "rows": []}
-    print("ns a particle and substep           forward   store  backward  ratio   passes")
+    print("ns per particle and substep         forward   store  backward  ratio   passes")
     for dim, edge in sizes:
         for real in (np.float64, np.float32):
             for n_threads in (threads,) if threads else (1, 2):
@@ -176,7 +176,7 @@ def run_bench(output: Path | None, *, threads: int | None = None, quick: bool = 
 
 
 def require_writable(output: Path | None) -> None:
-    """Say now that a file cannot be written, not after all is measured."""
+    """Raise an error before the measurements if a file cannot be written."""
     if output is not None:
         make_directory(output.parent)
         with disk_errors(output), output.open("a"):
@@ -194,7 +194,7 @@ def _line(row: dict[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Share:
-    """A pass: ns a particle and substep, and its share of the whole, forward or backward."""
+    """A pass: ns per particle and substep, and its share of the whole, forward or backward."""
 
     name: str
     nanoseconds: float
@@ -204,10 +204,10 @@ class Share:
 def run_bench_scene(
     source: Path, overrides: Sequence[str], output: Path | None, *, threads: int | None, talk: Reporter
 ) -> list[str]:
-    """Measure a scene; return the lines of a table, and write JSON if asked for.
+    """Measure a scene; return the lines of a table, and write it as JSON if `output` is given.
 
     Raises:
-        SceneError: bad input, or a gradient that does not fit the memory. RunError: it blew up.
+        SceneError: bad input, or a gradient does not fit the memory. RunError: the scene blew up.
     """
     require_writable(output)
     built = build_and_warn(load_scene(source, overrides), talk)
@@ -216,36 +216,36 @@ def run_bench_scene(
     try:
         excerpt = excerpt_of(built, cores(threads), talk)
         talk.phase("measuring")
-        found = excerpt.measure(REPEAT)
+        times = excerpt.measure(REPEAT)
     except RolloutError as error:
         raise RunError(f"{source}: {error}") from error
     model, rollout = built.model, excerpt.rollout
     particle_steps = 1e-9 * model.layout.n_particles * model.n_steps
     seconds = {
-        "forward": found["forward"] * particle_steps,
-        "gradient": (found["store"] * plan.recompute + found["backward"]) * particle_steps,
+        "forward": times["forward"] * particle_steps,
+        "gradient": (times["store"] * plan.recompute + times["backward"]) * particle_steps,
     }
-    told = {
+    result = {
         "scene": source.name, "overrides": list(overrides), "machine": machine(), "engine": engine_hash(),
         "versions": versions(), "dimension": model.dim, "particles": model.layout.n_particles,
         "substeps": model.n_steps, "precision": np.dtype(model.real).name, "threads": rollout.threads,
         "lane_width": lane_width(model.real), "recompute": plan.recompute, "seconds": seconds,
-        "memory_GB_per_s": memory_speed(rollout.threads), **found,
+        "memory_GB_per_s": memory_speed(rollout.threads), **times,
     }  # fmt: skip
     if output is not None:
-        write_json(output, told)
-    return [*scene_lines(told), *([f"written: {output}"] if output is not None else [])]
+        write_json(output, result)
+    return [*scene_lines(result), *([f"written: {output}"] if output is not None else [])]
 
 
 def excerpt_of(built: Built, threads: int, talk: Reporter) -> Excerpt:
-    """Return some substeps from the middle of a scene's rollout, run so far."""
+    """Run a scene to the middle and return the next substeps."""
     agent, model = make_agent(built, None, talk), built.model
     if agent is None:
         rollout = Rollout(model, built.assembly.inputs({}), threads=threads, adjoint=True)
     else:
         rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, threads, adjoint=True)
     steps = min(-(-SCENE_SUBSTEPS // model.substeps), model.n_controls)
-    even = SORT_EVERY // gcd(SORT_EVERY, model.substeps)  # from where a repeated run repeats its bits
+    even = SORT_EVERY // gcd(SORT_EVERY, model.substeps)  # so that a repeated run is bit-for-bit identical
     middle = (model.n_controls - steps) // 2 // even * even
     states = rollout.start[None].copy()
     talk.phase(f"running {model.layout.n_particles:,} particles to the middle")
@@ -257,29 +257,29 @@ def excerpt_of(built: Built, threads: int, talk: Reporter) -> Excerpt:
     return Excerpt(rollout, middle * model.substeps, steps * model.substeps, states[0])
 
 
-def shares(told: dict[str, Any], whole: str) -> Iterator[Share]:
-    """Yield the passes of a forward or a backward run, and what their sum leaves."""
-    passes = told["passes"]
-    own = {name: ns for name, ns in passes.items() if name.endswith(("_vjp", "_both")) == (whole == "backward")}
-    if whole == "backward":  # the substep's first part is run again, for what it scatters
-        own = {name: passes[name] for name in ("momentum", "forces", "sort") if name in passes} | own
-    own["the rest"] = told[whole] - sum(own.values())
-    for name, ns in own.items():
-        yield Share(name, ns, ns / told[whole])
+def shares(result: dict[str, Any], whole: str) -> Iterator[Share]:
+    """Yield the passes of a forward or a backward run, and the rest of the total time."""
+    passes = result["passes"]
+    times = {name: ns for name, ns in passes.items() if name.endswith(("_vjp", "_both")) == (whole == "backward")}
+    if whole == "backward":  # the first passes of the substep run again for the fields that P2G scatters
+        times = {name: passes[name] for name in ("momentum", "forces", "sort") if name in passes} | times
+    times["the rest"] = result[whole] - sum(times.values())
+    for name, ns in times.items():
+        yield Share(name, ns, ns / result[whole])
 
 
-def scene_lines(told: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of what was found."""
-    threads = f"{told['threads']} thread{'s' if told['threads'] > 1 else ''}"
-    yield f"{told['particles']:,} particles, {told['substeps']:,} substeps, {told['precision']}, {threads}"
-    yield f"{'ns a particle and substep':<28}{'':>8}  of it"
+def scene_lines(result: dict[str, Any]) -> Iterator[str]:
+    """Yield the lines of the table of a scene."""
+    threads = f"{result['threads']} thread{'s' if result['threads'] > 1 else ''}"
+    yield f"{result['particles']:,} particles, {result['substeps']:,} substeps, {result['precision']}, {threads}"
+    yield f"{'ns per particle and substep':<28}{'':>8}  share"
     for whole in ("forward", "backward"):
-        yield f"{whole:<28}{told[whole]:8.1f}"
-        for share in shares(told, whole):
+        yield f"{whole:<28}{result[whole]:8.1f}"
+        for share in shares(result, whole):
             yield f"  {share.name:<26}{share.nanoseconds:8.1f}  {share.share:5.0%}"
-    seconds = told["seconds"]
-    again = "" if told["recompute"] == 1 else f", where {told['recompute']:.2f} substeps forward are run for each"
-    yield f"memory copied by {threads}: {told['memory_GB_per_s']:.3g} GB/s, read and written"
+    seconds, factor = result["seconds"], result["recompute"]
+    again = "" if factor == 1 else f", which runs {factor:.2f} forward substeps for each substep"
+    yield f"memory copied by {threads}: {result['memory_GB_per_s']:.3g} GB/s, read and written"
     yield f"one rollout {_duration(seconds['forward'])}; with its gradient {_duration(seconds['gradient'])}{again}"
 
 

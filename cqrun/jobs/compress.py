@@ -1,4 +1,4 @@
-"""`cqrun compress`: learn from runs how a body deforms, in few numbers, for the observers `pca` and `vae`."""
+"""`cqrun compress`: learn to describe a body's shape in few numbers, for the observers `pca` and `vae`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
 from cqrun.observers.pca import fit_components, save_components
 from cqrun.observers.raster import Raster
-from cqrun.observers.vae import Trained, save_encoder
+from cqrun.observers.vae import MOST_CELLS, Trained, save_encoder
 from cqrun.observers.vae_training import Training, library
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter, Silent
@@ -21,31 +21,31 @@ from cqrun.store.atomic import disk_errors, make_directory, require_room, write_
 from cqrun.store.frames import Frames
 
 EDGE = 1.2
-"""The grid of cells over the greatest extent of the body that was seen."""
+"""Edge of the grid of cells divided by the largest extent of the body in the runs."""
 
 KEEP_EVERY = 20.0
-"""Seconds between two states of a training that are kept."""
+"""Time between two saved states of a training [s]."""
 
 
 def compress(
     runs: Sequence[Path], method: Literal["pca", "vae"], size: int, output: Path, *, body: str | None = None,
     cells: int = 16, epochs: int = 200, seed: int = 0, reporter: Reporter | None = None,
 ) -> str:  # fmt: skip
-    """Fit an observer to the trajectories of runs, write its file, and say how much it explains.
+    """Fit an observer to the trajectories of runs, write its file, and return how much it explains as text.
 
-    What the autoencoder has learned is kept beside its file until that is written: the same call goes on from there.
+    The state of an autoencoder's training is saved beside its file until that is written: the same call continues it.
 
     Args:
-        runs: run directories with a trajectory.h5, of the same body.
+        runs: run directories with a trajectory.h5 of the same body.
         method: principal components, or an autoencoder (extra `torch`).
-        size: how many numbers.
+        size: number of numbers.
         output: the file, for `pca: {file: ...}` or `vae: {file: ...}`.
-        body: whose; the only one if not given.
-        cells: along each axis of the autoencoder's grid.
+        body: name of the body; the only one if not given.
+        cells: number of cells along each axis of the autoencoder's grid.
 
     Raises:
-        UsageError: a run without trajectory, of another body, or one that does not move; a file that cannot be.
-        MissingExtra: no torch. Stopped: it was asked to.
+        UsageError: a run has no trajectory, or another body, or the body does not move; the file cannot be written.
+        MissingExtra: torch is missing. Stopped: asked to stop.
     """
     talk = reporter or Silent()
     check_place(output)
@@ -54,15 +54,15 @@ def compress(
     frames = [read(run, body) for run in runs]
     sizes = {x.shape[1:] for x, _ in frames}
     if len(sizes) > 1:
-        told = listed([f"{n} particles in {dim}D" for n, dim in sorted(sizes)])
-        raise UsageError(f"the runs are of different bodies: {told}; give runs of one body")
+        bodies = listed([f"{n} particles in {dim}D" for n, dim in sorted(sizes)])
+        raise UsageError(f"the runs are of different bodies: {bodies}; give runs of one body")
     if method == "pca":
         lengths = [len(x) for x, _ in frames]
         starts = np.cumsum([0, *lengths[:-1]]).tolist()
-        found = fit_components(np.concatenate([x for x, _ in frames]), size, starts)
+        components = fit_components(np.concatenate([x for x, _ in frames]), size, starts)
         with disk_errors(output):
-            save_components(output, found)
-        return f"{size} components explain {found.explained.sum():.1%} of the variance"
+            save_components(output, components)
+        return f"{size} components explain {components.explained.sum():.1%} of the variance"
     x, v = (np.concatenate(parts) for parts in zip(*frames, strict=True))
     raster = raster_of(x, v, cells)
     training = Training(np.stack([raster.image(*frame) for frame in zip(x, v, strict=True)]), size, seed=seed)
@@ -74,17 +74,17 @@ def compress(
 
 
 def check_place(output: Path) -> None:
-    """Raise before any work if a file cannot be written there."""
+    """Raise an error before any work if the file cannot be written."""
     if output.is_dir():
-        raise UsageError(f"{output}: is a directory; --out wants the name of a file, such as {output / 'encoder.npz'}")
+        raise UsageError(f"{output}: is a directory; --out needs the name of a file, such as {output / 'encoder.npz'}")
     make_directory(output.parent)
     require_room(output, 0)
 
 
 def learn(training: Training, epochs: int, kept: Path, talk: Reporter) -> None:
-    """Train for the epochs that are left, keeping the state in a file now and then, and when asked to stop."""
+    """Train for the remaining epochs; save the state regularly, and when asked to stop."""
     if kept.exists() and not training.restore(kept.read_bytes(), epochs):
-        talk.warn(f"{kept}: is of another training (other runs, options or torch): this one begins anew")
+        talk.warn(f"{kept}: is the state of another training (other runs, options or torch): training starts again")
     talk.begin(epochs)
     last = time.monotonic()
     while training.epochs < epochs:
@@ -94,7 +94,7 @@ def learn(training: Training, epochs: int, kept: Path, talk: Reporter) -> None:
             write_bytes(kept, training.state())
             last = time.monotonic()
         if talk.stop.asked and training.epochs < epochs:
-            raise talk.stop.stopped(f"stopped after epoch {training.epochs} of {epochs}; the same command goes on")
+            raise talk.stop.stopped(f"stopped after epoch {training.epochs} of {epochs}; the same command continues")
 
 
 def read(run: Path, body: str | None) -> tuple[Array, Array]:
@@ -102,7 +102,7 @@ def read(run: Path, body: str | None) -> tuple[Array, Array]:
     with Frames(run / "trajectory.h5") as frames:
         name = next(iter(frames.bodies)) if body is None and len(frames.bodies) == 1 else body
         if name is None:
-            raise UsageError(f"{run}: say whose motion with --body; there are: {listed(frames.bodies)}")
+            raise UsageError(f"{run}: name the body with --body; there are: {listed(frames.bodies)}")
         if name not in frames.bodies:
             near = suggest(name, frames.bodies)
             raise UsageError(f"{run}: no body is called '{name}'{near}; there are: {listed(frames.bodies)}")
@@ -111,9 +111,11 @@ def read(run: Path, body: str | None) -> tuple[Array, Array]:
 
 
 def raster_of(x: Array, v: Array, cells: int) -> Raster:
-    """Return the grid that holds a body however it was seen; speeds in units of their root mean square."""
+    """Return a grid that contains the body in all frames; speeds are in units of their root mean square."""
+    if cells > MOST_CELLS:
+        raise UsageError(f"{cells:,} cells along each axis of the grid are too many; give at most {MOST_CELLS}")
     centred = x - x.mean(axis=1, keepdims=True)
     speed = float(np.sqrt((v**2).mean()))
     if not speed > 0:
-        raise UsageError("the body does not move in these runs: there is nothing to learn of its motion")
+        raise UsageError("the body does not move in these runs: there is nothing to learn from them")
     return Raster(cells, EDGE * 2.0 * float(np.abs(centred).max()) / cells, speed, x.shape[2])

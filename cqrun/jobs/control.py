@@ -1,7 +1,6 @@
-"""`cqrun control` and `cqrun codesign`: learn how a body should move, and what it should be.
+"""`cqrun control` and `cqrun codesign`: learn how a body moves, or its motion and its design together.
 
-controller.npz keeps the controller's parameters that did best, from the first iteration on; what is written at the end
-is in learning/learned.py.
+During the run controller.npz has the best parameters so far; learning/learned.py lists the files of a finished run.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from cqrun.learning.learned import STAGES, blown_up, write_learned
 from cqrun.learning.record_memory import require_records
 from cqrun.optimizers.constrained import VIOLATION, ConstrainedOptimizer, report_names
 from cqrun.plugin.registry import plugins
-from cqrun.running.bodies import tell_bodies
+from cqrun.running.bodies import report_bodies
 from cqrun.running.gradient_memory import gradient_plan, gradients_at_once
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter
@@ -35,13 +34,13 @@ from cqrun.store.result import Designed, LearnedResult, Value
 from cqrun.store.run import RunDirectory
 from cqrun.store.session import RunSession
 
-NOUGHT = 1e-15
-"""A gradient's norm, over a loss of 1 or more, below which nothing can be learned from it."""
+ZERO = 1e-15
+"""A gradient with a smaller norm, relative to the loss if that is larger than 1, counts as zero."""
 
 FLAT = (
-    "the gradient was nought at every iteration: nothing was learned. A `minimum` or `maximum` over time that the "
-    "start itself holds has no slope, nor has an actuator whose motion the objective does not see: take a mean over "
-    "time, or start elsewhere"
+    "the gradient was zero at every iteration: nothing was learned. It is zero if a `minimum` or `maximum` over time "
+    "is that of the start of the motion, or if the objective does not depend on what the actuators move: take a mean "
+    "over time, or start elsewhere"
 )
 
 
@@ -52,10 +51,10 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
     def prepare(
         self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES
     ) -> EpisodeProblem:
-        """Return the problem of a scene, its optimizer chosen.
+        """Return the problem of a scene with its optimizer.
 
         Raises:
-            SceneError: it lacks something, its optimizer is not for it, or there is too little memory for it.
+            SceneError: a section is missing, the optimizer does not fit, or there is too little memory.
         """
         self.require_sections(scene)
         if scene.optimizer is None:
@@ -65,8 +64,8 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
             talk.warn(f"{scene.where('data')}: data: {self.name} reads no recordings; `cqrun sysid` does")
         if self.name == "control" and scene.unknowns:
             talk.warn(
-                f"{scene.where('unknowns')}: unknowns: {listed(list(scene.unknowns))} learned beside the controller; "
-                "`-o unknowns={}` holds the design as it is"
+                f"{scene.where('unknowns')}: unknowns: {listed(list(scene.unknowns))} learned together with the "
+                "controller; `-o unknowns={}` keeps the design fixed"
             )
         built = build_and_warn(scene, talk)
         optimizer = optimizer_of(built.scene)
@@ -90,7 +89,7 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
         optimizer = optimizer_of(built.scene)
         compile_kernels([built], talk, adjoint=optimizer.gradients)
         run.begin(problem.threads)
-        tell_bodies(built, run, talk)
+        report_bodies(built, run, talk)
         episodes = "an episode" if problem.n_episodes == 1 else f"{problem.n_episodes} episodes"
         talk.phase(f"learning {len(params.start)} parameters, {episodes} an iteration")
         talk.begin(optimizer.max_iterations)
@@ -107,14 +106,14 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
             talk.warn(FLAT)
             run.log(FLAT)
         if outcome.status != "failed":
-            talk.phase("what was learned, trajectory")
+            talk.phase("writing result and trajectory")
         problem.interrupt = stopping(run, talk)
-        for lost in blown_up(write_learned(run, problem, outcome)):
-            run.log(lost)
+        for sentence in blown_up(write_learned(run, problem, outcome)):
+            run.log(sentence)
         run.finish(outcome.status, outcome.message)
 
     def lines(self, run: Path, result: LearnedResult) -> Iterator[str]:
-        """Yield the terms before and after, the constraints, and the unknowns of the design."""
+        """Yield tables of the terms before and after, the constraints, and the unknowns of the design."""
         yield f"{result.status} after {result.iterations} iterations: {result.message}"
         stages = result.stages()
         if not stages:
@@ -127,7 +126,7 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
         yield from blown_up(result)
         if result.constraints:
             yield ""
-            rows = [(name, *constraint_cells(found)) for name, found in result.constraints.items()]
+            rows = [(name, *constraint_cells(value)) for name, value in result.constraints.items()]
             yield from table(("constraint", "wanted", "before", "learned", "violated by"), rows)
         if result.unknowns:
             yield ""
@@ -153,7 +152,7 @@ run_control, run_codesign = CONTROL.run, CODESIGN.run
 
 
 def _require_fitting(problem: EpisodeProblem) -> None:
-    """Refuse an optimizer that is not for a scene; SceneError at its name."""
+    """Raise SceneError at the optimizer's name if it does not fit the scene."""
     scene, optimizer = problem.built.scene, optimizer_of(problem.built.scene)
     try:
         optimizer.require(problem)
@@ -161,37 +160,37 @@ def _require_fitting(problem: EpisodeProblem) -> None:
             others = listed(_able()) if scene.constraints else "adam, sgd, lbfgs or cma_es"
             raise UsageError(f"fits data by least squares; for an objective take {others}")
         if scene.constraints and not isinstance(optimizer, ConstrainedOptimizer):
-            raise UsageError(f"honours no constraints; take {listed(_able())}, or remove `constraints`")
+            raise UsageError(f"does not support constraints; take {listed(_able())}, or remove `constraints`")
     except UsageError as error:
         path = f"optimizer.{optimizer.name}"
         raise SceneError([Problem(scene.where(path), path, str(error))]) from error
 
 
 def _able() -> list[str]:
-    """Return the optimizers that honour constraints."""
+    """Return the optimizers that support constraints."""
     return [name for name, cls in plugins("optimizer").items() if issubclass(cls, ConstrainedOptimizer)]
 
 
 def _flat(run: RunDirectory) -> bool:
-    """Say whether the gradient was nought at every iteration."""
+    """Return whether the gradient was zero at every iteration."""
     history = read_history(run.path / "history.csv")
     if np.any(history.get(VIOLATION, 0.0)):
-        return False  # without an objective there is but the way to the constraints
+        return False  # without an objective only the constraints change
     norms = [column for name, column in history.items() if name.startswith("grad:")]
-    greatest = max((np.nanmax(np.abs(column), initial=0.0) for column in norms), default=np.inf)
-    return bool(greatest <= NOUGHT * max(1.0, np.nanmax(np.abs(history["loss"]), initial=0.0)))
+    largest = max((np.nanmax(np.abs(column), initial=0.0) for column in norms), default=np.inf)
+    return bool(largest <= ZERO * max(1.0, np.nanmax(np.abs(history["loss"]), initial=0.0)))
 
 
-def _ends(found: Designed) -> str:
+def _ends(unknown: Designed) -> str:
     """Return how many of an unknown's numbers are at its bounds."""
-    ends = {"lower": found.at_bounds.lower, "upper": found.at_bounds.upper}
-    count = len(found.value) if isinstance(found.value, list) else 1
-    told = ", ".join(f"{n:,} {end}" if count > 1 else end for end, n in ends.items() if n)
-    return f"{told} of {count:,}" if told and count > 1 else told
+    ends = {"lower": unknown.at_bounds.lower, "upper": unknown.at_bounds.upper}
+    count = len(unknown.value) if isinstance(unknown.value, list) else 1
+    text = ", ".join(f"{n:,} {end}" if count > 1 else end for end, n in ends.items() if n)
+    return f"{text} of {count:,}" if text and count > 1 else text
 
 
 def _range(value: Value) -> str:
-    """Return one number, or the least, mean and greatest of many."""
+    """Return one number, or the smallest, largest and mean of many."""
     if not isinstance(value, list):
         return number(value)
     low, high, mean = min(value), max(value), sum(value) / len(value)

@@ -1,7 +1,7 @@
-"""`cqrun export RUN --design`: the body that a run has designed, for those who will build or simulate it elsewhere.
+"""`cqrun export RUN --design`: write the body that a run has designed, to build it or to simulate it elsewhere.
 
-design.csv       a row a particle: body, groups, position, volume, mass, density and every number of its material, how
-                 strong each actuator is there, and the velocity that it starts with if any does
+design.csv       one row per particle: body, groups, position, volume, mass, density, all numbers of its material, the
+                 strength of each actuator there, and the initial velocity if any particle has one
 design.vtkhdf    the same for ParaView
 surface_BODY.stl the surface of a 3D body (marching cubes, extra `mesh`); in 2D outline_BODY.csv: its outlines
 """
@@ -30,20 +30,20 @@ from cqrun.store.run import FINISHED, read_record
 from cqrun.store.vtkhdf import write_points
 
 CELL = 2.0
-"""Edge of the cells that a surface is found on, in distances between particles."""
+"""Edge of the cells for the surface, in distances between particles."""
 
 EXACT = 1e-3
-"""Relative difference between what a surface encloses and the particles' volume."""
+"""Largest relative difference between the volume in a surface and the particles' volume."""
 
 HALVINGS = 20
-"""At most, in search of that surface."""
+"""Largest number of halvings in the search for this surface."""
 
 
 def export_design(run: Path, out: Path, reporter: Reporter | None = None) -> list[Path]:
-    """Write the design of a run into a directory, of one that is not finished the best so far; return the files.
+    """Write the design of a run, or its best so far, into a directory; return the files.
 
     Raises:
-        UsageError: it is no run, or has not found anything yet. RunError: the disk is full.
+        UsageError: there is no run, or it has not found anything yet. RunError: the disk is full.
     """
     built, values = designed(run, reporter)
     make_directory(out)
@@ -62,35 +62,35 @@ def export_design(run: Path, out: Path, reporter: Reporter | None = None) -> lis
 
 
 def designed(run: Path, reporter: Reporter | None = None) -> tuple[Built, dict[str, Array]]:
-    """Return the scene of a run, and the values that were found for its unknowns and what follows them.
+    """Return the scene of a run, and the values that it found for the unknowns and their followers.
 
     Raises:
-        UsageError: it is no run, has found nothing, or a file that its scene is read with has changed since.
+        UsageError: there is no run, it has found nothing, or a file that its scene uses has changed since.
     """
     record, best = read_record(run), run / FILE
     status, job = record["status"], record["job"]
     so_far = status not in FINISHED and job in LEARNED and best.is_file()
     result = None if so_far else read_result(run)
     if not so_far and result is None:
-        raise UsageError(f"{run}: has no design yet ({status}); the command that began it goes on with it")
+        raise UsageError(f"{run}: has no design yet ({status}); the command that started it continues it")
     scene = scene_in(run)
     if not scene.unknowns:
         raise UsageError(f"{run}: its scene has no `unknowns`: nothing was designed")
     if so_far:
         (reporter or Silent()).phase("the run is not finished: its best design so far is exported")
         return build(scene), learned_in(best)
-    found = values_in(result)
-    if not found:
+    values = values_in(result)
+    if not values:
         raise UsageError(f"{run}: is a run of {job}, which designs nothing: export the run that it replays")
     built = build(scene)
-    return built, values_found(scene, built.particles, found)
+    return built, values_found(scene, built.particles, values)
 
 
 def table(built: Built, values: Mapping[str, Array]) -> dict[str, Array]:
     """Return columns (N,) of the particles' volume, mass, density, material and actuators, named with their units.
 
-    A 2D body is a slice: its volumes are areas, its masses those of a metre of depth. Where a body has `unit_mass`,
-    volumes are what its particles fill, and a mass is the density times 1.
+    In 2D, volumes are areas and masses are per metre of depth. If a body has `unit_mass`, volumes are those that its
+    particles fill, and a mass is the density times 1.
     """
     inputs, flat = built.assembly.inputs(values), built.scene.dim == 2
     volume, mass = inputs.fields.volume * built.particles.room, inputs.fields.mass
@@ -112,24 +112,24 @@ def table(built: Built, values: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _table(built: Built, x: Array, columns: Mapping[str, Array]) -> Iterator[list[object]]:
-    """Yield a row a particle."""
+    """Yield one row per particle."""
     yield ["body", "groups", *(f"{axis} [m]" for axis in "xyz"[: built.scene.dim]), *columns]
     for body in built.particles.names:
         part = built.particles.of(body)
         groups = built.particles.points[body].groups
         for k in range(part.start, part.stop):
-            own = " ".join(name for name, held in groups.items() if held[k - part.start])
+            names = " ".join(name for name, members in groups.items() if members[k - part.start])
             numbers = (None if np.isnan(column[k]) else float(column[k]) for column in columns.values())
-            yield [body, own, *x[k].tolist(), *numbers]
+            yield [body, names, *x[k].tolist(), *numbers]
 
 
 # --- surfaces ---------------------------------------------------------------------------------------------------
 
 
 def _filled(x: Array, volume: Array) -> tuple[Array, Array, float]:
-    """Return how full nodes of a grid around a body are, its lowest node [m] and the grid's edge [m]."""
+    """Return the fill of the nodes of a grid around a body, its lowest node [m] and the edge of its cells [m]."""
     dim = x.shape[1]
-    edge = CELL * float(volume.max()) ** (1.0 / dim)  # parts may differ: no cell is emptier than the coarsest
+    edge = CELL * float(volume.max()) ** (1.0 / dim)  # if parts differ, the coarsest one decides
     size = x.max(axis=0) - x.min(axis=0)
     resolution = max(1, int(np.ceil(float(size.max()) / edge)))
     edge = float(size.max()) / resolution
@@ -139,14 +139,14 @@ def _filled(x: Array, volume: Array) -> tuple[Array, Array, float]:
 
 
 def _level(enclosed: Callable[[float], float], volume: float, fullest: float) -> float:
-    """Return how full nodes are on the surface that encloses a volume, by halving: of a thin body less than half."""
+    """Return by halving the fill on the surface that encloses a volume; it is less than 0.5 for a thin body."""
     low, high, level = 0.0, fullest, 0.5 * fullest
     for _ in range(HALVINGS):
         level = 0.5 * (low + high)
-        found = enclosed(level)
-        if abs(found - volume) <= EXACT * volume:
+        inside = enclosed(level)
+        if abs(inside - volume) <= EXACT * volume:
             break
-        low, high = (level, high) if found > volume else (low, level)
+        low, high = (level, high) if inside > volume else (low, level)
     return level
 
 
@@ -165,7 +165,7 @@ def _surface(x: Array, volume: Array, path: Path) -> None:
     def mesh_at(level: float) -> Any:
         vertices, faces, _ = igl.marching_cubes(filled, points, *share.shape, level)
         mesh = trimesh.Trimesh(vertices, faces)
-        if mesh.volume < 0.0:  # faces look inwards, those of cavities outwards
+        if mesh.volume < 0.0:  # the normals point inwards
             mesh.invert()
         return mesh
 
@@ -174,14 +174,14 @@ def _surface(x: Array, volume: Array, path: Path) -> None:
 
 
 def _outline(x: Array, volume: Array, path: Path) -> None:
-    """Write the outlines of a 2D body as CSV: number of the closed line, x, y [m]."""
+    """Write the outlines of a 2D body as CSV: number of the closed line, x and y [m]."""
     import contourpy
 
     share, low, edge = _filled(x, volume)
     contours = contourpy.contour_generator(z=share.T)
 
     def area(level: float) -> float:
-        lines = [edge * np.asarray(line) for line in contours.lines(level)]  # holes run the other way round
+        lines = [edge * np.asarray(line) for line in contours.lines(level)]  # holes have the opposite orientation
         return abs(sum(0.5 * float(np.sum(a[:-1, 0] * a[1:, 1] - a[1:, 0] * a[:-1, 1])) for a in lines))
 
     level = _level(area, float(np.sum(volume)), float(share.max()))

@@ -1,11 +1,11 @@
-"""`cqrun gradcheck`: the adjoint of a scene's own loss against differences, direction by direction.
+"""`cqrun gradcheck`: compare the adjoint of a scene's loss with finite differences, direction by direction.
 
-A direction moves one block of values (one unknown; for many numbers, a random direction), or all of them;
+A direction changes one block of values (one unknown; a random direction if it has many numbers), or all of them;
 running/finite_differences.py compares along it.
 
-With data the loss is that of the fit, its unknowns in scaled coordinates (bounds are 1 apart). With a controller and
-an objective it is that of the first episode, by the controller's parameters as they are, and the unknowns. Without, it
-is a random linear function of the final state, by every number of the scene that gradients reach.
+With data the loss is that of the fit, with unknowns in scaled coordinates (bounds are 1 apart). With a controller and
+an objective it is that of the first episode, as a function of the controller's parameters and the unknowns. Otherwise
+it is a random linear function of the final state, as a function of all numbers of the scene that gradients reach.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ from cqrun.scene.schema import Scene
 from cqrun.store.result import Direction, GradcheckResult, Verdict, write_result
 from cqrun.store.run import RunDirectory, read_record
 
-TOLD: dict[Verdict, str] = {
+VERDICTS: dict[Verdict, str] = {
     AGREES: "",
     AT_A_KINK: "at a kink: compared to one side",
     FLAT: "flat: nothing to compare",
     TOO_ROUGH: "TOO ROUGH TO TELL",
     DISAGREES: "DISAGREES",
 }
-"""Verdicts, and what the table says."""
+"""The text of each verdict in the table."""
 
 SUMMARY: dict[Verdict, str] = {
     AGREES: "adjoint and differences agree",
@@ -68,11 +68,11 @@ ALL = "all together"
 
 @dataclass(frozen=True)
 class GradientCheck:
-    """A scene whose gradient is ready to be checked.
+    """A scene that is ready for the check.
 
     Attributes:
-        cases: of its fit, if it has one; None also while the data are yet to be made.
-        episodes: that it learns from, if it does.
+        cases: cases of its fit; None if it has no fit, or if its synthetic data are not made yet.
+        episodes: its episodes, if it has any.
     """
 
     built: Built
@@ -83,12 +83,12 @@ class GradientCheck:
 
 @dataclass(frozen=True)
 class Gradcheck(Job[GradientCheck, GradcheckResult]):
-    """Check the adjoint of a scene's own loss."""
+    """Check the adjoint of a scene's loss."""
 
     def prepare(
         self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES
     ) -> GradientCheck:
-        """Build a scene, and read its data if it has a fit; SceneError also where gradients do not fit the memory."""
+        """Build a scene, and read its data if it has a fit; raise SceneError if gradients do not fit the memory."""
         built = build_and_warn(scene, talk)
         gradient_plan(built)
         cases = given_cases(built) if has_data(built.scene) else None
@@ -96,14 +96,14 @@ class Gradcheck(Job[GradientCheck, GradcheckResult]):
         return GradientCheck(built, cases, episodes, threads)
 
     def reads_data(self, scene: Scene) -> bool:
-        """Say whether the scene has a fit to differentiate."""
+        """Return whether the scene has a fit to differentiate."""
         return has_data(scene)
 
     def work(self, run: RunDirectory, prepared: GradientCheck, talk: Reporter) -> None:
-        """Check every direction, from the first one on.
+        """Check all directions.
 
         Raises:
-            RunError: the scene blows up at its start. Stopped: asked to stop.
+            RunError: the scene blows up with its start values. Stopped: asked to stop.
         """
         built, cases, episodes, threads = prepared.built, prepared.cases, prepared.episodes, prepared.threads
         compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=True)
@@ -118,8 +118,8 @@ class Gradcheck(Job[GradientCheck, GradcheckResult]):
                 loss = state_loss(built, threads) if cases is None else fit_loss(built, cases, threads)
             value, gradient = loss.value_and_grad(loss.x)
         except (RolloutError, TrialFailed) as error:
-            run.finish("failed", f"at the start itself: {error}")
-            raise RunError(f"{run.path}: at the start itself: {error}") from error
+            run.finish("failed", f"with the start values: {error}")
+            raise RunError(f"{run.path}: with the start values: {error}") from error
         talk.phase(f"checking {len(loss.params.blocks)} blocks by {2 * len(STEPS)} rollouts each")
         chosen = directions(loss.params, np.random.default_rng(built.scene.seed))
         rows: list[Direction] = []
@@ -134,7 +134,7 @@ class Gradcheck(Job[GradientCheck, GradcheckResult]):
         run.finish("done" if agrees else "failed", SUMMARY[_worst(row.verdict for row in rows)])
 
     def lines(self, run: Path, result: GradcheckResult) -> Iterator[str]:
-        """Yield a line for every direction, and the verdict on all."""
+        """Yield a line for every direction, and the verdict on all of them."""
         width = max(len(row.block) for row in result.rows)
         yield f"gradient of {result.of} = {result.loss:.6g}"
         yield f"{'block':{width}}  numbers  {'adjoint':>14}  {'differences':>14}  {'error':>8}  {'step':>8}"
@@ -143,8 +143,8 @@ class Gradcheck(Job[GradientCheck, GradcheckResult]):
             if row.differences is None:
                 yield f"{head}  every step's rollout failed: DISAGREES"
             else:
-                told = TOLD[row.verdict]
-                yield f"{head}  {row.differences:14.7e}  {row.error:8.1e}  {row.step:8.1e}  {told}".rstrip()
+                verdict = VERDICTS[row.verdict]
+                yield f"{head}  {row.differences:14.7e}  {row.error:8.1e}  {row.step:8.1e}  {verdict}".rstrip()
         yield SUMMARY[_worst(row.verdict for row in result.rows)].replace("disagree", "DISAGREE")
 
 
@@ -152,18 +152,13 @@ GRADCHECK = Gradcheck("gradcheck", GradcheckResult)
 
 
 def run_gradcheck(
-    source: Path | str,
-    overrides: Sequence[str],
-    out: Path | str,
-    *,
-    fresh: bool = False,
-    threads: int | None = None,
+    source: Path | str, overrides: Sequence[str], out: Path | str, *, fresh: bool = False, threads: int | None = None,
     reporter: Reporter | None = None,
-) -> tuple[Path, bool]:
+) -> tuple[Path, bool]:  # fmt: skip
     """Check a scene's gradient; return the run's directory and whether all directions agree.
 
     Raises:
-        SceneError, UsageError: bad input. RunError: the scene blows up at its start. Stopped: asked to stop.
+        SceneError, UsageError: bad input. RunError: the scene blows up with its start values. Stopped: asked to stop.
     """
     source = Path(source)
     scene = load_scene(source, overrides)
@@ -172,19 +167,19 @@ def run_gradcheck(
 
 
 def has_data(scene: Scene) -> bool:
-    """Say whether a scene has a fit to differentiate."""
+    """Return whether a scene has a fit to differentiate."""
     return is_fit(scene)
 
 
 def _worst(verdicts: Iterable[Verdict]) -> Verdict:
     """Return the verdict on all directions together."""
-    held = set(verdicts)
-    return DISAGREES if DISAGREES in held else TOO_ROUGH if TOO_ROUGH in held else AGREES
+    given = set(verdicts)
+    return DISAGREES if DISAGREES in given else TOO_ROUGH if TOO_ROUGH in given else AGREES
 
 
 def directions(params: Params, rng: np.random.Generator) -> dict[str, Array]:
-    """Return a direction (n,) with its largest entry 1 for each block, and one through all of them."""
-    found: dict[str, Array] = {}
+    """Return a direction (n,) with largest entry 1 for each block, and one for all of them."""
+    chosen: dict[str, Array] = {}
     groups: dict[str, list[slice]] = {}
     for path, part in params.slices.items():
         head, _, last = path.rpartition(".")
@@ -193,7 +188,7 @@ def directions(params: Params, rng: np.random.Generator) -> dict[str, Array]:
         d = np.zeros(len(params.start))
         for part in parts:
             d[part] = rng.uniform(-1.0, 1.0, part.stop - part.start)
-        found[name] = d / np.abs(d).max()
-    if len(found) > 1:
-        found[ALL] = rng.uniform(-1.0, 1.0, len(params.start))
-    return found
+        chosen[name] = d / np.abs(d).max()
+    if len(chosen) > 1:
+        chosen[ALL] = rng.uniform(-1.0, 1.0, len(params.start))
+    return chosen

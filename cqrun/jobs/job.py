@@ -1,4 +1,4 @@
-"""What a command that makes runs does with a scene; table.py lists them all."""
+"""Jobs: commands that make runs of a scene; table.py lists them."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from cqrun.store.run import RunDirectory, read_record
 NO_FILES: Mapping[str, Path] = MappingProxyType({})
 
 NOT_NAMED = ("history.csv", "activation.csv")
-"""Tables of a run that a report does not name."""
+"""Tables of a run that a report does not mention."""
 
 
 class Prepared(Protocol):
-    """What a job makes of a scene before it runs: all that can be refused has been."""
+    """A scene that a job has prepared and checked before it runs."""
 
     @property
     def built(self) -> Built:
-        """The scene, ready to run; its optimizer is chosen."""
+        """The scene, with its optimizer."""
 
     @property
     def threads(self) -> int:
-        """How many to use."""
+        """Number of threads."""
 
 
 P = TypeVar("P", bound=Prepared)
@@ -58,8 +58,8 @@ class Need:
 
     Attributes:
         section: its key.
-        advice: what to say where it is missing.
-        instead: another section that stands in for it.
+        advice: text for the error message if it is missing.
+        instead: another section that may replace it.
     """
 
     section: str
@@ -72,11 +72,11 @@ class Job(ABC, Generic[P, R]):
     """A command that makes runs.
 
     Attributes:
-        name: of the command, as run.json and a scene's `job` have it.
-        result: the model of what it finds.
+        name: name of the command, in run.json and in a scene's `job`.
+        result: the model of its result.
         needs: sections that its scene must have.
-        pictures: names of the pictures that are drawn of its runs (figures/draw.py).
-        keeps: files beside the scene of which a run keeps a copy, by name: what each is.
+        pictures: names of the pictures of its runs (figures/draw.py).
+        keeps: by name, the description of files beside the scene of which a run keeps a copy.
         extensible: whether `cqrun resume` can give a finished run more iterations.
     """
 
@@ -89,51 +89,45 @@ class Job(ABC, Generic[P, R]):
 
     @abstractmethod
     def prepare(self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES) -> P:
-        """Return what a scene is run with.
+        """Prepare and check a scene.
 
         Args:
-            files: of those that the job keeps, where each is to be read.
+            files: by name, paths of the files of which the run keeps a copy.
 
         Raises:
-            SceneError, UsageError: everything that a run is refused for.
+            SceneError, UsageError: the scene cannot be run.
         """
 
     @abstractmethod
     def reads_data(self, scene: Scene) -> bool:
-        """Say whether the job reads the recordings that a scene names."""
+        """Return whether the job reads the recordings of a scene."""
 
     @abstractmethod
     def work(self, run: RunDirectory, prepared: P, talk: Reporter, /) -> None:
-        """Do the job in a run directory, from where it stands; it ends with `run.finish`.
+        """Start or continue the job in a run directory; it ends with `run.finish`.
 
         Raises:
-            Stopped: asked to stop. RunError: the run failed, and cannot say how by its status.
+            Stopped: asked to stop. RunError: the run failed in a way that its status cannot describe.
         """
 
     @abstractmethod
     def lines(self, run: Path, result: R) -> Iterator[str]:
-        """Yield what a run found, as lines for a terminal."""
+        """Yield the result of a run as lines for a terminal."""
 
     @final
     def run(
-        self,
-        source: Path | str,
-        overrides: Sequence[str],
-        out: Path | str,
-        *,
-        fresh: bool = False,
-        threads: int | None = None,
-        reporter: Reporter | None = None,
-    ) -> Path:
-        """Run the job of a scene file, or go on with it; return the run's directory.
+        self, source: Path | str, overrides: Sequence[str], out: Path | str, *, fresh: bool = False,
+        threads: int | None = None, reporter: Reporter | None = None,
+    ) -> Path:  # fmt: skip
+        """Start or continue the job for a scene file; return the run's directory.
 
         Args:
             source: the scene file.
-            overrides: `key.path=value` each.
+            overrides: list of `key.path=value`.
             out: directory of all results.
-            fresh: throw away what there is and start over.
-            threads: how many to use at most; all cores if not given.
-            reporter: told of progress and asked whether to stop.
+            fresh: delete an existing run and start again.
+            threads: largest number of threads; all cores if not given.
+            reporter: receives the progress, and has the flag to stop.
 
         Raises:
             SceneError, UsageError: bad input. RunError: the run failed. Stopped: it can be resumed.
@@ -144,21 +138,14 @@ class Job(ABC, Generic[P, R]):
 
     @final
     def start(
-        self,
-        stem: str,
-        scene: Scene,
-        out: Path | str,
-        *,
-        files: Mapping[str, Path] = NO_FILES,
-        fresh: bool = False,
-        threads: int | None = None,
-        reporter: Reporter | None = None,
-    ) -> Path:
-        """Run the job of a scene that is loaded, or go on with it; return the run's directory, also where it failed.
+        self, stem: str, scene: Scene, out: Path | str, *, files: Mapping[str, Path] = NO_FILES, fresh: bool = False,
+        threads: int | None = None, reporter: Reporter | None = None,
+    ) -> Path:  # fmt: skip
+        """Start or continue the job for a loaded scene; return the run's directory, even if the run failed.
 
         Args:
             stem: name of the scene, and of the folder of its runs.
-            files: of those that the job keeps, where each is to be read.
+            files: by name, paths of the files of which the run keeps a copy.
 
         The other arguments and errors are those of `run`.
         """
@@ -180,13 +167,13 @@ class Job(ABC, Generic[P, R]):
 
     @final
     def resume(self, run: RunDirectory, overrides: Sequence[str], threads: int, talk: Reporter) -> Path:
-        """Go on with a run from its directory; return that.
+        """Continue a run in its directory, and return the directory.
 
         Args:
-            overrides: of the optimizer's iterations alone, where the job can be extended.
+            overrides: the optimizer's number of iterations only, if the job can be extended.
 
         Raises:
-            UsageError: the overrides, or files that have changed since. RunError: the run failed. Stopped: asked to.
+            UsageError: wrong overrides, or a file has changed. RunError: the run failed. Stopped: asked to stop.
         """
         if self.extensible:
             require_extension(run, overrides)
@@ -204,16 +191,16 @@ class Job(ABC, Generic[P, R]):
 
     @final
     def report(self, run: Path) -> list[str]:
-        """Return what a run found, as lines for a terminal; of one that has found nothing yet, its status.
+        """Return the result of a run as lines for a terminal, or its status if it has no result yet.
 
         Raises:
-            UsageError: it is no run, or what it found cannot be read.
+            UsageError: there is no run, or its result cannot be read.
         """
         record, result = read_record(run), read_result(run)
         if result is None:
             return [f"{self.name}: {record['status']}" + (f" ({record['reason']})" if record.get("reason") else "")]
         if not isinstance(result, self.result):
-            raise UsageError(f"{run}: its result is one of {result.job}, and the run one of {self.name}")
+            raise UsageError(f"{run}: is a run of {self.name}, but its result is one of {result.job}")
         tables = [file for file in sorted(run.glob("*.csv")) if file.name not in NOT_NAMED]
         files = [*sorted((run / "figures").glob("*.png")), *tables, *run.glob("trajectory.h5")]
         names = ", ".join(str(file.relative_to(run)) for file in files)
@@ -221,7 +208,7 @@ class Job(ABC, Generic[P, R]):
 
     @final
     def require_sections(self, scene: Scene) -> None:
-        """Refuse a scene that lacks sections; SceneError with advice for each."""
+        """Raise SceneError with advice for each missing section."""
         missing = [n for n in self.needs if not getattr(scene, n.section)]
         missing = [n for n in missing if n.instead is None or not getattr(scene, n.instead)]
         if missing:
@@ -230,13 +217,13 @@ class Job(ABC, Generic[P, R]):
             )
 
     def _kept(self, run: RunDirectory) -> dict[str, Path]:
-        """Return the run's copies of the files that it began with; UsageError where one has changed."""
-        found = {}
+        """Return the run's copies of its files; raise UsageError if one has changed."""
+        copies = {}
         for name, what in self.keeps.items():
             began_with, file = run.record["files"].get(name), run.path / name
             if began_with is None:
                 continue
             if not file.is_file() or hashlib.sha256(file.read_bytes()).hexdigest() != began_with:
                 raise UsageError(f"{file}: this copy of {what} is not what the run began with; run the scene again")
-            found[name] = file
-        return found
+            copies[name] = file
+        return copies

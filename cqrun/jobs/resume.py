@@ -1,4 +1,4 @@
-"""`cqrun resume`: go on with the job that a run directory is of."""
+"""`cqrun resume`: continue the job of a run directory."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from cqrun.store.run import RunDirectory
 def run_resume(
     run_dir: Path | str, overrides: Sequence[str], *, threads: int | None = None, reporter: Reporter | None = None
 ) -> Path:
-    """Continue the run in a directory; return it.
+    """Continue the run in a directory; return the directory.
 
-    An identification goes on where it was, or is extended by overrides; a simulation and a gradient check, which
-    keep nothing to go on from, run again.
+    Identification and learning continue from their checkpoint, and overrides can extend them. A simulation or a
+    gradient check has no checkpoint and runs again.
 
     Raises:
-        UsageError: it is no run, another process or engine holds it, or the overrides do not fit.
-        RunError: the run failed. Stopped: it was asked to stop.
+        UsageError: there is no run, another process works on it, another engine made it, or the overrides do not fit.
+        RunError: the run failed. Stopped: asked to stop.
     """
     with RunDirectory.resume(Path(run_dir)) as run:
         return job_of(run.path).resume(run, overrides, cores(threads), reporter or Silent())

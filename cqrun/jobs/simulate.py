@@ -1,10 +1,10 @@
-"""`cqrun simulate`: run a scene forward, or what a run has learned; keep the trajectory and what the bodies did.
+"""`cqrun simulate`: run a scene, or the result of a run, forward; write the trajectory and the motion of the bodies.
 
 trajectory.h5     x, v and J of every particle, at most 300 frames
-observables.csv   one row a control step (observables.py)
-result.json       where the bodies ended, their extremes, what went wrong; the objective's terms
-controller.npz    what acted, and activation.csv what drove the actuators, where there is a controller
-identified.json   in a replay of a run of sysid that run's result, whose values act
+observables.csv   one row per control step (observables.py)
+result.json       final positions and extreme values of the bodies, findings, the objective's terms
+controller.npz    the controller, if there is one, and activation.csv the activations of the actuators
+identified.json   in a replay of a run of sysid: the result of that run, with the values in use
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from cqrun.learning.description import constraint_cells
 from cqrun.learning.learned import constraints_of
 from cqrun.learning.replay import IDENTIFIED
 from cqrun.plugin.contract import Array
-from cqrun.running.bodies import tell_bodies
+from cqrun.running.bodies import report_bodies
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.observables import Observables
 from cqrun.running.reporter import Reporter, Silent
@@ -41,16 +41,16 @@ from cqrun.state import State
 from cqrun.store.result import BodyMotion, SimulateResult, write_result
 from cqrun.store.run import RunDirectory
 
-UNTRAINED = "the controller has learned nothing yet: it acts with the parameters that it starts from"
+UNTRAINED = "the controller has learned nothing yet: it uses the parameters that it starts from"
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """A scene that is ready to be run forward.
+    """A scene that is ready to run.
 
     Attributes:
-        agent: what drives its actuators; None where no controller does.
-        values: what was identified, by path, beside the scene's own values.
+        agent: drives the actuators; None without a controller.
+        values: identified values by path, which are not in the scene.
     """
 
     built: Built
@@ -61,10 +61,10 @@ class Simulation:
 
 @dataclass(frozen=True)
 class Simulate(Job[Simulation, SimulateResult]):
-    """Run a scene forward, from its beginning."""
+    """Run a scene forward from its start."""
 
     def prepare(self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES) -> Simulation:
-        """Build a scene, under its controller or one from a file, or with values from the result of a run of sysid."""
+        """Build a scene, with its controller or one from a file, or with the values that a run of sysid found."""
         built = build_and_warn(scene, talk)
         agent = make_agent(built, files.get(FILE), talk)
         values = identified_values(built, files.get(IDENTIFIED))
@@ -75,16 +75,16 @@ class Simulate(Job[Simulation, SimulateResult]):
         return False
 
     def work(self, run: RunDirectory, prepared: Simulation, talk: Reporter) -> None:
-        """Run a scene into a run directory, under its controller if it has one, else with values beside the scene's."""
+        """Run a scene and write the files of its run directory."""
         built, agent = prepared.built, prepared.agent
         compile_kernels([built], talk, adjoint=False)
         run.begin(prepared.threads)
         rollout, provenance = _rollout(prepared)
-        otherwise = [] if agent is None else agent.otherwise
-        for sentence in otherwise:
+        changes = [] if agent is None else agent.changes
+        for sentence in changes:
             talk.warn(sentence)
             run.log(sentence)
-        tell_bodies(built, run, talk, rollout.inputs)
+        report_bodies(built, run, talk, rollout.inputs)
         time, model = built.scene.time, built.model
         talk.phase(f"simulating {model.layout.n_particles} particles, {model.n_steps} substeps")
         reached = 0.0
@@ -109,78 +109,60 @@ class Simulate(Job[Simulation, SimulateResult]):
                 message = f"stopped at t = {reached:.6g} s"
                 run.finish("stopped", message)
                 raise talk.stop.stopped(
-                    f"{message}; what there is so far lies in {path}.part; `cqrun resume {run.path}` runs it again"
+                    f"{message}; the trajectory so far is in {path}.part; `cqrun resume {run.path}` runs it again"
                 )
         result = _result(built, watch, "done", f"{time.duration:g} s simulated", reached)
         if agent is not None and FILE not in run.record["files"]:
             result.findings.append(UNTRAINED)
         if agent is not None:
-            _tell_acted(result, run, agent, rollout, records)
+            _add_episode(result, run, agent, rollout, records)
         for sentence in result.findings:
             talk.warn(sentence)
             run.log(sentence)
-        result.findings += otherwise
+        result.findings += changes
         write_result(run.path, result)
         run.finish("done", result.message)
 
     def lines(self, run: Path, result: SimulateResult) -> Iterator[str]:
-        """Yield where every body ended and its extremes, the terms of the objective, and the constraints."""
+        """Yield every body's final position and extreme values, the terms of the objective, and the constraints."""
         yield f"{result.status}: {result.message}"
         yield ""
+        head = ("body", "centroid at the end [m]", "fastest [m/s]", "least volume ratio", "kinetic energy")
         rows = [
-            (
-                body,
-                ", ".join(number(c) for c in motion.centroid),
-                number(motion.fastest),
-                number(motion.least_volume_ratio),
-                number(motion.kinetic_energy),
-            )
-            for body, motion in result.bodies.items()
-        ]
-        yield from table(
-            ("body", "centroid at the end [m]", "fastest [m/s]", "least volume ratio", "kinetic energy"), rows
-        )
+            (body, ", ".join(map(number, m.centroid)), number(m.fastest), number(m.least_volume_ratio),
+             number(m.kinetic_energy)) for body, m in result.bodies.items()
+        ]  # fmt: skip
+        yield from table(head, rows)
         if result.terms is not None and result.loss is not None:
             values = {**result.terms, "loss": result.loss}
             yield ""
             yield from table(("term", "value"), [(name, number(value)) for name, value in values.items()])
         if result.constraints:
-            cells = [(name, *constraint_cells(found)) for name, found in result.constraints.items()]
+            cells = [(name, *constraint_cells(value)) for name, value in result.constraints.items()]
             yield ""
             yield from table(("constraint", "wanted", "value", "violated by"), cells)
         yield from (f"note: {sentence}" for sentence in result.findings)
 
 
-SIMULATE = Simulate(
-    "simulate",
-    SimulateResult,
-    pictures=("bodies",),
-    keeps={FILE: "the controller", IDENTIFIED: "the result"},
-)
+KEPT = {FILE: "the controller", IDENTIFIED: "the result"}
+SIMULATE = Simulate("simulate", SimulateResult, pictures=("bodies",), keeps=KEPT)
 
 
 def run_simulate(
-    source: Path | str,
-    overrides: Sequence[str],
-    out: Path | str,
-    *,
-    fresh: bool = False,
-    threads: int | None = None,
-    controller: Path | str | None = None,
-    reporter: Reporter | None = None,
-) -> Path:
-    """Run a scene forward with its own values; return the run's directory.
+    source: Path | str, overrides: Sequence[str], out: Path | str, *, fresh: bool = False, threads: int | None = None,
+    controller: Path | str | None = None, reporter: Reporter | None = None,
+) -> Path:  # fmt: skip
+    """Run a scene forward; return the run's directory.
 
-    Of several random activations the first one drives the actuators. A controller acts as a file has it, or as it
-    starts, with every goal at its position.
+    If there are several random activations, the first drives the actuators. Every goal is in the middle of its range.
 
     Args:
-        source: a scene, or the directory of a run: its scene is run, under the controller that it trained or with the
+        source: a scene, or a run directory: then its scene is run with the controller that the run trained, or with the
             values that it identified.
-        controller: file of a controller that acts in the place of the scene's, or of the run's own.
+        controller: file of a controller that replaces that of the scene or of the run.
 
     Raises:
-        SceneError, UsageError: bad input. RunError: it blew up. Stopped: it was asked to stop.
+        SceneError, UsageError: bad input. RunError: the scene blew up. Stopped: asked to stop.
     """
     talk = reporter or Silent()
     acting = acting_in(Path(source), overrides, None if controller is None else Path(controller), talk)
@@ -191,7 +173,7 @@ def run_simulate(
 
 
 def _rollout(prepared: Simulation) -> tuple[Rollout, dict[str, Any]]:
-    """Return the rollout that is simulated, and what its trajectory says of where it comes from."""
+    """Return the rollout, and the attributes of its trajectory."""
     built, agent, threads = prepared.built, prepared.agent, prepared.threads
     if agent is None:
         inputs = built.assembly.inputs(prepared.values)
@@ -200,26 +182,26 @@ def _rollout(prepared: Simulation) -> tuple[Rollout, dict[str, Any]]:
     return agent.rollout(agent.acting, goals, threads), agent.wanted(goals)
 
 
-def _tell_acted(result: SimulateResult, run: RunDirectory, agent: Agent, rollout: Rollout, records: Records) -> None:
-    """Write what drove the actuators; add to a result what an agent did: goals, terms, constraints."""
+def _add_episode(result: SimulateResult, run: RunDirectory, agent: Agent, rollout: Rollout, records: Records) -> None:
+    """Write the activations; add goals, terms and constraints to the result."""
     write_activation(run.path / "activation.csv", agent.built, rollout.activation)
     goals = agent.goals_in_the_middle
-    found, departure = agent.judged(rollout, records, goals), _departure(agent)
+    attempt, departure = agent.judged(rollout, records, goals), _departure(agent)
     result.goals = {name: goal.tolist() for name, goal in goals.items()}
-    if found.terms:
-        result.loss = float(found.loss) + sum(departure.values())
-        result.terms = {name: float(value) for name, value in found.terms.items()} | departure
-    result.constraints = constraints_of(agent.built.scene, [found])
+    if attempt.terms:
+        result.loss = float(attempt.loss) + sum(departure.values())
+        result.terms = {name: float(value) for name, value in attempt.terms.items()} | departure
+    result.constraints = constraints_of(agent.built.scene, [attempt])
 
 
 def _departure(agent: Agent) -> dict[str, float]:
-    """Return the unknowns' regularisers of what acts, as a term, from where the training started; none without one."""
-    found = 0.0
+    """Return the regularisers of the unknowns, from the start of the training, as a term; empty without regulariser."""
+    total = 0.0
     for block in agent.params.blocks if agent.params.regularised else ():
         if block.regulariser:
             value = agent.acting.get(block.path, np.array(get(agent.built.scene, block.path), float))
-            found += replace(block, initial=agent.starts[block.path]).departure(value)
-    return {REGULARISER: found} if agent.params.regularised else {}
+            total += replace(block, initial=agent.starts[block.path]).departure(value)
+    return {REGULARISER: total} if agent.params.regularised else {}
 
 
 def _result(built: Built, watch: Observables, status: str, message: str, time: float) -> SimulateResult:

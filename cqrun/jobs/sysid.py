@@ -1,4 +1,4 @@
-"""`cqrun sysid`: find a scene's unknowns from data, and say how sure the answer is."""
+"""`cqrun sysid`: identify a scene's unknowns from data, with intervals."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 from cqrun.build.model import Built
 from cqrun.errors import Problem, SceneError
 from cqrun.fitting.case import Case
-from cqrun.fitting.cases import given_cases, made_cases, own_warnings, remarks
+from cqrun.fitting.cases import given_cases, made_cases, recording_warnings, remarks
 from cqrun.fitting.findings import write_findings
 from cqrun.fitting.problem import FitProblem
 from cqrun.jobs.job import NO_FILES, Job, Need
 from cqrun.optimizers.base import Outcome
-from cqrun.running.bodies import tell_bodies
+from cqrun.running.bodies import report_bodies
 from cqrun.running.gradient_memory import gradient_plan
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter
@@ -30,15 +30,15 @@ from cqrun.store.run import RunDirectory, read_record
 from cqrun.store.session import RunSession
 
 MANY = 8
-"""A block of more numbers is told by its range."""
+"""If a block has more numbers, only their range is printed."""
 
 FEW = 10
-"""Up to this many unknowns, data is fitted by least squares unless the scene says otherwise."""
+"""Largest number of unknowns for which least squares is the default optimizer."""
 
 
 @dataclass(frozen=True)
 class Identification:
-    """A fit that is ready to run: scene and cases, None while the data are yet to be made."""
+    """A fit that is ready to run; `cases` is None if its synthetic data are not made yet."""
 
     built: Built
     cases: list[Case] | None
@@ -52,10 +52,10 @@ class Sysid(Job[Identification, SysidResult]):
     def prepare(
         self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES
     ) -> Identification:
-        """Build a scene, its optimizer chosen, and read its data.
+        """Build a scene with its optimizer, and read its data.
 
         Raises:
-            SceneError: it has no unknowns, neither data nor an objective, or too little memory for gradients.
+            SceneError: there are no unknowns, or neither data nor objective, or too little memory for gradients.
         """
         self.require_sections(scene)
         _refuse_parts(scene)
@@ -66,9 +66,7 @@ class Sysid(Job[Identification, SysidResult]):
             raise SceneError([Problem(scene.where(path), path, message)])
         if scene.precision == "float32" and not uses_gradients(scene) and optimizer_of(scene).squares:
             path = f"optimizer.{optimizer_of(scene).name}"
-            message = (
-                "its Jacobian is by differences, for which `precision: float32` is too coarse: use lbfgs, or float64"
-            )
+            message = "`precision: float32` is too coarse for its finite differences: use lbfgs, or float64"
             raise SceneError([Problem(scene.where(path), path, message)])
         built = build_and_warn(scene, talk)
         if uses_gradients(built.scene):
@@ -77,7 +75,7 @@ class Sysid(Job[Identification, SysidResult]):
         return Identification(built, given_cases(built), threads)
 
     def reads_data(self, scene: Scene) -> bool:
-        """Return True: recordings are what it fits."""
+        """Return True: it fits recordings."""
         return True
 
     def work(self, run: RunDirectory, prepared: Identification, talk: Reporter) -> None:
@@ -86,11 +84,11 @@ class Sysid(Job[Identification, SysidResult]):
         scene, optimizer = built.scene, optimizer_of(built.scene)
         compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=uses_gradients(scene))
         run.begin(prepared.threads)
-        tell_bodies(built, run, talk)
+        report_bodies(built, run, talk)
         if cases is None:
             talk.phase("making data")
             cases = made_cases(run, built)
-        for warning in own_warnings(built, cases):
+        for warning in recording_warnings(built, cases):
             talk.warn(warning)
         for sentence in remarks(cases):
             run.log(sentence)
@@ -105,15 +103,15 @@ class Sysid(Job[Identification, SysidResult]):
         _conclude(run, cases, problem, optimizer.minimise(problem, session), talk)
 
     def lines(self, run: Path, result: SysidResult) -> Iterator[str]:
-        """Yield every unknown with its interval, the errors by recording, and what the data leave open."""
+        """Yield every unknown with its interval, the errors by recording, and the findings."""
         scene = load_scene(run / "scene.yaml", (), Path(str(read_record(run).get("base", ""))))
         yield f"{result.status} after {result.iterations} iterations: {result.message}"
         yield ""
         yield from table(
             ("unknown", "value", "95 % interval", "unit", "from"),
-            [row for path, found in result.unknowns.items() for row in _unknown(scene, path, found)],
+            [row for path, unknown in result.unknowns.items() for row in _unknown(scene, path, unknown)],
         )
-        reasons = {path: found.reason for path, found in result.unknowns.items() if found.reason}
+        reasons = {path: unknown.reason for path, unknown in result.unknowns.items() if unknown.reason}
         if reasons:
             yield ""
             if len(reasons) == len(result.unknowns) and len(set(reasons.values())) == 1:
@@ -130,8 +128,8 @@ SYSID = Sysid(
     "sysid",
     SysidResult,
     needs=(
-        Need("unknowns", "name what shall be found, by key path, with bounds"),
-        Need("data", "say what it is fitted to, or give an `objective` that is made small", instead="objective"),
+        Need("unknowns", "give the key paths of the numbers to identify, with bounds"),
+        Need("data", "say what it is fitted to, or give an `objective` to minimise", instead="objective"),
     ),
     pictures=("convergence", "tracks", "bodies", "overview"),
     extensible=True,
@@ -143,41 +141,41 @@ run_sysid = SYSID.run
 
 
 def _refuse_parts(scene: Scene) -> None:
-    """Refuse parts of a scene that a fit would have to leave out."""
+    """Raise SceneError for parts of a scene that a fit does not support."""
     if scene.controller is not None:
         message = (
-            "sysid drives actuators by `activation` alone, and this would not act: take it out, `-o controller=null`, "
-            "and give what it did as signals (a run's activation.csv has it)"
+            "sysid drives actuators by `activation` only, not by a controller: remove it, `-o controller=null`, and "
+            "give its output as signals (a run's activation.csv has it)"
         )
         raise SceneError([Problem(scene.where("controller"), "controller", message)])
     for name in (name for name, unknown in scene.unknowns.items() if unknown.regulariser):
         path = f"unknowns.{name}.regulariser"
-        message = "sysid takes none: it would pull the value towards the start, and intervals would not say so"
+        message = "sysid takes none: it would pull the value towards the start, which intervals do not show"
         raise SceneError([Problem(scene.where(path), path, message)])
     for name in scene.constraints:
-        path, message = f"constraints.{name}", "sysid honours none: bound its unknowns instead"
+        path, message = f"constraints.{name}", "sysid does not support constraints: bound its unknowns instead"
         raise SceneError([Problem(scene.where(path), path, message)])
 
 
 def _require_batches(scene: Scene) -> None:
-    """Refuse mini-batches larger than the data before any are made."""
+    """Raise SceneError if mini-batches are larger than the data."""
     size = None if scene.optimizer is None else getattr(scene.optimizer.value, "batch_size", None)
     sequences = scene.sequences if scene.synthetic is not None else 1
     parts = sum(not spec.holdout for spec in scene.recordings.values()) or sequences
     if size is not None and size > parts:
         assert scene.optimizer is not None
         path = f"optimizer.{scene.optimizer.name}.batch_size"
-        message = f"is {size}, but the data falls into {parts} parts (recordings, sequences): give at most {parts}"
+        message = f"is {size}, but the data have {parts} parts (recordings, sequences): give at most {parts}"
         raise SceneError([Problem(scene.where(path), path, message)])
 
 
 def uses_gradients(scene: Scene) -> bool:
-    """Say whether a scene's optimizer asks for gradients; the Jacobian of least squares is by differences."""
+    """Return whether a scene's optimizer uses gradients; least squares uses differences."""
     return scene.optimizer is None or optimizer_of(scene).gradients
 
 
 def with_optimizer(scene: Scene) -> Scene:
-    """Return the scene with the optimizer it names, or the one that suits it."""
+    """Return the scene with its optimizer, or with the default one."""
     if scene.optimizer is not None:
         return scene
     from cqrun.plugin.registry import plugins
@@ -188,7 +186,7 @@ def with_optimizer(scene: Scene) -> Scene:
 
 
 def _numbers(scene: Scene) -> float:
-    """Return how many numbers are unknown; infinitely many where each particle has one, or a field."""
+    """Return the number of unknown numbers; infinity if an unknown has one per particle or is a field."""
     count = 0.0
     for path, unknown in scene.unknowns.items():
         count += {"body": 1, "group": len(groups_of(scene, path))}.get(unknown.per, float("inf"))
@@ -199,7 +197,7 @@ def _numbers(scene: Scene) -> float:
 
 
 def _conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome, talk: Reporter) -> None:
-    """Write what was found and end the run as the outcome says."""
+    """Write the results, and end the run with the status of the outcome."""
     if outcome.status == "stopped":
         write_findings(run, cases, problem, outcome)
         run.finish("stopped", outcome.message)
@@ -211,15 +209,15 @@ def _conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome
     run.finish(outcome.status, outcome.message)
 
 
-def _unknown(scene: Scene, path: str, found: Identified) -> Iterator[tuple[str, ...]]:
+def _unknown(scene: Scene, path: str, unknown: Identified) -> Iterator[tuple[str, ...]]:
     unit = leaf(scene, path).unit
-    values, intervals, initials = found.numbers()
+    values, intervals, initials = unknown.numbers()
     if len(values) > MANY:
         ends = f"{number(min(values))} ... {number(max(values))}"
         yield path, ends, f"{len(values)} numbers", unit, number(initials[0])
         return
     for k, (value, interval, initial) in enumerate(zip(values, intervals, initials, strict=True)):
-        name = f"{path}[{k}]" if isinstance(found.value, list) else path
+        name = f"{path}[{k}]" if isinstance(unknown.value, list) else path
         yield name, number(value), _interval(interval), unit, number(initial)
 
 
@@ -235,17 +233,17 @@ def _errors(scene: Scene, result: SysidResult) -> Iterator[str]:
     assert scene.data is not None
     tables: dict[str, list[tuple[str, ...]]] = {}
     heads: dict[str, tuple[str, ...]] = {}
-    for name, found in result.recordings.items():
+    for name, error in result.recordings.items():
         measured = scene.data.measurement(name)
         unit = f" [{measured.shown.name}]" if measured.shown.name else ""
         heads[measured.name] = ("recording", "", f"RMSE{unit}", f"by {measured.channel}{unit}")
-        rmse, each = found.number(measured.error_key("rmse")), found.numbers(measured.error_key(f"{measured.channel}s"))
-        told = [f"{key} {'unseen' if e is None else format(e, measured.digits)}" for key, e in each.items()]
-        kind = "held out" if found.holdout else "fitted"
+        rmse, each = error.number(measured.error_key("rmse")), error.numbers(measured.error_key(f"{measured.channel}s"))
+        cells = [f"{key} {'unseen' if e is None else format(e, measured.digits)}" for key, e in each.items()]
+        kind = "held out" if error.holdout else "fitted"
         row = (name, kind, "blew up" if rmse is None else format(rmse, measured.digits))
-        tables.setdefault(measured.name, []).append((*row, ", ".join(told) if len(told) <= 12 else ""))
+        tables.setdefault(measured.name, []).append((*row, ", ".join(cells) if len(cells) <= 12 else ""))
     for kind, rows in tables.items():
         yield from table(heads[kind], rows)
-    for name, found in result.recordings.items():
-        if away := [e for e in found.numbers("alignment_mm").values() if e is not None]:
+    for name, error in result.recordings.items():
+        if away := [e for e in error.numbers("alignment_mm").values() if e is not None]:
             yield f"{name}: aligned to the rest positions within {min(away):.2f} to {max(away):.2f} mm"

@@ -23,10 +23,10 @@ JOBS: Mapping[str, Job[Any, Any]] = MappingProxyType(
 
 
 def job_of(run: Path) -> Job[Any, Any]:
-    """Return the job that the run in a directory is of.
+    """Return the job of the run in a directory.
 
     Raises:
-        UsageError: it is no run, or one of a job that this version does not know.
+        UsageError: there is no run, or its job is unknown to this version.
     """
     name = str(read_record(run).get("job"))
     if name not in JOBS:
@@ -37,9 +37,9 @@ def job_of(run: Path) -> Job[Any, Any]:
 
 
 def report_lines(run: Path) -> list[str]:
-    """Return what a run found, as lines for a terminal; of one that has found nothing yet, its status.
+    """Return the result of a run as lines for a terminal, or its status if it has no result yet.
 
     Raises:
-        UsageError: it is no run, or what it found cannot be read.
+        UsageError: there is no run, or its result cannot be read.
     """
     return job_of(run).report(run)

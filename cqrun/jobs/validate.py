@@ -1,4 +1,4 @@
-"""`cqrun validate`: everything that is known of a scene before it runs."""
+"""`cqrun validate`: check a scene, and report what is known before it runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cqrun.engine.model import ConditionModel
 from cqrun.errors import SceneError
 from cqrun.explain import listed
 from cqrun.fitting.case import Case
-from cqrun.fitting.cases import given_cases, is_fit, own_warnings
+from cqrun.fitting.cases import given_cases, is_fit, recording_warnings
 from cqrun.jobs.control import CODESIGN, CONTROL
 from cqrun.jobs.sysid import SYSID, with_optimizer
 from cqrun.jobs.table import JOBS
@@ -34,7 +34,7 @@ from cqrun.store.result import LEARNED
 from cqrun.units import format_bytes
 
 NANOSECONDS = {2: 30.0, 3: 95.0}
-"""What a particle and substep typically take forward on one core, by the dimension (`cqrun bench` measures it)."""
+"""Typical time per particle and forward substep on one core, by dimension (`cqrun bench` measures it)."""
 
 MILLI = 1e3
 
@@ -43,7 +43,7 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     """Yield lines on a scene: particles, masses, time step, memory, data, cost.
 
     Raises:
-        SceneError, UsageError: everything that a run would be refused for.
+        SceneError, UsageError: the scene cannot be run.
     """
     built, agent, episodes, cases = _prepared(load_scene(scene_path, overrides))
     scene = built.scene
@@ -59,12 +59,12 @@ def validate(scene_path: Path, overrides: Sequence[str] = ()) -> Iterator[str]:
     if agent is not None:
         yield from control_lines(agent, episodes)
     yield from _cost(built, episodes)
-    for warning in (*built.warnings, *own_warnings(built, cases or [])):
+    for warning in (*built.warnings, *recording_warnings(built, cases or [])):
         yield f"warning: {warning}"
 
 
 def _prepared(scene: Scene) -> tuple[Built, Agent | None, EpisodeProblem | None, list[Case] | None]:
-    """Return what the scene's job would run, what acts in it, and what is learned from or fitted to."""
+    """Return the scene, its agent, its episodes and its cases; each of the last three may be None."""
     if scene.job in LEARNED or has_episodes(scene):
         problem = (CODESIGN if scene.job == CODESIGN.name else CONTROL).prepare(scene, 1, Silent())
         return problem.built, problem.agent, problem, None
@@ -78,7 +78,7 @@ def _prepared(scene: Scene) -> tuple[Built, Agent | None, EpisodeProblem | None,
 
 
 def _fits(scene: Scene) -> bool:
-    """Say whether a scene is one of sysid."""
+    """Return whether a scene is for sysid."""
     with_data = bool(scene.unknowns) and scene.data is not None
     return scene.job == "sysid" or (scene.job is None and (with_data or is_fit(scene)))
 
@@ -105,7 +105,7 @@ def _held(built: Built, condition: ConditionModel) -> str:
 def _body(built: Built, name: str) -> Iterator[str]:
     yield line(f"body {name}", made_of(built, name))
     yield line("", lies(built, name))
-    groups = [f"{group} {len(held):,}" for group, held in built.particles.groups(name).items()]
+    groups = [f"{group} {len(members):,}" for group, members in built.particles.groups(name).items()]
     if groups:
         yield line("", f"groups: {listed(groups)}")
 
@@ -131,12 +131,12 @@ def _time(built: Built) -> Iterator[str]:
     corner = " at the worst corner of the unknowns' bounds" if built.scene.unknowns else ""
     cause = f"{number(least.dt)} s ({least.part}{corner})"
     yield line("", f"{model.dt / least.dt:.2f} of the largest stable substep, {cause}")
-    if model.real is np.float32:  # one ulp of a position, over a substep
+    if model.real is np.float32:  # rounding error of a position divided by the substep
         slowest = float(np.finfo(np.float32).eps) * max(built.scene.world.size) / model.dt
-        yield line("", f"float32 rounds motion away below about {number(slowest)} m/s: less than a position's last bit")
+        yield line("", f"float32 loses motion slower than about {number(slowest)} m/s: less than a position's last bit")
     for limit in built.limits:
         if limit is not least:
-            yield line("", f"{limit.part} would allow {number(limit.dt)} s")
+            yield line("", f"limit of {limit.part}: {number(limit.dt)} s")
 
 
 # --- unknowns and data --------------------------------------------------------------------------------------
@@ -148,7 +148,7 @@ def _unknowns(built: Built) -> Iterator[str]:
         low, high = unknown.bounds
         unit = leaf(scene, path).unit
         unit = "" if unit == "1" else f" {unit}"
-        per = {"body": "", "field": ", a smooth field"}.get(unknown.per, f", one a {unknown.per}")
+        per = {"body": "", "field": ", a smooth field"}.get(unknown.per, f", one per {unknown.per}")
         per += "" if unknown.mirror is None else f", mirrored across {unknown.mirror}"
         text = f"{path}: {number(low)} to {number(high)}{unit}, from {number(start(scene, path))}"
         yield line("unknown", f"{text}, {unknown.scale} scale{per}")
@@ -184,37 +184,37 @@ def _recording(case: Case) -> Iterator[str]:
 
 def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     model = built.model
-    one, budget = state_bytes(model), format_bytes(model.memory_budget)
+    size, budget = state_bytes(model), format_bytes(model.memory_budget)
     forward = 1e-9 * NANOSECONDS[model.dim] * model.layout.n_particles * model.n_steps
     try:
         plan = gradient_plan(built)
-    except SceneError as error:  # a scene may be run forward all the same
+    except SceneError as error:  # the scene can still be run forward
         yield f"warning: no gradients: {error}"
         yield line("cost", f"an estimate, for one core: {_seconds(forward)} forward")
         return
-    again = "none run twice" if plan.recompute == 1 else f"{plan.recompute:.2f} forward substeps for each"
+    again = "no substep runs twice" if plan.recompute == 1 else f"{plan.recompute:.2f} forward substeps for each"
     yield line(
         "memory",
-        f"a gradient keeps {plan.states:,} states of {format_bytes(one)}, {format_bytes(plan.states * one)} "
+        f"a gradient keeps {plan.states:,} states of {format_bytes(size)}, {format_bytes(plan.states * size)} "
         f"of a budget of {budget}: {again}",
     )
     backward = forward * (GRADIENT + plan.recompute - 1)
     yield line(
         "cost",
         f"an estimate, for one core: {_seconds(forward)} forward, {_seconds(backward)} with the gradient "
-        f"({NANOSECONDS[model.dim]:g} ns a particle and substep; `cqrun bench` measures this machine)",
+        f"({NANOSECONDS[model.dim]:g} ns per particle and substep; `cqrun bench` measures this machine)",
     )
     if learned is not None:
         optimizer = optimizer_of(built.scene)
         if optimizer.gradients:
             episodes = min(learned.n_episodes, getattr(optimizer, "batch_size", None) or learned.n_episodes)
             of = f"{episodes} {'episode' if episodes == 1 else 'episodes'} with the gradient"
-            held = differentiated(learned) - 1
-            sweeps = held * (GRADIENT - 1.0) * forward
-            if held:
-                of += f" and {'that' if held == 1 else 'those'} of {held} constraint{'s' if held > 1 else ''}, at most"
-            once, cost = "a trial" if held else "an iteration", _seconds(episodes * (backward + sweeps))
-            yield line("", f"{once} of {optimizer.name}: {of}{' ' if held else ', '}{cost}")
+            constraints = differentiated(learned) - 1
+            sweeps = constraints * (GRADIENT - 1.0) * forward
+            if constraints:
+                of += f" and the gradients of {constraints} constraint{'s' if constraints > 1 else ''}"
+            once, most = ("a trial", "at most ") if constraints else ("an iteration", "")
+            yield line("", f"{once} of {optimizer.name}: {of}, {most}{_seconds(episodes * (backward + sweeps))}")
         else:
             of = f"{learned.n_episodes} {'episode' if learned.n_episodes == 1 else 'episodes'} forward"
             yield line("", f"a trial of {optimizer.name}: {of}, {_seconds(learned.n_episodes * forward)}")

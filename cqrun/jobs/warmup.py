@@ -16,14 +16,14 @@ ELASTIC = {"youngs_modulus": 1e4, "poissons_ratio": 0.3}
 
 
 def warmup(scenes: Sequence[Path] = (), *, reporter: Reporter | None = None) -> Iterator[str]:
-    """Compile the kernels of scenes, or the common ones, forward and backward; yield what took how long.
+    """Compile the kernels of scenes, or the common ones, forward and backward; yield the time of each.
 
     Args:
-        scenes: files whose kernels are wanted; without any, bodies of either elastic law with and without viscosity,
-            held by a clamp or lying on a floor, in 2D and 3D.
+        scenes: scene files; if empty, bodies of both elastic laws with and without viscosity, clamped or on a floor, in
+            2D and 3D.
 
     Raises:
-        SceneError: a scene that cannot be run.
+        SceneError: a scene cannot be run.
     """
     talk = reporter or Silent()
     for scene in [load_scene(path) for path in scenes] if scenes else common_scenes():
@@ -33,7 +33,7 @@ def warmup(scenes: Sequence[Path] = (), *, reporter: Reporter | None = None) -> 
 
 
 def common_scenes() -> Iterator[Scene]:
-    """Yield small scenes that together need the kernels of most others."""
+    """Yield small scenes that together need the kernels of most scenes."""
     for dim in (2, 3):
         for law in ("fixed_corotated", "neo_hookean"):
             for viscosity in ({}, {"viscosity": {"shear": 1.0}}):

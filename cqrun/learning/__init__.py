@@ -1,1 +1,1 @@
-"""Learning to act: agents, episodes, replays and environments."""
+"""Learning of control: agents, episodes, replays and environments."""

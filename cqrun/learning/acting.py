@@ -1,6 +1,6 @@
-"""What acts in a simulation: a scene's controller as it starts or as a file has it, or what a run has found.
+"""The scene, controller and values of a simulation, from a scene file, a controller's file or a run directory.
 
-A run stands for its scene and the file of what it found: `controller.npz` of control and codesign, the result of sysid.
+A run directory gives its scene and its result: `controller.npz` of control and codesign, or result.json of sysid.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from cqrun.store.run import FINISHED, read_record
 
 @dataclass(frozen=True)
 class Acting:
-    """A scene with what acts in it.
+    """A scene with the result of a run.
 
     Attributes:
-        stem: of the scene's file.
-        scene: with the single numbers that were found in their places.
-        files: the file that holds all others, by the name under which a run keeps a copy of it; none without.
+        stem: name of the scene's file without its ending.
+        scene: the scene, with the single numbers that the run found.
+        files: the file with all other values, by the name of the copy that a run keeps; empty without a result.
     """
 
     stem: str
@@ -48,14 +48,14 @@ class Acting:
 
 
 def acting_in(source: Path, overrides: Sequence[str], controller: Path | None, talk: Reporter) -> Acting:
-    """Return what acts in a scene, or in the replay of a run.
+    """Return the scene and the result to simulate.
 
     Args:
-        source: a scene's file, or the directory of a run.
-        controller: file of a controller that acts in the place of the scene's, or of the run's own.
+        source: a scene file, or a run directory.
+        controller: file of a controller that replaces that of the scene or of the run.
 
     Raises:
-        SceneError, UsageError: bad input, or a run that has found nothing.
+        SceneError, UsageError: bad input, or the run has found nothing.
     """
     trained, identified = controller, None
     if trained is None and source.is_dir():
@@ -96,12 +96,12 @@ def _same_substeps(controller: Path, scene: Scene, talk: Reporter) -> list[str]:
 
 
 def _scene(source: Path, overrides: Sequence[str]) -> Scene:
-    """Return the scene in a file, or that of a run."""
+    """Return the scene of a file or of a run."""
     return scene_in(source, overrides) if source.is_dir() else load_scene(source, overrides)
 
 
 def _unchanged(source: Path) -> Scene | None:
-    """Return the scene without overrides; None where it cannot be so: what is wrong is told with them in place."""
+    """Return the scene without overrides, or None if it is not valid; errors are reported for the overridden scene."""
     try:
         return _scene(source, ())
     except (SceneError, UsageError):
@@ -109,14 +109,14 @@ def _unchanged(source: Path) -> Scene | None:
 
 
 def _standing_goals(scene: Scene | None) -> list[str]:
-    """Return overrides that draw nothing: one episode, and goals where they are, so that they may be put anywhere."""
+    """Return overrides for one episode with fixed goals, so that other overrides may move the goals anywhere."""
     goals = {} if scene is None else scene.goals
     drawn = [f"goals.{name}.spread=null" for name, goal in goals.items() if goal.spread is not None]
     return [*drawn, "episodes.count=1", "episodes.unseen=0", "episodes.fresh=false"] if drawn else []
 
 
 def _controller_of(run: Path, talk: Reporter) -> Path:
-    """Return the file of the controller that a run has trained."""
+    """Return the file of a run's controller; raise UsageError if it has none."""
     record, file = read_record(run), run / FILE
     if not file.is_file():
         why = "no iteration is finished" if record.get("job") in LEARNED else f"it is a run of {record.get('job')}"
@@ -125,12 +125,12 @@ def _controller_of(run: Path, talk: Reporter) -> Path:
             "sysid; to run a scene give its file"
         )
     if record["status"] not in FINISHED:
-        talk.phase("the run is not finished: its best controller so far acts")
+        talk.phase("the run is not finished: its best controller so far is used")
     return file
 
 
 def _identified_by(run: Path, talk: Reporter) -> Path | None:
-    """Return the result of a run of sysid, or the copy of it that a replay has; None for any other run."""
+    """Return the file with the result of a run of sysid, or its copy in a replay; None for other runs."""
     record = read_record(run)
     if record.get("job") != "sysid":
         return run / IDENTIFIED if (run / IDENTIFIED).is_file() else None
@@ -138,24 +138,24 @@ def _identified_by(run: Path, talk: Reporter) -> Path | None:
     if status == "failed" or not (run / RESULT).is_file():
         raise UsageError(f"{run}: has identified nothing to replay ({status}{why}); to run its scene give the file")
     if status not in FINISHED:
-        talk.phase("the run is not finished: the values act where it stands")
+        talk.phase("the run is not finished: its values so far are used")
     return run / RESULT
 
 
 def identified_values(built: Built, identified: Path | None) -> dict[str, Array]:
-    """Return the identified values by path that no scene can have: of groups and particles, and of shapes."""
+    """Return by path the identified values that cannot be in the scene: those per group or particle, and of shapes."""
     if identified is None:
         return {}
-    kept = kept_of_identified(identified, built.scene, built.particles)
-    require_fitting(identified, kept, make_params(built))
-    return kept
+    values = kept_of_identified(identified, built.scene, built.particles)
+    require_fitting(identified, values, make_params(built))
+    return values
 
 
 def make_agent(built: Built, trained: Path | None, talk: Reporter) -> Agent | None:
-    """Return what drives a scene's actuators: none where no controller does.
+    """Return the agent that drives a scene's actuators; None without a controller.
 
-    Terms of the objective, and constraints, that do not fit the run are left out with a warning: recorded motions and
-    key frames are for the time that they cover, and nothing is learned here.
+    Terms of the objective and constraints that do not fit the run are removed with a warning: recorded motions and key
+    frames may not cover its duration, and nothing is learned here.
 
     Raises:
         SceneError: an observer or the controller does not fit.
@@ -172,9 +172,9 @@ def make_agent(built: Built, trained: Path | None, talk: Reporter) -> Agent | No
         if not all(len(place) == 2 and place[0] in ("objective", "constraints") for place in unfit):
             raise
         for problem in error.problems:
-            talk.warn(f"{problem}: this run goes without it")
-        left = {
+            talk.warn(f"{problem}: this run ignores it")
+        rest = {
             section: {name: term for name, term in getattr(scene, section).items() if [section, name] not in unfit}
             for section in ("objective", "constraints")
         }
-        return make_agent(replace(built, scene=scene.model_copy(update=left)), trained, talk)
+        return make_agent(replace(built, scene=scene.model_copy(update=rest)), trained, talk)

@@ -1,6 +1,6 @@
-"""Whether actuators act on the particles that a controller was trained with, where bodies were only moved.
+"""Check that actuators act on the same particles as in the training of a controller, if bodies were only moved.
 
-Routes and regions lie at places in the world; a body that is moved for a replay leaves them behind.
+Routes and regions have fixed places in the world: if a body is moved for a replay, they do not move with it.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from cqrun.explain import listed
 from cqrun.scene.paths import shapes_a_body
 
 NEAR = 1e-6
-"""Cells within which two places are the same."""
+"""Distance in cells within which two places are the same."""
 
 
-def acted_on(built: Built) -> dict[str, Any]:
-    """Return where each actuator's particles are beside their body's middle, and how bodies lie but for an offset."""
+def actuator_placement(built: Built) -> dict[str, Any]:
+    """Return the centre of each actuator's particles relative to its body, and the bodies' places without offsets."""
     particles, x = built.particles, built.particles.x
     middles = {
         part.name: (x[part.model.particles].mean(axis=0) - x[particles.of(part.spec.body)].mean(axis=0)).tolist()
@@ -33,15 +33,15 @@ def acted_on(built: Built) -> dict[str, Any]:
 
 
 def require_same(path: Path, then: Mapping[str, Any], built: Built, learned: Iterable[str]) -> None:
-    """Refuse, with a UsageError, a scene whose bodies were moved without what acts on them.
+    """Raise UsageError if bodies were moved without their actuators.
 
-    Bodies that were sampled, turned or shaped otherwise cannot be compared, and are taken.
+    Bodies that have other particles, rotations or shapes cannot be compared, and are accepted.
 
     Args:
-        path: of the controller. then: what `acted_on` said in the training.
-        learned: key paths of numbers that were learned with it.
+        path: file of the controller. then: `actuator_placement` in the training.
+        learned: key paths of the numbers that were learned with the controller.
     """
-    now = acted_on(built)
+    now = actuator_placement(built)
     shaped = any(map(shapes_a_body, learned))
     if shaped or (then["particles"], then["lie"]) != (now["particles"], now["lie"]):
         return
@@ -53,6 +53,6 @@ def require_same(path: Path, then: Mapping[str, Any], built: Built, learned: Ite
     ]
     if moved:
         raise UsageError(
-            f"{path}: {listed(moved)} would act on other particles than in the training: a route or a region lies at a "
-            "place in the world, and does not move with a body; move it too, or name parts of the body"
+            f"{path}: {listed(moved)} would act on other particles than in the training: a route or a region has a "
+            "fixed place in the world and does not move with a body; move it too, or name parts of the body"
         )

@@ -1,7 +1,7 @@
-"""A scene that acts: its observers, controller, actuators and objective as one thing that rolls out.
+"""An agent: the observers, controller, actuators and objective of a scene, with their rollouts.
 
-An episode is one rollout under the policy, with its own goals. What a controller learned is kept in a file with all
-that it must find again: the ranges of its observations, the length of the runs it was trained in, its actuators.
+An episode is one rollout with the policy and its own goals. A controller's file has its parameters and the facts that a
+replay needs: the ranges of the observations, the length of the training runs, the actuators.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from cqrun.engine.model import Inputs, LossBar, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
-from cqrun.learning.actuator_placement import acted_on, require_same
-from cqrun.learning.controller_fingerprint import differences, meaning_of
+from cqrun.learning.actuator_placement import actuator_placement, require_same
+from cqrun.learning.controller_fingerprint import controller_fingerprint, differences
 from cqrun.learning.replay import SUBSTEPS, kept_values, require_fitting
 from cqrun.objectives.term import Objective, Track, TrackBar
 from cqrun.observers.matter import Unfit
@@ -38,22 +38,22 @@ from cqrun.state import State
 from cqrun.store.atomic import disk_errors
 
 CONTROLLER = "controller."
-"""Before the name of a block of the controller, as before a key path of the scene."""
+"""Prefix of the names of the controller's blocks in key paths."""
 
 FILE = "controller.npz"
-"""Where a run keeps its controller."""
+"""File of a run's controller."""
 
 Goals = Mapping[str, Array]
 Values = Mapping[str, Array]
 
 
 OBJECTIVE, CONSTRAINTS = 1, 2
-"""Who asked for which of the probe's rows; the observation's are the first."""
+"""Indices of `Agent.places`, the rows of the probe by their user; the observation has index 0."""
 
 
 @dataclass(frozen=True)
 class Mix:
-    """A function of an episode: `loss` times its loss, and each constraint's term times its factor."""
+    """A function of an episode: `loss` times its loss plus each constraint's value times its factor."""
 
     loss: float
     constraints: Mapping[str, float]
@@ -61,24 +61,24 @@ class Mix:
 
 @dataclass(frozen=True)
 class Attempt:
-    """What is left of one rollout under the policy: not its grid, nor its records, which many episodes could not keep.
+    """The results of one episode, without its grid and its records, which would be too large for many episodes.
 
     Attributes:
-        loss: of the objective.
-        terms, held: values of its terms, and of the constraints', by name.
-        goals: of the episode.
-        activation: (T, A) as the policy decided.
-        saw: (T, Z) what the controller got.
-        growth_at: the control step where a gradient grew most, as `Rollout` has it.
-        effort: what its gradients cost.
+        loss: the loss of the objective.
+        terms, constraints: values of the objective's terms and of the constraints, by name.
+        goals: the goals of the episode.
+        activation: (T, A) decisions of the policy.
+        observations: (T, Z) inputs of the controller.
+        growth_at: the control step where a gradient grew most, from `Rollout`.
+        effort: the cost of its gradients.
     """
 
     loss: float
     terms: dict[str, float]
-    held: dict[str, float]
+    constraints: dict[str, float]
     goals: Goals
     activation: Array
-    saw: Array
+    observations: Array
     growth_at: int = -1
     effort: Effort = field(default_factory=Effort)
 
@@ -88,19 +88,19 @@ class Agent:
 
     Args:
         built: a scene with actuators and a controller; without an objective its loss is 0.
-        trained: file of a controller that is to act again; without, one acts that has yet to learn.
+        trained: file of a trained controller; None for an untrained one.
 
     Attributes:
-        params: the controller's parameters, then the scene's unknowns, as they start.
-        acting: values by path that it acts with where nothing is learned: the controller's parameters as they start
-            or as the file has them, and what was learned with them for every group or particle.
-        otherwise: a sentence where parameters in the file mean something else here than in their training.
-        starts: of the scene's unknowns, from which changes count: in a replay those of the training, if the file says.
-        model: the scene's, recording what observers and objective need.
+        params: the controller's parameters, then the scene's unknowns, at their start values.
+        acting: values by path for a simulation: the controller's parameters at their start or from the file, and the
+            values that were learned with them for every group or particle.
+        changes: a sentence if parameters in the file mean something else here than in their training.
+        starts: start values of the scene's unknowns for regularisers; in a replay those of the training, if known.
+        model: the scene's model, which records what observers and objective need.
 
     Raises:
         SceneError: an observer, the controller or a term of the objective does not fit the scene.
-        UsageError: the file is of another controller.
+        UsageError: the file has another controller.
     """
 
     def __init__(self, built: Built, trained: Path | None = None) -> None:
@@ -111,12 +111,12 @@ class Agent:
         drive = built.assembly.actuation
         self.limits = Limits(drive.low, drive.high, drive.change, drive.neutral)
         self.actuators = [part.name for part in drive.parts]
-        self.otherwise: list[str] = []
-        said = None if trained is None else self._noted(trained)
-        self.starts = starts_of(built, {} if said is None else said.get("starts", {}))
+        self.changes: list[str] = []
+        meta = None if trained is None else self._read_meta(trained)
+        self.starts = starts_of(built, {} if meta is None else meta.get("starts", {}))
         self.matter = matter_of(built, self.starts)
-        # what observers take for the run is the one they were trained in: a clock's period does not stretch
-        steps = self.matter.n_controls if said is None else int(said["n_controls"])
+        # observers use the length of the training runs: the period of a clock does not change in a replay
+        steps = self.matter.n_controls if meta is None else int(meta["n_controls"])
         self.learning = replace(self.matter, n_controls=steps)
         self.observation: Observation = self._bind(
             "observers",
@@ -130,14 +130,14 @@ class Agent:
             "constraints",
             lambda: Objective({n: c.of.value for n, c in scene.constraints.items()}, self.matter),
         )
-        asking = (self.observation, self.objective, self.constraints)
-        self.places = slices([part.rows.shape[0] for part in asking])
-        rows = sparse.vstack([part.rows for part in asking]).tocsr()
+        users = (self.observation, self.objective, self.constraints)
+        self.places = slices([user.rows.shape[0] for user in users])
+        rows = sparse.vstack([user.rows for user in users]).tocsr()
         self.model = replace(built.model, probe=sparse.csr_array(rows))
         self.params = self._params()
         self.acting = {b.path: np.array(b.initial) for b in self.params.blocks if b.path.startswith(CONTROLLER)}
-        if trained is not None and said is not None:
-            self.acting = self._taken_up(trained, said)
+        if trained is not None and meta is not None:
+            self.acting = self._load(trained, meta)
 
     def _bind(self, key: str, make: Callable[[], Any]) -> Any:
         if unreadable := unreadable_files(self.built.scene, (key,)):
@@ -159,15 +159,15 @@ class Agent:
                 n_in, len(limits.low), self.learning.n_controls, limits.low, limits.high, limits.neutral, rng
             ),
         )
-        own: list[Block] = [
+        blocks: list[Block] = [
             Plain(CONTROLLER + b.name, b.lower, b.upper, False, np.array(b.initial)) for b in self.blocks
         ]
-        return Params((*own, *make_params(self.built).blocks))
+        return Params((*blocks, *make_params(self.built).blocks))
 
     # --- a controller's file ------------------------------------------------------------------------------------
 
     def _facts(self) -> dict[str, Any]:
-        """Return what must be the same where a controller acts again."""
+        """Return the facts that must be the same in a replay of the controller."""
         return {
             "controller": self.controller.name,
             "actuators": self.actuators,
@@ -176,30 +176,30 @@ class Agent:
         }
 
     def save(self, path: Path, values: Values) -> None:
-        """Write a controller's parameters, and the values learned beside them, to a file; RunError on a full disk."""
+        """Write the controller's parameters and the other learned values to a file; RunError if the disk is full."""
         parameters = {p.removeprefix(CONTROLLER): v for p, v in values.items() if p.startswith(CONTROLLER)}
         meta = self._facts() | {
             "middle": self.observation.middle.tolist(),
             "half": self.observation.half.tolist(),
             "n_controls": self.learning.n_controls,
             SUBSTEPS: self.built.model.substeps,
-            "acted_on": acted_on(self.built),
-            "meaning": self._meaning(),
+            "acted_on": actuator_placement(self.built),
+            "meaning": self._fingerprint(),
             "unknowns": _of_scene(values),
             "starts": _of_scene(self.starts),
         }
         with disk_errors(path):
             save_controller(path, parameters, meta)
 
-    def _meaning(self) -> dict[str, Any]:
-        return meaning_of(self.built, [block.name for block in self.blocks])
+    def _fingerprint(self) -> dict[str, Any]:
+        return controller_fingerprint(self.built, [block.name for block in self.blocks])
 
-    def _noted(self, path: Path) -> dict[str, Any]:
-        """Return what a file says of its controller; UsageError where that is not this scene's."""
+    def _read_meta(self, path: Path) -> dict[str, Any]:
+        """Return the facts in a controller's file; raise UsageError if they do not fit this scene."""
         _, meta = read_controller(path)
         absent = {*self._facts(), "middle", "half", "n_controls", "unknowns"} - meta.keys()
         if absent:
-            raise UsageError(f"{path}: does not say the controller's {listed(sorted(absent))}: no run wrote it")
+            raise UsageError(f"{path}: lacks the controller's {listed(sorted(absent))}: it was not written by a run")
         for name, here in self._facts().items():
             if meta[name] != here:
                 then, now = (listed(v) if isinstance(v, list) else v for v in (meta[name], here))
@@ -211,18 +211,18 @@ class Agent:
             require_same(path, meta["acted_on"], self.built, meta["unknowns"])
         return meta
 
-    def _taken_up(self, path: Path, said: Mapping[str, Any]) -> dict[str, Array]:
-        """Take the ranges that a file has, and return the values that were learned for more than one number each."""
+    def _load(self, path: Path, meta: Mapping[str, Any]) -> dict[str, Array]:
+        """Set the ranges of the observations from a file, and return its parameters and learned values."""
         parameters, _ = load_controller(path, self.blocks)
-        middle, half = np.array(said["middle"], float), np.array(said["half"], float)
+        middle, half = np.array(meta["middle"], float), np.array(meta["half"], float)
         if not len(middle) == len(half) == self.observation.size:
             raise UsageError(
                 f"{path}: holds a controller of another shape: it saw {len(middle)} numbers, and this scene's "
                 f"observers give {self.observation.size}"
             )
         self.observation.middle, self.observation.half = middle, half
-        if "meaning" in said:
-            self.otherwise = differences(path, said["meaning"], self._meaning())
+        if "meaning" in meta:
+            self.changes = differences(path, meta["meaning"], self._fingerprint())
         kept = kept_values(path)
         require_fitting(path, kept, self.params)
         return {CONTROLLER + name: array for name, array in parameters.items()} | kept
@@ -231,15 +231,15 @@ class Agent:
 
     @property
     def goals_in_the_middle(self) -> Goals:
-        """Every goal at its position, the middle of its range."""
+        """All goals in the middle of their ranges."""
         return {name: np.array(goal.position) for name, goal in self.built.scene.goals.items()}
 
     def wanted(self, goals: Goals) -> dict[str, Any]:
-        """Return what a trajectory says of where its bodies should go [m]."""
+        """Return the goal positions [m] for the attributes of a trajectory."""
         return self.objective.wanted(goals)
 
     def rollout(self, values: Values, goals: Goals, threads: int, *, adjoint: bool = False) -> Rollout:
-        """Return a rollout under the policy with these values; nothing is run yet."""
+        """Return a rollout with the policy and these values, which has not run yet."""
         parameters = {p.removeprefix(CONTROLLER): v for p, v in values.items() if p.startswith(CONTROLLER)}
         policy = ControlPolicy(
             self.observation, self.controller, parameters, self.limits, goals, self.matter.control_step, self.model.dim
@@ -250,10 +250,10 @@ class Agent:
 
     def track(
         self, records: Records, rollout: Rollout, goals: Goals, *, activation: Array | None = None,
-        asking: int = OBJECTIVE,
+        user: int = OBJECTIVE,
     ) -> Track:  # fmt: skip
-        """Return a run as the objective sees it, or the constraints; `activation` (T, A) if not the rollout's own."""
-        at = self.places[asking]
+        """Return a run in the form of the objective or the constraints; `activation` (T, A) replaces the rollout's."""
+        at = self.places[user]
         return Track(
             records.x[:, at], records.v[:, at], records.C[:, at], records.F[:, at],
             rollout.activation if activation is None else activation, goals, self.matter.control_step,
@@ -261,26 +261,23 @@ class Agent:
         )  # fmt: skip
 
     def judged(self, rollout: Rollout, records: Records, goals: Goals) -> Attempt:
-        """Return an episode that has been run, with its loss and what its constraints hold."""
+        """Return the results of an episode that has run."""
         return self._judged(rollout, *self._tracks(rollout, records, goals))
 
     def _tracks(self, rollout: Rollout, records: Records, goals: Goals) -> tuple[Track, Track]:
-        """Return a run as the objective sees it, and as the constraints do."""
-        return (
-            self.track(records, rollout, goals, asking=OBJECTIVE),
-            self.track(records, rollout, goals, asking=CONSTRAINTS),
-        )
+        """Return a run in the form of the objective, and in that of the constraints."""
+        return self.track(records, rollout, goals), self.track(records, rollout, goals, user=CONSTRAINTS)
 
-    def _judged(self, rollout: Rollout, track: Track, held_track: Track) -> Attempt:
-        terms, held = self.objective.values(track), self.constraints.values(held_track)
+    def _judged(self, rollout: Rollout, track: Track, constraints_track: Track) -> Attempt:
+        terms, constraints = self.objective.values(track), self.constraints.values(constraints_track)
         policy: Any = rollout.policy
         loss, activation = self.objective.weighted_sum(terms), rollout.activation.copy()
-        return Attempt(loss, terms, held, track.goals, activation, np.array(policy.observations))
+        return Attempt(loss, terms, constraints, track.goals, activation, np.array(policy.observations))
 
     def attempt(
         self, values: Values, goals: Goals, threads: int, observe: Callable[[int, State], None] | None = None
     ) -> Attempt:
-        """Run one episode forward; RolloutError where it blows up."""
+        """Run one episode forward; raise RolloutError if it blows up."""
         rollout = self.rollout(values, goals, threads)
         return self.judged(rollout, rollout.run(observe), goals)
 
@@ -291,33 +288,33 @@ class Agent:
 
         Args:
             values: the controller's parameters, and any other numbers that gradients reach, by path.
-            goals: of the episode.
-            threads: to use.
-            budget: for states that are kept [bytes].
-            mixes: of the episode, what is differentiated: sums of the loss and of constraints, each by its factors.
+            goals: goals of the episode.
+            threads: number of threads.
+            budget: memory for kept states [bytes].
+            mixes: returns the functions of the episode to differentiate.
 
         Returns:
             The episode, and the gradients by path.
         """
         rollout = self.rollout(values, goals, threads, adjoint=True)
         rollout.model = replace(self.model, memory_budget=budget)
-        found: list[Attempt] = []
-        asked: list[tuple[bool, Array | None]] = []  # of each function, whether it has a sweep, and its design's bar
+        attempts: list[Attempt] = []
+        functions: list[tuple[bool, Array | None]] = []  # of each: whether it has a sweep, and the design's cotangent
 
         def loss_bars(records: Records, final: State) -> Iterator[LossBar]:
             tracks = self._tracks(rollout, records, goals)
-            found.append(self._judged(rollout, *tracks))
-            for mix in mixes(found[0]):
+            attempts.append(self._judged(rollout, *tracks))
+            for mix in mixes(attempts[0]):
                 loss_bar, design_bar = self._bars(records, *tracks, mix)
-                asked.append((loss_bar is not None, design_bar))
+                functions.append((loss_bar is not None, design_bar))
                 if loss_bar is not None:
                     yield loss_bar
 
-        own = {p: v for p, v in values.items() if not p.startswith(CONTROLLER)}
+        of_scene = {p: v for p, v in values.items() if not p.startswith(CONTROLLER)}
         _, sweeps = rollout.gradients(loss_bars)
         waiting, gradients = iter(sweeps), []
-        for swept, design_bar in asked:
-            if not swept:  # of the design alone
+        for swept, design_bar in functions:
+            if not swept:  # it depends on the design only
                 inputs_bar, parameters_bar = Inputs.zeros_like(rollout.inputs), rollout.policy.parameters_zero()  # type: ignore[union-attr]
             else:
                 sweep = next(waiting)
@@ -325,40 +322,39 @@ class Agent:
             if design_bar is not None:
                 self.built.assembly.add_design_bar(inputs_bar, design_bar)
             by_controller = {CONTROLLER + name: bar for name, bar in parameters_bar.items()}
-            gradients.append(by_controller | self.built.assembly.gradient(own, inputs_bar))
-        return replace(found[0], growth_at=rollout.growth_at, effort=Effort.of(rollout)), gradients
+            gradients.append(by_controller | self.built.assembly.gradient(of_scene, inputs_bar))
+        return replace(attempts[0], growth_at=rollout.growth_at, effort=Effort.of(rollout)), gradients
 
-    def _bars(self, records: Records, track: Track, held_track: Track, mix: Mix) -> tuple[LossBar | None, Array | None]:
-        """Return the cotangents of what the rollout gives, and of the design (Q, N), for one function of an episode.
-
-        None where it depends on nothing of that kind.
-        """
+    def _bars(
+        self, records: Records, track: Track, constraints_track: Track, mix: Mix
+    ) -> tuple[LossBar | None, Array | None]:
+        """Return the cotangents of the rollout's results and of the design (Q, N) for a function; None for zero."""
         full = records.zeros_like()
-        whole, moves = TrackBar(), False
-        for asking, bar in (
+        total, moves = TrackBar(), False
+        for user, bar in (
             (OBJECTIVE, self.objective.loss_vjp(track, mix.loss) if mix.loss else TrackBar()),
-            (CONSTRAINTS, self.constraints.values_vjp(held_track, mix.constraints)),
+            (CONSTRAINTS, self.constraints.values_vjp(constraints_track, mix.constraints)),
         ):
             for name in ("x", "v", "C", "F"):
                 part = getattr(bar, name)
                 if part is not None:
-                    getattr(full, name)[:, self.places[asking]], moves = part, True
+                    getattr(full, name)[:, self.places[user]], moves = part, True
             for name in ("activation", "design"):
-                own, total = getattr(bar, name), getattr(whole, name)
-                if own is not None:
-                    setattr(whole, name, own if total is None else total + own)
-        moves = moves or whole.activation is not None
-        return (LossBar(full, activation=whole.activation) if moves else None), whole.design
+                part, so_far = getattr(bar, name), getattr(total, name)
+                if part is not None:
+                    setattr(total, name, part if so_far is None else so_far + part)
+        moves = moves or total.activation is not None
+        return (LossBar(full, activation=total.activation) if moves else None), total.design
 
 
 def _of_scene(values: Values) -> dict[str, Any]:
-    """Return the values that are not the controller's, as JSON has them."""
+    """Return the values that are not the controller's in a form for JSON."""
     return {p: np.asarray(v).tolist() for p, v in values.items() if not p.startswith(CONTROLLER)}
 
 
 def starts_of(built: Built, trained: Mapping[str, Any]) -> dict[str, Array]:
-    """Return where the unknowns, and what follows them, start by path: in a replay where they did in the training."""
+    """Return the start values of the unknowns and their followers by path; in a replay those of the training."""
     unknowns = make_params(built)
-    own = unknowns.unpack(unknowns.start)
+    starts = unknowns.unpack(unknowns.start)
     then = {path: np.array(value, float) for path, value in trained.items()}
-    return own | {path: value for path, value in then.items() if value.shape == np.shape(own.get(path, 0.0))}
+    return starts | {path: value for path, value in then.items() if value.shape == np.shape(starts.get(path, 0.0))}

@@ -1,4 +1,4 @@
-"""A scene that acts in words: what it sees, decides, drives and is after, and whether its constraints are met."""
+"""Describe an agent in words: observers, controller, goals, objective and constraints."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from cqrun.units import format_bytes
 
 
 def line(what: str, text: str) -> str:
-    """Return a line of the table, with what it is about at its head."""
+    """Return a line of the table with its subject in the first column."""
     return f"  {what:10} {text}"
 
 
 def control_lines(agent: Agent, learned: EpisodeProblem | None) -> Iterator[str]:
-    """Yield lines on observers, controller, goals, objective, and the episodes that it is learned from, if it is."""
+    """Yield lines on observers, controller, goals and objective, and on the episodes if it is learned."""
     scene, seen = agent.built.scene, agent.observation
     for name, place in seen.parts.items():
         size = place.stop - place.start
@@ -35,12 +35,12 @@ def control_lines(agent: Agent, learned: EpisodeProblem | None) -> Iterator[str]
     if learned is not None:
         yield from _episodes(learned)
     yield from objective_lines(scene)
-    for name, held in scene.constraints.items():
-        ends = {"at least": held.at_least, "at most": held.at_most, "equal to": held.equals}
-        told = ", ".join(f"{word} {number(end)}" for word, end in ends.items() if end is not None)
+    for name, constraint in scene.constraints.items():
+        ends = {"at least": constraint.at_least, "at most": constraint.at_most, "equal to": constraint.equals}
+        limits = ", ".join(f"{word} {number(end)}" for word, end in ends.items() if end is not None)
         optimizer: Any = optimizer_of(agent.built.scene)
-        within = number(optimizer.constraint_tolerance * held.scale)
-        yield line("constraint", f"{name} ({held.of.name}): {told}, met when missed by no more than {within}")
+        tolerance = number(optimizer.constraint_tolerance * constraint.scale)
+        yield line("constraint", f"{name} ({constraint.of.name}): {limits}, with a tolerance of {tolerance}")
 
 
 def objective_lines(scene: Scene) -> Iterator[str]:
@@ -65,12 +65,12 @@ def _controller(agent: Agent, functions: int) -> Iterator[str]:
     drives = f"{_count(len(low), 'activation')} within {listed(pairs)}"
     yield line("", f"from {sees} to {drives}, every {number(scene.time.control_step)} s")
     kept = format_bytes(record_bytes(agent, functions))
-    yield line("", f"beside its states an episode keeps {kept} of what is seen, remembered and judged")
+    yield line("", f"besides its states, an episode keeps {kept} of observations, memory and records")
 
 
 def _episodes(problem: EpisodeProblem) -> Iterator[str]:
     episodes, optimizer = problem.built.scene.episodes, optimizer_of(problem.built.scene)
-    how = "one, as no goal is drawn"
+    how = "one, because no goal is drawn"
     if problem.stochastic:
         how = f"{problem.n_episodes}, with fresh goals at every iteration"
     elif problem.n_episodes > 1 or any(g.drawn for g in problem.built.scene.goals.values()):
@@ -84,8 +84,8 @@ def _count(n: int, what: str) -> str:
     return f"{n:,} {what}" + ("" if n == 1 else "s")
 
 
-def constraint_cells(found: ConstraintValue) -> tuple[str, ...]:
-    """Return what a constraint asks for, and its numbers: before where there is one, now, and the violation."""
-    ends = {"at least": found.at_least, "at most": found.at_most, "": found.equals}
-    wanted = ", ".join(f"{word} {number(end)}".strip() for word, end in ends.items() if end is not None)
-    return wanted, *(number(n) for n in (found.start, found.value, found.violation) if n is not None)
+def constraint_cells(constraint: ConstraintValue) -> tuple[str, ...]:
+    """Return a constraint's limits, and its numbers: the value before, if there is one, the value and the violation."""
+    ends = {"at least": constraint.at_least, "at most": constraint.at_most, "": constraint.equals}
+    limits = ", ".join(f"{word} {number(end)}".strip() for word, end in ends.items() if end is not None)
+    return limits, *(number(n) for n in (constraint.start, constraint.value, constraint.violation) if n is not None)

@@ -1,18 +1,18 @@
-"""A scene as a Gymnasium environment: for learners without gradients, such as PPO (extra `rl`).
+"""A scene as a Gymnasium environment, for learners without gradients such as PPO (extra `rl`).
 
     env = cqrun.environment("scenes/control/finger.yaml")
     observation, info = env.reset(seed=0)
     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
 
-A step is a control step. Observations are those of the scene's observers, or time where it has none; actions those of a
-bounded controller: numbers in [-1, 1], mapped to the actuators' limits. The reward is by how much the loss falls, were
-the run to end here and stay as it is; so an episode's rewards sum to what its end improves on its beginning, whatever
-the objective. It knows no constraints: a scene that has any is refused. Unknowns stay at their start, or in the
-environment of a run, `cqrun.environment("results/arm/d47b0a4e3f21")`, are what the run has found.
+A step is a control step. Observations are those of the scene's observers, or time if it has none. Actions are those of
+a bounded controller: numbers in [-1, 1], mapped to the actuators' limits. The reward is the decrease of the loss in the
+step, where the loss is that of a run that ends here and keeps its last record; so for any objective the rewards of an
+episode sum to the total decrease. Scenes with constraints are refused. Unknowns have their start values, or in the
+environment of a run, `cqrun.environment("results/arm/d47b0a4e3f21")`, the values that the run has found.
 
-An episode that blows up ends there, and its rewards sum to less than those of any episode have at any step so far: by
-as much as those sums lie apart, and by the size of the loss that it began with. A reward of nothing would pay wherever
-the loss grows with time.
+An episode that blows up ends there, and its rewards sum to less than those of any episode at any step so far: less by
+the spread of these sums plus the size of its first loss. With a reward of zero, blowing up would pay if the loss grows
+with time.
 """
 
 from __future__ import annotations
@@ -58,22 +58,22 @@ NEEDED = {
 """What a scene must have to be an environment, and the advice where it is missing."""
 
 CONSTRAINED = (
-    "an environment honours no constraints: make them terms of the objective, each with a weight, or remove them "
+    "an environment does not support constraints: make them weighted terms of the objective, or remove them "
     "(-o constraints={})"
 )
 
 
 class SceneEnvironment(gymnasium.Env[Array, Array]):
-    """One scene, one body of particles, one episode at a time.
+    """A scene whose actuators the caller drives, one episode at a time.
 
     Args:
-        scene: with actuators and an objective; its controller, if it has one, does not act.
-        threads: how many to use at most. Results do not depend on it.
-        design: values of its unknowns by path, and of what follows them; those that are left out are at their start.
-        source: the file that they are from.
+        scene: a scene with actuators and an objective; its controller, if it has one, is not used.
+        threads: largest number of threads. Results do not depend on it.
+        design: values of its unknowns and their followers by path; missing ones have their start values.
+        source: the file of these values.
 
     Raises:
-        SceneError: it lacks one of them, or has constraints. UsageError: the design is of other bodies.
+        SceneError: a section is missing, or there are constraints. UsageError: the design belongs to other bodies.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  the name and form that gymnasium wants
@@ -81,13 +81,13 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
     def __init__(
         self, scene: Scene, threads: int = 1, design: Values | None = None, source: Path = Path()
     ) -> None:  # fmt: skip
-        told = {key: f"an environment needs it: {why}" for key, why in NEEDED.items() if not getattr(scene, key)}
-        told |= {"constraints": CONSTRAINED} if scene.constraints else {}
-        if told:
-            raise SceneError([Problem(scene.where(key), key, message) for key, message in told.items()])
+        problems = {key: f"an environment needs it: {why}" for key, why in NEEDED.items() if not getattr(scene, key)}
+        problems |= {"constraints": CONSTRAINED} if scene.constraints else {}
+        if problems:
+            raise SceneError([Problem(scene.where(key), key, message) for key, message in problems.items()])
         if not scene.observers:
             scene = scene.model_copy(update={"observers": {"clock": Chosen("clock", Clock())}})
-        # one that answers in [-1, 1], as whoever calls `step` does in its place
+        # a controller with outputs in [-1, 1], which the actions of `step` replace
         self.agent, self.threads = Agent(build(scene.with_plugin("controller", LinearTanh()))), threads
         self.design = {} if design is None else dict(design)
         require_fitting(source, self.design, self.agent.params)
@@ -99,7 +99,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
     # --- gymnasium's interface ------------------------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode with goals drawn from their ranges; return what is seen, and the goals."""
+        """Begin an episode with goals drawn from their ranges; return the observation and the goals."""
         super().reset(seed=seed)
         agent = self.agent
         self.goals = self._draw()
@@ -113,13 +113,13 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
         return self._see(), {"goals": dict(self.goals)}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Run one control step; return (what is seen, reward, whether it blew up, whether time is over, facts).
+        """Run one control step; return (observation, reward, whether it blew up, whether time is over, facts).
 
         Raises:
-            UsageError: there is no episode to go on with, or the action is not of the space's shape, or not finite.
+            UsageError: there is no running episode, or the action has another shape or is not finite.
         """
         if not hasattr(self, "rollout") or self.over:
-            raise UsageError("step: the episode is over, or none was begun; call reset() first")
+            raise UsageError("step: the episode is over, or none has begun; call reset() first")
         rollout, model, control = self.rollout, self.agent.model, self.control
         u = np.asarray(action, np.float64)
         if u.shape != self.action_space.shape:
@@ -134,7 +134,7 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
             rollout.advance(control * model.substeps, (control + 1) * model.substeps, self.states, keep=False)
         except RolloutError as error:
             self.over = True
-            return self.seen, self._reward_of_a_blow_up(), True, False, {"failed": str(error), "loss": self.loss}
+            return self.observation, self._blow_up_reward(), True, False, {"failed": str(error), "loss": self.loss}
         self.control += 1
         before, self.loss = self.loss, self._loss_if_it_ended()
         so_far = self.first - self.loss
@@ -142,31 +142,31 @@ class SceneEnvironment(gymnasium.Env[Array, Array]):
         self.over = self.control == model.n_controls
         return self._see(), before - self.loss, False, self.over, {"loss": self.loss}
 
-    # --- what it is made of ------------------------------------------------------------------------------------------
+    # --- parts -------------------------------------------------------------------------------------------------------
 
     def _draw(self) -> Goals:
         return {name: goal.draw(self.np_random) for name, goal in self.agent.built.scene.goals.items()}
 
     def _see(self) -> Array:
         rollout, control = self.rollout, self.control
-        self.seen, self.remembered = self.policy.observe(
+        self.observation, self.remembered = self.policy.observe(
             control, rollout.records[control], rollout.memory[control], lambda: rollout.unpack(self.states[0], control)
         )
-        return self.seen
+        return self.observation
 
-    def _reward_of_a_blow_up(self) -> float:
-        """Return what brings an episode's sum of rewards below all that there were, so that blowing up cannot pay."""
+    def _blow_up_reward(self) -> float:
+        """Return a reward that makes the episode's sum less than all sums so far, so that blowing up never pays."""
         below = self.least - (self.most - self.least) - abs(self.first)
         return below - (self.first - self.loss)
 
     def _empty_track(self) -> Track:
-        """Return the episode as the objective sees it, to be filled step by step."""
+        """Return the episode in the form of the objective, which each step fills."""
         rows = Records.from_rows(self.rollout.records, self.agent.model.layout.table)
-        kept = rows.zeros_like()
-        return self.agent.track(kept, self.rollout, self.goals, activation=np.zeros_like(self.rollout.activation))
+        zeros = rows.zeros_like()
+        return self.agent.track(zeros, self.rollout, self.goals, activation=np.zeros_like(self.rollout.activation))
 
     def _loss_if_it_ended(self) -> float:
-        """Return the loss of the run so far, its last record standing for all that is to come, without effort."""
+        """Return the loss if the last record was repeated to the end of the run, with zero activations."""
         control, at = self.control, self.agent.places[OBJECTIVE]
         now = Records.from_rows(self.rollout.records[control : control + 1], self.agent.model.layout.table)
         for name in ("x", "v", "C", "F"):
@@ -182,31 +182,31 @@ def environment(
     """Return a scene as a Gymnasium environment.
 
     Args:
-        scene: a file, the scene's data, or a run's directory: its scene, with the design that it has learned.
-        overrides: `key=value`, as on the command line.
-        threads: how many to use at most; all cores if not given.
-        allow_plugins: run the Python files that the scene names.
+        scene: a file, the scene's data, or a run directory: its scene with the design that the run has learned.
+        overrides: list of `key=value`, as on the command line.
+        threads: largest number of threads; all cores if not given.
+        allow_plugins: whether the Python files of the scene's plug-ins may be run.
 
     Raises:
-        MissingExtra: gymnasium is not installed. SceneError: the scene cannot be one. UsageError: the run has found no
-            design yet, or an override is of one that it holds.
+        MissingExtra: gymnasium is not installed. SceneError: the scene does not fit. UsageError: the run has found no
+            design yet, or an override would replace it.
     """
     n_threads = cores(checked_threads("environment", scene, overrides, threads))
     is_run = not isinstance(scene, dict) and os.path.isdir(scene)  # noqa: PTH112  Path's own raises at a long text
     with plugins_allowed(allow_plugins):
         if is_run:
             return _of_run(Path(scene), overrides, n_threads)  # type: ignore[arg-type]
-        made = SceneEnvironment(load_scene(scene, overrides), n_threads)
-    if unknowns := made.agent.built.scene.unknowns:
+        env = SceneEnvironment(load_scene(scene, overrides), n_threads)
+    if unknowns := env.agent.built.scene.unknowns:
         warnings.warn(
-            f"unknowns: {listed(unknowns)} stay at their start: an environment learns no design; give the directory of "
-            "a run to act on what it has found", stacklevel=2,
+            f"unknowns: {listed(unknowns)} stay at their start: an environment learns no design; give a run directory "
+            "to use the design that the run has found", stacklevel=2,
         )  # fmt: skip
-    return made
+    return env
 
 
 def _of_run(run: Path, overrides: Sequence[str], threads: int) -> SceneEnvironment:
-    """Return the environment of a run's scene, with the design that it has learned."""
+    """Return the environment of a run's scene, with the run's design."""
     scene, file = scene_in(run), run / FILE
     design = design_in(file, scene, overrides) if file.is_file() else {}
     scene = scene_in(run, overrides)

@@ -11,9 +11,9 @@ from cqrun.running.state_loss import INSIDE, Loss
 
 
 def episode_loss(problem: EpisodeProblem) -> Loss:
-    """Return the first episode's loss plus its constraints, by the controller's parameters and the unknowns.
+    """Return the first episode's loss plus its constraints, each divided by its scale.
 
-    They are at their start, and every constraint is counted in its scale.
+    It is a function of the controller's parameters and the unknowns, at their start values.
     """
     lower, upper = problem.params.bounds
     bounded = np.isfinite(lower) & np.isfinite(upper)
@@ -24,7 +24,7 @@ def episode_loss(problem: EpisodeProblem) -> Loss:
     mix = Mix(1.0, dict(zip(problem.constraint_names, 1.0 / problem.scales, strict=True)))
 
     def total(attempt: Attempt) -> float:
-        return attempt.loss + sum(factor * attempt.held[name] for name, factor in mix.constraints.items())
+        return attempt.loss + sum(factor * attempt.constraints[name] for name, factor in mix.constraints.items())
 
     def value(x: Array) -> float:
         return total(problem.attempt(problem.values(x), goals, problem.threads))
@@ -37,7 +37,7 @@ def episode_loss(problem: EpisodeProblem) -> Loss:
 
     first = problem.attempt(problem.values(x), goals, problem.threads)
     parts = [problem.agent.objective.factors.get(name, 1.0) * value for name, value in first.terms.items()]
-    parts += [factor * first.held[name] for name, factor in mix.constraints.items()]
+    parts += [factor * first.constraints[name] for name, factor in mix.constraints.items()]
     scale = sum(map(abs, parts))
     moved = "" if np.array_equal(x, problem.params.start) else ", a little inside the bounds"
     words = "the first episode's loss" + (" and constraints" if mix.constraints else "")

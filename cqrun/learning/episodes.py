@@ -1,8 +1,8 @@
-"""Learning to act, as an optimizer sees it: the mean loss of episodes, by a controller's parameters and unknowns.
+"""Learning of control as an optimization problem: the mean loss of episodes as a function of the learned numbers.
 
-An episode is one rollout under the policy, with its own goals. Goals are drawn once, or anew at every iteration
-(`episodes.fresh`); the same seed draws the same. Rollouts of one evaluation run side by side on the cores, and share
-the threads where these are more. Neither changes a bit of the result.
+An episode is one rollout with the policy and its own goals. Goals are drawn once, or again at every iteration
+(`episodes.fresh`); the same seed draws the same goals. The rollouts of an evaluation run in parallel and share the
+threads; the results are bit-for-bit identical for any number of threads.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from cqrun.running.side_by_side import Effort, side_by_side, the_value, trial
 from cqrun.scene.schema import Scene
 
 UNSEEN = 1_000_003
-"""Where the seeds of unseen goals begin, far from any iteration's."""
+"""First number of the seeds of unseen goals, far from the number of any iteration."""
 
 
 def has_episodes(scene: Scene) -> bool:
-    """Say whether a scene has a controller, and an objective or constraints for it."""
+    """Return whether a scene has a controller, and an objective or constraints for it."""
     return scene.controller is not None and bool(scene.objective or scene.constraints)
 
 
@@ -41,14 +41,13 @@ class EpisodeProblem:
     """A `Problem` (optimizers/base.py) over the episodes of a scene.
 
     Args:
-        agent: what acts in them, of a scene with an objective or constraints. The problem starts where the scene does,
-            also where the agent acts as a file has it.
-        threads: cores to use.
+        agent: the agent; the problem starts at the scene's start values, even if the agent has a trained controller.
+        threads: number of threads.
 
     Attributes:
-        built, params: the agent's scene, and the numbers that are learned.
-        summands: names of what the loss is a sum of.
-        saw: what the controller got in the episodes of the last evaluation, (T, Z) each.
+        built, params: the agent's scene, and the numbers to learn.
+        summands: names of the terms of the loss.
+        observations: (T, Z) inputs of the controller, for each episode of the last evaluation.
     """
 
     def __init__(self, agent: Agent, *, threads: int = 1) -> None:
@@ -61,34 +60,34 @@ class EpisodeProblem:
         self.n_batches = 1 if self.stochastic else self.n_episodes
         self.summands = [*scene.objective, *[REGULARISER] * self.params.regularised]
         self.term_names: Sequence[str] = [*self.summands, "growth_at"]
-        held = scene.constraints
-        self.constraint_names: Sequence[str] = list(held)
-        self.scales = np.array([c.scale for c in held.values()])
-        self.c_low = np.array([c.low for c in held.values()]) / self.scales
-        self.c_high = np.array([c.high for c in held.values()]) / self.scales
+        constraints = scene.constraints
+        self.constraint_names: Sequence[str] = list(constraints)
+        self.scales = np.array([c.scale for c in constraints.values()])
+        self.c_low = np.array([c.low for c in constraints.values()]) / self.scales
+        self.c_high = np.array([c.high for c in constraints.values()]) / self.scales
         self.effort = Effort()
         self.interrupt: Callable[[], None] = lambda: None
         self._terms = np.full(len(self.term_names), np.nan)
-        self.saw: list[Array] = []  # (T, Z) an episode
+        self.observations: list[Array] = []
 
-    # --- regularisers: of the unknowns, and so no part of what an agent sees ------------------------------------
+    # --- regularisers of the unknowns, which an agent does not know ---------------------------------------------
 
     def attempt(self, values: Values, goals: Goals, threads: int) -> Attempt:
-        """Run one episode forward; its loss and terms with the unknowns' regularisers."""
+        """Run one episode forward; its loss and terms include the regularisers of the unknowns."""
         return self._regularised(self.agent.attempt(values, goals, threads), values)
 
     def attempt_with_gradients(
         self, values: Values, goals: Goals, threads: int, budget: int, mixes: Callable[[Attempt], Sequence[Mix]]
     ) -> tuple[Attempt, list[dict[str, Array]]]:
-        """Run one episode forward and backward, the unknowns' regularisers in its loss and in the loss's gradient."""
-        asked: list[Mix] = []
+        """Run one episode forward and backward; its loss and gradients include the regularisers of the unknowns."""
+        functions: list[Mix] = []
 
-        def noted(attempt: Attempt) -> Sequence[Mix]:
-            asked.extend(mixes(attempt))
-            return asked
+        def collected(attempt: Attempt) -> Sequence[Mix]:
+            functions.extend(mixes(attempt))
+            return functions
 
-        attempt, gradients = self.agent.attempt_with_gradients(values, goals, threads, budget, noted)
-        for mix, gradient in zip(asked, gradients, strict=True):
+        attempt, gradients = self.agent.attempt_with_gradients(values, goals, threads, budget, collected)
+        for mix, gradient in zip(functions, gradients, strict=True):
             for path, bar in self.params.departure_vjp(values, mix.loss).items():
                 gradient[path] = gradient[path] + bar
         return self._regularised(attempt, values), gradients
@@ -103,19 +102,19 @@ class EpisodeProblem:
 
     @property
     def n_episodes(self) -> int:
-        """Episodes of an iteration: one where no goal is drawn."""
+        """Number of episodes in an iteration; one if no goal is drawn."""
         scene = self.built.scene
         return scene.episodes.count if any(g.drawn for g in scene.goals.values()) else 1
 
     def goals(self, batch: tuple[int, ...] | None) -> list[Goals]:
-        """Return the goals of the episodes in a batch: of the set, or where they are fresh of an iteration (k,)."""
+        """Return the goals of the episodes in a batch; for fresh goals the batch is (k,), the iteration."""
         if self.stochastic:
             (k,) = batch or (0,)
             return [self._draw(k, e) for e in range(self.n_episodes)]
         return [self._draw(0, e) for e in (range(self.n_episodes) if batch is None else batch)]
 
     def unseen(self) -> list[Goals]:
-        """Return the goals that the result is tested on."""
+        """Return the goals for the test of the result."""
         return [self._draw(UNSEEN, e) for e in range(self.built.scene.episodes.unseen)]
 
     def _draw(self, iteration: int, episode: int) -> Goals:
@@ -131,31 +130,31 @@ class EpisodeProblem:
 
     def value_and_grad(self, x: Array, batch: tuple[int, ...] | None = None) -> tuple[float, Array]:
         """Return the mean loss of a batch of episodes and its gradient (n,)."""
-        found, (gradient,) = self._swept(x, self.goals(batch), loss_alone)
-        return float(np.mean([a.loss for a in found])), gradient
+        attempts, (gradient,) = self._swept(x, self.goals(batch), loss_alone)
+        return float(np.mean([a.loss for a in attempts])), gradient
 
     def _swept(
         self, x: Array, goals: Sequence[Goals], mixes: Callable[[Attempt], Sequence[Mix]]
     ) -> tuple[list[Attempt], list[Array]]:
-        """Run episodes forward and backward at x; return them and the gradients (n,) of the means of functions."""
+        """Run episodes forward and backward at x; return them and the gradients (n,) of the functions' means."""
         values = self.values(x)
         with trial(self.params, x):
-            found, gradients = self.attempts_with_gradients(values, goals, mixes)
-        self._note(found)
-        return found, [self.params.gradient(x, gradient) for gradient in gradients]
+            attempts, gradients = self.attempts_with_gradients(values, goals, mixes)
+        self._record(attempts)
+        return attempts, [self.params.gradient(x, gradient) for gradient in gradients]
 
     def attempts_with_gradients(
         self, values: Values, goals: Sequence[Goals], mixes: Callable[[Attempt], Sequence[Mix]] = loss_alone
     ) -> tuple[list[Attempt], list[dict[str, Array]]]:
-        """Run episodes forward and backward, side by side.
+        """Run episodes forward and backward in parallel.
 
         Args:
             values: the controller's parameters, and any other numbers that gradients reach, by path.
-            goals: of each episode.
-            mixes: of an episode, what is differentiated: its loss if not given.
+            goals: goals of each episode.
+            mixes: returns the functions of an episode to differentiate; its loss if not given.
 
         Returns:
-            The episodes, and for each function the gradient of its mean over them, by path.
+            The episodes, and for each function the gradient of its mean by path.
 
         Raises:
             RolloutError: one blows up.
@@ -170,19 +169,19 @@ class EpisodeProblem:
 
             return run
 
-        found = side_by_side([task(goal) for goal in goals], self.threads, at_once)
-        for attempt, _ in found:
+        results = side_by_side([task(goal) for goal in goals], self.threads, at_once)
+        for attempt, _ in results:
             self.effort.add(attempt.effort)
-        functions = zip(*(gradients for _, gradients in found), strict=True)
+        functions = zip(*(gradients for _, gradients in results), strict=True)
         means = [{path: np.mean([g[path] for g in each], axis=0) for path in values} for each in functions]
-        return [attempt for attempt, _ in found], means
+        return [attempt for attempt, _ in results], means
 
     def value(self, x: Array, batch: tuple[int, ...] | None = None) -> float:
         """Return the mean loss of a batch of episodes."""
         return the_value(self.values_at([x], batch))
 
     def values_at(self, points: Sequence[Array], batch: tuple[int, ...] | None = None) -> list[float | TrialFailed]:
-        """Return the mean loss at every point, or how its trial failed; rollouts side by side."""
+        """Return the mean loss at every point, or its failed trial; the rollouts run in parallel."""
         goals = self.goals(batch)
 
         def task(x: Array, goal: Goals) -> Callable[[int], Attempt | TrialFailed]:
@@ -196,80 +195,81 @@ class EpisodeProblem:
 
             return run
 
-        found = side_by_side([task(x, goal) for x in points for goal in goals], self.threads)
+        results = side_by_side([task(x, goal) for x in points for goal in goals], self.threads)
         out: list[float | TrialFailed] = []
         for p in range(len(points)):
-            own = found[p * len(goals) : (p + 1) * len(goals)]
-            failures = [a for a in own if isinstance(a, TrialFailed)]
-            done = [a for a in own if isinstance(a, Attempt)]
+            at_point = results[p * len(goals) : (p + 1) * len(goals)]
+            failures = [a for a in at_point if isinstance(a, TrialFailed)]
+            done = [a for a in at_point if isinstance(a, Attempt)]
             out.append(failures[0] if failures else float(np.mean([a.loss for a in done])))
             if len(points) == 1 and not failures:
-                self._note(done)
+                self._record(done)
         return out
 
-    # --- constraints: the means of their terms over episodes, in their scales -----------------------------------------
+    # --- constraints: means over episodes, divided by their scales ----------------------------------------------------
 
     def values_and_constraints(self, x: Array) -> tuple[float, Array]:
-        """Return the mean loss and the constraints (m,), by rollouts forward."""
+        """Return the mean loss and the constraints (m,) by forward rollouts."""
         values = self.values(x)
 
         def task(goal: Goals) -> Callable[[int], Attempt]:
             return lambda threads: self.attempt(values, goal, threads)
 
         with trial(self.params, x):
-            found = side_by_side([task(goal) for goal in self.goals(None)], self.threads)
-        self._note(found)
-        return float(np.mean([a.loss for a in found])), self._held(found)
+            attempts = side_by_side([task(goal) for goal in self.goals(None)], self.threads)
+        self._record(attempts)
+        return float(np.mean([a.loss for a in attempts])), self._constraints(attempts)
 
     def gradients_and_constraints(self, x: Array) -> tuple[float, Array, Array, Array]:
         """Return the mean loss, its gradient (n,), the constraints (m,) and their Jacobian (m, n)."""
         each = [Mix(0.0, {name: 1.0 / scale}) for name, scale in zip(self.constraint_names, self.scales, strict=True)]
-        found, (g, *rows) = self._swept(x, self.goals(None), lambda attempt: [Mix(1.0, {}), *each])
-        return float(np.mean([a.loss for a in found])), g, self._held(found), np.array(rows).reshape(-1, len(x))
+        attempts, (g, *rows) = self._swept(x, self.goals(None), lambda attempt: [Mix(1.0, {}), *each])
+        J = np.array(rows).reshape(-1, len(x))
+        return float(np.mean([a.loss for a in attempts])), g, self._constraints(attempts), J
 
     def lagrangian(self, x: Array, weigh: Callable[[Array], Array]) -> tuple[float, Array, Array]:
         """Return the mean loss, the constraints c (m,), and the gradient (n,) of loss + weigh(c).c, in one sweep."""
         goals = self.goals(None)
-        if len(goals) > 1:  # the weights are known when all episodes are
+        if len(goals) > 1:  # the weights depend on all episodes
             _, c = self.values_and_constraints(x)
-            given = weigh(c)
+            weights = weigh(c)
 
         def mixed(attempt: Attempt) -> list[Mix]:
-            w = weigh(self._held([attempt])) if len(goals) == 1 else given
+            w = weigh(self._constraints([attempt])) if len(goals) == 1 else weights
             return [Mix(1.0, dict(zip(self.constraint_names, w / self.scales, strict=True)))]
 
-        found, (g,) = self._swept(x, goals, mixed)
-        return float(np.mean([a.loss for a in found])), self._held(found), g
+        attempts, (g,) = self._swept(x, goals, mixed)
+        return float(np.mean([a.loss for a in attempts])), self._constraints(attempts), g
 
     def bounds_in_words(self, below: Array, above: Array) -> str:
-        """Return which unknowns are at a bound, given those at their lower and at their upper (n,), in words."""
+        """Return a text with the unknowns at a bound, from those at their lower and at their upper one (n,)."""
         return self.params.bounds_in_words(below, above)
 
-    def _held(self, attempts: Sequence[Attempt]) -> Array:
-        return np.array([np.mean([a.held[name] for a in attempts]) for name in self.constraint_names]) / self.scales
+    def _constraints(self, attempts: Sequence[Attempt]) -> Array:
+        return np.array([np.mean([a.constraints[n] for a in attempts]) for n in self.constraint_names]) / self.scales
 
-    def _note(self, attempts: Sequence[Attempt]) -> None:
-        """Keep the means of the terms, where the first episode's gradient grew fastest [s], what controllers saw."""
+    def _record(self, attempts: Sequence[Attempt]) -> None:
+        """Store the terms' means, the time of the first gradient's fastest growth [s], and the observations."""
         means = [float(np.mean([a.terms[name] for a in attempts])) for name in self.summands]
         control = attempts[0].growth_at
         self._terms = np.array([*means, control * self.agent.matter.control_step if control >= 0 else np.nan])
-        self.saw = [a.saw for a in attempts]
+        self.observations = [a.observations for a in attempts]
 
     def term_values(self) -> Array:
         """Return the terms at the last evaluation, in the order of `term_names`."""
         return self._terms
 
     def residuals(self, x: Array) -> Array:
-        """Refuse: an objective is no sum of squares."""
+        """Raise UsageError: an objective is not a sum of squares."""
         raise UsageError("least squares fits data; for an objective take adam, sgd, lbfgs or cma_es")
 
     def residuals_and_jacobian(self, x: Array) -> tuple[Array, Array]:
-        """Refuse, as `residuals`."""
+        """Raise UsageError, as `residuals`."""
         raise UsageError("least squares fits data; for an objective take adam, sgd, lbfgs or cma_es")
 
 
 def differentiated(problem: EpisodeProblem) -> int:
-    """Return of how many functions of an episode the scene's optimizer takes gradients, all in one backward run."""
+    """Return the number of functions of an episode whose gradients the scene's optimizer takes in one backward run."""
     optimizer = optimizer_of(problem.built.scene)
     if not optimizer.gradients:
         return 0

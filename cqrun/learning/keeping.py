@@ -1,4 +1,4 @@
-"""The controller that did best so far, in its run's directory from the first iteration on."""
+"""Save the best controller so far in its run directory, from the first iteration on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from cqrun.learning.agent import FILE
 from cqrun.learning.episodes import EpisodeProblem
-from cqrun.learning.weak_observations import faint
+from cqrun.learning.weak_observations import weak_observations
 from cqrun.optimizers.constrained import ranked, violations_in_row
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter
@@ -19,11 +19,9 @@ from cqrun.store.run import RunDirectory
 
 
 class Keeping(Progress):
-    """Keeps the controller of the best iteration so far in the run's directory, for who cannot wait.
+    """Saves the controller of the best iteration so far, and warns at the start of weak observations.
 
-    At the start it tells whether the controller hardly feels what it sees.
-
-    Where episodes change from iteration to iteration, losses are not of the same: the last one is kept.
+    If the episodes change from iteration to iteration, losses cannot be compared: then it saves the last controller.
     """
 
     def __init__(self, run: RunDirectory, problem: EpisodeProblem, talk: Reporter) -> None:
@@ -43,9 +41,9 @@ class Keeping(Progress):
         super().__call__(iteration, x, loss, terms)
         controller: Any = self._problem.built.scene.controller
         if iteration == 0 and controller.value.unit_inputs:
-            for told in faint(self._problem.agent.observation, self._problem.saw):
-                self._talk.warn(told)
-                self._run.log(told)
+            for sentence in weak_observations(self._problem.agent.observation, self._problem.observations):
+                self._talk.warn(sentence)
+                self._run.log(sentence)
         rank = self._of(terms, loss)
         if rank < self._rank or self._latest:
             self._rank = rank

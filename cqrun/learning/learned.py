@@ -1,10 +1,10 @@
-"""What a run of control or co-design leaves behind when it is done.
+"""Write the results of a run of control or co-design.
 
-controller.npz    the controller's parameters that did best
-trajectory.h5     the first episode under it
-activation.csv    what drove the actuators in it
-result.json       the objective's terms at the start and at the end, on goals that were trained on and on unseen ones;
-                  which episodes blew up; the constraints, and the unknowns of the design
+controller.npz    the best parameters of the controller
+trajectory.h5     the first episode with it
+activation.csv    the activations in this episode
+result.json       the objective's terms at the start and at the end, on the goals of the training and on unseen goals;
+                  episodes that blew up; the constraints, and the unknowns of the design
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from cqrun.store.result import (
 from cqrun.store.run import RunDirectory
 
 STAGES: dict[StageName, str] = {"start": "before", "trained": "learned", "unseen": "on unseen goals"}
-"""Stages of a result (`LearnedResult.stages`), and what they are called."""
+"""The names in tables of the stages of a result (`LearnedResult.stages`)."""
 
 
 @dataclass(frozen=True)
 class Lost:
-    """An episode that blew up: its goals, and how."""
+    """An episode that blew up: its goals and the error."""
 
     goals: Goals
     error: RolloutError
@@ -57,7 +57,7 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
     """Write the controller, its first episode and result.json; return the result.
 
     Raises:
-        RolloutError: under what was learned every episode that it was learned from blows up.
+        RolloutError: with the learned parameters all episodes of the training blow up.
     """
     values, failed = problem.values(outcome.x), outcome.status == "failed"
     result = LearnedResult(
@@ -85,9 +85,9 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
             raise next(a.error for a in learned if isinstance(a, Lost))
         write_activation(run.path / "activation.csv", problem.built, shown.activation)
         rollout = problem.agent.rollout(values, shown.goals, problem.threads)
-        found = {path: value for path, value in values.items() if not path.startswith(CONTROLLER)}
-        told = problem.agent.wanted(shown.goals) | as_found(found)
-        write_trajectory(run.path / "trajectory.h5", problem.built, rollout, provenance=told)
+        unknowns = {path: value for path, value in values.items() if not path.startswith(CONTROLLER)}
+        provenance = problem.agent.wanted(shown.goals) | as_found(unknowns)
+        write_trajectory(run.path / "trajectory.h5", problem.built, rollout, provenance=provenance)
     write_result(run.path, result)
     return result
 
@@ -97,8 +97,8 @@ def blown_up(result: LearnedResult) -> Iterator[str]:
     for name, lost in result.blew_up.items():
         stage = result.stages().get(name)
         total = len(lost) + (0 if stage is None else len(stage.episodes))
-        one = "is" if len(lost) == 1 else "are"
-        yield f"{STAGES[name]}: {len(lost)} of {total} episodes blew up and {one} in no mean: {lost[0].message}"
+        verb = "is" if len(lost) == 1 else "are"
+        yield f"{STAGES[name]}: {len(lost)} of {total} episodes blew up and {verb} in no mean: {lost[0].message}"
 
 
 def _run_all(problem: EpisodeProblem, values: dict[str, Array], goals: Sequence[Goals]) -> list[Attempt | Lost]:
@@ -120,7 +120,7 @@ def _done(tried: Tried) -> list[Attempt]:
 
 
 def _designed(block: Block, value: Array) -> Designed:
-    """Return an unknown's values, first and last, and how many of these are at its lower and upper bound."""
+    """Return an unknown's first and last values, and how many of the last ones are at its lower and upper bound."""
     scaled = block.to_scaled(np.asarray(value, float))
     ends = AtBounds(lower=int(np.sum(scaled <= AT_BOUND)), upper=int(np.sum(scaled >= 1 - AT_BOUND)))
     return Designed(initial=np.asarray(block.initial).tolist(), value=np.asarray(value).tolist(), at_bounds=ends)
@@ -135,27 +135,27 @@ def _plain(goals: Goals) -> dict[str, list[float]]:
 
 
 def constraints_of(scene: Scene, attempts: Sequence[Attempt]) -> dict[str, ConstraintValue]:
-    """Return every constraint's ends, its mean over episodes, and by how much that violates it."""
-    found = {}
-    for name, held in scene.constraints.items() if attempts else ():
-        value = float(np.mean([a.held[name] for a in attempts]))
-        found[name] = ConstraintValue(
-            at_least=held.at_least, at_most=held.at_most, equals=held.equals,
-            value=value, violation=max(0.0, held.low - value, value - held.high),
+    """Return every constraint's limits, its mean over episodes, and its violation."""
+    values = {}
+    for name, c in scene.constraints.items() if attempts else ():
+        value = float(np.mean([a.constraints[name] for a in attempts]))
+        values[name] = ConstraintValue(
+            at_least=c.at_least, at_most=c.at_most, equals=c.equals, value=value,
+            violation=max(0.0, c.low - value, value - c.high),
         )  # fmt: skip
-    return found
+    return values
 
 
 def _before_and_after(
     problem: EpisodeProblem, before: Sequence[Attempt], after: Sequence[Attempt]
 ) -> dict[str, ConstraintValue]:
-    """Return `constraints_of` the end, with the value at the start."""
+    """Return `constraints_of` the end, with the values at the start."""
     start, end = (constraints_of(problem.built.scene, attempts) for attempts in (before, after))
     return {name: end[name].model_copy(update={"start": start[name].value}) for name in start if name in end}
 
 
 def _stage(problem: EpisodeProblem, attempts: Sequence[Attempt]) -> Stage | None:
-    """Return the mean loss and terms over episodes, and those of each with its goals; None without any."""
+    """Return the mean loss and terms over episodes, and those of each episode with its goals; None without episodes."""
     if not attempts:
         return None
     return Stage(

@@ -1,4 +1,4 @@
-"""The memory that an episode needs beside the kept states: what is recorded at control steps."""
+"""The memory that an episode needs for its records, in addition to the kept states."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from cqrun.learning.agent import Agent
 from cqrun.units import format_bytes
 
 FORWARD, BACKWARD = 3, 2
-"""Copies of an episode's records that it holds at most, and how many more where there are gradients."""
+"""Largest number of copies of an episode's records, and the additional number with gradients."""
 
 
 def record_bytes(agent: Agent, functions: int) -> int:
-    """Return the bytes that an episode needs beside its states, with the gradients of several functions of it.
+    """Return the bytes that an episode needs in addition to its states, with gradients of a number of functions.
 
-    Its records are held as kernels and as terms see them, and so are the cotangents, those of every function till the
-    end.
+    Records and cotangents exist in the form of the kernels and in that of the terms; the cotangents of all functions
+    exist until the end.
     """
     model = agent.model
     assert model.probe is not None
@@ -27,15 +27,11 @@ def record_bytes(agent: Agent, functions: int) -> int:
 
 
 def require_records(agent: Agent, functions: int, at_once: int) -> None:
-    """Refuse episodes whose records do not fit the memory that is free.
-
-    Raises:
-        SceneError: at what records most.
-    """
+    """Raise SceneError, at the part with the most records, if the records of episodes do not fit the free memory."""
     import psutil
 
-    need, there = at_once * record_bytes(agent, functions), psutil.virtual_memory().available
-    if need > there:
+    need, available = at_once * record_bytes(agent, functions), psutil.virtual_memory().available
+    if need > available:
         rows = {"observers": agent.observation.rows.shape[0]}
         for key, terms in (("objective", agent.objective.terms), ("constraints", agent.constraints.terms)):
             rows |= {f"{key}.{name}": term.rows.shape[0] for name, term in terms.items()}
@@ -43,6 +39,6 @@ def require_records(agent: Agent, functions: int, at_once: int) -> None:
         message = (
             f"{rows[path]:,} of {sum(rows.values()):,} points recorded at {agent.model.n_controls:,} control steps, by "
             f"{at_once} {'episode' if at_once == 1 else 'episodes'} at once, need {format_bytes(need)}; "
-            f"{format_bytes(there)} are free: take a part of the body, or fewer and longer control steps"
+            f"{format_bytes(available)} are free: use a part of the body, or fewer and longer control steps"
         )
         raise SceneError([Problem(agent.built.scene.where(path), path, message)])

@@ -1,6 +1,6 @@
-"""What a run has learned and acts in a replay: single numbers in the scene, all others from the file that has them.
+"""The learned values of a replay: single numbers go into the scene, all others stay in their file.
 
-The file is a controller's, with what was learned beside it, or the result of a run of sysid.
+The file is that of a controller, with the other learned values, or the result of a run of sysid.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from cqrun.scene.unknowns import tied
 from cqrun.store.result import Value, read_result_file, values_in
 
 IDENTIFIED = "identified.json"
-"""Where a replay of a run of sysid keeps that run's result."""
+"""File with the result of the run of sysid that a run replays."""
 
 SUBSTEPS = "substeps"
 """What a controller's file calls the number of substeps in a control step with which it was learned."""
 
 Learned = Mapping[str, Array]
-"""Values by path: one number, or one a group or particle."""
+"""Values by path: one number, or one per group or particle."""
 
 
 def learned_in(controller: Path) -> dict[str, Array]:
-    """Return the values that were learned with a controller; UsageError for another file."""
+    """Return the values that were learned with a controller; raise UsageError for another file."""
     _, meta = read_controller(controller)
     return {path: np.array(value, float) for path, value in meta.get("unknowns", {}).items()}
 
@@ -45,23 +45,23 @@ def substeps_in(controller: Path) -> int | None:
 
 
 def identified_in(result: Path, scene: Scene) -> dict[str, Array]:
-    """Return the values that a run of sysid has identified, and of what follows them if it is single numbers.
+    """Return the values that a run of sysid has identified, and those of followers that are single numbers.
 
     Args:
-        result: the run's.
-        scene: its own, without overrides.
+        result: file of the run's result.
+        scene: the run's scene, without overrides.
     """
-    found, values = _identified(result), dict[str, Array]()
+    identified, values = _identified(result), dict[str, Array]()
     for path in scene.unknowns:
         name = canonical(scene, path)
-        value = found[name]
+        value = identified[name]
         of_path = {name: value} if isinstance(value, list) else tied(scene, path, value)
-        values |= {other: np.array(own, float) for other, own in of_path.items()}
+        values |= {other: np.array(number, float) for other, number in of_path.items()}
     return values
 
 
 def as_overrides(file: Path, learned: Learned, scene: Scene) -> list[str]:
-    """Return overrides that give a scene the single numbers among what a file has; UsageError where it lacks one."""
+    """Return overrides that set a file's single numbers in a scene; raise UsageError if the scene lacks one of them."""
     for path in learned:
         try:
             leaf(scene, path)
@@ -71,15 +71,14 @@ def as_overrides(file: Path, learned: Learned, scene: Scene) -> list[str]:
 
 
 def refuse_learned(file: Path, learned: Learned, scene: Scene | None, overrides: Sequence[str]) -> None:
-    """Refuse overrides of what stays in a file, or of a part that holds it: the file's would act.
+    """Raise UsageError for overrides of values that stay in a file, or of a section with such values.
+
+    They would have no effect, because the values of the file are used.
 
     Args:
-        file: which has the values.
-        scene: as it is without the overrides, which knows how its paths are spelt at length; None where it cannot be.
-        overrides: `key.path=value` each.
-
-    Raises:
-        UsageError: there is one.
+        file: the file with the values.
+        scene: the scene without the overrides, for the long form of its paths; None if it is not valid.
+        overrides: list of `key.path=value`.
     """
     kept = {path: value for path, value in learned.items() if is_kept_in_file(path, value)}
     for override in overrides:
@@ -90,14 +89,14 @@ def refuse_learned(file: Path, learned: Learned, scene: Scene | None, overrides:
             raise UsageError(f"-o {override}: {file} holds the body's geometry, which was learned")
         if inside := [path for path in kept if path.startswith(f"{key}.")]:
             raise UsageError(
-                f"-o {override}: {file} holds {listed(inside)}, which was learned; override what is beside it"
+                f"-o {override}: {file} holds {listed(inside)}, which was learned; override other values only"
             )
 
 
 def design_in(file: Path, scene: Scene, overrides: Sequence[str]) -> dict[str, Array]:
     """Return the values by path that were learned with a controller, without those that overrides replace.
 
-    Arguments and errors as `refuse_learned`.
+    Arguments and errors are those of `refuse_learned`.
     """
     learned = learned_in(file)
     refuse_learned(file, learned, scene, overrides)
@@ -106,7 +105,7 @@ def design_in(file: Path, scene: Scene, overrides: Sequence[str]) -> dict[str, A
 
 
 def _spelt_out(scene: Scene | None, key: str) -> str:
-    """Return the long spelling of a key path, or the path itself where a scene has nothing there."""
+    """Return the long form of a key path, or the path itself if the scene does not have it."""
     try:
         return key if scene is None else canonical(scene, key)
     except SceneError:
@@ -114,30 +113,26 @@ def _spelt_out(scene: Scene | None, key: str) -> str:
 
 
 def is_kept_in_file(path: str, value: Array) -> bool:
-    """Say whether a learned value stays in the file that has it, and does not go into the scene.
+    """Return whether a learned value stays in its file and does not go into the scene.
 
-    It is one a group or particle, or it shapes a body: particles follow it, sampled anew they would be others.
+    Such values are per group or particle, or they shape a body: sampling the new shape would give other particles.
     """
     return value.ndim > 0 or shapes_a_body(path)
 
 
 def kept_values(controller: Path) -> dict[str, Array]:
-    """Return the values by path that act in a replay and that its scene does not have; UsageError for another file."""
+    """Return the values of a replay by path that are not in its scene; raise UsageError for another file."""
     return {path: value for path, value in learned_in(controller).items() if is_kept_in_file(path, value)}
 
 
 def kept_of_identified(result: Path, scene: Scene, particles: Particles) -> dict[str, Array]:
-    """Return the same values of a run of sysid, from its result."""
+    """Return the same values for a run of sysid, from its result."""
     values = values_found(scene, particles, _identified(result))
     return {path: value for path, value in values.items() if is_kept_in_file(path, value)}
 
 
 def require_fitting(file: Path, kept: Learned, params: Params) -> None:
-    """Refuse values for groups or particles that the unknowns of a scene do not have.
-
-    Raises:
-        UsageError: with both numbers.
-    """
+    """Raise UsageError if values do not have the shapes of the scene's unknowns."""
     sizes = {block.path: block.initial.shape for block in params.blocks}
     sizes |= {f.path: block.initial.shape for block in params.blocks for f in block.followers}
     for name, array in kept.items():
@@ -149,5 +144,5 @@ def require_fitting(file: Path, kept: Learned, params: Params) -> None:
 
 
 def _identified(result: Path) -> dict[str, Value]:
-    """Return the values of the unknowns in the file of a run's result, by path."""
+    """Return the values of the unknowns in a result file by path."""
     return values_in(read_result_file(result))

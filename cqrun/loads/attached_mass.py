@@ -1,4 +1,4 @@
-"""A mass attached to particles: it moves with them, and gravity acts on it; it adds no stiffness."""
+"""A mass attached to particles: it moves with them and feels gravity, but adds no stiffness."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from cqrun.state import ParticleFields
 
 @plugin("load", "attached_mass")
 class AttachedMass(Load):
-    """A mass spread evenly over the particles of a region; m_p += mass / n."""
+    """A mass spread evenly over the n particles of a region: m_p += mass / n."""
 
-    mass: float = quantity("kg", "Attached mass, all together; in 2D per metre of depth", differentiable=True, ge=0)
+    mass: float = quantity("kg", "Total attached mass; in 2D per metre of depth", differentiable=True, ge=0)
 
     def apply(self, fields: ParticleFields, chosen: Array) -> None:
         fields.mass[chosen] += self.mass / len(chosen)

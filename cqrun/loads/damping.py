@@ -1,4 +1,4 @@
-"""Mass-proportional damping: a drag force - rate m v, as of the air; v decays as exp(-rate t)."""
+"""Mass-proportional damping: a drag force - rate m v, like that of air; v decays as exp(-rate t)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gravity: f_p = m_p g. A scene gives it as `world.gravity`; it acts on attached masses too."""
+"""Gravity: f_p = m_p g. A scene sets it with `world.gravity`; it also acts on attached masses."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""What a load is: something that adds mass, damping or force to particles, linearly in its own parameters.
+"""Loads: they add mass, damping or force to particles, linearly in their own parameters.
 
-`apply` changes `ParticleFields` in place; `apply_vjp` is its adjoint: it adds to the cotangents of the fields
-it read and returns the cotangents of its own differentiable fields. Loads are applied in the order: attached
-masses, damping, point forces, then gravity, which acts on all mass; adjoints in reverse.
+`apply` changes `ParticleFields` in place. `apply_vjp`, its adjoint, adds to the cotangents of the fields that `apply`
+reads and returns the cotangents of the load's own differentiable fields. Loads are applied in this order: attached
+masses, damping, point forces, then gravity, which acts on all mass; the adjoints run in reverse.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from cqrun.state import ParticleFields
 
 
 class Load(Plugin):
-    """A load on the particles of a body, or of all, inside a region at rest, or everywhere."""
+    """A load on the particles of a body, or of all bodies, that lie in a region at rest, or on all of them."""
 
     order: ClassVar[int] = 0
-    body: BodyName | None = Field(description="Body it acts on; all if absent", default=None)
+    body: BodyName | None = Field(description="Body that it acts on; all bodies if absent", default=None)
     region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
-        description="Where, at rest; everywhere if absent", default=None
+        description="Region at rest; everywhere if absent", default=None
     )
 
     def apply(self, fields: ParticleFields, chosen: Array) -> None:

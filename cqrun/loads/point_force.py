@@ -1,4 +1,4 @@
-"""A dead force: constant in size and direction, spread evenly over the particles of a region."""
+"""A dead load: a force of constant size and direction, spread evenly over the particles of a region."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from cqrun.state import ParticleFields
 
 @plugin("load", "point_force")
 class PointForce(Load):
-    """A constant force, all together, on the particles of a region; f_p += force / n."""
+    """A constant force, spread evenly over the n particles of a region: f_p += force / n."""
 
     order: ClassVar[int] = 2
-    force: list[float] = vector("N", "Force, all together; in 2D per metre of depth", differentiable=True)
+    force: list[float] = vector("N", "Total force; in 2D per metre of depth", differentiable=True)
 
     def apply(self, fields: ParticleFields, chosen: Array) -> None:
         fields.force[chosen] += np.array(self.force) / len(chosen)

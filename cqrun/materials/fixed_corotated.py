@@ -28,7 +28,7 @@ from cqrun.plugin.registry import plugin
 
 
 class FixedCorotatedKernel(NamedTuple):
-    """What kernels see: rows E [Pa], nu."""
+    """Kernels' view: rows E [Pa], nu."""
 
     theta: Array
     rows: tuple[int, int]
@@ -38,8 +38,9 @@ class FixedCorotatedKernel(NamedTuple):
 class FixedCorotated(MaterialTerm):
     """Fixed corotated elasticity, P = 2 mu (F - R) + lam (J - 1) J F^-T (CQ2 eq 12).
 
-    Robust under large rotations and inversion; the default of both ChainQueen papers' software. In 2D it is in plane
-    strain: E and nu are those of the 3D material, and a thin beam bends like one of modulus E / (1 - nu^2).
+    It is robust under large rotations and inversion, and the default in the software of both ChainQueen papers.
+    In 2D it is in plane strain: E and nu are those of the 3D material, and a thin beam bends like one of modulus
+    E / (1 - nu^2).
     """
 
     parameters: ClassVar[tuple[str, ...]] = ("youngs_modulus", "poissons_ratio")

@@ -1,7 +1,7 @@
-"""The histories of a material's terms in a lane of particles: read, carried over a substep, and back.
+"""Read, update and write the histories of a material's terms in a lane of particles, and the adjoints.
 
-A history is some rows of the state q, which a term's kernel class names in its field `history`. Kernels of a material
-without history hold none of this code: every function here is chosen by the terms' classes when they are compiled.
+A history is a set of rows of the state q; a term's kernel class names them in its field `history`. The classes of the
+terms select these functions at compile time, so kernels of a material without history contain none of this code.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cqrun.plugin.contract import Array
 
 
 def load_history(term: Any, q: Array, i: int) -> Any:
-    """Return the lane values of a term's history, a tuple; empty for a term without one."""
+    """Return the lane values of a term's history as a tuple; empty for a term without history."""
     return tuple(load(q, row, i) for row in term.history) if has_history(type(term)) else ()
 
 
@@ -29,14 +29,14 @@ def store_history(term: Any, q: Array, i: int, values: Any) -> None:
 
 
 def accumulate_history(term: Any, q_bar: Array, i: int, bars: Any) -> None:
-    """Add the last of a stress's cotangents to that of the term's history, if it has one."""
+    """Add the last of a stress's cotangents to that of the term's history, if there is one."""
     if has_history(type(term)):
         for row, value in zip(term.history, bars[3], strict=True):
             accumulate(q_bar, row, i, value)
 
 
 def _n_rows(term: Any) -> int:
-    """Return how many rows the history of a kernel class has, given its Numba type."""
+    """Return the number of rows of a history, for the Numba type of the term."""
     return len(term.types[term.fields.index("history")])
 
 
@@ -63,11 +63,11 @@ def _accumulate_history(term, q_bar, i, bars):
     return written(f"lambda term, q_bar, i, bars: {entries}", {"accumulate": accumulate})
 
 
-# --- over a substep, all terms of a material -----------------------------------------------------------------
+# --- a substep, all terms of a material ----------------------------------------------------------------------
 
 
 def update_histories(terms: Any, q: Array, q_next: Array, i: int, F: Any, F_next: Any, dt: float) -> None:
-    """Write the histories of all terms after a substep that takes F to F_next; q_next may be q."""
+    """Write the histories of all terms after a substep from F to F_next; q_next may be q."""
     for term in terms:
         if has_history(type(term)):
             theta, h = load_rows(term.theta, term.rows, i), load_history(term, q, i)
@@ -76,7 +76,7 @@ def update_histories(terms: Any, q: Array, q_next: Array, i: int, F: Any, F_next
 
 @overload(update_histories)
 def _update_histories(terms, q, q_next, i, F, F_next, dt):
-    if len(terms) == 0:
+    if not any(has_history(term.instance_class) for term in terms):
         return lambda terms, q, q_next, i, F, F_next, dt: None
     if not has_history(terms[0].instance_class):
         return lambda terms, q, q_next, i, F, F_next, dt: update_histories(terms[1:], q, q_next, i, F, F_next, dt)
@@ -93,10 +93,10 @@ def update_histories_vjp(
     terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, F_next: Any, dt: float, F_bar: Any,
     F_next_bar: Any,
 ) -> Any:  # fmt: skip
-    """Return F_bar and F_next_bar with what the histories add to them.
+    """Return F_bar and F_next_bar with the terms from the histories; an empty tuple F_bar stands for zero.
 
-    Turn the cotangents of the histories after the substep, which lie in q_bar, into those before it, and add to those
-    of the parameters. `F_bar` is an empty tuple for zero.
+    In q_bar, replace the cotangents of the histories after the substep by those before it; add to those of the
+    parameters.
     """
     for term, term_bar in zip(terms, terms_bar, strict=True):
         if has_history(type(term)):
@@ -110,7 +110,7 @@ def update_histories_vjp(
 
 @overload(update_histories_vjp)
 def _update_histories_vjp(terms, terms_bar, q, q_bar, i, F, F_next, dt, F_bar, F_next_bar):
-    if len(terms) == 0:
+    if not any(has_history(term.instance_class) for term in terms):
         return lambda terms, terms_bar, q, q_bar, i, F, F_next, dt, F_bar, F_next_bar: (F_bar, F_next_bar)
 
     def none(terms, terms_bar, q, q_bar, i, F, F_next, dt, F_bar, F_next_bar):

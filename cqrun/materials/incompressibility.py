@@ -1,9 +1,9 @@
 """Incompressibility penalty: P += E / (3 (2 - 4 nu)) p (J - 1)^(p - 1) J F^-T  (CQ2 eq 14).
 
 So tau += kappa/2 p (J - 1)^(p - 1) J I with the bulk modulus kappa = E / (3 (1 - 2 nu)), from the energy
-kappa/2 (J - 1)^p. CQ2 prints 2 - 2 nu, which is no bulk modulus; with 2 - 4 nu the power p = 2 is the
-standard kappa/2 (J - 1)^2 of Bonet and Wood, whom CQ2 cites. p must be even, or the term would push the
-same way for J < 1 and J > 1.
+kappa/2 (J - 1)^p. CQ2 prints 2 - 2 nu, which does not give a bulk modulus. With 2 - 4 nu the power p = 2 gives
+kappa/2 (J - 1)^2 as in Bonet and Wood, whom CQ2 cites. p must be even: with an odd p the term would push in the same
+direction for J < 1 and J > 1.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cqrun.plugin.registry import plugin
 
 
 class IncompressibilityKernel(NamedTuple):
-    """What kernels see: rows E [Pa], nu, shared with the elastic term; the even power."""
+    """Kernels' view: rows E [Pa], nu, shared with the elastic term, and the even power."""
 
     theta: Array
     rows: tuple[int, int]
@@ -29,7 +29,7 @@ class IncompressibilityKernel(NamedTuple):
 
 @plugin("material_term", "incompressibility")
 class Incompressibility(MaterialTerm):
-    """Penalty on volume change with energy kappa/2 (J - 1)^power, kappa the elastic term's bulk modulus (CQ2 eq 14)."""
+    """Penalty on volume change: energy kappa/2 (J - 1)^power with the elastic term's bulk modulus kappa (CQ2 eq 14)."""
 
     parameters: ClassVar[tuple[str, ...]] = ("youngs_modulus", "poissons_ratio")
     power: int = Field(2, ge=2, description="even power p of J - 1 [1]")
@@ -39,7 +39,7 @@ class Incompressibility(MaterialTerm):
     def _even(cls, power: int) -> int:
         if power % 2:
             raise ValueError(
-                f"{power} is odd: the penalty would push the same way for J < 1 and J > 1; use an even power"
+                f"{power} is odd: the penalty would push in the same direction for J < 1 and J > 1; use an even power"
             )
         return power
 
@@ -47,7 +47,7 @@ class Incompressibility(MaterialTerm):
         return IncompressibilityKernel(theta, (0, 0), self.power)
 
     def wave_modulus(self, theta: Array) -> Array:  # type: ignore[override]
-        """Return kappa at rest for p = 2; a higher power is flat at J = 1."""
+        """Return kappa for p = 2, otherwise 0: a higher power has no stiffness at J = 1."""
         return bulk_modulus(theta[0], theta[1]) * (self.power == 2)
 
 

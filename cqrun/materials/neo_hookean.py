@@ -1,7 +1,7 @@
 """Neo-Hookean elasticity: P = mu (F - F^-T) + lam log(J) F^-T  (CQ2 eq 13).
 
 tau = P F^T = mu (F F^T - I) + lam log(J) I, from the energy mu/2 (tr F F^T - D - 2 log J) + lam/2 log(J)^2.
-It has a pole at J = 0: an element that inverts gives a non-finite stress, which stops the rollout.
+It has a pole at J = 0: an inverted element gives a stress that is not finite, which stops the rollout.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cqrun.plugin.registry import plugin
 
 
 class NeoHookeanKernel(NamedTuple):
-    """What kernels see: rows E [Pa], nu."""
+    """Kernels' view: rows E [Pa], nu."""
 
     theta: Array
     rows: tuple[int, int]
@@ -27,8 +27,9 @@ class NeoHookeanKernel(NamedTuple):
 class NeoHookean(MaterialTerm):
     """Neo-Hookean elasticity, P = mu (F - F^-T) + lam log(J) F^-T (CQ2 eq 13).
 
-    The material of every experiment in CQ2. Stiffens without bound as the volume goes to zero. In 2D it is in plane
-    strain: E and nu are those of the 3D material, and a thin beam bends like one of modulus E / (1 - nu^2).
+    It is the material of every experiment in CQ2. It stiffens without bound as the volume goes to zero.
+    In 2D it is in plane strain: E and nu are those of the 3D material, and a thin beam bends like one of modulus
+    E / (1 - nu^2).
     """
 
     parameters: ClassVar[tuple[str, ...]] = ("youngs_modulus", "poissons_ratio")

@@ -1,4 +1,4 @@
-"""The stress of a material in a lane of particles: the sum of its terms, and the adjoint."""
+"""The stress of a material in a lane of particles, the sum of its terms, and the adjoint."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cqrun.plugin.contract import Array
 
 
 def total_kirchhoff(terms: Any, q: Array, i: int, F: Any, C: Any) -> Any:
-    """Return the summed Kirchhoff stress of all terms for the lane of particles at i."""
+    """Return the sum of the Kirchhoff stresses of all terms for the lane of particles at i."""
     theta = load_rows(terms[0].theta, terms[0].rows, i)
     tau = kirchhoff(terms[0], theta, F, C, load_history(terms[0], q, i))
     return add(tau, total_kirchhoff(terms[1:], q, i, F, C)) if len(terms) > 1 else tau
@@ -35,7 +35,7 @@ def _total_kirchhoff(terms, q, i, F, C):
 def total_kirchhoff_vjp(
     terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, C: Any, tau_bar: Any
 ) -> Any:
-    """Return (F_bar, C_bar); add to the parameters' cotangents in terms_bar, and to the histories' in q_bar."""
+    """Return (F_bar, C_bar); add to the cotangents of the parameters in terms_bar and of the histories in q_bar."""
     theta = load_rows(terms[0].theta, terms[0].rows, i)
     bars = kirchhoff_vjp(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)
     accumulate_rows(terms_bar[0].theta, terms[0].rows, i, bars[0])

@@ -1,17 +1,17 @@
-"""What a kernel asks of a constitutive term: its Kirchhoff stress, its history if it has one, and their adjoints.
+"""The interface of a constitutive term to the kernels: Kirchhoff stress, an optional history, and their adjoints.
 
-The stress of a material is a sum of terms. A term reaches a kernel as a `NamedTuple` of its own class, with
-per-particle parameters `theta` (rows, n) and `rows`, a tuple whose length is the number of rows, so that it
-is known when the kernel is compiled. The class picks the functions:
+The stress of a material is a sum of terms. Kernels get a term as a `NamedTuple` of its own class, with per-particle
+parameters `theta` (rows, n) and `rows`, a tuple whose length is the number of rows and so known at compile time. The
+class selects the functions:
 
     stress(term, theta, F, C)               -> tau
     stress_vjp(term, theta, F, C, tau_bar)  -> theta_bar, F_bar, C_bar
 
-theta is a tuple of the rows at one lane of particles, F and C are tuples of D * D (`tensor.py`), and tau is
-the Kirchhoff stress P F^T [Pa]. An adjoint is linear in the cotangent that it is given, and returns rather than adds.
+theta is a tuple of the rows at one lane of particles, F and C are tuples of D * D numbers (`tensor.py`), and tau is the
+Kirchhoff stress P F^T [Pa]. An adjoint is linear in its cotangent; it returns its results and does not add them.
 
 A term with history declares numbers of the state in `MaterialTerm.history`. Its kernel class has one more field,
-`history`, a tuple of the rows of the state where these numbers lie, and its functions see their values h as a tuple:
+`history`, a tuple of the rows of these numbers in the state; its functions get their values h as a tuple:
 
     stress(term, theta, F, C, h)                              -> tau
     stress_vjp(term, theta, F, C, h, tau_bar)                 -> theta_bar, F_bar, C_bar, h_bar
@@ -42,10 +42,10 @@ kirchhoff, kirchhoff_vjp, update, update_vjp = (f.call for f in (_STRESS, _STRES
 
 
 class MaterialTerm(Plugin):
-    """A term of a material's stress, as a scene gives it.
+    """A term of a material's stress in a scene.
 
-    `parameters` names the fields that become rows of theta, in that order. Values arrive as one number or as
-    one a particle (N,).
+    `parameters` names the fields that become rows of theta, in this order. A value is one number or one per particle
+    (N,).
     """
 
     def kernel_term(self, theta: Array) -> Any:
@@ -53,25 +53,25 @@ class MaterialTerm(Plugin):
         raise NotImplementedError
 
     def history(self, dim: int) -> tuple[StateField, ...]:
-        """Return what of the state this term adds in a world of `dim` dimensions; nothing for most terms.
+        """Return the fields that this term adds to the state in `dim` dimensions; most terms add none.
 
-        Names count within the plug-in: `H` of the term `prony` is `prony.H` in the state.
+        The state prefixes their names with the plug-in's: `H` of the term `prony` becomes `prony.H`.
         """
         return ()
 
     @staticmethod
     def wave_modulus(theta: Array) -> Array:
-        """Return what the term adds to rho c^2, the stiffness of a pressure wave at rest [Pa], shape (n,)."""
+        """Return the term's part of rho c^2, the stiffness of a pressure wave at rest [Pa], shape (n,)."""
         return np.zeros(theta.shape[1])
 
     @staticmethod
     def wave_viscosity(theta: Array) -> Array:
-        """Return what the term adds to 4/3 eta + zeta [Pa s], shape (n,)."""
+        """Return the term's part of 4/3 eta + zeta [Pa s], shape (n,)."""
         return np.zeros(theta.shape[1])
 
 
 def register(kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any]) -> None:
-    """Make `stress` and `stress_vjp` the functions of a kernel class without history."""
+    """Register the functions of a kernel class without history."""
     _STRESS.register(kernel_class, stress, "term, theta, F, C")
     _STRESS_VJP.register(kernel_class, stress_vjp, "term, theta, F, C, tau_bar")
 
@@ -80,18 +80,18 @@ def register_with_history(
     kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any], update: Callable[..., Any],
     update_vjp: Callable[..., Any],
 ) -> None:  # fmt: skip
-    """Make the four functions those of a kernel class with history."""
+    """Register the functions of a kernel class with history."""
     for table, body in ((_STRESS, stress), (_STRESS_VJP, stress_vjp), (_UPDATE, update), (_UPDATE_VJP, update_vjp)):
         table.register(kernel_class, body)
 
 
 def is_stress(kernel_class: type) -> bool:
-    """Say whether a kernel class is of a term of the stress."""
+    """Return whether a kernel class belongs to a term of the stress."""
     return kernel_class in _STRESS
 
 
 def has_history(kernel_class: type) -> bool:
-    """Say whether the terms of a kernel class have a history."""
+    """Return whether the terms of a kernel class have a history."""
     return kernel_class in _UPDATE
 
 
@@ -104,7 +104,7 @@ def load_rows(theta: Array, rows: tuple[int, ...], i: int) -> Any:
 
 
 def written_tuple(item: str, n: int) -> str:
-    """Return the source of a tuple of n entries, `item` with r from 0 on."""
+    """Return the source of a tuple of n entries: `item` with r = 0, 1, ..."""
     return "(" + "".join(item.format(r=r) + ", " for r in range(n)) + ")"
 
 
@@ -127,7 +127,7 @@ def _accumulate_rows(theta_bar, rows, i, values):
 
 
 def zeros_like_rows(a: Any) -> Any:
-    """Return a tensor of zeros like the tensor `a` of lanes or numbers."""
+    """Return a tensor of zeros like the tensor `a`, of lanes or numbers."""
     return tuple(entry * 0.0 for entry in a)
 
 

@@ -1,7 +1,7 @@
 """Kelvin-Voigt viscosity: tau_v = J (2 eta dev(d) + zeta tr(d) I), d = sym(C).
 
-C is the affine velocity matrix, the particle's velocity gradient. dev(d) = d - tr(d)/3 I in 2D too (plane
-strain: d_zz = 0). A rigid rotation has d = 0; the dissipation tau_v : d / J is never negative.
+C is the affine velocity matrix, the particle's velocity gradient. dev(d) = d - tr(d)/3 I also in 2D (plane strain:
+d_zz = 0). In a rigid rotation d = 0; the dissipation tau_v : d / J is never negative.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cqrun.plugin.registry import plugin
 
 
 class ViscosityKernel(NamedTuple):
-    """What kernels see: rows eta, zeta [Pa s]."""
+    """Kernels' view: rows eta, zeta [Pa s]."""
 
     theta: Array
     rows: tuple[int, int]

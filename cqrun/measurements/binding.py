@@ -1,9 +1,9 @@
-"""Where a marker stands on a body: its foot among the particles at rest, and the stem from there.
+"""Bind markers to a body: each marker has a foot among the particles at rest, and a stem from the foot.
 
-The foot is a mean of the particles nearest to the marker, weighted smoothly by their distance, so
-that it sits in the middle when several are equally near. A marker inside the body has its foot at
-itself: there the weights are corrected (moving least squares) to give back every affine field at
-that very point. In both cases rows @ x is the foot, and the foot of an affine motion moves affinely.
+The foot is a weighted mean of the particles nearest to the marker. The weights decrease smoothly
+with distance, so the foot is in the middle of particles that are equally near. If a marker is inside
+the body, the foot is the marker itself: moving least squares corrects the weights, so that they are
+exact for affine fields at this point. In both cases foot = rows @ x, and affine motion moves it affinely.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class Binding:
     """M points bound to a body.
 
     Attributes:
-        rows: (M, N) sparse; every row sums to 1; foot = rows @ particles.
-        stems: (M, D) from the foot to the point, at rest [m].
+        rows: (M, N) sparse weights; every row sums to 1; foot = rows @ particles.
+        stems: (M, D) vectors from the foot to the point, at rest [m].
     """
 
     rows: csr_array
@@ -42,7 +42,7 @@ def bind(points: Array, particles: Array, spacing: float) -> Binding:
     """Bind points (M, D) to the body whose particles (N, D) are at rest.
 
     Args:
-        points: rest positions [m]; outside the body they stand on stems.
+        points: rest positions [m]; a point outside the body has a stem.
         particles: positions of the body's particles [m].
         spacing: mean distance of particles, (volume of the body / N)**(1/D) [m].
     """
@@ -54,7 +54,7 @@ def bind(points: Array, particles: Array, spacing: float) -> Binding:
 
 
 def pick(indices: Array, count: int) -> csr_array:
-    """Return rows (len(indices), count) that pick single particles."""
+    """Return rows (len(indices), count) that select single particles."""
     index = np.asarray(indices, dtype=int)
     if index.size and (index.min() < 0 or index.max() >= count):
         raise ValueError(f"particle indices must be from 0 to {count - 1}")
@@ -62,7 +62,7 @@ def pick(indices: Array, count: int) -> csr_array:
 
 
 def _weights(point: Array, particles: Array, spacing: float, inside: float) -> tuple[Array, Array]:
-    """Return the particles that carry a point, and their weights, which sum to 1."""
+    """Return the indices of the particles that carry a point, and their weights, which sum to 1."""
     squared = ((particles - point) ** 2).sum(axis=1)
     nearest = squared.min()
     power = (squared - nearest) / (REACH * spacing) ** 2

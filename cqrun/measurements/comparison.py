@@ -1,4 +1,4 @@
-"""What the records of one rollout are compared with: a loss, its residuals and its adjoint."""
+"""Compare the records of a rollout with a recording: a loss, its residuals and its adjoint."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Misfit:
     """Root mean squares of the errors' lengths, in the measurement's unit.
 
     Attributes:
-        total: over all that was seen.
-        channels: by channel; NaN for one that is not seen in the window.
+        total: over all channels and frames that were seen.
+        channels: by channel; NaN for a channel that is not seen in the window.
     """
 
     total: float
@@ -32,13 +32,13 @@ class Misfit:
 
 
 class Comparison(ABC):
-    """A number to be made small, from a rollout's records and the time in the recording at which the run begins.
+    """A number to minimise: it depends on a rollout's records, and on the time in the recording when the run begins.
 
     Attributes:
         rows: (K, N) weights of the sums over particles that the rollout records.
-        count: how many squares the loss is the mean of.
-        weight: in the loss, beside other comparisons.
-        remark: what a user should know of how the recording was taken, or nothing.
+        count: number of squares whose mean is the loss.
+        weight: weight in the loss, if there are other comparisons.
+        remark: what a user should know about how the recording was made; may be empty.
     """
 
     rows: csr_array
@@ -64,7 +64,7 @@ class Comparison(ABC):
         return self.count
 
     def too_early(self, start: float) -> str:
-        """Say what is wrong with a start from which the run ends before the last frame that is compared, or nothing."""
+        """Return why a start is too early, so that the run ends before the last compared frame; empty if it is not."""
         return ""
 
     def series(self) -> Sequence[tuple[Array, Array, Array]]:
@@ -79,15 +79,15 @@ class Comparison(ABC):
         return Misfit(float(np.sqrt(self.loss(records, start))), {})
 
     def facts(self) -> dict[str, Any]:
-        """Return what result.json says of the recording itself; nothing by default."""
+        """Return facts about the recording itself for result.json; nothing by default."""
         return {}
 
     def wanted(self) -> dict[str, Any]:
-        """Return what a trajectory says of where its bodies should go, for pictures; nothing by default."""
+        """Return the target positions that a trajectory stores for pictures; nothing by default."""
         return {}
 
     def summary(self) -> str:
-        """Return what is compared, for `cqrun validate`; nothing by default."""
+        """Describe the comparison for `cqrun validate`; nothing by default."""
         return ""
 
     def table(self, records: Records, start: float) -> Iterator[list[object]]:

@@ -32,10 +32,10 @@ RestPosition = Annotated[list[float], Field(min_length=2, max_length=3)]
 
 @plugin("measurement", "markers")
 class Markers(Measurement):
-    """Motion of markers on a body: `{NAME: [x, y(, z)]}`, where each marker used is at rest in the scene [m].
+    """Motion of markers on a body: `{NAME: [x, y(, z)]}` gives the rest position of each marker in the scene [m].
 
-    With `still` frames in the recording, its axes are aligned to the markers' rest positions, and displacements from
-    each marker's own mean over those frames are compared; without, positions in the scene's own frame. A marker off the
+    If the recording has `still` frames, its axes are aligned to the rest positions, and each marker's displacement from
+    its mean over these frames is compared. If not, positions in the axes of the scene are compared. A marker off the
     body stands on a rigid stem. The file is C3D, CSV with the columns time, marker, x, y(, z), or a trajectory.h5.
     """
 
@@ -61,9 +61,9 @@ class Markers(Measurement):
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        told = f"must have {dim} entries in this {dim}D world, has "
+        message = f"must have {dim} entries in this {dim}D world, has "
         wrong = {name: len(x) for name, x in self.rest.items() if len(x) != dim}
-        return super().dim_problems(dim) + [((name,), f"{told}{n}") for name, n in wrong.items()]
+        return super().dim_problems(dim) + [((name,), f"{message}{n}") for name, n in wrong.items()]
 
     def bind(self, recorded: Recorded, matter: Matter) -> SeriesComparison:
         measured = measure(recorded.read_markers(), self.rest, recorded.still)

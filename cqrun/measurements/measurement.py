@@ -1,4 +1,4 @@
-"""What a measurement is: a plug-in that reads a recording and compares a model with it."""
+"""Base of measurements: a measurement is a plug-in that reads a recording and compares a model with it."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class Recorded:
     """A recording as the scene describes it, for a measurement to read.
 
     Attributes:
-        file: where it is.
+        file: path of the file.
         body: the body that was measured.
-        units: of lengths in the file, or None.
+        units: length unit of the file, or None.
         still: first and last time of the frames at rest [s], or None.
-        weight: in the loss.
+        weight: weight in the loss.
         window: which frames are compared.
-        read_markers: reads the file as tracks of markers, from any of their formats; DataError where it is none.
+        read_markers: reads a marker file of any format; DataError if the file is not one.
     """
 
     file: Path
@@ -40,14 +40,14 @@ class Recorded:
 
 
 class Measurement(Plugin):
-    """Base of the plug-ins of kind `measurement`: the name of one is a key of a recording.
+    """Base of the plug-ins of kind `measurement`, whose names are keys of a recording.
 
     Attributes:
-        quantity: what is measured, as pictures name it.
-        unit: SI unit of the residuals; `1` where they have none.
+        quantity: name of the measured quantity in pictures.
+        unit: SI unit of the residuals; `1` if they have none.
         shown: unit in which errors are reported.
-        digits: how they are formatted.
-        channel: what each series of a recording is of, such as a marker.
+        digits: format of reported errors.
+        channel: name for the source of each series, such as `marker`.
         table: stem of the CSV file with data and model; the plug-in's name if empty.
         takes: which of the recording's fields `still` and `units` it uses; the others are refused.
     """

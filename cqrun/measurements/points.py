@@ -1,8 +1,8 @@
-"""Markers: points that move rigidly with the piece of a body they stand on, stems included.
+"""Markers: points, possibly on stems, that move rigidly with the part of a body where they are attached.
 
-y = x_f + R_f s with the foot x_f, the stem s at rest and R_f the rotation of the foot's deformation
-gradient. Their velocity takes the foot's spin from the skew part of C_f; it serves to interpolate
-between control steps, where the strain's share in the spin would be of second order.
+y = x_f + R_f s, with the foot x_f, the stem s at rest, and the rotation R_f of the deformation gradient
+at the foot. For the velocity, the spin of the foot is the skew part of C_f. The velocity is used only
+for interpolation between control steps, where the contribution of strain to the spin is second order.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Points:
-    """Points observed over particles: on stems (markers), or none (tracked particles).
+    """Points that are observed through particles: with stems (markers) or without (tracked particles).
 
     Attributes:
-        rows: sparse (M, N): one row a point over the body's particles, each summing to 1.
-        stems: (M, D) at rest [m]; None where every stem is nought, so that F and C do not matter.
+        rows: sparse (M, N): weights of the body's particles for each point; every row sums to 1.
+        stems: (M, D) at rest [m]; None if all are zero, so that F and C do not matter.
     """
 
     rows: csr_array

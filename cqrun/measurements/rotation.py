@@ -1,7 +1,7 @@
-"""The rotation in a deformation gradient, F = R S, for arrays of them, and its adjoint.
+"""The rotation R of deformation gradients F = R S (polar decomposition), and its adjoint.
 
-dR = R [w]x with (tr(S) I - S) w = axl(R^T dF - dF^T R): nothing divides by differences of singular
-values, so it is as smooth at rest (F = I) as anywhere. R stays a rotation where det F < 0.
+dR = R [w]x with (tr(S) I - S) w = axl(R^T dF - dF^T R). This does not divide by differences of
+singular values, so it is smooth at rest (F = I) too. R is a rotation even if det F < 0.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def rotation(F: Array) -> Array:
     """Return the rotations R (..., D, D) of F (..., D, D), D = 2 or 3.
 
     Raises:
-        CrushedError: an F is so crushed that its rotation is undefined.
+        CrushedError: an F is so singular that its rotation is undefined.
     """
     if F.shape[-1] == 2:
         cosine, sine = F[..., 0, 0] + F[..., 1, 1], F[..., 1, 0] - F[..., 0, 1]
@@ -34,7 +34,7 @@ def rotation(F: Array) -> Array:
 
 
 def rotation_vjp(F: Array, R: Array, R_bar: Array) -> Array:
-    """Return the cotangent of F from that of R = rotation(F), all (..., D, D)."""
+    """Return the cotangent of F from the cotangent of R = rotation(F), all (..., D, D)."""
     Rt = np.swapaxes(R, -1, -2)
     S, B = Rt @ F, Rt @ R_bar
     if F.shape[-1] == 2:
@@ -58,7 +58,7 @@ def cross_matrix(w: Array) -> Array:
 
 
 def _check(denominator: Array, scale: Array) -> None:
-    """Refuse an F whose two smallest signed singular values cancel."""
+    """Raise a CrushedError if the two smallest signed singular values of an F sum to about zero."""
     bad = ~(denominator > _SINGULAR * scale)
     if bad.any():
         where = tuple(int(i[0]) for i in np.nonzero(bad))

@@ -1,8 +1,8 @@
-"""Time series that were measured, beside those of a model.
+"""Compare measured time series with those of a model.
 
-Error of a channel in a frame: the model's value, or its change since the run began, less what was measured. Loss: the
-mean over frames and channels that were seen of the squared length of the error. RMSE: its root, so that
-loss = RMSE^2, whatever the number of components.
+The error of a channel in a frame is the model's value, or its change since the run began, minus the measured value. The
+loss is the mean squared length of the errors, over all frames and channels that were seen. The RMSE is the root of the
+loss, so loss = RMSE^2 for any number of components.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ if TYPE_CHECKING:
 
 
 class SeriesComparison(Comparison):
-    """A recording of M channels with D components each, beside the model's.
+    """Compare a recording of M channels, with D components each, with a model.
 
-    A subclass says what the model's channels are, by `observe` and `observe_vjp`. The frames that count are fixed once
-    (`Window.frames`). In frames before the run begins the model rests.
+    A subclass defines the model's channels by `observe` and `observe_vjp`. The compared frames are chosen once
+    (`Window.frames`). In frames before the run begins, the model is at rest.
 
     Attributes:
-        times: (F,) the recording's times of the frames that count [s].
-        data: (F, M, D) what was measured; 0 where not seen.
+        times: (F,) times of the compared frames in the recording [s].
+        data: (F, M, D) measured values; 0 where not seen.
         seen: (F, M) of bool.
         names: M channels.
-        count: number of seen channels and frames together.
-        still: (T_s, M, D) values in the still frames; T_s = 0 where there are none.
+        count: number of pairs of a channel and a frame in which it was seen.
+        still: (T_s, M, D) values in the still frames; T_s = 0 if there are none.
     """
 
     def __init__(
@@ -57,13 +57,13 @@ class SeriesComparison(Comparison):
         Args:
             spec: the measurement.
             recorded: the recording as the scene describes it.
-            rows: (K, N) weights of the sums over particles that `observe` takes.
+            rows: (K, N) weights of the sums over particles that `observe` needs.
             names: M channels.
             time: (T,) of the recording [s].
-            values: (T, M, D) what was measured; NaN where not seen.
-            still: (T_s, M, D) still frames' values, about the mean that `values` are from; NaN where not seen.
+            values: (T, M, D) measured values; NaN where not seen.
+            still: (T_s, M, D) values in the still frames, minus the same mean as `values`; NaN where not seen.
             relative: whether `values` are compared with the model's change since the run began.
-            remark: what a user should know of how the recording was taken.
+            remark: what a user should know about how the recording was made.
 
         Raises:
             DataError: the window is not inside the recording, has too few frames, or no channel is seen in it.
@@ -90,7 +90,7 @@ class SeriesComparison(Comparison):
     def observe(self, records: Records) -> tuple[Array, Array | None]:
         """Return the channels at control steps, and their derivatives by time, both (T+1, M, D).
 
-        With derivatives frames lie on a cubic between two control steps; with None in their place on a straight line.
+        Frames between two control steps are interpolated: by a cubic, or linearly if the derivatives are None.
         """
 
     @abstractmethod
@@ -107,7 +107,7 @@ class SeriesComparison(Comparison):
 
     @property
     def earliest(self) -> float:
-        """The earliest start from which the model's run lasts until the last frame that counts [s]."""
+        """The earliest start from which the model's run reaches the last compared frame [s]."""
         return float(self.times[-1]) - self.window.length
 
     @property
@@ -116,7 +116,7 @@ class SeriesComparison(Comparison):
         return self.count * self.data.shape[2]
 
     def too_early(self, start: float) -> str:
-        """Say what is wrong with a start from which the run ends before the last frame that counts, or nothing."""
+        """Return why a start is too early, so that the run ends before the last compared frame; empty if it is not."""
         if start >= self.earliest - SLACK * self.window.control_step:
             return ""
         return (
@@ -126,14 +126,14 @@ class SeriesComparison(Comparison):
         )
 
     def _observed(self, records: Records, start: float) -> tuple[Array, Array, Interpolant]:
-        """Return the channels and their derivatives at control steps, and what interpolates them at the frames."""
+        """Return the channels and their derivatives at control steps, and their interpolant at the frames."""
         y, w = self.observe(records)
         between = linear if w is None else interpolant
         at = between(self.times - start, self.window.control_step, self.window.steps)
         return y, np.zeros_like(y) if w is None else w, at
 
     def model(self, records: Records, start: float) -> Array:
-        """Return the model's values at `times` (F, M, D), as they are compared."""
+        """Return the model's values at `times` (F, M, D), as they are compared with the data."""
         y, w, at = self._observed(records, start)
         model = at(y, w)
         return model - y[0] if self.relative else model
@@ -167,10 +167,10 @@ class SeriesComparison(Comparison):
         each = [float(np.sqrt(s / n)) if n else float("nan") for s, n in zip(squared.sum(0), frames, strict=True)]
         return Misfit(float(np.sqrt(squared.sum() / self.count)), dict(zip(self.names, each, strict=True)))
 
-    # --- what is told of them -----------------------------------------------------------------------------------
+    # --- reports --------------------------------------------------------------------------------------------------
 
     def summary(self) -> str:
-        """Return what is compared, for `cqrun validate`."""
+        """Describe the comparison for `cqrun validate`."""
         channels = f"{len(self.names)} {self.spec.channel}" + ("" if len(self.names) == 1 else "s")
         return (
             f"{channels}, {len(self.times)} frames from {self.times[0]:.5g} to {self.times[-1]:.5g} s, "
@@ -178,7 +178,7 @@ class SeriesComparison(Comparison):
         )
 
     def series(self) -> list[tuple[Array, Array, Array]]:
-        """Return each channel's components: their places among the residuals, their frames, their still values.
+        """Return for each component of a channel its places among the residuals, its frames and its still values.
 
         Places and frames are in order of time.
         """

@@ -1,4 +1,4 @@
-"""Which frames of a recording are compared with a run."""
+"""Choose the frames of a recording that are compared with a run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cqrun.errors import DataError
 from cqrun.plugin.contract import Array
 
 LEAST_FRAMES = 2
-"""That are compared: one alone tells nothing of a motion, and is what is left where times are not in seconds."""
+"""Smallest number of compared frames. One frame shows no motion, and often means that times are not in seconds."""
 
 
 @dataclass(frozen=True)
@@ -18,12 +18,12 @@ class Window:
     """The part of a recording that a run covers.
 
     Attributes:
-        control_step: of the model's records [s].
-        steps: control steps that the model runs.
+        control_step: time between two records of the model [s].
+        steps: number of control steps that the model runs.
         start: time in the recording when the run begins [s].
-        start_bounds: where `start` may go if it is an unknown [s]; `start` alone if None.
+        start_bounds: bounds of `start` if it is an unknown [s]; None if it is fixed.
         skip: time after the start that is not compared [s].
-        source: how errors name the recording.
+        source: name of the recording in error messages.
     """
 
     control_step: float
@@ -44,11 +44,11 @@ class Window:
         return self.start_bounds or (self.start, self.start)
 
     def frames(self, time: Array) -> Array:
-        """Return the indices of the frames that are compared, whatever start inside the bounds is tried.
+        """Return the indices of the compared frames; they are the same for every start inside the bounds.
 
-        They are fixed once, so that the loss has no jumps in it: from the earliest start to the last frame that every
-        start reaches. Time after the start that is skipped counts from the latest start: wherever the start ends up,
-        none of them is in what is skipped.
+        They do not depend on the start, so that the loss has no jumps: they go from the earliest start to the last
+        frame that a run from every start reaches. The skipped time counts from the latest start, so that no compared
+        frame is inside it, whatever the start.
 
         Raises:
             DataError: the window is not inside the recording, or holds fewer than LEAST_FRAMES.

@@ -1,1 +1,1 @@
-"""Kernels' numbers: small tensors as tuples, SIMD lanes, packed rows, and how kernels compile."""
+"""Numerics of the kernels: small tensors as tuples, SIMD lanes, packed rows, and compilation."""

@@ -1,13 +1,12 @@
-"""How kernels are compiled, and where the threads that run them meet.
+"""Compilation of kernels, and the barrier of the threads that run them.
 
-Every thread runs the same compiled loop over substeps and takes its share of each pass; between passes
-they meet at a barrier, a count of arrivals. Against `prange` this compiles several times faster, lets a
-kernel take nested tuples, costs nothing on one thread, and yields the core while it waits (an OpenMP
-barrier spins: on a shared machine that is ten times slower). What a thread computes does not depend on how
-many there are, so results are the same bits for any number.
+Every thread runs the same compiled loop over substeps and computes its share of each pass; between passes the threads
+wait at a barrier, which counts arrivals. Compared with `prange` this compiles several times faster, allows nested
+tuples as arguments, costs nothing on one thread, and yields the core while it waits (an OpenMP barrier spins, which on
+a shared machine is ten times slower). Results are bit-for-bit identical for any number of threads.
 
-`fastmath` is `contract` (fused multiply-add) alone: `nnan` and `ninf` would delete the non-finite guards.
-`error_model="numpy"` leaves no hidden exception; an exception in one thread would leave the others waiting.
+`fastmath` is only `contract` (fused multiply-add): `nnan` and `ninf` would delete the checks for non-finite numbers.
+`error_model="numpy"` raises no hidden exception; an exception in one thread would leave the others waiting.
 """
 
 from __future__ import annotations
@@ -30,12 +29,11 @@ _OF_ONE_BODY: set[str] = set()
 
 
 class _OwnHelpers(codegen.JITCodeLibrary):
-    """Compiled code that calls its own copies of the helpers it was linked with, never another kernel's.
+    """Compiled code that calls its own copies of helpers, never those of another kernel.
 
-    Numba leaves a weak copy of a helper in every kernel that calls it, and the run-time linker binds all of them to
-    the one it loads first. Copies are optimised each in its own surroundings, so they differ in where additions and
-    products are fused, and the last bits of a result would depend on the order in which kernels were compiled or
-    read from the cache.
+    Numba puts a weak copy of a helper into every kernel that calls it, and the run-time linker binds all calls to the
+    copy that it loads first. Each copy is optimised in its own surroundings, so copies fuse different additions and
+    products. The last bits of a result would then depend on the order in which kernels were compiled or loaded.
     """
 
     def _optimize_final_module(self) -> None:
@@ -51,14 +49,14 @@ codegen.JITCPUCodegen._library_class = _OwnHelpers
 
 
 class SharedIndex(caching.IndexDataCacheFile):
-    """A kernel's index of compiled versions, to which one process at a time adds.
+    """A kernel's index of compiled versions, which only one process at a time changes.
 
-    Numba reads the index, takes the next free number for a file and writes both; two processes that compile different
-    versions at once take the same number, and one is then given the other's code.
+    Numba reads the index, takes the next free number for a file and writes both. Without a lock, two processes that
+    compile different versions at the same time take the same number, and one of them later loads the other's code.
     """
 
     def save(self, key: Any, data: Any) -> None:
-        """Add a version under its key."""
+        """Add a version."""
         with Path(f"{self._index_path}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             super().save(key, data)
@@ -68,24 +66,24 @@ caching.IndexDataCacheFile = SharedIndex
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function of the engine when it is first called, or take it from the cache (decorator).
+    """Compile a function of the engine at its first call, or load it from the cache (decorator).
 
-    Kernels work on arrays they are given. They count no references to them: Numba would, for every node and lane.
+    Kernels do not count references to the arrays of their arguments; Numba would count them for every node and lane.
     """
     return _kernel(function, references=False)
 
 
 def allocating_kernel(function: Callable[..., Any]) -> Any:
-    """As `kernel`, for a function that makes arrays of its own; it returns none."""
+    """Compile like `kernel` a function that allocates arrays; it must not return them."""
     return _kernel(function, references=True)
 
 
 def one_body(function: Callable[..., Any]) -> Any:
-    """As `kernel`, for a function that another calls from several places and that must give the same bits in each.
+    """Compile like `kernel` a function whose results must be bit-for-bit identical for all its callers.
 
-    Copies would be optimised each where they stand; this one is never copied into its caller.
+    It is never inlined, because inlined copies would be optimised in different ways.
     """
-    _OF_ONE_BODY.add(f"{len(function.__name__)}{function.__name__}")  # as mangled names have it
+    _OF_ONE_BODY.add(f"{len(function.__name__)}{function.__name__}")  # its form in mangled names
     return kernel(function)
 
 
@@ -95,7 +93,7 @@ def _kernel(function: Callable[..., Any], references: bool) -> Any:
 
 
 def cache_kernels_in(folder: Path) -> None:
-    """Keep compiled code in another folder from now on, that of kernels which are defined already too."""
+    """Store compiled code in this folder from now on, also that of kernels that are already defined."""
     config.CACHE_DIR = str(folder)
     if not config.DISABLE_JIT:
         for compiled in _KERNELS:
@@ -103,28 +101,28 @@ def cache_kernels_in(folder: Path) -> None:
 
 
 def own_symbols(kernel_class: type) -> None:
-    """Give a NamedTuple that kernels see a name of its own.
+    """Give a NamedTuple in the arguments of kernels a unique name.
 
-    Numba tells two classes apart when it compiles, but names the compiled functions after `__name__` alone: two
-    classes called `Kernel` would share their symbols, and the linker would give one the other's code.
+    Numba distinguishes classes when it compiles, but names the compiled functions by `__name__` only: two classes
+    called `Kernel` would share their symbols, and the linker would give one the other's code.
     """
     kernel_class.__name__ = f"{kernel_class.__module__}.{kernel_class.__qualname__}".replace(".", "_")
 
 
 def named(function: Callable[..., Any], name: str) -> Callable[..., Any]:
-    """Give a function made at run time a name of its own, for the same reason as `own_symbols`."""
+    """Give a function that is made at run time a unique name, for the reason given in `own_symbols`."""
     function.__name__ = function.__qualname__ = name
     return function
 
 
 def written(source: str, scope: dict[str, Any] | None = None) -> Callable[..., Any]:
-    """Return the function of a lambda's source, named after the source."""
+    """Return the function of a lambda's source, with a name made from the source."""
     digest = hashlib.sha256(source.encode()).hexdigest()[:12]
     return named(eval(source, scope or {}), f"written_{digest}")
 
 
 def for_each(call: Callable[..., None]) -> Callable[..., None]:
-    """Return a function of (items, ...) that runs call(item, ...) for every item of a tuple, of whatever types."""
+    """Return a function of (items, ...) that runs call(item, ...) for every item of a tuple of any types."""
 
     def run(items: Any, *others: Any) -> None:
         for item in items:
@@ -147,15 +145,19 @@ def for_each(call: Callable[..., None]) -> Callable[..., None]:
 
 
 class Pass(NamedTuple):
-    """One pass of a list: its name, its function, and the arguments that this takes of those of the whole."""
+    """One pass of a list: its name, its function, and the function's arguments: expressions of those of the list.
+
+    A `tiled` pass may run tile by tile with another one, which then does its work.
+    """
 
     name: str
     run: Callable[..., None]
     arguments: str
+    tiled: bool = False
 
 
 def in_order(name: str, arguments: str, passes: Sequence[Pass]) -> Callable[..., None]:
-    """Return the function of `arguments` that runs all passes, one after the other, for kernels and for Python."""
+    """Return the function of `arguments` that runs all passes in order, for kernels and for Python."""
     scope: dict[str, Any] = {f"pass_{k}": each.run for k, each in enumerate(passes)}
     calls = "".join(f"    pass_{k}({each.arguments})\n" for k, each in enumerate(passes))
     exec(f"def {name}({arguments}):\n{calls}", scope)
@@ -166,7 +168,7 @@ def in_order(name: str, arguments: str, passes: Sequence[Pass]) -> Callable[...,
 
 
 LOOKS = 10_000
-"""How often a thread looks whether the others have come before it offers its core to somebody else."""
+"""How often a thread checks the barrier before it yields its core."""
 
 
 def _cell(context: Any, builder: Any, array_type: Any, array: Any, k: Any) -> Any:
@@ -176,7 +178,7 @@ def _cell(context: Any, builder: Any, array_type: Any, array: Any, k: Any) -> An
 
 @intrinsic
 def _atomic_add(typingctx: Any, a: Any, k: Any, value: Any) -> Any:
-    """Add to an entry and return what was there."""
+    """Add to an entry and return its old value."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = _cell(context, builder, a, args[0], args[1])
@@ -187,7 +189,7 @@ def _atomic_add(typingctx: Any, a: Any, k: Any, value: Any) -> Any:
 
 @intrinsic
 def _atomic_load(typingctx: Any, a: Any, k: Any) -> Any:
-    """Return an entry as it is now; unlike an addition this leaves the line of the cache where it is."""
+    """Return the current value of an entry; unlike an addition, this does not move its cache line."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.load_atomic(_cell(context, builder, a, args[0], args[1]), "acquire", 8)
@@ -197,7 +199,7 @@ def _atomic_load(typingctx: Any, a: Any, k: Any) -> Any:
 
 @intrinsic
 def _pause(typingctx: Any) -> Any:
-    """Offer the core to another thread."""
+    """Yield the core to another thread."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = ir.FunctionType(ir.IntType(32), [])
@@ -211,10 +213,10 @@ def _pause(typingctx: Any) -> Any:
 
 
 def barrier(arrivals: Any, n_threads: int) -> None:
-    """Wait until all threads have come here, or one is said to be missing.
+    """Wait until all threads have arrived, or one is marked as missing.
 
     Args:
-        arrivals: how many have ever come to any, and whether one will never come; int64 (2,), shared.
+        arrivals: number of arrivals at all barriers so far, and whether a thread is missing; int64 (2,), shared.
     """
 
 
@@ -237,5 +239,5 @@ def _barrier(arrivals, n_threads):
 
 @kernel
 def share(n: int, thread: int, n_threads: int) -> tuple[int, int]:
-    """Return the range of 0 .. n that falls to one thread."""
+    """Return one thread's range of 0 .. n."""
     return n * thread // n_threads, n * (thread + 1) // n_threads

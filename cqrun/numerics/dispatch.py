@@ -1,7 +1,7 @@
-"""Functions that kernels choose by the class of their first argument.
+"""Functions that kernels select by the class of their first argument.
 
-The numbers of a plug-in reach a kernel as a `NamedTuple` of a class of its own. That class picks the plug-in's function
-while the kernel is compiled, so the choice costs nothing when the kernel runs.
+Kernels get the numbers of a plug-in as a `NamedTuple` of its own class. The class selects the plug-in's function at
+compile time, so the choice costs nothing at run time.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from cqrun.numerics.compile import named, own_symbols
 
 
 class ByClass:
-    """One function of kernels with a body for each class of its first argument.
+    """A function with a body for each class of its first argument.
 
     Args:
-        name: of the function.
-        arguments: as in its definition, such as "condition, v".
+        name: name of the function.
+        arguments: its arguments, such as "condition, v".
 
     Attributes:
         call: the function, for kernels and for Python.
-        bodies: class -> its body, and the arguments that this takes.
+        bodies: by class, the body and its arguments.
     """
 
     def __init__(self, name: str, arguments: str) -> None:
@@ -37,22 +37,22 @@ class ByClass:
         overload(self.call)(scope["choose"])
 
     def register(self, kernel_class: type, body: Callable[..., Any], arguments: str | None = None) -> None:
-        """Make `body` what the function does for a class; `arguments` are those of the body, if it takes fewer."""
+        """Set the body for a class; `arguments` are those of the body, if it takes fewer."""
         own_symbols(kernel_class)
         self.bodies[kernel_class] = body, arguments or self.arguments
 
     def __contains__(self, kernel_class: type) -> bool:
-        """Say whether a class has a body."""
+        """Return whether a class has a body."""
         return kernel_class in self.bodies
 
-    def _handed_on(self, kernel_class: type, body: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function of all arguments that calls a body with its own."""
+    def _wrapped(self, kernel_class: type, body: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function of all arguments that calls a body with those that it takes."""
         source = f"lambda {self.arguments}: body({self.bodies[kernel_class][1]})"
         return named(eval(source, {"body": body}), f"{self.name}_{kernel_class.__name__}")
 
     def _python(self, first: Any) -> Callable[..., Any]:
-        return self._handed_on(type(first), self.bodies[type(first)][0])
+        return self._wrapped(type(first), self.bodies[type(first)][0])
 
     def _compiled(self, first: Any) -> Callable[..., Any]:
         body = self.bodies[first.instance_class][0]
-        return self._handed_on(first.instance_class, body if hasattr(body, "py_func") else register_jitable(body))
+        return self._wrapped(first.instance_class, body if hasattr(body, "py_func") else register_jitable(body))

@@ -1,19 +1,19 @@
-"""SIMD lanes: one value that holds a few neighbours, computed on by plain operators.
+"""SIMD lanes: a lane value holds the numbers of a few neighbouring particles; plain operators work on it.
 
-LLVM vectorises none of the engine's loops by itself (it cannot rule out aliasing), so a kernel loads
-`width` neighbouring particles as one value, and the small-tensor functions of `tensor.py` run on it
-unchanged. With the JIT off, a lane value is a NumPy array, and each function below is its own twin.
+LLVM does not vectorise the engine's loops by itself, because it cannot rule out aliasing. So a kernel loads `width`
+neighbouring particles as one value, and the small-tensor functions of `tensor.py` work on it unchanged. Without the JIT
+a lane value is a NumPy array, and the functions below work on arrays.
 
     + - * / < > &                  on lanes, or on lanes and a number
     lane, with_lane, all_lanes     single entries; a whole comparison
-    select, floor, sqrt, log ...   what operators cannot say
+    select, floor, sqrt, log ...   functions without an operator
     as_real                        another precision
 
-A lane value is as long as suits the processor: 64 bytes, 8 float64 or 16 float32, where it has the 32 registers
-of AVX-512, else 32 bytes: 16 registers of AVX2 hold half as much. Lanes never mix, and sums over particles have a
-number of parts of their own (engine/probe.py). `contract` (fused multiply-add) is the only floating-point freedom
-given to the compiler: `nnan` and `ninf` would delete the non-finite guards. Which of two products is fused is the
-compiler's choice, so that results on another kind of processor differ in their last bits.
+A lane value has 64 bytes, 8 float64 or 16 float32, if the processor has the 32 registers of AVX-512; otherwise 32
+bytes, because the 16 registers of AVX2 hold half as much. Lanes never mix, and sums over particles have a fixed number
+of parts (engine/probe.py). The only floating-point freedom of the compiler is `contract` (fused multiply-add); `nnan`
+and `ninf` would delete the checks for non-finite numbers. The compiler decides which of two products it fuses, so
+results on another kind of processor differ in their last bits.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ FLAGS = ("contract",)
 
 
 def _lane_bytes() -> int:
-    """Return the bytes of a lane value, by the features that numba compiles for; they are part of its cache's keys."""
+    """Return the bytes of a lane value for the CPU features that Numba compiles for, which are in its cache's keys."""
     _, _, features = cpu_target.target_context.codegen().magic_tuple()
     return 64 if "+avx512f" in features.split(",") else 32
 
@@ -44,7 +44,7 @@ LANE_BYTES = _lane_bytes()
 
 
 def lane_width(dtype: Any) -> int:
-    """Return how many numbers of `dtype` one lane value holds."""
+    """Return the number of entries of a lane value of `dtype`."""
     return LANE_BYTES // np.dtype(dtype).itemsize
 
 
@@ -88,13 +88,13 @@ def index32(value: int) -> ir.Constant:
 
 
 def _splat(builder: Any, scalar: Any, vector: ir.VectorType) -> Any:
-    one = builder.insert_element(ir.Constant(vector, ir.Undefined), scalar, index32(0))
+    first = builder.insert_element(ir.Constant(vector, ir.Undefined), scalar, index32(0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), [0] * vector.count)
-    return builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), mask)
+    return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), mask)
 
 
 def as_lanes(context: Any, builder: Any, value: Any, given: types.Type, lanes: Lanes) -> Any:
-    """Turn a scalar into lanes of the same precision as its partner: no silent promotion."""
+    """Turn a scalar into lanes in the precision of the other operand, so that nothing is promoted silently."""
     if isinstance(given, Lanes):
         return value
     scalar = context.cast(builder, value, given, lanes.real)
@@ -102,7 +102,7 @@ def as_lanes(context: Any, builder: Any, value: Any, given: types.Type, lanes: L
 
 
 def _vector_call(builder: Any, name: str, vector: ir.VectorType, args: list[Any]) -> Any:
-    """Call an LLVM intrinsic on vectors; llvmlite knows no names for these, so it is spelt out."""
+    """Call an LLVM intrinsic on vectors by its full name, because llvmlite does not build these names."""
     letter = "f64" if isinstance(vector.element, ir.DoubleType) else "f32"
     kind = ir.FunctionType(vector, [vector] * len(args))
     function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{vector.count}{letter}")
@@ -120,7 +120,7 @@ def _lanes_of(args: tuple[types.Type, ...]) -> Lanes | None:
 
 
 def _define_operator(op: Callable[..., Any], emit: Callable[..., Any], *, to_mask: bool = False) -> None:
-    """Give Numba the binary operator `op` on lanes, or on lanes and a number."""
+    """Define the binary operator `op` on lanes, or on lanes and a number."""
 
     @infer_global(op)
     class _Typing(AbstractTemplate):
@@ -173,8 +173,8 @@ def _lower_and(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 # --- functions ----------------------------------------------------------------------------------------
 
 
-def _define_unary(twin: Callable[[Any], Any], name: str, scalar: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return a function of one value: `llvm.<name>` on lanes, `scalar` on numbers, `twin` without the JIT."""
+def _define_unary(ufunc: Callable[[Any], Any], name: str) -> Callable[[Any], Any]:
+    """Return a function of one value: `llvm.<name>` on lanes, `ufunc` on numbers and without the JIT."""
 
     @intrinsic
     def on_lanes(typingctx: Any, a: Any) -> Any:
@@ -184,7 +184,7 @@ def _define_unary(twin: Callable[[Any], Any], name: str, scalar: Callable[[Any],
         return signature(a, a), codegen
 
     def function(a: Any) -> Any:
-        return twin(a)
+        return ufunc(a)
 
     function.__name__ = name
     function.__doc__ = f"Return {name}(a), on lanes or on a number."
@@ -193,19 +193,19 @@ def _define_unary(twin: Callable[[Any], Any], name: str, scalar: Callable[[Any],
     def _(a):
         if isinstance(a, Lanes):
             return named(lambda a: on_lanes(a), f"{name}_lanes")
-        return named(lambda a: scalar(a), f"{name}_number") if isinstance(a, types.Number) else None
+        return named(lambda a: ufunc(a), f"{name}_number") if isinstance(a, types.Number) else None
 
     return function
 
 
-floor = _define_unary(np.floor, "floor", np.floor)
-sqrt = _define_unary(np.sqrt, "sqrt", np.sqrt)
-log = _define_unary(np.log, "log", np.log)
-exp = _define_unary(np.exp, "exp", np.exp)
+floor = _define_unary(np.floor, "floor")
+sqrt = _define_unary(np.sqrt, "sqrt")
+log = _define_unary(np.log, "log")
+exp = _define_unary(np.exp, "exp")
 
 
 def select(mask: Any, a: Any, b: Any) -> Any:
-    """Return `a` where the mask holds and `b` elsewhere, lane by lane."""
+    """Return `a` where the mask is true and `b` elsewhere, lane by lane."""
     return np.where(mask, a, b)
 
 
@@ -231,7 +231,7 @@ def _select(mask, a, b):
 
 
 def all_lanes(mask: Any) -> bool:
-    """Say whether the mask holds in every lane."""
+    """Return whether the mask is true in every lane."""
     return bool(np.all(mask))
 
 

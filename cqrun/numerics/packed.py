@@ -1,12 +1,12 @@
 """Lanes in memory: packed tables of particles.
 
-A (rows, n) table of particles is packed as (n / width, rows, width): all numbers of a lane of neighbours lie
-together, so a pass reads one stream of memory, not one a row (rows at equal distance fight for the same cache
-sets: up to twice slower).
+A (rows, n) table of particles is packed as (n / width, rows, width): the numbers of a lane of neighbours lie together,
+so a pass reads one stream of memory instead of one per row. (Rows at equal distances compete for the same cache sets,
+which is up to twice as slow.)
 
-    pack, unpack                   between a (rows, n) table and its packed array
-    aligned                        one of zeros
-    load, store, accumulate        the lane value of one row
+    pack, unpack                   convert between a (rows, n) table and its packed array
+    aligned                        make an array of zeros
+    load, store, accumulate        access the lane value of one row
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numba.extending import intrinsic, overload
 from cqrun.numerics.lanes import LANE_BYTES, Lanes, as_lanes, lane_width
 
 LINE = 64
-"""Bytes of a line of the cache; a lane value is no longer."""
+"""Bytes of a cache line; a lane value fits into one."""
 
 
 def address(context: Any, builder: Any, array_type: Any, array: Any, offset: Any, vector: ir.Type) -> Any:
@@ -36,7 +36,7 @@ def align(array_type: Any) -> int:
 
 
 def aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
-    """Return zeros that begin with a line of the cache, so that no lane value lies in two."""
+    """Return zeros that start at a cache line, so that no lane value lies in two lines."""
     need = prod(shape) * np.dtype(dtype).itemsize
     memory = np.zeros(need + LINE, np.uint8)
     begin = -memory.ctypes.data % LINE
@@ -74,7 +74,7 @@ def accumulate(a: np.ndarray, row: int, i: int, value: Any) -> None:
 
 
 def _packed_pointer(context: Any, builder: Any, array_type: Any, args: Any, lanes: Lanes) -> Any:
-    """Return the address of [i / width, row, 0]: (i * rows + row * width) entries on."""
+    """Return the address of [i / width, row, 0], at entry i * rows + row * width."""
     array, row, i = args
     shape = cgutils.unpack_tuple(builder, context.make_array(array_type)(context, builder, array).shape)
     inside = builder.mul(row, ir.Constant(row.type, lanes.width))

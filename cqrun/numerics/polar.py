@@ -1,13 +1,13 @@
 """The rotation R of the polar decomposition F = R S, and its adjoint, on numbers or lanes.
 
-R is the rotation nearest to F: it maximises tr(R^T F) over det R = 1, also where det F < 0 (the smallest
-singular value then counts negative: "signed singular values"). In 2D it is closed. In 3D Newton's iteration
-R <- (R + R^-T) / 2 (Higham, Computing the polar decomposition, SIAM J. Sci. Stat. Comput. 1986) is run to
-convergence; where it would end at a reflection, where det F is but round-off, or where it has not converged after 10
-steps, R comes from a 4 x 4 eigenproblem.
+R is the rotation nearest to F: it maximises tr(R^T F) over det R = 1, also for det F < 0 (the smallest singular value
+is then negative: "signed singular values"). 2D has a closed form. 3D runs Newton's iteration R <- (R + R^-T) / 2
+(Higham, Computing the polar decomposition, SIAM J. Sci. Stat. Comput. 1986) to convergence. If that would end at a
+reflection, if det F is rounding error, or if it has not converged after 10 steps, R is computed from a 4 x 4
+eigenproblem.
 
-Derivative: dR = R [w]x with (tr(S) I - S) w = axial(R^T dF), so the denominators are s_i + s_j: smooth at
-F = I and at equal singular values, singular only where two signed singular values cancel.
+Derivative: dR = R [w]x with (tr(S) I - S) w = axial(R^T dF), so the denominators are s_i + s_j. It is smooth at F = I
+and at equal singular values, and singular only if two signed singular values cancel.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from cqrun.numerics.tensor import (
 
 NEWTON_STEPS = 10
 TINY = 1e-12
-"""Where two signed singular values cancel the derivative is unbounded; denominators stop here."""
+"""Lower limit of the denominators: if two signed singular values cancel, the derivative is unbounded."""
 
 
 def polar(F: Any) -> Any:
@@ -45,7 +45,7 @@ def polar(F: Any) -> Any:
 
 
 def polar_vjp(F: Any, R: Any, R_bar: Any) -> Any:
-    """Return the cotangent of F, given R = polar(F) and the cotangent of R."""
+    """Return the cotangent of F for R = polar(F) and the cotangent of R."""
     return _polar_2d_vjp(F, R, R_bar) if len(F) == 4 else _polar_3d_vjp(F, R, R_bar)
 
 
@@ -62,7 +62,7 @@ def _polar_vjp(F, R, R_bar):
 
 
 def away_from_zero(a: Any) -> Any:
-    """Return `a`, or TINY where |a| is smaller."""
+    """Return `a`, or TINY if |a| is smaller."""
     return select(_below(a * a, TINY * TINY), TINY, a)
 
 
@@ -114,9 +114,9 @@ def _of_precision_overload(a, double, single):
 
 @register_jitable
 def _polar_3d(F: Any) -> Any:
-    # Newton converges quadratically: a last correction below the root of round-off is enough
+    # Newton converges quadratically, so a last step below the root of the rounding error is enough
     converged = _of_precision(F[0], 1e-16, 1e-8)
-    # of |F|^3: a determinant below it is round-off, as of a matrix of rank 1, where Newton ends anywhere
+    # a determinant below this part of |F|^3 is rounding error, as for a matrix of rank 1: Newton is useless there
     rounding = _of_precision(F[0], 1e-15, 5e-7)
     J = det(F)
     R = F
@@ -134,11 +134,11 @@ def _polar_3d(F: Any) -> Any:
 
 
 def _mend(F: Any, R: Any, proper: Any) -> Any:
-    """Replace R by the nearest proper rotation in those lanes that are not proper."""
+    """Replace R by the nearest proper rotation in the lanes in which it is not proper."""
     F, R = [np.asarray(a) for a in F], [np.array(a) for a in R]
     for k in np.flatnonzero(~np.atleast_1d(proper)):
-        one = nearest_rotation(tuple(a.reshape(-1)[k] for a in F))
-        for a, value in zip(R, one, strict=True):
+        rotation = nearest_rotation(tuple(a.reshape(-1)[k] for a in F))
+        for a, value in zip(R, rotation, strict=True):
             a.reshape(-1)[k] = value
     return tuple(R)
 
@@ -179,11 +179,11 @@ def _put(a: Any, k: int, b: Any) -> Any:
 
 @allocating_kernel
 def nearest_rotation(F: Any) -> Any:
-    """Return the rotation nearest to a 3D matrix of numbers, whatever the sign of its determinant.
+    """Return the rotation nearest to a 3D matrix of numbers with a determinant of any sign.
 
-    It is the unit quaternion of the largest eigenvalue of a symmetric 4 x 4 matrix (Horn, Closed-form
-    solution of absolute orientation using unit quaternions, J. Opt. Soc. Am. A 1987). A matrix that is not
-    finite comes back as it is: the rollout's guard reports it.
+    It is the unit quaternion of the largest eigenvalue of a symmetric 4 x 4 matrix (Horn, Closed-form solution of
+    absolute orientation using unit quaternions, J. Opt. Soc. Am. A 1987). A matrix that is not finite is returned
+    unchanged; the rollout reports it.
     """
     if not np.isfinite(F[0] + F[1] + F[2] + F[3] + F[4] + F[5] + F[6] + F[7] + F[8]):
         return F

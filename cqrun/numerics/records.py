@@ -1,9 +1,9 @@
 """Records of four numbers (a, b, c, d): a grid node, or a particle's vector, in an (n, 4) array.
 
 make4, load4, store4           one record
-load_quads, store_quads        as many records as a lane is wide, from and to four lane values
+load_quads, store_quads        one record for each entry of a lane, from and to four lane values
 
-Several records in one value: `wide_records.py`.
+`wide_records.py` has several records in one value.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from cqrun.numerics.packed import address, align
 
 
 def shuffle(builder: Any, a: Any, b: Any, picks: list[int]) -> Any:
-    """Return entries of two vectors, one after the other, by their places."""
+    """Return the entries `picks` of two vectors, one after the other."""
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(picks)), picks))
 
 
 def address_of(context: Any, builder: Any, array_type: Any, array: Any, n: Any, vector: ir.Type) -> Any:
-    """Return the address of record n, as that of a vector."""
+    """Return the address of record n as that of a vector."""
     return address(context, builder, array_type, array, builder.mul(n, ir.Constant(n.type, 4)), vector)
 
 
@@ -81,7 +81,7 @@ def _load4_overload(a, n):
 
 
 def store4(a: np.ndarray, n: int, value: Any) -> None:
-    """Write record n of an (n, 4) array; a number goes to all four."""
+    """Write record n of an (n, 4) array; a number is written to all four entries."""
     a[n] = value
 
 

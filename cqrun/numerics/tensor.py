@@ -1,8 +1,8 @@
 """Small tensors as tuples: a vector has D entries, a matrix D * D in row-major order.
 
-The length of the tuple is the dimension, so one line defines the 2D and the 3D body, picked when a
-kernel is compiled. Entries are numbers, lanes (`lanes.py`), or NumPy arrays when the JIT is off, complex
-ones too. What has an index formula is given by it; only the rest is written per dimension.
+The length of the tuple selects the 2D or the 3D body when a kernel is compiled. Entries are numbers, lanes
+(`lanes.py`), or without the JIT NumPy arrays, also complex ones. Most functions are defined by an index formula for
+both dimensions; the others have a body for each dimension.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from cqrun.numerics.compile import named, written
 def _dimension(rank: int, length: int) -> int:
     dim = {(1, 2): 2, (1, 3): 3, (2, 4): 2, (2, 9): 3}.get((rank, length))
     if dim is None:
-        raise TypeError(f"a tuple of {length} is no tensor of rank {rank} in 2D or 3D")
+        raise TypeError(f"a tuple of {length} is not a tensor of rank {rank} in 2D or 3D")
     return dim
 
 
 def _source(subscripts: str, dim: int) -> str:
-    """Write `ik,kj->ij` out as a lambda on tuples a, b for one dimension."""
+    """Return the source of a lambda on tuples a, b for an index formula like `ik,kj->ij` and one dimension."""
     inputs, output = subscripts.split("->")
     operands = inputs.split(",")
     summed = sorted(set("".join(operands)) - set(output))
@@ -51,7 +51,7 @@ def _source(subscripts: str, dim: int) -> str:
 
 
 def contraction(subscripts: str) -> Callable[..., Any]:
-    """Return the function of one or two small tensors with this index formula, in 2D and 3D."""
+    """Return the function of one or two small tensors that has this index formula, in 2D and 3D."""
     operands = subscripts.split("->")[0].split(",")
     rank = len(operands[0])
     bodies = {dim: written(_source(subscripts, dim)) for dim in (2, 3)}
@@ -94,7 +94,7 @@ shift = elementwise("a, s", "a[i] + s")
 
 
 def by_dimension(in_2d: Callable[..., Any], in_3d: Callable[..., Any]) -> Callable[[Any], Any]:
-    """Return the function of one matrix whose body is picked by the matrix's length."""
+    """Return the function of one matrix that selects its body by the matrix's length."""
     compiled = {4: register_jitable(in_2d), 9: register_jitable(in_3d)}
 
     def function(a: Any) -> Any:

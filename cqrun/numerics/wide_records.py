@@ -1,10 +1,10 @@
-"""Several records of four as one value: a lane value full of them, or a node of two.
+"""Several records of four in one value: as many as fill a lane value, or the two records of a node.
 
 load_records, load_neighbours, store_neighbours, load_pairs
                                     as many records as fill one lane value
 filled, spread, sums                such lane values of one number, of an entry, of sums of entries
-load_each, load_wide, store_wide    one record of each of several arrays, as one value; such values in one array
-prefetch_each                       a hint that such a record is read soon
+load_each, load_wide, store_wide    one record of each of several arrays as one value; such values in one array
+prefetch_each                       a hint that such a record will be read soon
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from cqrun.numerics.records import address_of, shuffle, whole_lane
 
 
 def records_in_lane(a: np.ndarray) -> int:
-    """Return how many records of four one lane value of an array's precision holds: 1, 2 or 4."""
+    """Return the number of records of four in a lane value of an array's precision: 1, 2 or 4."""
     return LANE_BYTES // (4 * a.itemsize)
 
 
 def load_neighbours(a: np.ndarray, n: int) -> Any:
-    """Return records n, n + 1, ... of an (n, 4) array, as many as a lane value holds."""
+    """Return records n, n + 1, ... of an (n, 4) array, as many as fit a lane value."""
     return a[n : n + records_in_lane(a)].reshape(-1)
 
 
@@ -43,7 +43,7 @@ def load_records(a: np.ndarray, nodes: Any, offset: int) -> Any:
 
 
 def load_pairs(a: np.ndarray, nodes: Any, offset: int) -> Any:
-    """Return the first records of entries nodes[0] + offset, ... of an (m, 4) array of pairs, and their second ones."""
+    """Return the first and the second records of pairs nodes[0] + offset, ... in an (m, 4) array of pairs."""
     pairs = a.reshape(-1, 2, 4)[np.array(nodes) + offset]
     return pairs[:, 0].reshape(-1), pairs[:, 1].reshape(-1)
 
@@ -59,7 +59,7 @@ def spread(a: Any, k: int) -> Any:
 
 
 def sums(a: Any, b: Any, c: Any) -> Any:
-    """Return the records (sum of a's, of b's, of c's, 0), where a record's sum is (0 + 1) + (2 + 3)."""
+    """Return records of the sums (a, b, c, 0); the sum of a record is (entry 0 + entry 1) + (entry 2 + entry 3)."""
     out = np.zeros_like(a)
     for k, x in enumerate((a, b, c)):
         out[k::4] = (x[0::4] + x[1::4]) + (x[2::4] + x[3::4])
@@ -123,7 +123,7 @@ def _load_pairs(typingctx: Any, a: Any, nodes: Any, offset: Any) -> Any:
             wide = list(range(2 * parts[0].type.count))
             parts = [shuffle(builder, parts[k], parts[k + 1], wide) for k in range(0, len(parts), 2)]
         halves = [[8 * k + half + e for k in range(len(nodes)) for e in range(4)] for half in (0, 4)]
-        first, last = parts[0], parts[-1]  # the same where a lane value holds one record
+        first, last = parts[0], parts[-1]  # the same if a lane value holds one record
         return context.make_tuple(builder, result, [shuffle(builder, first, last, picks) for picks in halves])
 
     return signature(result, a, nodes, types.intp), codegen
@@ -218,16 +218,16 @@ def load_each(arrays: Any, n: int) -> Any:
 
 
 def prefetch_each(arrays: Any, n: int) -> None:
-    """Have record n of every array of a tuple brought to the cache while other work is done; it changes no value."""
+    """Prefetch record n of every array of a tuple into the cache; this changes no value."""
 
 
 def load_wide(a: np.ndarray, n: int, like: Any) -> Any:
-    """Return entry n of an (m, 4) array that holds values as long as `like` one after the other."""
+    """Return entry n of an (m, 4) array of values as long as `like`."""
     return a.reshape(-1, len(like))[n].copy()
 
 
 def store_wide(a: np.ndarray, n: int, value: Any) -> None:
-    """Write entry n of an (m, 4) array that holds values as long as this one after the other."""
+    """Write entry n of an (m, 4) array of values of this length."""
     a.reshape(-1, len(value))[n] = value
 
 

@@ -29,8 +29,8 @@ class ContactFree(AlongAxis):
 
     body: BodyName = Field(description="Body that should touch nothing")
     region: ChosenRegion | None = Field(description="Region, at rest; the whole body if absent", default=None)
-    height: float = quantity("m", "What the particles must stay above, along the axis")
-    margin: float = quantity("m", "How far above it", ge=0, default=0.0)
+    height: float = quantity("m", "Height that the particles must stay above, along the axis")
+    margin: float = quantity("m", "Required distance above this height", ge=0, default=0.0)
     over: Over = Field(description="How the values of all control steps are combined", default="mean")
 
     def bind(self, matter: Matter) -> BoundTerm:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 MOST_PLACES = 200
-"""Of a course in a trajectory's file, for pictures: attributes of HDF5 hold 64 KiB."""
+"""Largest number of positions of a course in a trajectory file, because HDF5 attributes are limited to 64 KiB."""
 
 Over = Literal["final", "mean", "sum", "minimum", "maximum", "product"]
 
@@ -95,7 +95,7 @@ class BoundTerm(ABC):
 
 
 class ObjectiveTerm(Plugin):
-    """Base of the plug-ins of kind `objective`; `sense` is -1 if larger is better, no value is below `least`."""
+    """Base of the plug-ins of kind `objective`. `sense` is -1 if larger is better; `least` is the lowest value."""
 
     sense: ClassVar[Literal[1, -1]] = 1
     least: ClassVar[float] = -np.inf
@@ -112,7 +112,7 @@ class ObjectiveTerm(Plugin):
         """
 
     def likely_mistakes(self, neutral: Mapping[str, float]) -> Iterator[tuple[str, str]]:
-        """Yield what is likely a slip: the field's name, and what is wrong with it.
+        """Yield likely mistakes: the name of the field, and what is wrong with it.
 
         Args:
             neutral: actuator -> the activation at which it does nothing.
@@ -143,14 +143,14 @@ class Objective:
         return sum(self.factors[name] * value for name, value in values.items())
 
     def wanted(self, goals: Mapping[str, Array]) -> dict[str, Any]:
-        """Return what a trajectory says of where its bodies should go [m]: goals; courses in MOST_PLACES or fewer."""
-        said: dict[str, Any] = {"goals": {name: goal.tolist() for name, goal in goals.items()}}
+        """Return the target positions for a trajectory file [m]: goals, and courses of up to MOST_PLACES positions."""
+        targets: dict[str, Any] = {"goals": {name: goal.tolist() for name, goal in goals.items()}}
         courses = {name: term.course for name, term in self.terms.items() if term.course is not None}
         if courses:
-            said["courses"] = {
+            targets["courses"] = {
                 name: course[:: -(-len(course) // MOST_PLACES)].tolist() for name, course in courses.items()
             }
-        return said
+        return targets
 
     def loss_vjp(self, track: Track, bar: float = 1.0) -> TrackBar:
         """Return the cotangent of the track from that of the loss."""

@@ -7,6 +7,7 @@ trains the encoder with torch; to run it, NumPy is enough.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -33,6 +34,17 @@ class Encoder:
     weights: Array
     shift: Array
     middle: Array
+
+    def takes(self, shape: Sequence[int]) -> bool:
+        """Return whether the shapes of all arrays fit each other and an image of a shape (C, G, ...)."""
+        channels, *cells = shape
+        if self.middle.shape != (channels,):
+            return False
+        for kernel, offset in zip(self.kernels, self.offsets, strict=True):
+            if kernel.shape[1:] != (channels, *(KERNEL,) * len(cells)) or offset.shape != kernel.shape[:1]:
+                return False
+            channels, cells = len(kernel), [size_after(n) for n in cells]
+        return self.shift.ndim == 1 and self.weights.shape == (len(self.shift), channels * math.prod(cells))
 
     def encode(self, image: Array) -> Array:
         """Return the latent numbers (k,) of an image (C, G, ...)."""

@@ -20,7 +20,7 @@ class Goal(Observer):
     """A goal's position minus the centroid (plain mean) of a body or of one of its groups; or the goal itself."""
 
     goal: GoalName = Field(description="Name of the goal, a position")
-    body: BodyName | None = Field(description="Body whose centroid is subtracted; if absent, nothing is", default=None)
+    body: BodyName | None = Field(description="Body whose centroid is subtracted; if absent, none is", default=None)
     group: GroupName | None = Field(description=A_GROUP, default=None)
     range: Range = Field(
         description="[low, high] in m that is scaled to [-1, 1], or one pair for each axis; auto: the world's size; "

@@ -1,4 +1,4 @@
-"""What observers and objectives know of a scene: particles at rest, names of bodies and groups, and time."""
+"""The view of a scene for observers and objectives: particles at rest, names of bodies and groups, and time."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from cqrun.errors import UsageError
 from cqrun.observers.matter import Matter
-from cqrun.observers.npz import read_arrays, write_arrays
+from cqrun.observers.npz import not_numbers, read_arrays, write_arrays
 from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.rows import weighted
@@ -52,7 +52,7 @@ class Pca(Observer):
         description="File (.npz) of the components, made by `cqrun compress`; a run needs it", default=None
     )
     range: Range = Field(
-        description="[low, high] in m that is scaled to [-1, 1]; auto: as far as the fitted trajectories went; or null",
+        description="[low, high] in m that is scaled to [-1, 1]; auto: the range of the fitted trajectories; or null",
         default="auto",
     )
 
@@ -143,4 +143,11 @@ def load_components(path: Path) -> Components:
         raise UsageError(
             f"{path}: is not a file of principal components: it must contain the arrays {', '.join(dimensions)}"
         )
+    if bad := not_numbers(arrays):
+        raise UsageError(f"{path}: {', '.join(bad)} of the components are not finite numbers")
+    k, *matrix = arrays["modes"].shape
+    for name, expected in (("mean", (*matrix,)), ("reach", (k,)), ("explained", (k,))):
+        if arrays[name].shape != expected:
+            shapes = " x ".join(map(str, arrays[name].shape)), " x ".join(map(str, expected))
+            raise UsageError(f"{path}: its {name} is {shapes[0]}, but {shapes[1]} fits its modes; fit it again")
     return Components(**arrays)

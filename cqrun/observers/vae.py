@@ -11,7 +11,7 @@ from pydantic import Field
 from cqrun.errors import UsageError
 from cqrun.observers.encoder import Encoder
 from cqrun.observers.matter import Matter
-from cqrun.observers.npz import read_arrays, write_arrays
+from cqrun.observers.npz import not_numbers, read_arrays, write_arrays
 from cqrun.observers.observer import BoundObserver, Moment, MomentBar, Observer
 from cqrun.observers.ranges import Range, limits
 from cqrun.observers.raster import Raster
@@ -21,6 +21,9 @@ from cqrun.plugin.reference import BodyName, FileName
 from cqrun.plugin.registry import plugin
 
 FILE_KIND = "an encoder file"
+MOST_CELLS = 256
+"""Largest number of cells along each axis of the grid; an image of so many has 67 million numbers in 3D."""
+
 TYPICAL_CODE = 3.0
 """Training draws codes towards a normal distribution with standard deviation 1, so few are larger than this."""
 
@@ -100,7 +103,16 @@ def load_encoder(path: Path) -> Trained:
     names = ["grid", "weights", "shift", "middle", *layers]
     if sorted(names) != sorted(arrays) or arrays["grid"].shape != (4,):
         raise UsageError(f"{path}: is not {FILE_KIND}: it must contain the arrays {', '.join(names)}")
+    if bad := not_numbers(arrays):
+        raise UsageError(f"{path}: {', '.join(bad)} of the encoder are not finite numbers")
     cells, cell, speed, dim = (float(a) for a in arrays["grid"])
+    if not (1 <= cells <= MOST_CELLS and dim in (2, 3) and cell > 0 and speed > 0):
+        raise UsageError(
+            f"{path}: is not {FILE_KIND}: its grid {arrays['grid'].tolist()} cannot be one; train it again"
+        )
     kernels, offsets = (tuple(arrays[f"{part}{k}"] for k in range(depth)) for part in ("kernel", "offset"))
     encoder = Encoder(kernels, offsets, *(arrays[name] for name in ("weights", "shift", "middle")))
-    return Trained(Raster(int(cells), cell, speed, int(dim)), encoder)
+    trained = Trained(Raster(int(cells), cell, speed, int(dim)), encoder)
+    if not encoder.takes(trained.raster.shape):
+        raise UsageError(f"{path}: is not {FILE_KIND}: the shapes of its arrays do not fit each other; train it again")
+    return trained

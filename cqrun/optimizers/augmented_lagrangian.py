@@ -55,9 +55,7 @@ class AugmentedLagrangian(ConstrainedOptimizer, AdamSteps):
     inner: int = Field(50, ge=1, description="iterations between two updates of the multipliers")
     penalty: float = Field(3.0, gt=0, description="rho at the start")
     growth: float = Field(2.0, gt=1, description="factor by which rho grows")
-    enough: float = Field(
-        0.5, gt=0, lt=1, description="part to which the violation must fall; if it does not, rho grows"
-    )
+    enough: float = Field(0.5, gt=0, lt=1, description="part to which the violation must fall; otherwise rho grows")
     penalty_limit: float = Field(100.0, gt=0, description="largest rho")
     restoring: int = Field(
         2, ge=0, description="number of restoration steps after each update that may fail to help; 0: none"

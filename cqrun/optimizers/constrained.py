@@ -251,7 +251,7 @@ class ConstrainedTrials(Trials):
         answer = self.gradients(x.copy())
         self.iteration += 1
         self._record(x, answer, optimality)
-        # from the answer: gradients are kept longer than values, and a solver may go back to an earlier point
+        # from the answer: gradients are stored longer than values, and a solver may go back to an earlier point
         self._values = {x.tobytes(): (float(answer["f"]), answer["c"])}
         self._at_limit()
 

@@ -54,7 +54,7 @@ class TrustConstr(ReplayedConstrained):
             y = np.asarray(state.v[0]) if len(low) else np.zeros(0)
             trials.accept(np.asarray(x), Kkt(y, max(state.optimality, getattr(state, "barrier_parameter", 0.0))))
 
-        with warnings.catch_warnings():  # about linear constraints, and about one that the box implies
+        with warnings.catch_warnings():  # scipy warns about linear constraints and about redundant ones
             warnings.filterwarnings("ignore", message="delta_grad == 0.0|Singular Jacobian matrix")
             result = minimize(
                 lambda x: trials.values(x)[0],

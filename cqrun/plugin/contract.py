@@ -34,11 +34,11 @@ class Spec(BaseModel):
     _folder: Path = PrivateAttr(default=Path())
 
     def set_folder(self, folder: Path) -> None:
-        """Take the names of its files (`reference.FileName`) from this folder on."""
+        """Set the folder to which the file names in it (`reference.FileName`) are relative."""
         self._folder = folder
 
     def path_of(self, file: str) -> Path:
-        """Return where a file is that a field of it names."""
+        """Return the path of a file that one of its fields names."""
         return self._folder / file
 
     @model_validator(mode="wrap")

@@ -1,20 +1,23 @@
-"""What a field means, said by its type: it names a body, a group, a file, or is a place in the world.
+"""Types that mark what a field means: the name of a body, group, goal, actuator or file, or a position in the world.
 
     carrier: BodyName = Field(description="Body that carries the sensor")
     hold: GroupName = Field(description="Group of that body")
     recording_path: FileName = Field(description="What the sensor recorded")
 
-A scene finds what its parts refer to by these types, whatever the fields are called, in lists and mappings too. So it
-refuses a name that nothing has, and counts what a file holds among the inputs that name a run.
+By these types a scene finds the names in its parts, also in lists and mappings, whatever the fields are called. So it
+can refuse unknown names, and can include the content of files in the inputs that determine the name of a run.
 """
 
 from __future__ import annotations
 
+import errno
+import os
 import types
 import typing
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import GetJsonSchemaHandler
@@ -25,7 +28,7 @@ from cqrun.explain import Loc
 from cqrun.plugin.contract import Spec
 
 FILLED_MARK = "x-cqrun-filled"
-"""JSON schema key of a field that a user may leave out, until `scene_json_schema` takes it off the required ones."""
+"""JSON schema key of a field that a user may omit; `scene_json_schema` removes the field from the required ones."""
 
 M = TypeVar("M")
 
@@ -39,8 +42,8 @@ class NamesBody:
 class NamesGroup:
     """Mark of the name of a group of a body, or of a region of the scene.
 
-    The body is the one that the field `of` names; without, the one that the part's first body field names, or where
-    it has none that of a part around it.
+    The field `of` gives the body. If `of` is None, the first body field of the part gives it, or, if the part has no
+    such field, a part around it does.
     """
 
     of: str | None = None
@@ -48,7 +51,7 @@ class NamesGroup:
 
 @dataclass(frozen=True)
 class NamesRegion:
-    """Mark of the name of a region of the scene, or where particles are picked of a group of their body."""
+    """Mark of the name of a region of the scene; where particles are selected, also of a group of their body."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ class NamesActuator:
 
 @dataclass(frozen=True)
 class NamesFile:
-    """Mark of the name of a file, from the scene's folder. `Spec.path_of` returns where it is."""
+    """Mark of the name of a file, relative to the scene's folder. `Spec.path_of` returns its path."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +83,10 @@ class InWorld:
 
 @dataclass(frozen=True)
 class FilledIn:
-    """Mark of a field that a user may leave out: the scene fills it in before it is checked.
+    """Mark of a field that a user may omit: the scene fills it in before it is checked.
 
     Attributes:
-        by: what it is filled with; where the scene has none of it the field is missing.
+        by: the default; if the scene does not determine it, the field is missing.
     """
 
     by: Literal["zero vector", "zero spin", "only body"]
@@ -94,7 +97,7 @@ class FilledIn:
 
 BodyName = Annotated[str, NamesBody()]
 OnlyBodyName = Annotated[str, NamesBody(), FilledIn("only body")]
-"""Name of a body; in a scene with a single body it may be left out."""
+"""Name of a body; a scene with a single body may omit it."""
 
 GroupName = Annotated[str, NamesGroup()]
 RegionName = Annotated[str, NamesRegion()]
@@ -107,14 +110,14 @@ Face = Annotated[Literal["x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "
 
 @dataclass(frozen=True)
 class Marked(Generic[M]):
-    """A value that its type marks.
+    """A value whose type has a mark.
 
     Attributes:
-        part: what has the field.
-        loc: place of the value, from the part that was asked for it: the field's name, then indices and keys.
-        mark: the mark, which tells what the value means.
-        value: never None.
-        at_key: whether it is the key of a mapping, not what stands there.
+        part: the part that has the field.
+        loc: place of the value inside the part: the field's name, then indices and keys.
+        mark: the mark, which defines what the value means.
+        value: the value; never None.
+        at_key: whether the value is a key of a mapping, and not an entry.
     """
 
     part: Spec
@@ -124,12 +127,12 @@ class Marked(Generic[M]):
     at_key: bool = False
 
     def below(self, loc: Loc) -> Marked[M]:
-        """Return it with its place counted from above a part at `loc`."""
+        """Return the same value with the place of its part, `loc`, before its own."""
         return replace(self, loc=(*loc, *self.loc))
 
 
 def marked_in(part: Spec, kind: type[M]) -> Iterator[Marked[M]]:
-    """Yield every value in the fields of one part that its type marks with a `kind`; parts inside it are not asked."""
+    """Yield the values of one part whose types have a mark of class `kind`, without those of parts inside it."""
     annotations = field_types(type(part))
     for name in marked_fields(type(part), kind):
         for found in _marked(annotations[name], Marked(part, (name,), None, getattr(part, name))):
@@ -138,7 +141,7 @@ def marked_in(part: Spec, kind: type[M]) -> Iterator[Marked[M]]:
 
 
 def marked_fields(cls: type[Spec], kind: type[Any]) -> tuple[str, ...]:
-    """Return the names of the fields of a part whose type has a mark of a kind, in their order."""
+    """Return the names of a part's fields whose types have a mark of a kind, in order."""
     return _marked_fields(cls, kind)  # type: ignore[arg-type]  # mypy does not know that a class can be hashed
 
 
@@ -148,7 +151,7 @@ def _marked_fields(cls: type[Spec], kind: type[Any]) -> tuple[str, ...]:
 
 
 def marks(info: FieldInfo, kind: type[M]) -> list[M]:
-    """Return the marks of a kind in a field's type, each once."""
+    """Return the marks of a kind in a field's type, without duplicates."""
     return list(dict.fromkeys(mark for mark in _metadata(_type_of(info)) if isinstance(mark, kind)))
 
 
@@ -159,24 +162,24 @@ def field_types(cls: type[Spec]) -> dict[str, Any]:
 
 
 def body_of(part: Spec) -> str | None:
-    """Return the body that the first body field of a part names; None where it has none, or names none or several."""
+    """Return the name in the first body field of a part; None if it has no such field or not a single name there."""
     fields = marked_fields(type(part), NamesBody)
     value = getattr(part, fields[0]) if fields else None
     return value if isinstance(value, str) else None
 
 
 def is_union(annotation: Any) -> bool:
-    """Say whether a type is a choice of several types."""
+    """Return whether a type is a union of several types."""
     return typing.get_origin(annotation) in (typing.Union, types.UnionType)
 
 
 def _type_of(info: FieldInfo) -> Any:
-    """Return the type of a field, with the marks that pydantic has taken off it."""
+    """Return the type of a field, with the marks that pydantic has removed from it."""
     return Annotated[(info.annotation, *info.metadata)] if info.metadata else info.annotation
 
 
 def _metadata(annotation: Any) -> Iterator[Any]:
-    """Yield what a type, and the types that it is made of, are annotated with."""
+    """Yield the annotations of a type, and of the types inside it."""
     args = typing.get_args(annotation)
     if typing.get_origin(annotation) is Annotated:
         yield from args[1:]
@@ -186,10 +189,10 @@ def _metadata(annotation: Any) -> Iterator[Any]:
 
 
 def _marked(annotation: Any, at: Marked[Any]) -> Iterator[Marked[Any]]:
-    """Yield a value, and those inside it, once for each of the marks of its type."""
+    """Yield a value, and the values inside it, once for each mark of its type."""
     origin, args, value = typing.get_origin(annotation), typing.get_args(annotation), at.value
     if value is None or (is_union(annotation) and any(value in typing.get_args(a) for a in args if _is_literal(a))):
-        return  # a word of its own, such as `all`, is no name
+        return  # a literal, such as `all`, is not a name
     if origin is Annotated:
         yield from (replace(at, mark=mark) for mark in args[1:])
         yield from _marked(args[0], at)
@@ -203,6 +206,24 @@ def _marked(annotation: Any, at: Marked[Any]) -> Iterator[Marked[Any]]:
         for key, item in value.items():
             yield from _marked(args[0], replace(at, loc=(*at.loc, key), value=key, at_key=True))
             yield from _marked(args[1], replace(at, loc=(*at.loc, key), value=item))
+
+
+def why_unreadable(path: Path) -> str:
+    """Return why the file that a field names cannot be read; nothing if it can.
+
+    A pipe would wait for a writer, and a device may never end: only regular files are read.
+    """
+    try:
+        if path.is_dir():
+            return os.strerror(errno.EISDIR)
+        if path.exists() and not path.is_file():
+            return "it is a pipe or a device, not a file"
+        path.open("rb").close()
+    except OSError as error:
+        return str(error.strerror)
+    except ValueError:
+        return "its name has a zero byte"
+    return ""
 
 
 def _is_literal(annotation: Any) -> bool:

@@ -1,1 +1,1 @@
-"""Running: threads, run directories, progress, rollouts side by side, and the memory of gradients."""
+"""Execution of jobs: threads, run directories, progress, parallel rollouts, and the memory of gradients."""

@@ -1,4 +1,4 @@
-"""What bodies are made of, told before a run: particles, particles a cell, mass, and where they lie in the world."""
+"""Report the bodies before a run: particles, particles per cell, mass, and place in the world."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from cqrun.running.tables import number
 from cqrun.store.run import RunDirectory
 
 
-def tell_bodies(built: Built, run: RunDirectory, talk: Reporter, inputs: Inputs | None = None) -> None:
-    """Tell a line a body, and write it into the run's log; of what acts, if that is not what the scene says."""
+def report_bodies(built: Built, run: RunDirectory, talk: Reporter, inputs: Inputs | None = None) -> None:
+    """Report one line per body and write it into the run's log, with the scene's own inputs if not given."""
     size = " x ".join(number(edge) for edge in built.scene.world.size)
     for name in built.particles.names:
         text = f"{name}: {made_of(built, name, inputs)}; {lies(built, name, inputs)} of {size} m"
@@ -24,17 +24,17 @@ def tell_bodies(built: Built, run: RunDirectory, talk: Reporter, inputs: Inputs 
 
 
 def made_of(built: Built, name: str, inputs: Inputs | None = None) -> str:
-    """Return how many particles a body has, how densely, and its mass, with the scene's own inputs if not given."""
+    """Return a body's number of particles, their density and its mass as text."""
     particles, dx, dim = built.particles, built.scene.world.dx, built.scene.dim
     part, spacing = particles.of(name), particles.spacing[name]
     mass = (inputs or built.assembly.inputs({})).fields.mass[part].sum()
     count, unit = part.stop - part.start, "kg" if dim == 3 else "kg/m"
     in_cell = number((dx / spacing) ** dim)
-    return f"{count:,} particles, {in_cell} a cell, {number(spacing)} m apart; mass {number(mass)} {unit}"
+    return f"{count:,} particles, {in_cell} per cell, {number(spacing)} m apart; mass {number(mass)} {unit}"
 
 
 def lies(built: Built, name: str, inputs: Inputs | None = None) -> str:
-    """Return a body's bounds at rest, and how near they are to a face of the world."""
+    """Return a body's bounds at rest, and their distance from the nearest face of the world, as text."""
     x = (built.particles.x if inputs is None else inputs.state.x)[built.particles.of(name)]
     low, high = x.min(axis=0), x.max(axis=0)
     room = min(low.min(), (np.array(built.scene.world.size) - high).min())

@@ -1,11 +1,10 @@
-"""Some substeps of a rollout, run again and again: how long they take as a whole, and pass by pass."""
+"""Measure the time of some substeps of a rollout, in total and for each pass."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,13 +17,13 @@ from cqrun.engine.probe import record, record_vjp
 from cqrun.engine.rollout import Rollout
 from cqrun.engine.setting import Crew, Substep
 from cqrun.engine.step import BACKWARD, FORWARD, MEET
-from cqrun.numerics.compile import Pass as KernelPass
+from cqrun.numerics.compile import Pass
 from cqrun.plugin.contract import Array
 from cqrun.state import State
 
 
-class Pass(NamedTuple):
-    """One pass of a substep: `body(thread)` runs it, as often a substep as `calls` says."""
+class TimedPass(NamedTuple):
+    """One pass: `body(thread)` runs it, `calls` is how often it runs per substep."""
 
     name: str
     body: Callable[[int], Any]
@@ -32,13 +31,13 @@ class Pass(NamedTuple):
 
 
 class Excerpt:
-    """Substeps `begin` .. `begin + length` of a rollout whose adjoint may be run.
+    """Substeps `begin` .. `begin + length` of a rollout, and their adjoint.
 
     Args:
-        rollout: with `adjoint=True`; its own start is where the excerpt begins unless `q` says otherwise.
-        begin: a control step's first substep.
-        length: substeps, whole control steps.
-        q: the packed state at `begin`.
+        rollout: a rollout with `adjoint=True`.
+        begin: the first substep of a control step.
+        length: number of substeps, whole control steps.
+        q: the packed state at `begin`; the start of the rollout if not given.
     """
 
     def __init__(self, rollout: Rollout, begin: int, length: int, q: Array | None = None) -> None:
@@ -53,7 +52,7 @@ class Excerpt:
         self.backward = BackwardRun(rollout, LossBar(final=last))
 
     def forward(self) -> None:
-        """Run all substeps, as a rollout without gradient does."""
+        """Run all substeps like a rollout without gradient."""
         self.rollout.advance(self.begin, self.end, self.here, keep=False)
 
     def store(self) -> None:
@@ -65,13 +64,13 @@ class Excerpt:
         self.backward.run(self.begin, self.end, self.states)
 
     def rewind(self) -> None:
-        """Put the start where both runs begin, and have the policy decide again; no part of a substep, so not timed."""
+        """Reset the start of both runs, and the decisions of the policy; it is not part of a substep, so not timed."""
         self.here[0] = self.states[0] = self.q
         if self.rollout.policy is not None:
             self.rollout.decided = self.control
 
     def measure(self, repeat: int) -> dict[str, Any]:
-        """Return ns a particle and substep of the whole and of each pass: medians, the first run left out."""
+        """Return ns per particle and substep in total and for each pass: medians without the first run."""
         whole: dict[str, list[float]] = {"forward": [], "store": [], "backward": []}
         for _ in range(repeat + 1):
             for name, run in (("forward", self.forward), ("store", self.store), ("backward", self.reverse)):
@@ -91,73 +90,71 @@ class Excerpt:
         return result
 
     def nanoseconds(self, seconds: list[float], substeps: int) -> float:
-        """Return the median, a particle and substep [ns]."""
+        """Return the median per particle and substep [ns]."""
         return float(np.median(seconds)) / (self.n * substeps) * 1e9
 
-    # --- pass by pass, in an order in which each finds what it needs ------------------------------------------------
+    # --- the passes, in an order in which each has its inputs -------------------------------------------------------
 
     def _at(self, q: Array, q_next: Array, *, ahead: bool = False) -> Substep:
-        """Return a substep that sorts its particles, and does all its passes itself."""
+        """Return a substep that sorts its particles and runs all its passes."""
         return Substep(self.control, 0, False, ahead, q, q_next, self.states[0])
 
-    def _measurable(self, passes: Sequence[KernelPass]) -> Iterator[tuple[KernelPass, float]]:
-        """Yield the passes that there is something to do for, with how often a substep each runs."""
-        chained = self.rollout.setting.chained
-        calls = {"sort": 1.0 / SORT_EVERY}
-        if chained:  # the others go on from pass to pass
-            calls |= dict.fromkeys(("momentum", "move", "move_vjp", "momentum_vjp"), 1.0 / self.substeps)
+    def _measurable(self, passes: Sequence[Pass]) -> Iterator[tuple[Pass, float]]:
+        """Yield the passes that have work in this scene, and how often each runs per substep."""
+        r = self.rollout
         for each in passes:
-            if each is not MEET and (self.rollout.drive.forces or not each.name.startswith("forces")):
-                yield each, calls.get(each.name, 1.0)
+            if each is not MEET and (r.drive.forces or not each.name.startswith("forces")):
+                alone = r.setting.chained and each.tiled  # in a control step's first substep, else with another pass
+                yield each, 1.0 / SORT_EVERY if each.name == "sort" else 1.0 / self.substeps if alone else 1.0
 
-    def _run(self, each: KernelPass, at: Substep, thread: int) -> None:
-        """Run a pass on one thread."""
+    def _body(self, each: Pass, at: Substep) -> Callable[[int], Any]:
+        """Return a pass as a function of the thread; its arguments are evaluated once, not while it is timed."""
         r, b = self.rollout, self.backward
         known: dict[str, Any] = {
             "groups": r.groups, "conditions": r.conditions, "drive": r.drive, "run": r.bundle, "pairs": b.pairs,
             "coefficient_bar": b.coefficient_bar, "levels_bar": b.drive_bar.levels, "bars": b.bundle, "at": at,
-            "crew": Crew(thread, r.threads),
         }  # fmt: skip
-        each.run(*(known[name] for name in each.arguments.split(", ")))
+        arguments = [eval(f"({each.arguments},)", known | {"crew": Crew(t, r.threads)}) for t in range(r.threads)]
+        return lambda thread: each.run(*arguments[thread])
 
-    def forward_passes(self) -> Iterator[Pass]:
+    def forward_passes(self) -> Iterator[TimedPass]:
         """Yield the passes of a substep."""
         self.rewind()
         self.store()
         r, control, once = self.rollout, self.control, 1.0 / self.substeps
         if r.policy is not None:
-            yield Pass("policy", alone(self._policy), once)
+            yield TimedPass("policy", alone(self._policy), once)
         if r.drive.stresses or r.drive.steady:
-            yield Pass("activate", alone(lambda: activate(r.drive, r.bundle, control)), once)
+            yield TimedPass("activate", alone(lambda: activate(r.drive, r.fields, r.bundle.push, control)), once)
         q, q_next = self.states[0], self.states[1]
         for each, calls in self._measurable(FORWARD):
-            yield Pass(each.name, partial(self._run, each, self._at(q, q_next)), calls)
+            yield TimedPass(each.name, self._body(each, self._at(q, q_next)), calls)
         if r.setting.chained:
             move = next(each for each in FORWARD if each.name == "move")
-            yield Pass("move_momentum", partial(self._run, move, self._at(q, q_next, ahead=True)), 1.0 - once)
+            yield TimedPass("move_momentum", self._body(move, self._at(q, q_next, ahead=True)), 1.0 - once)
         if r.probe.start.shape[0] > 1:
             rows = np.ones_like(r.records[0])
-            yield Pass("record", alone(lambda: record(r.probe, q, rows)), once)
+            yield TimedPass("record", alone(lambda: record(r.probe, q, rows)), once)
 
-    def backward_passes(self) -> Iterator[Pass]:
-        """Yield the passes of a substep's adjoint, but for those that it does again of the substep."""
+    def backward_passes(self) -> Iterator[TimedPass]:
+        """Yield the passes of a substep's adjoint, without the passes of the substep that it repeats."""
         r, b, control = self.rollout, self.backward, self.control
         once, rows = 1.0 / self.substeps, np.ones_like(r.records[0])
         if r.probe.start.shape[0] > 1:
-            yield Pass("record_vjp", alone(lambda: record_vjp(r.probe, b.q_bar, rows)), once)
+            yield TimedPass("record_vjp", alone(lambda: record_vjp(r.probe, b.q_bar, rows)), once)
         q, q_next = self.states[0], self.states[1]
         for each, calls in self._measurable([each for each in BACKWARD if each not in FORWARD]):
             at = self._at(q, q_next) if each.name == "move_vjp" else self._at(q_next, q_next)
-            yield Pass(each.name, partial(self._run, each, at), calls)
+            yield TimedPass(each.name, self._body(each, at), calls)
         if r.setting.chained:
             momentum_vjp = next(each for each in BACKWARD if each.name == "momentum_vjp")
             at = self._at(q_next, q_next, ahead=True)
-            yield Pass("momentum_move_vjp", partial(self._run, momentum_vjp, at), 1.0 - once)
+            yield TimedPass("momentum_move_vjp", self._body(momentum_vjp, at), 1.0 - once)
         if r.drive.stresses or r.drive.steady:
-            bars = b.drive_bar.levels, r.bundle, b.bundle
-            yield Pass("activate_vjp", alone(lambda: activate_vjp(b.stresses, r.drive, *bars, control)), once)
+            bars = b.drive_bar.levels, r.fields, b.bundle
+            yield TimedPass("activate_vjp", alone(lambda: activate_vjp(b.stresses, r.drive, *bars, control)), once)
         if r.policy is not None:
-            yield Pass("policy_vjp", alone(self._policy_vjp), once)
+            yield TimedPass("policy_vjp", alone(self._policy_vjp), once)
 
     def _policy(self) -> None:
         r, control = self.rollout, self.control
@@ -180,7 +177,7 @@ def alone(run: Callable[[], Any]) -> Callable[[int], Any]:
 
 
 def timed(run: Callable[[], Any]) -> float:
-    """Return how long a call takes [s]."""
+    """Return the time of a call [s]."""
     begin = time.perf_counter()
     run()
     return time.perf_counter() - begin

@@ -1,18 +1,17 @@
-"""An adjoint against differences along one direction.
+"""Compare an adjoint with finite differences along one direction.
 
-Central differences D(h) = (f(x + h d) - f(x - h d)) / 2h are taken over a scan of steps and extrapolated to fourth
-order,
+Central differences D(h) = (f(x + h d) - f(x - h d)) / 2h for a scan of steps are extrapolated to fourth order,
 
     E(h) = (16 D(h/4) - D(h)) / 15.
 
-Large steps err by curvature, small ones by rounding; in between lies a plateau. It is found without looking at the
-adjoint, where E changes least from one step to the next for its size, and there the two must agree. Where there is
-none, differences are too rough to tell right from nearly right.
+Large steps have errors from curvature, small ones from rounding; between them is a plateau. It is where E changes least
+from step to step relative to its size, which does not depend on the adjoint. There the two must agree. Without a
+plateau, differences are too rough to judge the adjoint.
 
-Where branches change (contact, stick and slip) the loss has kinks. Steps that reach beyond a kink can have a plateau
-of their own, between the slopes of its two sides. So the scan goes on below its usual end where the two do not agree,
-and a plateau counts only if the smallest steps do not contradict it. Where a kink is so close that no step is short
-enough, differences to each side differ, and the adjoint must agree with one of them.
+If a branch changes between the points (contact, stick and slip), the loss has kinks. Steps that reach beyond a kink can
+have a plateau of their own, between the slopes of its two sides. So the scan continues below its usual end if the two
+do not agree, and a plateau counts only if the smallest steps do not contradict it. If a kink is closer than every step,
+the differences to each side are two slopes, and the adjoint must agree with one of them.
 """
 
 from __future__ import annotations
@@ -31,22 +30,22 @@ ALL_STEPS = 1e-2 * 4.0 ** -np.arange(19)
 """Steps of the central differences in scaled coordinates, 1e-2 to 1e-13."""
 
 STEPS = ALL_STEPS[:11]
-"""Those that are always taken, down to 1e-8; the others only in doubt."""
+"""The steps of every scan, down to 1e-8; smaller ones are taken only in doubt."""
 
 TOLERANCE = {"float64": 1e-5, "float32": 5e-2}
 """Largest relative difference on the plateau."""
 
 NOISE = 100.0
-"""Rounding errors of the loss that count as noise."""
+"""Noise of the loss, in rounding errors."""
 
 ROUGH = 1e-4
-"""Largest relative scatter of a plateau within which adjoint and differences count as equal."""
+"""Largest relative scatter of a plateau for which a difference within the scatter is accepted."""
 
 MOST = 10.0
-"""Times the root of the precision, the largest part of the loss that can be rounding."""
+"""Largest part of the loss that can be rounding error, in roots of the precision."""
 
 FAR = 3.0
-"""Times the scatter of differences beyond which two values are not the same, however rough the differences are."""
+"""A difference of more than this many times the scatter shows a wrong adjoint, even if the differences are rough."""
 
 AGREES: Final = "agrees"
 AT_A_KINK: Final = "agrees at a kink"
@@ -56,7 +55,7 @@ DISAGREES: Final = "disagrees"
 
 
 class Estimate(NamedTuple):
-    """A derivative by a scan of steps: its value, how uncertain it is, and the number of the step."""
+    """A derivative from a scan of steps: its value, its uncertainty, and the index of the step."""
 
     value: float
     noise: float
@@ -64,16 +63,16 @@ class Estimate(NamedTuple):
 
 
 def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Array, precision: str) -> Direction:
-    """Return what differences along one direction say of the gradient (n,)."""
+    """Compare the gradient (n,) with differences along one direction d."""
     adjoint, tolerance = float(gradient @ d), TOLERANCE[precision]
     eps, large = float(np.finfo(precision).eps), float(max(abs(value), loss.scale))
     rounding = NOISE * eps * large
     around = _usual_values(loss, d, rounding)
-    scan, floor, best = _central_estimate(*around, rounding, MOST * eps**0.5 * large)
+    scan, floor, best = _central_estimate(around, rounding, MOST * eps**0.5 * large)
     verdict, at = _verdict(adjoint, best, float(floor[best.at]), tolerance), best
     if verdict in (TOO_ROUGH, DISAGREES):  # in doubt: all smaller steps, and then the sides of a kink
         around = np.append(around, values_around(loss, d, ALL_STEPS[around.shape[1] :]), axis=1)
-        scan, floor, best = _central_estimate(*around, rounding, MOST * eps**0.5 * large)
+        scan, floor, best = _central_estimate(around, rounding, MOST * eps**0.5 * large)
         verdict, at = _verdict(adjoint, best, float(floor[best.at]), tolerance), best
     if verdict in (TOO_ROUGH, DISAGREES):
         sides = one_sided(around[0], value), one_sided(around[1], value, -1.0)
@@ -87,9 +86,9 @@ def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Ar
     )  # fmt: skip
 
 
-def _central_estimate(ahead: Array, behind: Array, rounding: float, most: float) -> tuple[Array, Array, Estimate]:
-    """Return E at every step, what rounding makes of it, and the derivative."""
-    scan = central(ahead, behind)
+def _central_estimate(around: Array, rounding: float, most: float) -> tuple[Array, Array, Estimate]:
+    """Return E at every step, its rounding error, and the derivative."""
+    scan = central(*around)
     floor = max(rounding, rounding_alone(scan, most)) / ALL_STEPS[: len(scan)]
     return scan, floor, estimate(scan, floor)
 
@@ -119,7 +118,7 @@ def _verdict(adjoint: float, found: Estimate, floor: float, tolerance: float) ->
 
 
 def _equal(adjoint: float, found: Estimate, tolerance: float) -> bool:
-    """Return whether an adjoint is what differences found, within a tolerance or within their small noise."""
+    """Return whether an adjoint equals the differences, within a tolerance or within their noise if that is small."""
     size, off = max(abs(adjoint), abs(found.value)), abs(adjoint - found.value)
     return off <= tolerance * size or off <= found.noise <= ROUGH * size
 
@@ -130,7 +129,7 @@ def _relative(a: float, b: float) -> float:
 
 
 def _two_slopes(ahead: Array, behind: Array, floor: Array, first: int) -> list[tuple[Estimate, Estimate]]:
-    """Return the slopes to both sides at every step from one on, where they differ: a kink is within that step."""
+    """Return the slopes to both sides at each step, from `first` on, if they differ: a kink is within that step."""
     pairs = [(_estimated(ahead, floor, k), _estimated(behind, floor, k)) for k in range(first, len(floor))]
     return [pair for pair in pairs if _differ(*pair)]
 
@@ -153,7 +152,7 @@ def values_around(loss: Loss, d: Array, steps: Array) -> Array:
 
 
 def _usual_values(loss: Loss, d: Array, rounding: float) -> Array:
-    """Return the same at the usual steps, and at smaller ones until they would tell no more."""
+    """Return the same at the usual steps, and at smaller ones while they show more."""
     around = values_around(loss, d, STEPS)
     for h in ALL_STEPS[len(STEPS) :]:
         if _settled(central(*around), rounding):
@@ -163,7 +162,7 @@ def _usual_values(loss: Loss, d: Array, rounding: float) -> Array:
 
 
 def _settled(scan: Array, rounding: float) -> bool:
-    """Say whether smaller steps would tell no more: there is a plateau, or what changes is rounding, or they fail."""
+    """Return whether the scan can end: there is a plateau, or changes are rounding errors, or rollouts fail."""
     floor = rounding / ALL_STEPS[: len(scan)]
     if not np.abs(np.diff(scan[-3:])).max() > floor[-1]:
         return True
@@ -175,7 +174,7 @@ def _at(loss: Loss, step: Array) -> float:
     try:
         return loss.value(loss.x + step)
     except (RolloutError, TrialFailed):
-        return float("nan")  # this step is too long for the scene; a shorter one serves
+        return float("nan")  # the step is too large for the scene; smaller ones follow
 
 
 def central(ahead: Array, behind: Array) -> Array:
@@ -194,7 +193,7 @@ def one_sided(values: Array, here: float, sign: float = 1.0) -> Array:
 
 
 def estimate(scan: Array, floor: Array) -> Estimate:
-    """Return the derivative by a scan; `floor` is what rounding makes of it at every step."""
+    """Return the derivative from a scan; `floor` is the rounding error at every step."""
     return _estimated(scan, floor, plateau(scan, floor))
 
 
@@ -203,9 +202,9 @@ def _estimated(scan: Array, floor: Array, at: int) -> Estimate:
 
 
 def rounding_alone(scan: Array, most: float) -> float:
-    """Return the loss's error, as seen, where a scan shows nothing else: E h is of one size everywhere; else 0.
+    """Return the observed error of the loss if a scan shows nothing else, so that E h has the same size everywhere.
 
-    So it is where a loss saturates, with an error larger than `most`.
+    Otherwise, and if the error is larger than `most` as for a loss that saturates, return 0.
     """
     level = np.nan_to_num(np.abs(scan) * ALL_STEPS[: len(scan)])
     half = len(scan) // 2
@@ -214,11 +213,11 @@ def rounding_alone(scan: Array, most: float) -> float:
 
 
 def plateau(scan: Array, floor: Array | float = 0.0) -> int:
-    """Return where a scan is flattest, or among the smallest steps, if they agree and contradict it.
+    """Return where a scan is flattest, or among the smallest steps if they agree with each other but not with that.
 
     Args:
         scan: (n,)
-        floor: what rounding makes of it; the smallest steps agree if they differ by no more.
+        floor: its rounding error; the smallest steps agree if they differ by no more.
     """
     floor = np.broadcast_to(floor, scan.shape)
     best, first = _flattest(scan, floor), _smallest_steps(scan, floor)
@@ -228,7 +227,7 @@ def plateau(scan: Array, floor: Array | float = 0.0) -> int:
 
 
 def _flattest(scan: Array, floor: Array) -> int:
-    """Return where a scan changes least to both its neighbours, for its size."""
+    """Return where a scan changes least to both neighbours relative to its size."""
     change, floor = np.abs(np.diff(scan)), floor[1:-1]
     both = np.maximum(np.maximum(change[1:], change[:-1]), floor)
     size = np.maximum(np.abs(scan[1:-1]), floor)
@@ -243,6 +242,6 @@ def _smallest_steps(scan: Array, floor: Array) -> int:
 
 
 def scatter(scan: Array, best: int) -> float:
-    """Return how far a scan's plateau is from its neighbours: no smaller difference can be told from it."""
+    """Return the difference between a scan's plateau and its neighbours, which limits what can be resolved."""
     change = np.abs(np.diff(scan[max(0, best - 1) : best + 2]))
     return float(np.nanmax(change)) if np.isfinite(change).any() else 0.0

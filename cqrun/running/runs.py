@@ -1,4 +1,4 @@
-"""How every job takes up its run: threads, the run's name, the scene that a run directory keeps."""
+"""Open, name and check run directories and their scenes, for all jobs."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from cqrun.store.history import read_history
 from cqrun.store.run import RunDirectory, RunScene, read_record
 
 EXTENDED = "`cqrun resume` has given it more iterations than this scene has"
-"""Of a run that was extended, where the scene that it began with is asked for."""
+"""The warning if a command asks for the original scene of an extended run."""
 
 
 def build_and_warn(scene: Scene, talk: Reporter) -> Built:
-    """Return a scene ready to run; its warnings are told."""
+    """Build a scene and report its warnings."""
     built = build(scene)
     for warning in built.warnings:
         talk.warn(str(warning))
@@ -37,7 +37,7 @@ def build_and_warn(scene: Scene, talk: Reporter) -> Built:
 
 
 def optimizer_of(scene: Scene) -> Optimizer:
-    """Return a scene's optimizer, which a job has chosen where the scene names none."""
+    """Return the optimizer of a scene; a job has set it if the scene names none."""
     assert scene.optimizer is not None
     optimizer = scene.optimizer.value
     assert isinstance(optimizer, Optimizer)
@@ -48,15 +48,15 @@ def open_run(
     stem: str, scene: Scene, out: Path, *, job: str, threads: int, fresh: bool, with_data: bool = True,
     files: Mapping[str, Path] | None = None,
 ) -> RunDirectory:  # fmt: skip
-    """Make the run of a resolved scene below `out`, or take up the one that is there.
+    """Create the run of a resolved scene in `out`, or open the existing one.
 
     Args:
         stem: name of the scene, and of the folder of its runs.
-        with_data: whether the job reads the recordings that the scene names.
-        files: what else the run depends on, by name.
+        with_data: whether the job reads the recordings of the scene.
+        files: other files that the run depends on, by name.
 
     Raises:
-        SceneError: a file that the scene names is missing. UsageError, RunError: as `RunDirectory.open`.
+        SceneError: a file of the scene is missing. UsageError, RunError: as `RunDirectory.open`.
     """
     if unreadable := unreadable_files(scene, READ_BY_EVERY_JOB):
         raise SceneError(unreadable)
@@ -67,7 +67,7 @@ def open_run(
 def run_scene(
     stem: str, scene: Scene, *, job: str, with_data: bool, files: Mapping[str, Path] | None = None
 ) -> RunScene:
-    """Return what names the run of a resolved scene; arguments as `open_run`.
+    """Return the inputs whose hash names the run of a resolved scene; arguments as `open_run`.
 
     Raises:
         SceneError: a recording is missing.
@@ -78,23 +78,19 @@ def run_scene(
 
 
 def part_files(scene: Scene) -> dict[str, Path]:
-    """Return the files that parts of a scene are read from, by the names it uses: all it names but in `data`."""
+    """Return the files of a scene that are not in `data`, by their names in the scene."""
     return files_by_name(scene, of_data=False)
 
 
 def data_files(scene: Scene) -> dict[str, Path]:
-    """Return the files of a scene's `data`, by the names it uses.
-
-    Raises:
-        SceneError: all those that are missing.
-    """
+    """Return the files of a scene's `data`, by their names in the scene; raise SceneError for all missing ones."""
     problems = []
     for loc, name in named_files(scene):
         path, key = scene.resolve_path(name), joined(loc)
         if loc[0] == DATA and not path.is_file():
             message = (
-                f"there is no file '{path}'; the head of the scene says where recordings are to be had; "
-                f"-o {key}=FILE names it where it is (from the scene's folder, or the whole path)"
+                f"there is no file '{path}'; the scene's header says where to download the recordings; "
+                f"if it is elsewhere, use -o {key}=FILE (an absolute path, or relative to the scene's folder)"
             )
             problems.append(Problem(scene.where(key), key, message))
     if problems:
@@ -103,15 +99,15 @@ def data_files(scene: Scene) -> dict[str, Path]:
 
 
 def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
-    """Return the scene that a run directory keeps, which names its files from where the run began.
+    """Return the scene in a run directory; its relative paths start at the folder of the original scene.
 
     Raises:
-        UsageError: it, or a file that one of its parts is read from, has changed since.
+        UsageError: the scene, or a file that it uses, has changed since the run began.
     """
     if not run.is_as_begun():
         raise UsageError(
-            f"{run.path}: its folder is not named after its scene: the folder was renamed, or its scene.yaml has "
-            "changed since the run began; give it its name back, or run the scene again"
+            f"{run.path}: the folder's name does not match its scene: the folder was renamed, or its scene.yaml has "
+            "changed since the run began; restore the name, or run the scene again"
         )
     scene = load_scene(run.path / "scene.yaml", overrides, Path(run.record["base"]))
     _require_as_begun(run.path, run.record, part_files(scene))
@@ -119,15 +115,15 @@ def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
 
 
 def scene_in(folder: Path, overrides: Sequence[str] = (), *, with_data: bool = False) -> Scene:
-    """Return the scene of the run in a folder, without taking hold of it.
+    """Return the scene of the run in a folder, without locking the run.
 
     Args:
-        folder: the run's.
-        overrides: of its scene; a file that they name in the place of another may be any.
-        with_data: whether the recordings are read that the scene names.
+        folder: the run directory.
+        overrides: overrides of the scene; files that they name are not checked.
+        with_data: whether the job reads the recordings of the scene.
 
     Raises:
-        UsageError: there is no run, or a file that its scene is read with has changed since.
+        UsageError: there is no run, or a file that its scene uses has changed since.
     """
     record = read_record(folder)
     scene = load_scene(folder / "scene.yaml", overrides, Path(str(record.get("base", ""))))
@@ -137,21 +133,17 @@ def scene_in(folder: Path, overrides: Sequence[str] = (), *, with_data: bool = F
 
 
 def _require_as_begun(run: Path, record: Mapping[str, Any], files: Mapping[str, Path]) -> None:
-    """Refuse files, by the names the scene uses, that are not what the run began with; a missing one is told later."""
+    """Raise UsageError for files that have changed since the run began; missing files are reported later."""
     for name, path in files.items():
         began_with = record.get("files", {}).get(name)
         if path.is_file() and began_with not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
             raise UsageError(
-                f"{run}: {path} has changed since the run began; run the scene again, or put back the file that it was"
+                f"{run}: {path} has changed since the run began; run the scene again, or restore the original file"
             )
 
 
 def require_same_data(run: RunDirectory) -> None:
-    """Refuse to go on with a run whose recordings have changed since it began.
-
-    Raises:
-        UsageError: they have. SceneError: one is missing.
-    """
+    """Raise UsageError if recordings have changed since the run began, or SceneError if one is missing."""
     scene = saved_scene(run)
     read = RunScene("", run.resolved, "", part_files(scene) | data_files(scene), plugins=scene.plugin_paths())
     if read.contents() != run.record["files"]:
@@ -159,7 +151,7 @@ def require_same_data(run: RunDirectory) -> None:
 
 
 def finished_already(run: RunDirectory, talk: Reporter, *, asked_by_scene: bool = True) -> bool:
-    """Say whether a run is finished, and tell so; tell that it was extended, where its first scene is asked for."""
+    """Return and report whether a run is finished; warn if the command asks for the scene of an extended run."""
     over = "; --fresh starts over" if asked_by_scene else ""
     if run.finished:
         talk.phase(f"finished already ({run.status}){over}")
@@ -169,21 +161,21 @@ def finished_already(run: RunDirectory, talk: Reporter, *, asked_by_scene: bool 
 
 
 def stopping(run: RunDirectory, talk: Reporter) -> Callable[[], None]:
-    """Return what raises Stopped where a run whose optimizer has ended is asked to stop."""
+    """Return a function that raises Stopped if the run is asked to stop after its optimizer has ended."""
 
     def interrupt() -> None:
         if talk.stop.asked:
-            raise talk.stop.stopped(f"stopped before the findings were written; `cqrun resume {run.path}` continues")
+            raise talk.stop.stopped(f"stopped before the results were written; `cqrun resume {run.path}` continues")
 
     return interrupt
 
 
 def refuse_overrides(run: RunDirectory, overrides: Sequence[str]) -> None:
-    """Refuse overrides of a job that cannot be extended."""
+    """Raise UsageError for overrides of a job that cannot be extended."""
     if overrides:
         job = run.record["job"]
         raise UsageError(
-            f"-o {overrides[0]}: a run of {job} cannot be extended, what changes makes another run: "
+            f"-o {overrides[0]}: a run of {job} cannot be extended; a changed scene is another run: "
             f"cqrun {job} SCENE -o {overrides[0]}"
         )
 
@@ -199,13 +191,13 @@ def raise_if_failed(run: Path) -> Path:
 
 
 def require_extension(run: RunDirectory, overrides: Sequence[str]) -> None:
-    """Refuse overrides of a run that do more than extend it, or would take back what it has done."""
+    """Raise UsageError for overrides that do not extend a run, or that ask for fewer iterations than it has done."""
     for override in overrides:
         key, _, value = override.partition("=")
         if not (key.startswith("optimizer.") and key.endswith(".max_iterations")):
             raise UsageError(
                 f"-o {override}: a run can only be extended (optimizer.*.max_iterations); "
-                "what else changes makes another run: start it from the scene"
+                "any other change is another run: start it from the scene"
             )
         done = iterations_done(run)
         wanted = yaml.safe_load(value)
@@ -214,14 +206,14 @@ def require_extension(run: RunDirectory, overrides: Sequence[str]) -> None:
 
 
 def iterations_done(run: RunDirectory) -> int:
-    """Return how many iterations a run has done."""
+    """Return the number of iterations that a run has done."""
     path = run.path / "history.csv"
     rows = read_history(path).get("iteration") if path.is_file() else None
     return 0 if rows is None or not len(rows) else int(rows[-1])
 
 
 class Progress:
-    """Tells the reporter of iterations, and the run of its best loss."""
+    """Reports every iteration, with the best loss so far."""
 
     def __init__(self, run: RunDirectory, talk: Reporter) -> None:
         self._run, self._talk = run, talk

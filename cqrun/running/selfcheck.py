@@ -1,4 +1,4 @@
-"""A kernel that takes a second: does this machine compile, cache, and thread as the engine needs it?"""
+"""Check with a small kernel that this machine compiles, caches and runs threads as the engine needs."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ SIZE = 1 << 16
 
 @dataclass(frozen=True)
 class KernelCheck:
-    """What the test kernel found.
+    """The result of the test kernel.
 
     Attributes:
-        right: its answer is that of NumPy, bit for bit, on one thread and on all.
-        origin: `compiled`, `from the cache`, or `plain Python` where the JIT is off.
+        right: whether its results are bit-for-bit those of NumPy, on one thread and on all.
+        origin: `compiled`, `from the cache`, or `plain Python` without the JIT.
         seconds: time of the first call [s].
     """
 
@@ -36,7 +36,7 @@ def _mirror(x, y, out, arrivals, thread, n_threads):  # type: ignore[no-untyped-
     for i in range(low, high):
         y[i] = 0.25 * x[i]
     barrier(arrivals, n_threads)
-    # what another thread wrote: right only if all of them have met
+    # these entries were written by other threads: they are right only if the barrier works
     for i in range(low, high):
         out[i] = y[x.size - 1 - i]
 
@@ -49,7 +49,7 @@ def _run(n_threads: int) -> Array:
 
 
 def check_kernel(n_threads: int) -> KernelCheck:
-    """Run the test kernel on one thread, then on `n_threads`, and say what happened."""
+    """Run the test kernel on one thread, then on `n_threads`, and return the result."""
     expected = 0.25 * np.arange(SIZE, dtype=np.float64)[::-1]
     start = time.perf_counter()
     right = bool(np.array_equal(_run(1), expected))

@@ -1,4 +1,4 @@
-"""What `cqrun gradcheck` differentiates, and the loss of a scene that has none: a function of the final state."""
+"""The loss that `cqrun gradcheck` differentiates, and a function of the final state for scenes without a loss."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from cqrun.scene.paths import canonical, leaf, leaves
 from cqrun.state import MOTION, State
 
 INSIDE = 0.025
-"""How far the point that is checked stays from the bounds, where 1 is from bound to bound: steps go both ways."""
+"""Smallest distance of the checked point from the bounds, which are 1 apart: steps go in both directions."""
 
 TYPICAL = {"m/s^2": 1.0, "m/s": 0.1, "rad/s": 0.1, "Pa s": 1.0, "N": 0.1, "kg": 0.01, "1/s": 1.0}
-"""Size of a number that is 0 in the scene, by its unit; 0.1 for any other."""
+"""Typical size by unit of numbers that are 0 in the scene; 0.1 for other units."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,12 @@ class Loss:
     """A function of scaled values x.
 
     Attributes:
-        words: what it is.
+        words: its name as text.
         params: the blocks of x.
-        x: where it is checked (n,).
-        value: f(x), from a forward run; RolloutError or TrialFailed where it blows up.
-        value_and_grad: f and its gradient (n,), by the adjoint.
-        scale: size of the terms that f sums: a small f may be a difference of large ones.
+        x: the point (n,) of the check.
+        value: returns f(x) from a forward run; raises RolloutError or TrialFailed if it blows up.
+        value_and_grad: returns f and its gradient (n,) by the adjoint.
+        scale: size of the terms of f; a small f may be the difference of large terms.
     """
 
     words: str
@@ -44,9 +44,9 @@ class Loss:
 
 
 def state_loss(built: Built, threads: int) -> Loss:
-    """Return a random linear function of the final x, v, C and F, by everything that gradients reach.
+    """Return a random linear function of the final x, v, C and F, of all numbers that gradients reach.
 
-    Each part is measured in its own root mean square, so that all of them count.
+    Each part is divided by its root mean square, so that all parts count.
     """
     params = Params(tuple(_block(built, path) for path in _reached(built)))
     rng = np.random.default_rng(built.scene.seed)
@@ -56,9 +56,9 @@ def state_loss(built: Built, threads: int) -> Loss:
         return Rollout(built.model, built.assembly.inputs(values), threads=threads, adjoint=adjoint)
 
     def last_state(x: Array) -> State:
-        seen: list[State] = []
-        final(x, adjoint=False).run(lambda control, state: seen.append(state) if control == n_controls else None)
-        return seen[0]
+        last: list[State] = []
+        final(x, adjoint=False).run(lambda control, state: last.append(state) if control == n_controls else None)
+        return last[0]
 
     n_controls = built.model.n_controls
     state = last_state(params.start)
@@ -68,14 +68,14 @@ def state_loss(built: Built, threads: int) -> Loss:
         return _product(last_state(x), weights)
 
     def value_and_grad(x: Array) -> tuple[float, Array]:
-        found: list[float] = []
+        losses: list[float] = []
 
         def loss_bar(records: Records, state: State) -> LossBar:
-            found.append(_product(state, weights))
+            losses.append(_product(state, weights))
             return LossBar(final=weights)
 
         _, bar = final(x, adjoint=True).gradient(loss_bar)
-        return found[0], params.gradient(x, built.assembly.gradient(params.unpack(x), bar))
+        return losses[0], params.gradient(x, built.assembly.gradient(params.unpack(x), bar))
 
     scale = float(sum(np.abs(a * w).sum() for a, w in _pairs(state, weights)))
     return Loss("a random function of the final state", params, params.start, value, value_and_grad, scale)
@@ -90,7 +90,7 @@ def _reached(built: Built) -> list[str]:
 
 
 def _block(built: Built, path: str) -> Block:
-    """Return a number of the scene with bounds half its size to either side, so that scaled steps are relative."""
+    """Return a number of the scene as a block with bounds at 0.5 and 1.5 times it; scaled steps are relative."""
     info = leaf(built.scene, path)
     value = float(info.value)
     half = 0.5 * abs(value) if value else 0.5 * TYPICAL.get(info.unit, 0.1)

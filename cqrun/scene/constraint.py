@@ -15,7 +15,7 @@ from cqrun.plugin.contract import Spec
 ENDS = ("at_least", "at_most", "equals")
 
 LOOSE = 0.5
-"""A constraint whose tolerance is more than this part of its end constrains next to nothing."""
+"""A constraint has almost no effect if its tolerance is more than this part of its bound."""
 
 
 class Constraint(Spec):

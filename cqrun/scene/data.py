@@ -1,4 +1,4 @@
-"""What a run is fitted to: recordings, or data that the scene makes itself."""
+"""Sections `data` and `unknowns`: recordings or synthetic data to fit, and the values that a fit may change."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cqrun.measurements.measurement import Measurement
 
 CarrierName = Annotated[Name, NamesBody(), FilledIn("only body")]
-"""Name of the body that data belong to; in a scene with a single body it may be left out."""
+"""Name of the body that data belong to; a scene with a single body may omit it."""
 
 
 def exactly_one(part: Spec, names: tuple[str, ...]) -> None:
@@ -30,34 +30,34 @@ def exactly_one(part: Spec, names: tuple[str, ...]) -> None:
 
 
 class Recording(PluginKeys):
-    """What was measured, read from a file.
+    """A recording: measured data, read from a file.
 
-    One further key is the name of a measurement, which says what the file holds and how the model is compared with it:
-    `markers: {tip: [0.1, 0.02]}` (cqrun describe measurement).
+    One further key is the name of a measurement, such as `markers: {tip: [0.1, 0.02]}`. The measurement defines what
+    the file contains, and how the model is compared with it (cqrun describe measurement).
     """
 
     keys_of: ClassVar[str] = "measurement"
 
-    file: FileName = Field(min_length=1, description="File with what was measured, relative to the scene")
-    start: float = quantity("s", "Time in the file when the run begins", differentiable=True, default=0.0)
-    length: float | None = quantity("s", "How long to compare; the scene's duration if absent", gt=0, default=None)
-    skip: float = quantity("s", "Time after the start (the latest that is allowed) not compared", ge=0, default=0.0)
-    holdout: bool = Field(description="Predict it, but do not fit it", default=False)
-    body: CarrierName = Field(description="Body that was measured; the only one if absent")
-    units: LengthUnit | None = Field(description="Of lengths in the file, if it does not say", default=None)
-    still: Interval | None = quantity("s", "Time in the file at rest, before the run or after it", default=None)
-    overrides: dict[str, Any] = Field(description="Key path -> value for this recording", default_factory=dict)
+    file: FileName = Field(min_length=1, description="File with the measured data, from the scene's folder")
+    start: float = quantity("s", "Time in the file at which the run begins", differentiable=True, default=0.0)
+    length: float | None = quantity("s", "Duration to compare; the scene's duration if absent", gt=0, default=None)
+    skip: float = quantity("s", "Time to leave out, counted from the latest allowed start", ge=0, default=0.0)
+    holdout: bool = Field(description="Predict this recording, but do not fit it", default=False)
+    body: CarrierName = Field(description="Measured body; the only body if absent")
+    units: LengthUnit | None = Field(description="Length unit of the file, if it does not name one", default=None)
+    still: Interval | None = quantity("s", "[begin, end] at rest in the file, before or after the run", default=None)
+    overrides: dict[str, Any] = Field(description="Key path -> value in this recording", default_factory=dict)
     weight: float = quantity("1", "Weight in the loss", gt=0, default=1.0)
 
     @property
     def measurement(self) -> Measurement:
-        """The measurement: `markers` where none is named."""
+        """The measurement; `markers` if none is named."""
         return next(iter(self.chosen.values()), None) or markers()
 
     @model_validator(mode="after")
     def _measured_in_one_way(self) -> Self:
         if len(self.chosen) > 1:
-            message = f"is of one measurement; has {listed(self.chosen)}: make a recording for each"
+            message = f"must have one measurement; has {listed(self.chosen)}: make a recording for each"
             raise complaint("Recording", [finding(message, involves=self.chosen)])
         for name in ("still", "units"):
             if getattr(self, name) is not None and name not in self.measurement.takes:
@@ -92,7 +92,7 @@ class Synthetic(Spec):
     noise: float = quantity("m", "Standard deviation of each coordinate", ge=0, default=0.0)
     copies: int = Field(description="Noisy copies of each sequence", ge=1, default=1)
     seed: Seed = Field(description="Seed of the noise and of tracked particles", default=0)
-    body: CarrierName = Field(description="Body that carries the markers; the only one if absent")
+    body: CarrierName = Field(description="Body that carries the markers; the only body if absent")
     markers: dict[str, Vector] | None = quantity("m", "Rest position of each marker", min_length=1, default=None)
     tracked: int | None = Field(description="How many random particles to track", ge=1, default=None)
     every: int | None = Field(description="Control steps between two frames", ge=1, default=None)
@@ -106,15 +106,15 @@ class Synthetic(Spec):
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
         """Return what does not fit a world of `dim` dimensions."""
-        told = f"must have {dim} entries in this {dim}D world, has "
+        message = f"must have {dim} entries in this {dim}D world, has "
         wrong = {name: len(x) for name, x in (self.markers or {}).items() if len(x) != dim}
-        return super().dim_problems(dim) + [(("markers", name), f"{told}{n}") for name, n in wrong.items()]
+        return super().dim_problems(dim) + [(("markers", name), f"{message}{n}") for name, n in wrong.items()]
 
 
 class Data(Spec):
-    """What a run is fitted to: exactly one of `recordings` and `synthetic`."""
+    """The data that a run is fitted to: exactly one of `recordings` and `synthetic`."""
 
-    recordings: dict[Name, Recording] | None = Field(description="What was measured", min_length=1, default=None)
+    recordings: dict[Name, Recording] | None = Field(description="Name -> recording", min_length=1, default=None)
     synthetic: Synthetic | None = Field(description="Data made by the scene itself", default=None)
 
     @model_validator(mode="before")
@@ -140,7 +140,7 @@ class Data(Spec):
 
 
 def _instead_of(target: Any) -> str:
-    """Return what to write in the place of a target: where the body ends, or where it is at a time."""
+    """Return advice to replace a target by an objective: `reach` for the end of the run, `track` for a given time."""
     given = target if isinstance(target, dict) else {}
     position = given.get("position")
     numbers = [str(number) for number in position] if isinstance(position, list) else ["X", "Y"]
@@ -148,54 +148,52 @@ def _instead_of(target: Any) -> str:
     if "time" in given:
         term, place = "track", f"keys: [[{', '.join([str(given['time']), *numbers])}]]"
     objective = f"objective: {{there: {{{term}: {{body: {given.get('body', 'BODY')}, {place}}}}}}}"
-    return (
-        f"a wanted place is an objective, not data: remove `data` and write `{objective}`; `cqrun sysid` makes it small"
-    )
+    return f"a target is an objective, not data: remove `data` and write `{objective}`; `cqrun sysid` minimises it"
 
 
 class Tie(Spec):
-    """How another number follows an unknown: factor * value + offset."""
+    """Another number that follows an unknown: factor * unknown + offset."""
 
-    factor: float = Field(description="Its change for one of the unknown", default=1.0)
-    offset: float = Field(description="Its value where the unknown is 0, in its own unit", default=0.0)
+    factor: float = Field(description="Its change per unit change of the unknown", default=1.0)
+    offset: float = Field(description="Its value if the unknown is 0, in its own unit", default=0.0)
 
     @model_validator(mode="after")
     def _follows(self) -> Self:
         if self.factor == 0:
-            raise complaint("Tie", [finding("must not be 0: nothing would follow; set the number itself", ("factor",))])
+            raise complaint("Tie", [finding("must not be 0, or the number is constant: set it directly", ("factor",))])
         return self
 
 
 def _ties(value: Any) -> Any:
-    """Return a list of paths as paths that are equal to the unknown."""
+    """Return a list of key paths as ties with factor 1 and offset 0."""
     if isinstance(value, list) and all(isinstance(path, str) for path in value):
         return {path: {} for path in value}
     return value
 
 
 class Unknown(Spec):
-    """A leaf of the scene that an optimizer may change."""
+    """A number of the scene that an optimizer may change."""
 
-    bounds: Interval = Field(description="Least and greatest value, in the leaf's unit")
-    scale: Literal["linear", "log"] = Field(description="What the optimizer sees", default="linear")
+    bounds: Interval = Field(description="Smallest and largest value, in the number's unit")
+    scale: Literal["linear", "log"] = Field(description="Scale on which the optimizer searches", default="linear")
     per: Literal["body", "group", "particle", "field"] = Field(
-        description="One value a body, a group or a particle, or a smooth field over the body", default="body"
+        description="One value per body, per group or per particle, or a smooth field over the body", default="body"
     )
     resolution: int | None = Field(
-        description="Of a field: cells of its splines along the body's longest edge, 4 if absent", ge=1, le=64,
+        description="Only for `per: field`: spline cells along the body's longest edge; 4 if absent", ge=1, le=64,
         default=None,
     )  # fmt: skip
     mirror: Literal["x", "y", "z"] | None = Field(
-        description="Axis across whose middle the body is its own mirror image, and so are the values: left = right",
+        description="Axis along which the values are symmetric about the body's middle; the body must be, too",
         default=None,
     )
     also: Annotated[dict[str, Tie], BeforeValidator(_ties)] = Field(
-        description="Key paths that change with it: a list of those that are equal, or path -> {factor, offset}",
+        description="Key paths that change with it: a list if their values are equal, or path -> {factor, offset}",
         default_factory=dict,
     )
-    initial: float | None = Field(description="Start; the scene's own value if absent", default=None)
+    initial: float | None = Field(description="Start value; the scene's own value if absent", default=None)
     regulariser: float = Field(
-        description="Weight in the loss of the mean squared way from the start, bounds being 1 apart", ge=0, default=0.0
+        description="Loss weight of the mean squared change from the start, relative to the bounds", ge=0, default=0.0
     )
 
     @model_validator(mode="after")

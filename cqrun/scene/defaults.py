@@ -16,7 +16,7 @@ from cqrun.scene.sections import Sections
 
 
 def with_defaults(scene: Any) -> Any:
-    """Return plain scene data with its `FilledIn` fields given; anything unexpected is left to the schema."""
+    """Return plain scene data with defaults in its `FilledIn` fields; the schema reports unexpected data."""
     if not isinstance(scene, dict):
         return scene
     defaults = _defaults(scene)
@@ -28,7 +28,7 @@ def with_defaults(scene: Any) -> Any:
 
 
 def _defaults(scene: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what fields are filled with, as far as the scene has it."""
+    """Return the defaults for `FilledIn` fields, as far as the scene determines them."""
     size, bodies = _mapping(scene.get("world")).get("size"), _mapping(scene.get("bodies"))
     dim = len(size) if isinstance(size, list) and len(size) in (2, 3) else 3
     found: dict[str, Any] = {"zero vector": [0.0] * dim, "zero spin": [0.0] * (1 if dim == 2 else 3)}
@@ -38,7 +38,7 @@ def _defaults(scene: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _filled(cls: type[Spec], part: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the plain data of a part of the scene, with what its fields, and those of its parts, are filled with."""
+    """Return the plain data of a part of the scene, with the defaults of its fields and of the parts inside it."""
     filled = dict(part)
     for name, annotation in field_types(cls).items():
         if name in part:
@@ -55,7 +55,7 @@ def _filled(cls: type[Spec], part: Mapping[str, Any], defaults: Mapping[str, Any
 
 
 def _inside(annotation: Any, value: Any, defaults: Mapping[str, Any]) -> Any:
-    """Return a value of a type, with its parts filled."""
+    """Return a value of a type, with defaults in the parts inside it."""
     origin, args = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is Annotated:
         choices = [mark for mark in args[1:] if isinstance(mark, Choice)]
@@ -73,7 +73,7 @@ def _inside(annotation: Any, value: Any, defaults: Mapping[str, Any]) -> Any:
 
 
 def _chosen(kind: str, value: Any, defaults: Mapping[str, Any]) -> Any:
-    """Return a choice `name: {...}` of a plug-in, with what it holds filled."""
+    """Return a choice `name: {...}` of a plug-in, with defaults in it."""
     if not (isinstance(value, dict) and len(value) == 1):
         return value
     ((name, inside),) = value.items()

@@ -13,11 +13,11 @@ from cqrun.plugin.contract import Plugin, Spec
 from cqrun.plugin.registry import plugins
 
 KEYS_MARK = "x-cqrun-keys"
-"""JSON schema key that says that plug-ins of a kind are properties here."""
+"""JSON schema key which marks that plug-ins of a kind are properties here."""
 
 
 class PluginKeys(Spec):
-    """Something whose keys beside its fields are the names of plug-ins of the kind `keys_of`."""
+    """A part whose keys, besides its fields, are the names of plug-ins of the kind `keys_of`."""
 
     model_config = ConfigDict(extra="allow")
     keys_of: ClassVar[str]

@@ -1,4 +1,4 @@
-"""What a scene's parts must agree on: the dimension, and the names they use for each other."""
+"""Check that the parts of a scene agree on its dimension, and on the names by which they refer to each other."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from cqrun.scene.sections import Sections
 from cqrun.scene.walk import marked, parts
 
 TAKEN = ("iteration", "loss", "growth_at", "regulariser", "violation", "kkt", "seconds")
-"""Columns of history.csv beside those of the objective's terms."""
+"""Columns of history.csv that no term of the objective may use as its name."""
 
 
 def findings_between(scene: Sections) -> list[InitErrorDetails]:
-    """Return what does not fit together."""
+    """Return the findings about parts that do not fit together."""
     found = [
         finding(message, (*loc, *place))
         for loc, part in parts(scene)
@@ -52,27 +52,27 @@ def _names(scene: Sections) -> Iterator[InitErrorDetails]:
 
 
 def _columns(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield terms whose column in history.csv would be another one's."""
+    """Yield terms whose name is already that of another column in history.csv."""
     for name in scene.objective:
         if name in TAKEN:
-            message = "history.csv has a column of this name already: give the term another name"
+            message = "history.csv already has a column of this name: give the term another name"
             yield finding(message, ("objective", name), kind=KEY)
 
 
 def _goals_unused(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield goals that nothing asks for, as a misspelt one is."""
+    """Yield goals that no part of the scene uses, for example because a name is misspelt."""
     named = {found.value for found in marked(scene, NamesGoal)}
-    if named:  # else there is nothing that could ask: a scene that is not finished, or a plug-in's own way
+    if named:  # if no goal is used at all, the scene is unfinished, or a plug-in uses goals in another way
         for name in scene.goals:
             if name not in named:
                 yield finding(
-                    f"no part of the scene asks for it; goals that are asked for: {listed(sorted(named))}",
+                    f"no part of the scene uses it; goals that are used: {listed(sorted(named))}",
                     ("goals", name),
                 )
 
 
 def _positions_outside(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield positions outside the world where something should come to."""
+    """Yield target positions that are outside the world."""
     for found in marked(scene, InWorld):
         at = found.value[found.mark.first :]
         for k, (place, size) in enumerate(zip(at, scene.world.size, strict=False)):
@@ -85,7 +85,7 @@ def _outside(axis: int, reach: str, size: float) -> str:
 
 
 def _goals_outside(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield goals that are, or may be drawn, outside the world; one with fewer or more entries is no position."""
+    """Yield goals whose range leaves the world; a goal is a position if it has one entry per dimension."""
     for name, goal in scene.goals.items():
         if len(goal.position) != scene.dim:
             continue
@@ -97,16 +97,16 @@ def _goals_outside(scene: Sections) -> Iterator[InitErrorDetails]:
 
 
 def _controller(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield what a controller cannot have beside it, or without it."""
+    """Yield conflicts of a controller: it excludes open-loop signals, and it needs actuators."""
     if scene.controller is None:
         return
     if scene.activation is not None:
         yield finding(
-            f"the controller '{scene.controller.name}' drives the actuators already: remove one of the two",
+            f"the controller '{scene.controller.name}' already drives the actuators: remove one of the two",
             ("activation",), kind=KEY, involves=("controller",),
         )  # fmt: skip
     if not scene.actuators:
-        yield finding("has no actuator to drive: say what it moves, in `actuators`", ("controller",), kind=KEY)
+        yield finding("has no actuator to drive: add one to `actuators`", ("controller",), kind=KEY)
 
 
 def _signals(scene: Sections) -> Iterator[InitErrorDetails]:
@@ -118,22 +118,22 @@ def _signals(scene: Sections) -> Iterator[InitErrorDetails]:
 
 
 def _limits(scene: Sections, activation: Activation) -> Iterator[InitErrorDetails]:
-    """Yield knots, or ends of a random range, beyond what an actuator takes."""
+    """Yield knots, and ends of a random range, that are outside an actuator's limits."""
     for name, chosen in scene.actuators.items():
         low, high = chosen.value.limits  # type: ignore[attr-defined]
-        asked: dict[Loc, float] = {}
+        activations: dict[Loc, float] = {}
         if activation.random is not None:
-            asked = {("random", end): getattr(activation.random, end) for end in ("low", "high")}
+            activations = {("random", end): getattr(activation.random, end) for end in ("low", "high")}
         for k, knot in enumerate((activation.signals or {}).get(name, [])):
-            asked["signals", name, k] = knot
-        for place, a in asked.items():
+            activations["signals", name, k] = knot
+        for place, a in activations.items():
             if not low <= a <= high:
                 message = f"must be between {low:g} and {high:g}, the limits of the {chosen.name} '{name}', is {a:g}"
                 yield finding(message, ("activation", *place))
 
 
 def _skipped(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield recordings that skip all of a run of the scene's own duration; those with a `length` tell themselves."""
+    """Yield recordings that skip the whole run; a recording with a `length` checks this itself."""
     for name, recording in scene.recordings.items():
         if recording.length is None and recording.skip >= scene.time.duration:
             message = f"skips {recording.skip:g} s of a run of {scene.time.duration:g} s: nothing is left to compare"

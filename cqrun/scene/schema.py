@@ -24,7 +24,7 @@ class Scene(Sections):
     _origin: Origin = PrivateAttr(default_factory=Origin)
 
     def set_origin(self, origin: Origin) -> None:
-        """Take up where the scene came from; files that its parts name start from there."""
+        """Store the origin of the scene; the file names in its parts are relative to it."""
         self._origin = origin
         for found in marked(self, NamesFile):
             found.part.set_folder(self.resolve_path(""))

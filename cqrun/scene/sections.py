@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cqrun.measurements.measurement import Measurement
 
 JobName = Literal["simulate", "sysid", "control", "codesign", "gradcheck"]
-"""What can be run of a scene; jobs/table.py has what each does."""
+"""The jobs of a scene; jobs/table.py defines what each does."""
 
 
 class Sections(Spec):
@@ -39,7 +39,7 @@ class Sections(Spec):
     memory: Memory = Field(
         description="Memory for the states that gradients keep: bytes, or with a unit, such as 8GiB", default=2 * 2**30
     )
-    seed: Seed = Field(description="Seed of everything that gives no seed itself", default=0)
+    seed: Seed = Field(description="Seed of every part that gives no seed itself", default=0)
     bodies: dict[Name, Body] = Field(description="Name -> body", min_length=1)
     regions: dict[Name, ChosenRegion] = Field(
         description="Name -> region of the world at the start; use the name wherever a region is needed",
@@ -99,13 +99,13 @@ class Sections(Spec):
 
     @property
     def measured(self) -> Measurement | None:
-        """A measurement in whose unit all recordings are; None without data, or where units differ."""
+        """A measurement whose unit all recordings have; None without data, or if the units differ."""
         found = [] if self.data is None else self.data.measurements
         return found[0] if len({m.unit for m in found}) == 1 else None
 
     @property
     def loss_unit(self) -> str:
-        """SI unit of a fit's loss, such as m^2; empty where it has none, or none that is known."""
+        """SI unit of a fit's loss, such as m^2; empty if it has none, or if the unit is not known."""
         return "" if self.measured is None or self.measured.unit == "1" else f"{self.measured.unit}^2"
 
     @property

@@ -156,7 +156,7 @@ def _per(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails
 
 
 def _set_by_regions(scene: Scene, keys: Sequence[str]) -> str:
-    """Return the problem if `material_of` sets a value that is to differ within the body, or an empty text."""
+    """Return the problem if `material_of` sets a value that the unknown varies within the body; empty if not."""
     if keys[0] != "bodies" or keys[2:3] != ["material"]:
         return ""
     others = scene.bodies[keys[1]].material_of

@@ -1,4 +1,4 @@
-"""Walk through a scene: every part with its place, and every value that its type says the meaning of."""
+"""Walk through a scene: yield its parts and marked values, each with its place."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def parts(node: Any, loc: Loc = ()) -> Iterator[tuple[Loc, Spec]]:
 
 
 def marked(node: Any, kind: type[M]) -> Iterator[Marked[M]]:
-    """Yield every value at and below a node that its type marks with a `kind`, with its place."""
+    """Yield every value at and below a node whose type has a mark of class `kind`, with its place."""
     for loc, part in parts(node):
         for found in marked_in(part, kind):
             yield found.below(loc)

@@ -1,4 +1,4 @@
-"""JSON files whose content a pydantic model describes: what is wrong with one is said with its key path."""
+"""Read JSON files that a pydantic model describes; error messages give the key path of the problem."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ T = TypeVar("T")
 
 
 class Part(BaseModel):
-    """A part of such a file; unknown keys, and text in place of numbers, are errors."""
+    """A part of a JSON file; unknown keys, and text in place of numbers, are errors."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
 def optional() -> Any:
-    """Return a field that may be None; the file then lacks its key."""
+    """Return a field that may be None; its key is then omitted from the file."""
     return Field(default=None, exclude_if=lambda value: value is None)
 
 
 def read_model(file: Path, model: TypeAdapter[T]) -> T:
-    """Return what a file holds, as a model describes it.
+    """Return the content of a file as an instance of a model.
 
     Raises:
-        UsageError: the file is damaged, or of another program; with the key path and what is wrong there.
+        UsageError: the file is damaged, or another program wrote it; the message gives the key path and the problem.
     """
     try:
         text = file.read_bytes()
@@ -42,7 +42,7 @@ def read_model(file: Path, model: TypeAdapter[T]) -> T:
 
 
 def _complaint(text: bytes, error: ValidationError) -> str:
-    """Return where a file is no result, what is wrong there, and what would be right."""
+    """Return where a file is not valid, what is wrong there, and what would be right."""
     first = error.errors(include_url=False)[0]
     if first["type"] == "json_invalid":
         return f"unreadable ({first['msg'].removeprefix('Invalid JSON: ')})"
@@ -56,10 +56,10 @@ def _complaint(text: bytes, error: ValidationError) -> str:
 
 
 def _place(data: Any, loc: Sequence[Any], *, missing: bool) -> Iterator[int | str]:
-    """Yield the keys of a place in plain data; what pydantic names between them are types.
+    """Yield those keys of pydantic's place `loc` that exist in the plain data; the others are names of types.
 
     Args:
-        missing: whether the last key is the one that the data lack.
+        missing: whether the problem is that the last key is missing; then it is yielded too.
     """
     for key in loc:
         if (isinstance(data, dict) and key in data) or (isinstance(data, list) and isinstance(key, int)):

@@ -1,6 +1,6 @@
-"""What a run found: one model for each job. This module alone writes the files that hold them, and reads them.
+"""The result of a run: one model for each job. Only this module writes and reads the files with results.
 
-The file is result.json, for a gradient check gradcheck.json.
+The file is result.json, or gradcheck.json for a gradient check.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from cqrun.store.model_file import Part, optional, read_model
 RESULT, GRADCHECK = "result.json", "gradcheck.json"
 
 Value = float | list[float]
-"""Of an unknown: one number, or one for each group or particle."""
+"""The value of an unknown: one number, or one for each group or particle."""
 
 Interval = tuple[float, float]
 """Lower and upper end."""
 
 
 class Search(Part):
-    """What every search tells: how it ended, where its loss is, and after how many iterations.
+    """The result of any search: how it ended, the final loss, and the number of iterations.
 
-    What was found depends on `substeps`, the number of them in a control step; older runs do not say it.
+    The values found depend on `substeps`, the number of substeps in a control step; older runs do not record it.
     """
 
     file: ClassVar[str] = RESULT
@@ -48,7 +48,7 @@ class Search(Part):
 
 
 class Identified(Part):
-    """An unknown: its start, its value, the 95 % interval of each of its numbers, and why there is none."""
+    """An unknown: start, value, the 95 % interval of each of its numbers, and the reason if there is no interval."""
 
     initial: Value
     value: Value
@@ -56,7 +56,7 @@ class Identified(Part):
     reason: str | None = optional()
 
     def numbers(self) -> tuple[list[float], list[Interval | None], list[float]]:
-        """Return the unknown's numbers with an interval or None for each, and their starts."""
+        """Return the unknown's numbers, an interval or None for each, and their start values."""
         values, initials = (v if isinstance(v, list) else [v] for v in (self.value, self.initial))
         if isinstance(self.interval, list):
             return values, self.interval, initials
@@ -64,10 +64,10 @@ class Identified(Part):
 
 
 class RecordingError(Part):
-    """How far the model is from a recording, under keys that its measurement names, with their unit.
+    """Errors of the model against a recording; the measurement defines the keys, which end in the unit.
 
-    For markers they are `rmse_mm`, None where the model blew up; `markers_mm`, the RMSE of each marker, None where it
-    was not seen; and `alignment_mm`, how far each is from its rest position, where the recording was aligned.
+    For markers these are `rmse_mm`, None if the model blew up; `markers_mm`, the RMSE of each marker, None if it was
+    not seen; and, if the recording was aligned, `alignment_mm`, the distance of each marker from its rest position.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -81,19 +81,19 @@ class RecordingError(Part):
         return value if isinstance(value, float) else None
 
     def numbers(self, key: str) -> dict[str, float | None]:
-        """Return the number of each channel, or None for it, of a key; empty if it has none."""
+        """Return the number, or None, of each channel for a key; empty if there are none."""
         value = (self.model_extra or {}).get(key)
         return value if isinstance(value, dict) else {}
 
 
 class SysidResult(Search):
-    """What an identification found.
+    """The result of an identification.
 
     Attributes:
-        unknowns: by key path.
-        recordings: by name; None where nothing was predicted, or there are no data.
-        fracture: by body, the most pairs of neighbours that were lost at one time; None where nothing was predicted.
-        findings: what the data leave open, and what went wrong, as sentences.
+        unknowns: the unknowns by key path.
+        recordings: the errors of each recording by name; None if nothing was predicted, or there are no data.
+        fracture: for each body, the most pairs of neighbours lost at one time; None if nothing was predicted.
+        findings: sentences about what the data do not determine, and about what went wrong.
     """
 
     job: Literal["sysid"] = "sysid"
@@ -107,7 +107,7 @@ class SysidResult(Search):
 
 
 class AtBounds(Part):
-    """How many of an unknown's numbers are at each of its bounds."""
+    """The number of an unknown's entries that are at each of its bounds."""
 
     lower: int
     upper: int
@@ -122,7 +122,7 @@ class Designed(Part):
 
 
 class ConstraintValue(Part):
-    """A constraint: its ends, the mean of its term over episodes, by how much that violates it, and the mean before."""
+    """A constraint: its bounds, the mean of its term over episodes, the violation, and the mean before training."""
 
     at_least: float | None = optional()
     at_most: float | None = optional()
@@ -133,7 +133,7 @@ class ConstraintValue(Part):
 
 
 StageName = Literal["start", "trained", "unseen"]
-"""Before the training, after it, and after it on goals that were not trained on."""
+"""Before training, after training, and after training but on goals that were not used for it."""
 
 
 class Episode(Part):
@@ -145,7 +145,7 @@ class Episode(Part):
 
 
 class Stage(Part):
-    """Episodes under one controller: mean loss and terms, and each of them."""
+    """Episodes with one controller: mean loss, mean terms, and every episode."""
 
     loss: float
     terms: dict[str, float]
@@ -153,7 +153,7 @@ class Stage(Part):
 
 
 class LostEpisode(Part):
-    """An episode that blew up: its goals [m], and how."""
+    """An episode that blew up: its goals [m], and the message."""
 
     goals: dict[str, list[float]]
     message: str
@@ -165,13 +165,13 @@ LEARNED: tuple[LearnedJob, ...] = get_args(LearnedJob)
 
 
 class LearnedResult(Search):
-    """What a run of control or co-design learned.
+    """The result of control or co-design.
 
     Attributes:
-        unknowns: of the design, by key path.
-        start, trained, unseen: episodes before and after, and on goals that were not trained on; None without any.
-        constraints: by name.
-        blew_up: episodes that are in no mean, by stage.
+        unknowns: the unknowns of the design, by key path.
+        start, trained, unseen: episodes of each stage (`StageName`); None if it has none.
+        constraints: the constraints by name.
+        blew_up: episodes that blew up, by stage; they are not part of any mean.
     """
 
     job: LearnedJob
@@ -192,7 +192,7 @@ class LearnedResult(Search):
 
 
 class BodyMotion(Part):
-    """Where a body ended [m], with what kinetic energy, its greatest speed [m/s] and its least J at any time."""
+    """A body at the end: position [m] and kinetic energy; and over the whole run: top speed [m/s] and smallest J."""
 
     centroid: list[float]
     kinetic_energy: float
@@ -201,14 +201,14 @@ class BodyMotion(Part):
 
 
 class SimulateResult(Part):
-    """What a simulation did.
+    """The result of a simulation.
 
     Attributes:
-        time: that was reached [s].
-        bodies: by name.
-        fracture: by body, the most pairs of neighbours that were lost at one time.
-        findings: what went wrong, as sentences.
-        goals, loss, terms, constraints: of the episode, where there is a controller.
+        time: the time that was reached [s].
+        bodies: the bodies by name.
+        fracture: for each body, the most pairs of neighbours lost at one time.
+        findings: sentences about what went wrong.
+        goals, loss, terms, constraints: those of the episode, if the scene has a controller.
     """
 
     file: ClassVar[str] = RESULT
@@ -235,18 +235,18 @@ class Direction(Part):
     """One direction of a gradient check.
 
     Attributes:
-        block: key path that is moved, or `all together`.
-        count: how many numbers it has.
-        adjoint: directional derivative by the adjoint.
-        differences: the same by differences, on the plateau; None where every step's rollout failed.
+        block: key path that is varied, or `all together`.
+        count: number of its entries.
+        adjoint: directional derivative from the adjoint.
+        differences: directional derivative from differences, on the plateau; None if rollouts failed for every step.
         error: |adjoint - differences| / the larger of the two, or None.
-        step: of the plateau.
-        noise: what rounding can make of a difference there, or the scan's own scatter.
-        scan: extrapolated difference at every step; None where a rollout failed.
-        verdict: `agrees`; `agrees at a kink`, as the loss has two slopes there, and the adjoint is one of them; `flat`,
-            as both are below what rounding makes, and there is nothing to compare; `too rough`, as they differ by no
-            more than a few times the scan's scatter, which is large, or it is as large as they are; `disagrees`.
-        agrees: the verdict is one of the first three.
+        step: step size of the plateau.
+        noise: possible effect of rounding on the difference there, or the scatter of the scan.
+        scan: extrapolated difference for every step; None if a rollout failed.
+        verdict: `agrees`; `agrees at a kink`: the loss has two slopes there, and the adjoint is one of them; `flat`:
+            both are below the effect of rounding, so they cannot be compared; `too rough`: the scatter of the scan is
+            large, and the two differ by at most a few times the scatter, or are not larger than it; `disagrees`.
+        agrees: whether the verdict is one of the first three.
     """
 
     block: str
@@ -262,7 +262,7 @@ class Direction(Part):
 
 
 class GradcheckResult(Part):
-    """What a gradient check found: whether all directions agree, the loss and what it is of, steps and directions."""
+    """The result of a gradient check: whether all directions agree, the loss and its name, steps and directions."""
 
     file: ClassVar[str] = GRADCHECK
     job: Literal["gradcheck"] = "gradcheck"
@@ -280,7 +280,7 @@ _RESULT: TypeAdapter[Result] = TypeAdapter(Annotated[Result, Field(discriminator
 
 
 def write_result(run: Path, result: Result) -> None:
-    """Write what the run in a directory found.
+    """Write the result of the run in a directory.
 
     Raises:
         ValueError: a number is not finite. UsageError, RunError: the file cannot be written.
@@ -289,20 +289,20 @@ def write_result(run: Path, result: Result) -> None:
 
 
 def read_result(run: Path) -> Result | None:
-    """Return what the run in a directory found; None where it has no result.
+    """Return the result of the run in a directory; None if it has no result.
 
     Raises:
-        UsageError: its file is damaged, or of another program.
+        UsageError: its file is damaged, or another program wrote it.
     """
     file = next((file for name in (RESULT, GRADCHECK) if (file := run / name).is_file()), None)
     return None if file is None else read_result_file(file)
 
 
 def read_result_file(file: Path) -> Result:
-    """Return the result in a file, wherever it lies.
+    """Return the result in a file, in any folder.
 
     Raises:
-        UsageError: the file is damaged, or of another program; with the key path and what is wrong there.
+        UsageError: the file is damaged, or another program wrote it; the message gives the key path.
     """
     return read_model(file, _RESULT)
 
@@ -311,10 +311,10 @@ R = TypeVar("R", bound=Result)
 
 
 def require_result(run: Path, model: type[R]) -> R:
-    """Return what the run in a directory found.
+    """Return the result of the run in a directory.
 
     Raises:
-        UsageError: it has no result, one of another job, or one that cannot be read.
+        UsageError: it has no result, a result of another job, or a result that cannot be read.
     """
     result = read_result(run)
     if not isinstance(result, model):

@@ -2,7 +2,7 @@
 
 results/<scene's stem>/<12 hex>/
   scene.yaml            resolved, complete       evals.*        what a resumed optimizer needs
-  scene.original.yaml   as typed                 history.csv    one row an iteration
+  scene.original.yaml   as typed                 history.csv    one row per iteration
   run.json              status, provenance       result.json    the result
   log.txt               events by phase          figures/       lock
   plugins/              copies of plug-in files  trajectory.h5  the motion

@@ -85,11 +85,11 @@ class RunSession:
         return state
 
     def save(self, state: dict[str, Array]) -> None:
-        """Save `state` atomically in place of the last but one."""
+        """Save `state` atomically; it replaces the older of the two saved states."""
         self._snapshots.save(state)
 
     def report(self, iteration: int, x: Array, loss: float, grad: Array, terms: Mapping[str, float]) -> None:
-        """Record a row of history.csv; a row that exists already is kept."""
+        """Record a row of history.csv; an existing equal row does not change."""
         row = {"loss": self._unit * loss, **{name: self._unit * term for name, term in terms.items()}}
         values = self._physical(x)
         for name, part in self._blocks.items():

@@ -1,4 +1,4 @@
-"""What several runs of one scene share: the summary of its seeds, and the comparison of a design's variants."""
+"""Files about several runs of one scene: the summary of its seeds, and the comparison of a design's variants."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cqrun.store.model_file import Part, optional, read_model
 
 
 class Mean(Part):
-    """The mean of a number over runs, and the ends of its interval; None where there are too few runs for it."""
+    """The mean of a number over runs, and the ends of its confidence interval; None if there are too few runs."""
 
     mean: float | None
     low: float | None
@@ -20,12 +20,12 @@ class Mean(Part):
 
 
 class Seed(Part):
-    """The run of one seed: its directory, how it ended, and by stage the mean loss and terms over its episodes.
+    """The run of one seed: its directory, how it ended, and the mean loss and terms over the episodes of each stage.
 
     Attributes:
-        reason: why it failed, else None.
-        blew_up: sentences on episodes that are in no mean.
-        extended: whether `cqrun resume` has given it more iterations than the scene has.
+        reason: why it failed; None if it did not.
+        blew_up: sentences about episodes that blew up; they are not part of any mean.
+        extended: whether `cqrun resume` gave it more iterations than the scene has.
     """
 
     run: str
@@ -40,13 +40,13 @@ class Seed(Part):
 
 
 class SeedsSummary(Part):
-    """The runs of one scene from several seeds, and what they have in common.
+    """The runs of one scene from several seeds, and their statistics.
 
     Attributes:
-        scene: the file's stem.
-        confidence: of the intervals.
-        seeds: by seed.
-        all: by stage, mean and interval of the loss and of every term over the runs that went well.
+        scene: the stem of the scene file.
+        confidence: confidence level of the intervals.
+        seeds: the run of each seed.
+        all: for each stage, mean and interval of the loss and of every term over the successful runs.
     """
 
     scene: str
@@ -56,14 +56,14 @@ class SeedsSummary(Part):
 
 
 class VariantRuns(Part):
-    """A variant of a design: which groups of unknowns are free in it, its runs, and what these have in common.
+    """A variant of a design: the groups of unknowns that are free in it, its runs, and their statistics.
 
     Attributes:
-        failed: why runs failed, by name.
-        feasible: how many runs meet the constraints, None without any.
-        gain: by which part it is better than the controller alone, None where that cannot be said.
-        rate: the learning rate it was learned with, if several were tried.
-        searched: the loss with each of them, None where it failed.
+        failed: why each failed run failed, by its name.
+        feasible: number of runs that meet the constraints; None without constraints.
+        gain: relative improvement over training only the controller; None if it is not defined.
+        rate: the learning rate that was used, if several were tried.
+        searched: the loss for each learning rate that was tried; None if that run failed.
     """
 
     free: list[str]
@@ -81,12 +81,12 @@ class Ablation(Part):
     """The comparison of a design's variants.
 
     Attributes:
-        scene: the file's stem.
-        confidence: of the intervals.
-        compared: the term of the objective that counts.
-        better: whether a greater or a smaller one.
-        variants: by name.
-        effects: what freeing each group of unknowns adds to that term.
+        scene: the stem of the scene file.
+        confidence: confidence level of the intervals.
+        compared: the term of the objective that is compared.
+        better: whether greater or smaller values of this term are better.
+        variants: the variants by name.
+        effects: the change of this term when a group of unknowns is freed, by group.
     """
 
     scene: str
@@ -98,7 +98,7 @@ class Ablation(Part):
 
 
 def write_study(file: Path, study: SeedsSummary | Ablation) -> None:
-    """Write what several runs share.
+    """Write a summary of seeds, or a comparison of variants.
 
     Raises:
         UsageError, RunError: the file cannot be written.
@@ -108,10 +108,10 @@ def write_study(file: Path, study: SeedsSummary | Ablation) -> None:
 
 
 def read_seeds(file: Path) -> SeedsSummary:
-    """Return a summary of seeds; UsageError where the file is damaged, or of another program."""
+    """Return a summary of seeds; UsageError if the file is damaged, or another program wrote it."""
     return read_model(file, TypeAdapter(SeedsSummary))
 
 
 def read_ablation(file: Path) -> Ablation:
-    """Return a comparison of variants; UsageError where the file is damaged, or of another program."""
+    """Return a comparison of variants; UsageError if the file is damaged, or another program wrote it."""
     return read_model(file, TypeAdapter(Ablation))

@@ -10,7 +10,7 @@ import reference
 from little_worlds import Acting, world
 from rich_scene import make_complex
 
-from cqrun.actuators.actuator import held_to
+from cqrun.actuators.actuator import within_limits
 from cqrun.actuators.cable import Cable
 from cqrun.engine.model import Inputs, LossBar, Model, Records
 from cqrun.engine.rollout import Rollout
@@ -128,7 +128,7 @@ STEP = 1e-6
 def held(wanted: float, previous: float | None) -> tuple[float, float, float]:
     """Return the activation given, and its derivatives by what is wanted and by the one before; None: no rate."""
     before, change = (0.0, np.array([np.inf])) if previous is None else (previous, CHANGE)
-    return tuple(float(a[0]) for a in held_to(np.array([wanted]), np.array([before]), LOW, HIGH, change))
+    return tuple(float(a[0]) for a in within_limits(np.array([wanted]), np.array([before]), LOW, HIGH, change))
 
 
 def sides(wanted: float, previous: float | None, *, by_previous: bool = False) -> tuple[float, float]:

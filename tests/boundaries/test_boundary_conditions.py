@@ -267,7 +267,7 @@ def test_all_faces_are_one_plane_each(dim):
         ({"region": {"box": {"corner": [0.0, 0.0], "size": [1.0, 1.0]}}}, "needs `normal`, a unit vector, for slip"),
         (
             {"region": {"half_space": {"point": [0.0, 0.2], "normal": [0.0, 1.0]}}, "thickness": 0.1},
-            "`thickness` belongs to a face; a region says itself how far it reaches",
+            "`thickness` belongs to a face; a region has its own size",
         ),
         (
             {"region": {"box": {"corner": [0.0, 0.0], "size": [1.0, 1.0]}}, "normal": [1.0, 1.0]},

@@ -154,8 +154,8 @@ def test_terrain_is_a_boundary_or_a_body() -> None:
             "scene: regions.a.union.shapes.1: there is no region 'legs' (did you mean 'leg'?); there are: a, leg, arm",
         ),
         (body(groups={"a": "lef"}) | {"regions": {"left": LEFT}}, "bodies.b.groups.a: there is no region 'lef'"),
-        ({"regions": {"leg": LEFT}}, "scene: regions.leg: is a group of the body 'b' as well: rename one"),
-        (body(groups={"leg": LEFT}), "scene: bodies.b.groups.leg: is a part or a colour of the body 'b' as well"),
+        ({"regions": {"leg": LEFT}}, "scene: regions.leg: is also a group of the body 'b': rename one"),
+        (body(groups={"leg": LEFT}), "scene: bodies.b.groups.leg: is also a part or a colour of the body 'b'"),
         ({"regions": {"a": "a"}}, "scene: regions.a: is made of itself: a region can only be made of others"),
         ({"regions": {"a": {"union": ["b", LEFT]}, "b": "a"}}, "regions.a: is made of itself, through 'b'"),
         (body(groups={"a": {"union": ["c"]}, "c": "a"}), "bodies.b.groups.c: is made of itself, through 'a'"),
@@ -165,14 +165,14 @@ def test_terrain_is_a_boundary_or_a_body() -> None:
         ),
         (
             {"regions": {"a": {"union": ["leg", LEFT]}}, "boundaries": {"w": {"sticky": {"region": "a"}}}},
-            "boundaries.w.sticky.region: is of nodes of the grid, and 'leg' is a group of particles",
+            "boundaries.w.sticky.region: must select grid nodes, but 'leg' is a group of particles",
         ),
         (
             {
                 "regions": {"a": {"cluster": {"count": 2, "index": 0}}},
                 "boundaries": {"w": {"sticky": {"region": "a"}}},
             },
-            "boundaries.w.sticky.region: is of nodes of the grid, and 'cluster' picks particles: give a shape",
+            "boundaries.w.sticky.region: must select grid nodes, but 'cluster' selects particles: give a shape",
         ),
         (
             {"regions": {"a": {"cluster": {"count": 2, "index": 0, "body": "c"}}}},

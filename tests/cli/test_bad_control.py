@@ -41,7 +41,7 @@ CASES = {
     "an actuator of groups and of a region": (
         "each: [left, right]",
         "each: [left, right], region: {half_space: {point: [0.5, 0.3], normal: [0, 1]}}",
-        ["actuators.muscle.muscle.region: stands beside `each`, which says where: give one of the two, or name a reg"],
+        ["actuators.muscle.muscle.region: cannot be combined with `each`: give one of the two, or name a reg"],
     ),
     "a colour of a body without an image": (
         "each: [left, right]",
@@ -86,7 +86,7 @@ CASES = {
     "a cable with coincident neighbours": (
         MUSCLE,
         cable("[[0.41, 0.25], [0.41, 0.25], [0.41, 0.55]]"),
-        ["actuators.string.cable.route.1: is where the point before it is: remove one of the two"],
+        ["actuators.string.cable.route.1: is the same as the point before it: remove one of the two"],
     ),
     "a cable along one point": (
         MUSCLE,
@@ -97,12 +97,12 @@ CASES = {
     "a controller and signals": (
         "controller:",
         "activation: {signals: {muscle: [0, 1]}}\ncontroller:",
-        ["finger.yaml:24:1: activation: the controller 'linear_tanh' drives the actuators already: remove one of the"],
+        ["finger.yaml:24:1: activation: the controller 'linear_tanh' already drives the actuators: remove one of the"],
     ),
     "a controller without actuators": (
         f"actuators:\n  {MUSCLE}\n",
         "",
-        ["finger.yaml:22:1: controller: has no actuator to drive: say what it moves, in `actuators`"],
+        ["finger.yaml:22:1: controller: has no actuator to drive: add one to `actuators`"],
     ),
     "signals beyond an actuator's limits": (
         "controller: {linear_tanh: {}}",
@@ -213,7 +213,7 @@ CASES = {
     "a goal that nothing asks for": (
         TARGET,
         TARGET.replace("target: {", "taget: {position: [0.5, 0.6]}, target: {"),
-        ["goals.taget: no part of the scene asks for it; goals that are asked for: target"],
+        ["goals.taget: no part of the scene uses it; goals that are used: target"],
     ),
     "a place outside the world": (
         TIP,

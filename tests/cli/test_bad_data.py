@@ -275,7 +275,7 @@ def test_times_that_are_not_in_seconds(refused, tmp_path):
 
 def test_a_length_between_control_steps(refused, tmp_path, positions):
     message = refused(write_csv(tmp_path / "swing.csv", positions), length="0.033")
-    assert "`length`, 0.033 s, is no multiple of the control step 0.01 s; the nearest is 0.03 s" in message
+    assert "`length`, 0.033 s, is not a multiple of the control step 0.01 s; the nearest is 0.03 s" in message
 
 
 def test_a_start_that_leaves_nothing_to_compare(cqrun, tmp_path, positions):

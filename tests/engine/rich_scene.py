@@ -42,7 +42,7 @@ def walls(dim: int) -> list[Wall]:
 def tendons(x: np.ndarray) -> tuple[Acting, ...]:
     """Return a chamber in each body, three cables and two body forces.
 
-    The cables start taut by a seventh, slack by a seventh, and with a signal below nought; one ties the bodies.
+    The cables start taut by a seventh, slack by a seventh, and with a negative signal; one ties the bodies.
     """
     first, both = np.arange(COUNTS[0]), np.arange(len(x))
     routes = ([0, 5, 9, 12], [20, 31, 40], [3, 44])

@@ -1,4 +1,4 @@
-"""Gradients in bounded memory: the same bits for any budget, the work that was promised, and a clear refusal."""
+"""Gradients in bounded memory: identical results for any budget, the planned work, and a clear error."""
 
 from __future__ import annotations
 

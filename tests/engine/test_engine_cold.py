@@ -1,4 +1,4 @@
-"""Code that was just compiled gives the same bits as the same code from the cache."""
+"""Code that was just compiled and the same code from the cache give bit-for-bit identical results."""
 
 from __future__ import annotations
 

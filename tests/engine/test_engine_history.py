@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -226,12 +227,15 @@ def test_a_fit_that_is_killed_goes_on_to_the_same_bits(tmp_path):
     scene.write_text(SCENE + FIT)
     finish(cqrun("sysid", scene, "--out", tmp_path / "whole"))
     process = cqrun("sysid", scene, "--out", tmp_path / "killed")
-    while not list((tmp_path / "killed").glob("*/*/history.csv")) and process.poll() is None:
-        time.sleep(0.01)
-    assert process.poll() is None, "it ended before it could be killed"
+    rows = 0
+    while rows < 3 and process.poll() is None:  # the head and two iterations
+        rows = sum(file.read_text().count("\n") for file in (tmp_path / "killed").glob("*/*/history.csv"))
+        time.sleep(0.002)
     process.kill()
-    process.communicate()
+    out, err = process.communicate()
+    assert process.returncode == -signal.SIGKILL, out + err
     (run,) = (tmp_path / "killed").glob("*/*")
+    assert not (run / "result.json").exists()
     finish(cqrun("resume", run))
     (whole,) = (tmp_path / "whole").glob("*/*")
     assert_same(whole, run)

@@ -1,4 +1,4 @@
-"""What is called from several places of a kernel, and must give the same bits in each, is not copied into it."""
+"""Functions whose results must be bit-for-bit identical for all callers are not inlined."""
 
 from __future__ import annotations
 

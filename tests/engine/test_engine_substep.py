@@ -33,7 +33,7 @@ def test_a_rollout_is_that_of_the_equations(dim):
     assert walls == {
         ("friction", 0), ("friction", 1), ("friction", 2), ("slip", 0), ("separate", 0), ("separate", 1), ("sticky", 0),
     }  # fmt: skip
-    # and each side of a cable: taut and slack, and taut though its signal is below nought
+    # and each side of a cable: taut and slack, and taut with a negative signal
     assert {cable for cable in met if cable[0] == "cable"} == {
         ("cable", True, True), ("cable", False, True), ("cable", True, False),
     }  # fmt: skip

@@ -82,7 +82,7 @@ def test_substeps_one_by_one_and_tile_by_tile_give_the_same_bits(dim, real, rng,
     records_bar = random_records(Records.zeros(model.n_controls, 2, dim, model.layout.history), rng)
     short = replace(model, memory_budget=20 * 2 * dim * (1 + dim) * model.layout.n * np.dtype(real).itemsize)
     state, records, bar = gradient(model, inputs, 1, records_bar)
-    monkeypatch.setattr(Rollout, "_chained", lambda rollout: True)
+    monkeypatch.setattr(forward_run, "CHAINED_FROM", 0)
     for other, threads in ((model, 1), (model, 2), (short, 1)):
         again, records_again, bar_again = gradient(other, inputs, threads, records_bar)
         for a, b in zip((*parts(again), *parts(records_again)), (*parts(state), *parts(records)), strict=True):

@@ -249,7 +249,7 @@ def test_barely_told_apart_and_wider_than_the_bounds(rng):
 
 
 def test_where_the_optimum_goes_when_residuals_change(rng):
-    """A linear fit's is exact, within bounds; an unknown at its bound, whose column is nought, stays."""
+    """It is exact for a linear fit, within bounds; an unknown at its bound, whose column is zero, stays."""
     J, z = np.c_[rng.normal(size=(40, 2)), np.zeros(40)], np.array([0.3, np.log(2.0), 1.0])
     r = rng.normal(size=40)
     unknowns = [Unknown("a", 0.3, -9, 9), Unknown("E", 2.0, 0.1, 100, True), Unknown("c", 1.0, 0, 1)]

@@ -38,7 +38,7 @@ def fit(J, errors, series):
 
 
 def cover(J, draw, rng):
-    """Return by unknown how often intervals cover nought, and their mean told over the true standard deviation."""
+    """Return by unknown how often intervals cover zero, and the reported over the true standard deviation."""
     hits, told, true = [], [], []
     for _ in range(TRIALS):
         off, found = fit(J, *draw(rng))
@@ -61,7 +61,7 @@ def test_slow_errors_that_markers_share(rng, phi, count):
 
 
 def test_slow_errors_leave_a_frequency_known(rng):
-    """A slow error looks like a sag, not like a swing: only the first is told less well for it."""
+    """A slow error looks like a sag, not like a swing: it makes only the first less certain."""
 
     def draw(rng):
         return autoregression(rng, 0.97, (N,)) + 0.05 * rng.normal(size=(6, N)), series_of(6, N)

@@ -51,9 +51,9 @@ def test_its_gradient_is_that_of_its_value():
 @pytest.mark.parametrize(
     ("term", "message"),
     [
-        ("{mass: {body: beam}}", "objective.it: sysid looks at the motion alone: `cqrun control` and"),
-        ("{distance: {body: beam, axis: x}}", "objective.it: sysid makes small what is 0 at best, such as `track`"),
-        ("{reach: {body: beam, position: [0.1, 0.1], weight: -1}}", "objective.it: sysid makes small what is 0 at"),
+        ("{mass: {body: beam}}", "objective.it: sysid takes only terms of the motion; `cqrun control` and"),
+        ("{distance: {body: beam, axis: x}}", "objective.it: sysid takes only terms that are 0 at best, such as"),
+        ("{reach: {body: beam, position: [0.1, 0.1], weight: -1}}", "objective.it: sysid takes only terms that are 0"),
         ("{track: {body: beam, keys: [[0.2, 0.1, 0.1]]}}", "objective.it: a key frame at 0.2 s is after the end of"),
     ],
 )

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import struct
+import tracemalloc
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -149,12 +152,12 @@ def test_files_without_a_readable_image_are_errors(tmp_path: Path, flag: str) ->
     with pytest.raises(UsageError, match=r"none.png: cannot be read \(No such file or directory\)"):
         image(str(tmp_path / "none.png")).examine()
     (tmp_path / "text.png").write_text("no picture")
-    with pytest.raises(UsageError, match=r"text\.png: is not an image that can be read; save it as PNG"):
+    with pytest.raises(UsageError, match=r"text\.png: is not a PNG; only PNG is read, whatever a file is called"):
         image(str(tmp_path / "text.png")).examine()
     big = save(tmp_path / "big.png", np.random.default_rng(0).integers(0, 255, (60, 60, 3)))
     cut = tmp_path / "cut.png"
     cut.write_bytes(Path(big).read_bytes()[:4000])
-    with pytest.raises(UsageError, match=r"cut\.png: cannot be read as an image: .*; save it as PNG again"):
+    with pytest.raises(UsageError, match=r"cut\.png: cannot be read as PNG: .*; save it again"):
         image(str(cut)).examine()
 
 
@@ -196,6 +199,72 @@ def test_16_bit_grey_is_scaled(tmp_path: Path) -> None:
     x = np.array([[0.05, 0.05], [0.15, 0.05], [0.25, 0.05]])
     np.testing.assert_array_equal(body.coloured(x, "dark"), [True, False, False])
     np.testing.assert_array_equal(body.coloured(x, "pale"), [False, True, False])
+
+
+def png(path: Path, samples: np.ndarray, depth: int, clear: tuple[int, ...]) -> str:
+    """Save samples (rows, columns) of grey or (rows, columns, 3) as PNG with `depth` bits and a transparent colour."""
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    rows = samples.reshape(len(samples), -1)
+    bits = (rows[..., None] >> np.arange(depth)[::-1] & 1).reshape(len(rows), -1).astype(np.uint8)
+    lines = b"".join(b"\0" + np.packbits(line).tobytes() for line in bits)
+    head = struct.pack(">IIBBBBB", samples.shape[1], len(samples), depth, 0 if samples.ndim == 2 else 2, 0, 0, 0)
+    transparent = b"".join(struct.pack(">H", sample) for sample in clear)
+    parts = [(b"IHDR", head), (b"tRNS", transparent), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in parts))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("depth", "clear", "body"),
+    [
+        *((depth, (clear,), (body,)) for depth in (1, 2, 4, 8, 16) for clear, body in ((0, 1), (1, 0))),
+        *((depth, (1,), (2**depth - 1,)) for depth in (2, 4, 8, 16)),  # the body is white
+        (16, (0x1234,), (0x1235,)),
+        *((depth, (2**depth - 1, 0, 7), (0, 0, 0)) for depth in (8, 16)),
+        *((depth, (0, 0, 0), (2**depth - 1,) * 3) for depth in (8, 16)),
+    ],
+)
+def test_transparent_colour_is_found_in_samples_of_any_size(
+    depth: int, clear: tuple[int, ...], body: tuple[int, ...], tmp_path: Path
+) -> None:
+    samples = np.tile(np.array(clear), (4, 6, 1))
+    samples[1:3, 2:5] = body
+    file = png(tmp_path / "clear.png", samples[..., 0] if len(clear) == 1 else samples, depth, clear)
+    assert image(file, height=4.0).volume() == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "WEBP", "GIF", "EPS", "TIFF"])
+def test_only_png_is_opened_whatever_a_file_is_called(kind: str, tmp_path: Path) -> None:
+    Pillow.new("RGB", (4, 4), (255, 0, 0)).save(tmp_path / "picture.png", format=kind)
+    with pytest.raises(UsageError, match=r"picture\.png: is not a PNG; only PNG is read"):
+        image(str(tmp_path / "picture.png")).examine()
+
+
+def test_image_too_large_for_the_memory_is_refused_before_it_is_read(
+    flag: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path(flag).touch()
+    monkeypatch.setattr("cqrun.geometry.image._PIXEL_MEMORY", 2**60)
+    monkeypatch.setattr(Pillow.Image, "convert", lambda *_: pytest.fail("it was read"))
+    with pytest.raises(UsageError, match=r"flag\.png: reading it needs about .* are free: save it with fewer pixels"):
+        image(flag).examine()
+
+
+def test_memory_does_not_grow_with_the_number_of_colours(tmp_path: Path) -> None:
+    side = 300
+    colours = {f"c{k}": f"#{k:02x}0000" for k in range(50)}
+    pixels = np.zeros((side, side, 3))
+    pixels[..., 0] = np.arange(side * side).reshape(side, side) % 50
+    body = image(save(tmp_path / "many.png", pixels), colours=colours, background="#00ff00", tolerance=0)
+    body.volume()  # the file is read
+    tracemalloc.start()
+    assert body.examine() == []
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 30 * side * side
 
 
 def test_missing_or_duplicate_colours_are_errors(flag: str) -> None:

@@ -210,7 +210,7 @@ def test_a_start_from_which_the_run_does_not_reach_the_last_frame(fit):
 
 
 def test_what_a_run_has_not_found(problem, beam, tmp_path):
-    with pytest.raises(UsageError, match="found: this scene is no run's; load the run's directory"):
+    with pytest.raises(UsageError, match="found: this scene has no run; load a run directory"):
         _ = problem.found
     run = run_simulate(beam, ["time.duration=0.01"], tmp_path / "out", threads=1)
     with pytest.raises(UsageError, match=r"found nothing \(a run of simulate, done\)"):

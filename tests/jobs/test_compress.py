@@ -55,7 +55,7 @@ def test_a_missing_torch_is_named(swing, tmp_path, monkeypatch):
 def test_a_file_that_cannot_be_is_told_before_any_work(tmp_path):
     """The runs are not even looked at: they are none."""
     (tmp_path / "encoder.npz").mkdir()
-    with pytest.raises(UsageError, match=r"is a directory; --out wants the name of a file"):
+    with pytest.raises(UsageError, match=r"is a directory; --out needs the name of a file"):
         compress([tmp_path], "pca", 2, tmp_path / "encoder.npz")
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match=r"file: cannot be made"):
@@ -69,7 +69,7 @@ def test_a_training_that_is_stopped_goes_on(swing, tmp_path):
             if done == 2:
                 self.stop.ask()
 
-    with pytest.raises(Stopped, match="stopped after epoch 2 of 4; the same command goes on"):
+    with pytest.raises(Stopped, match="stopped after epoch 2 of 4; the same command continues"):
         compress([swing], "vae", 2, tmp_path / "vae.npz", epochs=4, reporter=Stopping())
     assert not (tmp_path / "vae.npz").exists()
     compress([swing], "vae", 2, tmp_path / "vae.npz", epochs=4)

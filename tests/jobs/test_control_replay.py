@@ -104,9 +104,7 @@ def test_terms_that_do_not_fit_another_time_are_left_out(tmp_path, term, longer,
     scene = written(tmp_path)
     listener = Listener()
     run = replay(scene, tmp_path, f"objective.way={term}", f"time.duration={longer}", reporter=listener)
-    assert [line.startswith("warning: ") and told in line for line in listener.said if "goes without it" in line] == [
-        True
-    ]
+    assert [line.startswith("warning: ") and told in line for line in listener.said if "ignores it" in line] == [True]
     assert set(result_of(run)["terms"]) == {"tip", "effort"}
     fitting = replay(scene, tmp_path, f"objective.way={term}")
     assert set(result_of(fitting)["terms"]) == {"tip", "effort", "way"}
@@ -133,7 +131,7 @@ def test_numbers_for_every_particle_come_with_it(tmp_path):
         replay(run, tmp_path, f"{path}=12")
     elastic = "bodies.finger.material.elastic"
     for part in (f"{elastic}={{neo_hookean: {{youngs_modulus: 19, poissons_ratio: 0.3}}}}", f"{elastic}={{unfit: 1}}"):
-        with pytest.raises(UsageError, match=rf"holds {path}, which was learned; override what is beside it"):
+        with pytest.raises(UsageError, match=rf"holds {path}, which was learned; override other values only"):
             replay(run, tmp_path, part)
     with pytest.raises(UsageError, match="bodies and particles must be those it was trained with"):
         replay(run, tmp_path, "bodies.finger.sampling.lattice.count=3")
@@ -236,16 +234,16 @@ def test_parameters_that_mean_something_else_are_told(trained, tmp_path):
     other = (f"{gain}=0.2", f"{seen}=[tip, left, right]", "actuators.muscle.muscle.rate=50", *neither)
     listener = Listener()
     run = replay(trained, tmp_path, *other, reporter=listener)
-    (told,) = (line for line in listener.said if "acts otherwise" in line)
-    assert told.startswith(f"warning: {trained}/controller.npz: acts otherwise than it was trained to: ")
+    (told,) = (line for line in listener.said if "acts differently" in line)
+    assert told.startswith(f"warning: {trained}/controller.npz: acts differently than in its training: ")
     assert f"{gain} was 1.0, is 0.2; {seen} was all, is ['tip', 'left', 'right']; " in told
     assert told.endswith("actuators.muscle.muscle.rate was absent, is 50.0")
     assert told.removeprefix("warning: ") in result_of(run)["findings"]
     parameters, meta = read_controller(trained / "controller.npz")
     del meta["meaning"]
     save_controller(tmp_path / "older.npz", parameters, meta)
-    assert Agent(build(load_scene(trained / "scene.yaml", other)), tmp_path / "older.npz").otherwise == []
-    assert Agent(build(load_scene(trained / "scene.yaml", neither)), trained / "controller.npz").otherwise == []
+    assert Agent(build(load_scene(trained / "scene.yaml", other)), tmp_path / "older.npz").changes == []
+    assert Agent(build(load_scene(trained / "scene.yaml", neither)), trained / "controller.npz").changes == []
 
 
 def test_elsewhere_what_lies_at_a_place_in_the_world_acts_on_others(tmp_path):
@@ -299,7 +297,7 @@ def test_a_file_that_saw_other_numbers_or_says_nothing(trained, tmp_path):
     with pytest.raises(UsageError, match="it saw 14 numbers, and this scene's observers give 15"):
         replay(trained, tmp_path, controller=file)
     save_controller(file, parameters, {"controller": "linear_tanh"})
-    with pytest.raises(UsageError, match="does not say the controller's actuators, control_step"):
+    with pytest.raises(UsageError, match="lacks the controller's actuators, control_step"):
         replay(trained, tmp_path, controller=file)
 
 

@@ -120,7 +120,7 @@ def test_a_stopped_check_does_not_go_on_with_other_recordings(fit, tmp_path):
 
 def test_a_start_that_blows_up_is_told(beam, tmp_path):
     changed(beam, "[0, -9.81]", "[1000, 0]")
-    with pytest.raises(RunError, match=r"at the start itself: body 'beam', .* left the grid"):
+    with pytest.raises(RunError, match=r"with the start values: body 'beam', .* left the grid"):
         check(beam, tmp_path)
     (run,) = (tmp_path / "beam").iterdir()
     assert read_record(run)["status"] == "failed"

@@ -95,7 +95,7 @@ def test_a_trajectory_does_not_know_when_it_was_written(beam, tmp_path):
 
 def test_a_stopped_run_leaves_what_it_has_and_runs_again(beam, tmp_path):
     whole = simulate(beam, tmp_path / "whole")
-    message = r"stopped at t = 0.04 s; what there is so far lies in .*trajectory.h5.part; `cqrun resume .*` runs"
+    message = r"stopped at t = 0.04 s; the trajectory so far is in .*trajectory.h5.part; `cqrun resume .*` runs"
     with pytest.raises(Stopped, match=message) as ended:
         simulate(beam, tmp_path, reporter=Listener(stop_after=5))
     assert ended.value.exit_code == 75

@@ -166,7 +166,7 @@ def test_what_gradients_cost_is_told_and_is_no_part_of_the_result(fit, tmp_path)
     cost = read_record(run)["gradient"]
     assert cost["recompute_factor"] > 1.0
     assert cost["peak_bytes"] <= 128 * 1024
-    assert "forward substeps for each of the rollout" in (run / "log.txt").read_text()
+    assert "forward substeps for each substep of the rollout" in (run / "log.txt").read_text()
     assert "gradient" not in result_of(run)
 
 
@@ -220,7 +220,7 @@ def test_a_run_cannot_be_shortened(fit, tmp_path):
 
 
 def test_all_unknowns_at_their_bounds(fit, tmp_path):
-    """The truth lies outside: the value is told, without an interval, and why."""
+    """The truth lies outside: the value has no interval, but the reason."""
     path = "bodies.beam.material.elastic.fixed_corotated.youngs_modulus"
     run = run_sysid(fit, [f"unknowns={{{path}: {{bounds: [2e4, 3.5e4], scale: log}}}}"], tmp_path, threads=1)
     (entry,) = result_of(run)["unknowns"].values()
@@ -249,7 +249,7 @@ def test_a_regulariser_is_refused(fit, tmp_path):
 
 
 def test_constraints_are_refused(fit, tmp_path):
-    with pytest.raises(SceneError, match=r"constraints.light: sysid honours none: bound its unknowns instead"):
+    with pytest.raises(SceneError, match=r"constraints.light: sysid does not support constraints: bound"):
         identify(fit, tmp_path, "constraints={light: {of: {mass: {body: beam}}, at_most: 1}}")
 
 
@@ -266,7 +266,7 @@ def test_without_an_optimizer_the_data_choose_one(fit, tmp_path):
     assert result["recordings"] is None
     assert result["unknowns"][E_PATH]["interval"] is None
     lines = report_lines(run)
-    assert "no intervals: an objective is met or missed: there is no noise to compute an interval from" in lines
+    assert "no intervals: a fit to an objective has no noise to compute an interval from" in lines
     assert f"loss {result['loss']:.6g}" in lines
 
 
@@ -307,5 +307,5 @@ def test_a_kernel_is_announced_once_for_its_kind(fit, tmp_path, monkeypatch):
         said.append(listener.said)
     words = "2D float64, fixed_corotated + viscosity, sticky, forward"
     assert said[0] == [f"compiling kernels (once for scenes of this kind: {words})", *said[1]]
-    assert said[1][0].startswith("beam: 40 particles, 4 a cell")
+    assert said[1][0].startswith("beam: 40 particles, 4 per cell")
     assert said[1][1:] == ["making data", "fitting 2 unknowns", "intervals, predictions, trajectory"]

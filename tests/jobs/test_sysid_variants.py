@@ -162,12 +162,12 @@ def test_other_jobs_want_no_recordings(two):
 REFUSED = {
     "what a controller does": (
         (*MUSCLE[:1], "controller={sinusoid: {frequency: 1}}"),
-        "controller: sysid drives actuators by `activation` alone, and this would not act: take it out",
+        "controller: sysid drives actuators by `activation` only, not by a controller: remove it",
     ),
     "particles of its own": (
         (f"unknowns={{{E_PATH}: {{bounds: [1.0e4, 1.0e5], per: particle}}}}",
          "data.recordings.two.overrides={bodies.beam.particles_per_cell: 9}", "optimizer={lbfgs: {}}"),
-        "data.recordings.two: its overrides change the particles of 'beam', each of which has a value of the unknown",
+        "data.recordings.two: its overrides change the particles of 'beam', and the unknown",
     ),
     "another grid": (
         (f"unknowns={{{E_PATH}: {{bounds: [1.0e4, 1.0e5], per: field}}}}",
@@ -185,7 +185,7 @@ REFUSED = {
     ),
     "differences of rounding": (
         ("precision=float32",),
-        "optimizer.least_squares: its Jacobian is by differences, for which `precision: float32` is too coarse",
+        "optimizer.least_squares: `precision: float32` is too coarse for its finite differences",
     ),
 }  # fmt: skip
 
@@ -204,12 +204,13 @@ def test_single_precision_has_no_intervals(two, tmp_path):
     run = find(two, tmp_path, "precision=float32", "optimizer={lbfgs: {max_iterations: 2}}")
     entry = result_of(run)["unknowns"][SHEAR_PATH]
     assert entry["interval"] is None
-    assert "too coarse for the differences" in entry["reason"]
+    assert "too coarse for the finite differences" in entry["reason"]
 
 
+@pytest.mark.usefixtures("pictures")
 @pytest.mark.parametrize("spread", ["per: field, resolution: 2", "per: particle, mirror: y"])
 def test_values_that_follow_from_fewer_numbers(two, tmp_path, spread):
-    """Each value is told, without an interval; what is fitted beside them has its own."""
+    """The values have no intervals; an unknown that is fitted with them has one."""
     overrides = [f"unknowns.{E_PATH}={{bounds: [1.0e4, 1.0e5], {spread}}}", "optimizer={lbfgs: {max_iterations: 2}}"]
     run = find(two, tmp_path, *overrides)
     found = result_of(run)["unknowns"]

@@ -86,5 +86,5 @@ def test_a_run_of_an_unknown_job_is_refused(run):
 
 def test_a_result_of_another_job_than_the_run_is_refused(run):
     write_result(run, GradcheckResult(agrees=True, loss=1.0, of="it", steps=[], rows=[]))
-    with pytest.raises(UsageError, match="its result is one of gradcheck, and the run one of simulate"):
+    with pytest.raises(UsageError, match="is a run of simulate, but its result is one of gradcheck"):
         report_lines(run)

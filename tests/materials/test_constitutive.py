@@ -290,7 +290,7 @@ def test_the_derivative_by_E_is_not_the_printed_one(name, dim, rng):
 
 
 def test_incompressibility_of_an_odd_power_is_refused():
-    with pytest.raises(ValueError, match="3 is odd: the penalty would push the same way for J < 1 and J > 1"):
+    with pytest.raises(ValueError, match="3 is odd: the penalty would push in the same direction for J < 1 and J > 1"):
         Incompressibility(power=3)
     assert Incompressibility().power == 2
 

@@ -227,7 +227,7 @@ def test_strain_and_markers_in_one_fit_count_by_what_each_shows(scene, tmp_path)
     assert sum("RMSE [mm]" in line for line in report_lines(run)) == 1
 
 
-# --- what is told ---------------------------------------------------------------------------------------------
+# --- reports --------------------------------------------------------------------------------------------------
 
 
 def test_validate_tells_of_it(scene):
@@ -259,7 +259,7 @@ def test_kernels_that_it_does_not_have_are_not_compiled_anew():
         (
             "mean_strain: {group: top}",
             "mean_strain: {}, markers: {}",
-            "gauge: is of one measurement; has markers,",
+            "gauge: must have one measurement; has markers,",
         ),
         ("mean_strain: {", "mean_strian: {", "gauge.mean_strian: unknown key (did you mean 'mean_strain'?)"),
         ("group: top", "grop: top", "gauge.mean_strain.grop: unknown key (did you mean 'group'?)"),

@@ -120,7 +120,7 @@ def test_of_rank_one_it_is_a_nearest_rotation_whatever_sign_rounding_gives_det_F
     F = F.astype(real)
     signs = np.sign(det(as_tuple(F)))
     assert min((signs > 0).sum(), (signs < 0).sum()) > 80
-    with np.errstate(all="ignore"):  # where rounding gives nought Newton divides by it
+    with np.errstate(all="ignore"):  # if rounding gives zero, Newton divides by it
         R = as_matrices(polar(as_tuple(F)))
     np.testing.assert_allclose(np.linalg.det(R.astype(float)), 1.0, atol=close)
     np.testing.assert_allclose((R * F).sum((1, 2)), 1.0, atol=close)

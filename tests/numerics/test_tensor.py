@@ -113,9 +113,9 @@ def test_compiled_lanes_are_the_plain_functions(dim, on_lanes, real, close, rng)
 
 
 def test_a_tuple_that_is_no_tensor_is_refused():
-    with pytest.raises(TypeError, match="a tuple of 5 is no tensor of rank 2"):
+    with pytest.raises(TypeError, match="a tuple of 5 is not a tensor of rank 2"):
         tensor.trace((1.0,) * 5)
-    with pytest.raises(TypeError, match="a tuple of 4 is no tensor of rank 1"):
+    with pytest.raises(TypeError, match="a tuple of 4 is not a tensor of rank 1"):
         tensor.dot((1.0,) * 4, (1.0,) * 4)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made_matter import made_matter
@@ -120,3 +122,17 @@ def test_components_that_do_not_fit_are_an_error(tmp_path, rng):
         load_components(tmp_path / "other.npz")
     with pytest.raises(UsageError, match="cannot be read as a file of principal components"):
         Pca(body="arm", components=1, file=str(tmp_path / "none.npz")).bind(matter)
+
+
+def test_file_whose_arrays_do_not_fit_each_other_is_an_error(tmp_path, rng):
+    fitted = fit_components(bent(made_matter(2), rng)[0], 2)
+    path = tmp_path / "modes.npz"
+    for changed, words in [
+        ({"mean": fitted.mean[1:]}, r"its mean is \d+ x 2, but \d+ x 2 fits its modes"),
+        ({"reach": fitted.reach[:1]}, "its reach is 1, but 2 fits its modes"),
+        ({"reach": np.array(["a", "b"])}, "reach of the components are not finite numbers"),
+        ({"modes": np.full_like(fitted.modes, np.nan)}, "modes of the components are not finite numbers"),
+    ]:
+        save_components(path, replace(fitted, **changed))
+        with pytest.raises(UsageError, match=words):
+            load_components(path)

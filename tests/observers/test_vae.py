@@ -71,3 +71,26 @@ def test_file_of_another_kind_is_an_error(tmp_path):
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(UsageError, match=r"other.npz: is not an encoder file: it must contain the arrays grid"):
         load_encoder(tmp_path / "other.npz")
+
+
+def test_file_whose_arrays_do_not_fit_each_other_is_an_error(tmp_path, rng):
+    trained = made_encoder(2, rng)
+    path = tmp_path / "encoder.npz"
+    save_encoder(path, trained)
+    arrays = dict(np.load(path))
+    cells, cell, speed, dim = arrays["grid"]
+    for changed, words in [
+        ({"grid": np.array([1e6, cell, speed, dim])}, "its grid .* cannot be one; train it again"),
+        ({"grid": np.array([cells, cell, 0.0, dim])}, "its grid .* cannot be one; train it again"),
+        ({"grid": np.array([cells, cell, speed, 4.0])}, "its grid .* cannot be one; train it again"),
+        ({"grid": np.array([2 * cells, cell, speed, dim])}, "the shapes of its arrays do not fit each other"),
+        ({"weights": arrays["weights"][:, 1:]}, "the shapes of its arrays do not fit each other"),
+        ({"shift": arrays["shift"][1:]}, "the shapes of its arrays do not fit each other"),
+        ({"kernel0": arrays["kernel0"][:, :, 1:]}, "the shapes of its arrays do not fit each other"),
+        ({"offset0": arrays["offset0"][1:]}, "the shapes of its arrays do not fit each other"),
+        ({"middle": arrays["middle"][1:]}, "the shapes of its arrays do not fit each other"),
+        ({"shift": np.full_like(arrays["shift"], np.inf)}, "shift of the encoder are not finite numbers"),
+    ]:
+        np.savez(path, **{**arrays, **changed})
+        with pytest.raises(UsageError, match=words):
+            load_encoder(path)

@@ -207,7 +207,7 @@ def test_a_missing_file_of_a_term_is_told_and_a_simulation_goes_without_the_term
     run = run_simulate(path, ["time.duration=0.01", follow], tmp_path / "out", threads=1, reporter=talk)
     (warning,) = [text for text in talk.said if "away.csv" in text]
     assert f"objective.follow.track.marker.file: {tmp_path / 'away.csv'}: cannot be read" in warning
-    assert warning.endswith(": this run goes without it")
+    assert warning.endswith(": this run ignores it")
     assert (run / "trajectory.h5").is_file()
 
 

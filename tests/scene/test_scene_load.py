@@ -64,9 +64,9 @@ def test_a_scene_is_frozen(beam: str) -> None:
     [("", {"body": "beam", "position": [0.1, 0.05]}), (", time: 0.5", {"body": "beam", "keys": [[0.5, 0.1, 0.05]]})],
 )
 def test_a_target_is_refused_with_the_objective_to_write_in_its_place(beam: str, time: str, term: Any) -> None:
-    with pytest.raises(SceneError, match="a wanted place is an objective, not data: remove `data`") as info:
+    with pytest.raises(SceneError, match="a target is an objective, not data: remove `data`") as info:
         load_scene(beam, [f"data={{target: {{position: [0.1, 0.05]{time}}}}}"])
-    way_out = re.search(r"`objective: (\{.*\})`; `cqrun sysid` makes it small", str(info.value))
+    way_out = re.search(r"`objective: (\{.*\})`; `cqrun sysid` minimises it", str(info.value))
     assert way_out
     scene = load_scene(beam, ["data=null", f"objective={way_out[1]}"])
     assert scene.objective["there"].value.model_dump(include=set(term)) == term

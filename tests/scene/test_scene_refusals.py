@@ -263,7 +263,7 @@ def test_a_missing_file_and_a_wrong_encoding_are_reported(tmp_path: Path) -> Non
     ("data", "message"),
     [
         ({}, "data: must have exactly one of recordings, synthetic; has none"),
-        ({"target": {"position": [0, 0]}}, "data.target: a wanted place is an objective, not data"),
+        ({"target": {"position": [0, 0]}}, "data.target: a target is an objective, not data"),
         (
             {"target": {"position": [0.1, 0.05], "time": 0.5, "body": "beam"}},
             "write `objective: {there: {track: {body: beam, keys: [[0.5, 0.1, 0.05]]}}}`",

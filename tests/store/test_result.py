@@ -1,4 +1,4 @@
-"""Results on disk: what is written comes back, and a damaged or foreign file is told with the key that is wrong."""
+"""Results on disk: they are read back unchanged, and the error for a damaged or foreign file names the wrong key."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -14,6 +13,7 @@ from benchmarks.papers.figure import Figure, Folders, Size, Table, Verdict, tabl
 from benchmarks.papers.machinery.runs import Runs
 from benchmarks.papers.machinery.task import Task
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
+from cqrun.store.result import LearnedResult, read_result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
@@ -98,12 +98,14 @@ class ArmReach(Figure):
 
 
 def _rows(run: Run) -> Iterator[dict[str, object]]:
-    result = run.path / "result.json"
-    content = json.loads(result.read_text()) if result.exists() else {}
-    for name in SETS:
-        for episode in (content.get(name) or {"episodes": []})["episodes"]:
-            x, _, z = episode["goals"]["target"]
-            yield {"set": name, "seed": run.seed, "x": x, "z": z, "error": float(np.sqrt(episode["terms"]["tip"]))}
-        for lost in content.get("blew_up", {}).get(name, []):
-            x, _, z = lost["goals"]["target"]
+    result = read_result(run.path)
+    if not isinstance(result, LearnedResult):
+        return
+    for name in result.stages() | result.blew_up:
+        stage = result.stages().get(name)
+        for episode in stage.episodes if stage else []:
+            x, _, z = episode.goals["target"]
+            yield {"set": name, "seed": run.seed, "x": x, "z": z, "error": float(np.sqrt(episode.terms["tip"]))}
+        for lost in result.blew_up.get(name, []):
+            x, _, z = lost.goals["target"]
             yield {"set": name, "seed": run.seed, "x": x, "z": z, "error": np.nan}

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from benchmarks.papers.families.histories import runs_below
 from benchmarks.papers.figure import Figure, Folders, Size, Table, Verdict
 from benchmarks.papers.machinery.runs import Runs
 from cqrun.figures.style import COLOURS, GREY, new_figure, titled
+from cqrun.store.result import SysidResult, read_result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
@@ -75,11 +75,12 @@ class FingerMaterial(Figure):
             **{name: run.history[f"value:{path}"] for name, path in PATHS.items()},
             "seconds": run.seconds,
         }
-        file = run.path / "result.json"
-        if not file.exists():
+        result = read_result(run.path)
+        if not isinstance(result, SysidResult):
             return columns
-        result = json.loads(file.read_text())
-        answer = {"loss": result["loss"]} | {name: result["unknowns"][path]["value"] for name, path in PATHS.items()}
+        answer: dict[str, Any] = {"loss": result.loss} | {
+            name: result.unknowns[path].value for name, path in PATHS.items()
+        }
         return {name: np.append(column, answer.get(name, np.nan)) for name, column in columns.items()}
 
     def draw(self, table: Table, size: Size, folders: Folders) -> Picture:

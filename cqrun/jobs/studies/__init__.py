@@ -1,1 +1,1 @@
-"""Several runs of one scene: from several seeds, and of several variants of a design."""
+"""Studies of several runs of one scene: from several seeds, and of several variants of a design."""

@@ -1,13 +1,13 @@
-"""`cqrun control --seeds N`, and `codesign`: one scene learned from several seeds side by side, and what they share.
+"""`cqrun control --seeds N`, and `codesign`: learn one scene from several seeds in parallel, and summarise the results.
 
-Every seed is a run of its own, in a process of its own, that can be stopped and resumed as any other; the same
-command again continues those that are not finished. What they found is summed up beside their directories:
+Every seed is a separate run in its own process, which can be stopped and resumed like any other run; the same command
+continues unfinished runs. The summary is written beside their directories:
 
-summary-<hash>-<N>.json   of every seed and of all: mean and 90 % interval (Student) of the loss and of every term
+summary-<hash>-<N>.json   each seed, and mean and 90 % interval (Student) of the loss and of every term over the seeds
 summary-<hash>-<N>.csv    the same as a table
 
-The hash is that of the scene without its seed, N how many seeds. Runs that do not meet their constraints are in no
-mean, unless none does.
+The hash is that of the scene without its seed, N is the number of seeds. Means are over the runs that meet their
+constraints, or over all runs if none does.
 """
 
 from __future__ import annotations
@@ -41,36 +41,27 @@ from cqrun.store.run import RunScene, read_record
 from cqrun.store.study import Mean, Seed, SeedsSummary, read_seeds, write_study
 
 CONFIDENCE = 0.9
-"""Of the intervals of means."""
+"""Confidence of the intervals of means."""
 
 INFEASIBLE = "infeasible"
-"""How a run ended whose constraints are not met."""
+"""Status of a run that does not meet its constraints."""
 
 
 def run_seeds(
-    source: Path | str,
-    overrides: Sequence[str],
-    out: Path | str,
-    *,
-    seeds: int,
-    fresh: bool = False,
-    threads: int | None = None,
-    job: Learning = CONTROL,
-    jobs: int | None = None,
-    allow_plugins: bool = False,
+    source: Path | str, overrides: Sequence[str], out: Path | str, *, seeds: int, fresh: bool = False,
+    threads: int | None = None, job: Learning = CONTROL, jobs: int | None = None, allow_plugins: bool = False,
     reporter: Reporter | None = None,
-) -> tuple[Path, bool]:
-    """Learn a scene's controller from seeds 0 .. seeds - 1; return the summary's file and whether all went well.
+) -> tuple[Path, bool]:  # fmt: skip
+    """Learn a scene's controller from seeds 0 .. seeds - 1; return the file of the summary, and whether all succeeded.
 
     Args:
-        seeds: how many.
         job: control or codesign.
-        jobs: how many processes at once; as many as there are threads if absent.
-        threads: all together; every process has an equal share.
-        allow_plugins: handed on.
+        jobs: number of processes at once; the number of threads if not given.
+        threads: number of threads for all processes, which share them equally.
+        allow_plugins: passed to the processes.
 
     Raises:
-        SceneError, UsageError: bad input. Stopped: asked to stop; the same command goes on.
+        SceneError, UsageError: bad input. Stopped: asked to stop; the same command continues.
     """
     source, out = Path(source), Path(out)
     talk, n_threads = reporter or Silent(), cores(threads)
@@ -95,7 +86,7 @@ def run_seeds(
 
 
 def require_seeds(overrides: Sequence[str], seeds: int, jobs: int | None) -> None:
-    """Refuse numbers of seeds and processes that cannot be, and a seed of the user's own."""
+    """Raise UsageError for wrong numbers of seeds and processes, and for a seed in the overrides."""
     without = {"seeds": "the scene is learned from its own seed", "jobs": "there are as many processes as threads"}
     for name, count in (("seeds", seeds), ("jobs", jobs)):
         if count is not None and count < 1:
@@ -106,16 +97,16 @@ def require_seeds(overrides: Sequence[str], seeds: int, jobs: int | None) -> Non
 
 
 def warn_if_alike(problem: EpisodeProblem, seeds: int, talk: Reporter) -> None:
-    """Warn of seeds that change nothing."""
+    """Warn if seeds have no effect."""
     if seeds > 1 and not optimizer_of(problem.built.scene).draws and starts_alike(problem):
         talk.warn(
-            f"--seeds {seeds}: nothing in this scene is drawn from its seed, so every run will be the same; give "
-            "the controller a random start, such as open_loop's `noise`"
+            f"--seeds {seeds}: nothing in this scene depends on its seed, so all runs will be the same; give the "
+            "controller a random start, such as open_loop's `noise`"
         )
 
 
 def starts_alike(problem: EpisodeProblem) -> bool:
-    """Say whether another seed of the scene gives the same start."""
+    """Return whether another seed of the scene gives the same start."""
     built = problem.built
     other = EpisodeProblem(Agent(replace(built, scene=with_values(built.scene, {"seed": built.scene.seed + 1}))))
     return bool(np.array_equal(other.start, problem.start))
@@ -131,15 +122,15 @@ def command_of(job: str, source: Path, out: Path, threads: int, fresh: bool, all
 def member(
     words: Sequence[str], source: Path, scene: Scene, overrides: Sequence[str], seed: int, out: Path, job: str
 ) -> Member:
-    """Return the run of one seed; `scene` is what its overrides make of the source, resolved."""
+    """Return the run of one seed; `scene` is the resolved scene with the overrides."""
     optimizer: Any = scene.optimizer.value if scene.optimizer is not None else None
-    own = [word for override in (*overrides, f"seed={seed}") for word in ("-o", override)]
+    options = [word for override in (*overrides, f"seed={seed}") for word in ("-o", override)]
     run = out / source.stem / inputs_of(source, scene, seed, job).digest()
-    return Member(f"seed {seed}", run, [*words, *own], optimizer.max_iterations)
+    return Member(f"seed {seed}", run, [*words, *options], optimizer.max_iterations)
 
 
 def inputs_of(source: Path, scene: Scene, seed: int | None, job: str) -> RunScene:
-    """Return what names the run of a seed, or of none in particular."""
+    """Return the inputs whose hash names the run of a seed, or without a seed the summary."""
     if seed is not None:
         return run_scene(source.stem, with_values(scene, {"seed": seed}), job=job, with_data=False)
     unseeded = {key: value for key, value in resolve(scene).items() if key != "seed"}
@@ -147,17 +138,17 @@ def inputs_of(source: Path, scene: Scene, seed: int | None, job: str) -> RunScen
 
 
 def has_ended(member: Member) -> bool:
-    """Say whether a run came to a result, be it one that violates its constraints."""
+    """Return whether a run has a result, which may violate its constraints."""
     return member.failure is None or (
         (member.run / RESULT).exists() and read_record(member.run)["status"] == INFEASIBLE
     )
 
 
-# --- what they have in common -------------------------------------------------------------------------------------
+# --- the summary --------------------------------------------------------------------------------------------------
 
 
 def interval(values: Sequence[float]) -> Mean:
-    """Return the mean of values and its 90 % interval by Student's distribution, which one value alone has not."""
+    """Return the mean of values and its 90 % interval by Student's distribution; one value has no interval."""
     x = np.array(values, float)
     if len(x) == 1:
         return Mean(mean=float(x[0]), low=None, high=None)
@@ -166,10 +157,10 @@ def interval(values: Sequence[float]) -> Mean:
 
 
 def _summary(stem: str, seeds: Sequence[Member]) -> SeedsSummary:
-    """Return what every seed found, and means with intervals over those that went well."""
+    """Return every seed's result, and means with intervals over the seeds that succeeded."""
     results = {k: require_result(member.run, LearnedResult) for k, member in enumerate(seeds) if has_ended(member)}
-    found = [result for result in results.values() if result.status != INFEASIBLE] or list(results.values())
-    stages = [name for name in STAGES if found and all(name in result.stages() for result in found)]
+    good = [result for result in results.values() if result.status != INFEASIBLE] or list(results.values())
+    stages = [name for name in STAGES if good and all(name in result.stages() for result in good)]
     return SeedsSummary(
         scene=stem,
         confidence=CONFIDENCE,
@@ -181,8 +172,8 @@ def _summary(stem: str, seeds: Sequence[Member]) -> SeedsSummary:
         },
         all={
             stage: {
-                name: interval([_numbers(result.stages()[stage])[name] for result in found])
-                for name in _numbers(found[0].stages()[stage])
+                name: interval([_numbers(result.stages()[stage])[name] for result in good])
+                for name in _numbers(good[0].stages()[stage])
             }
             for stage in stages
         },
@@ -190,7 +181,7 @@ def _summary(stem: str, seeds: Sequence[Member]) -> SeedsSummary:
 
 
 def _seed(member: Member, result: LearnedResult, stages: Sequence[StageName]) -> Seed:
-    """Return what one seed's run found."""
+    """Return the result of one seed's run."""
     numbers = {name: _numbers(result.stages()[name]) for name in stages}
     return Seed(
         run=str(member.run), status=result.status, iterations=result.iterations, blew_up=list(blown_up(result)),
@@ -200,12 +191,12 @@ def _seed(member: Member, result: LearnedResult, stages: Sequence[StageName]) ->
 
 
 def _numbers(stage: Stage) -> dict[str, float]:
-    """Return the terms of a stage, and the loss, as `loss`."""
+    """Return the terms of a stage, and its loss as `loss`."""
     return {**stage.terms, "loss": stage.loss}
 
 
 def _table(summary: SeedsSummary) -> Iterator[list[object]]:
-    """Yield a row a seed, and rows of the mean and of both ends of its interval."""
+    """Yield one row per seed, then rows of the mean and of both ends of its interval."""
     columns = [(stage, name) for stage, numbers in summary.all.items() for name in numbers]
     yield ["seed", "run", "status", "iterations", *(f"{stage}:{name}" for stage, name in columns)]
     for seed, entry in summary.seeds.items():
@@ -221,10 +212,10 @@ def summary_lines(path: Path) -> list[str]:
     seeds = summary.seeds.items()
     ended = [entry for _, entry in seeds if entry.status != "failed"]
     good = [entry for entry in ended if entry.status != INFEASIBLE] or ended
-    told = f"mean and {summary.confidence:.0%} interval over them"
-    lines = [f"{len(good)} of {len(seeds)} seeds learned; {told}", ""]
+    means = f"mean and {summary.confidence:.0%} interval over"
+    lines = [f"{len(good)} of {len(seeds)} seeds learned; {means} them", ""]
     if good and all(entry.status == INFEASIBLE for entry in good):
-        lines = [f"0 of {len(seeds)} seeds meet their constraints; {told} all the same", ""]
+        lines = [f"0 of {len(seeds)} seeds meet their constraints; {means} all of them", ""]
     if stages := list(summary.all):
         head = ("term", *(STAGES[stage] for stage in stages))
         names = list(summary.all[stages[0]])
@@ -232,12 +223,12 @@ def summary_lines(path: Path) -> list[str]:
     lines += [f"seed {k} does not meet its constraints" for k, entry in seeds if entry.status == INFEASIBLE]
     lines += [f"seed {k} failed: {entry.reason}" for k, entry in seeds if entry.status == "failed"]
     lines += [f"warning: seed {k}: {EXTENDED}" for k, entry in seeds if entry.extended]
-    lines += [f"seed {k}, {lost}" for k, entry in seeds for lost in entry.blew_up or []]
+    lines += [f"seed {k}, {sentence}" for k, entry in seeds for sentence in entry.blew_up or []]
     spread = summary.all.get("trained", {}).get("loss")
     if len(good) > 1 and spread is not None and spread.low == spread.high:
-        lines.append("note: every seed found the same: nothing in this scene is drawn from its seed")
+        lines.append("note: all seeds have the same result: nothing in this scene depends on its seed")
     if ended:
-        lines += ["", "draw them together: cqrun plot " + " ".join(entry.run for entry in ended)]
+        lines += ["", "to draw them together: cqrun plot " + " ".join(entry.run for entry in ended)]
     return [*lines, f"summary: {path}"]
 
 

@@ -1,4 +1,4 @@
-"""Variants of a design: which kinds of its unknowns are free in each, and which keep their starts."""
+"""Variants of a design: in each, some groups of unknowns are free and the others are fixed at their start values."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start, tied
 
 MOST_GROUPS = 3
-"""All combinations of more are too many runs: none, each alone and all are compared instead."""
+"""With more groups, all combinations are too many runs; then none, each alone, and all are compared."""
 
 CONTROL, ALL = "control", "all"
 
 
 @dataclass(frozen=True)
 class Variant:
-    """What is free in it: its name, the groups, and the overrides that make it of the scene."""
+    """A variant: its name, its free groups, and the overrides that make it from the scene."""
 
     name: str
     groups: tuple[str, ...]
@@ -53,28 +53,28 @@ def variants_of(scene: Scene) -> list[Variant]:
         chosen = [free for k in range(len(groups) + 1) for free in itertools.combinations(groups, k)]
     elif len(groups) > 1:
         chosen.append(tuple(groups))
-    found = []
+    variants = []
     for free in chosen:
         fixed = [path for path in paths if group_of(canonical(scene, path)) not in free]
         name = CONTROL if not free else ALL if len(free) == len(groups) > 1 else " + ".join(free)
         starts = [f"{p}={value!r}" for path in fixed for p, value in tied(scene, path, start(scene, path)).items()
                   if differ(value, leaf(scene, p).value)]  # fmt: skip
-        found.append(Variant(name, free, (*(f"unknowns.{path}=null" for path in fixed), *starts)))
-    return found
+        variants.append(Variant(name, free, (*(f"unknowns.{path}=null" for path in fixed), *starts)))
+    return variants
 
 
 def _require_same_bodies(scene: Scene, path: str) -> None:
-    """Refuse an unknown whose start is another body than the scene's: kept fixed, it is of all particles in the body.
+    """Raise UsageError if fixing an unknown at its start value would give other bodies than the scene's.
 
-    A new shape would be sampled anew; of an unknown a group, particles in no group would start elsewhere.
+    A changed shape is sampled again. For an unknown per group, particles without a group would get the start value too.
     """
     for other, value in tied(scene, path, start(scene, path)).items():
-        own, groups = leaf(scene, other).value, scene.unknowns[path].per == "group"
-        if (shapes_a_body(other) or groups) and differ(value, own):
-            would = "start otherwise in particles without a group" if groups else "be of other particles"
+        given, groups = leaf(scene, other).value, scene.unknowns[path].per == "group"
+        if (shapes_a_body(other) or groups) and differ(value, given):
+            change = "other values in particles without a group" if groups else "other particles"
             raise UsageError(
-                f"--ablate: '{other}' starts at {value:g}, but the scene has {own:g}; variants that keep it would "
-                f"{would}: give it that value in the scene, -o {other}={value:g}"
+                f"--ablate: '{other}' starts at {value:g}, but the scene has {given:g}; variants that fix it would "
+                f"have {change}: set this value in the scene, -o {other}={value:g}"
             )
 
 
@@ -82,6 +82,6 @@ def rate_overrides(scene: Scene, rates: Sequence[float]) -> list[str | None]:
     if not rates:
         return [None]
     if scene.optimizer is None or not hasattr(scene.optimizer.value, "learning_rate"):
-        named = "none" if scene.optimizer is None else scene.optimizer.name
-        raise UsageError(f"--rate: the scene's optimizer, {named}, has no learning_rate: leave out --rate")
+        name = "none" if scene.optimizer is None else scene.optimizer.name
+        raise UsageError(f"--rate: the scene's optimizer, {name}, has no learning_rate: remove --rate")
     return [f"optimizer.{scene.optimizer.name}.learning_rate={rate!r}" for rate in rates]

@@ -114,6 +114,7 @@ def test_variants_are_learned_and_compared(tmp_path):
     assert "note: control failed with rate 1e-06" in ablation_lines(path)
 
 
+@pytest.mark.usefixtures("in_process")
 def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     """The tip comes to .0146 with the stiffness free, and to .0158 without."""
     scene, listener = written(tmp_path, DESIGN), Listener()
@@ -122,7 +123,7 @@ def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
                 "unknowns.bodies.finger.material.density={bounds: [0.999, 1.001]}"],
         tmp_path / "out", threads=2, seeds=2, reporter=listener,
     )  # fmt: skip
-    assert any("every run will be the same" in line for line in listener.said)
+    assert any("all runs will be the same" in line for line in listener.said)
     variants = json.loads(path.read_text())["variants"]
     assert {name: entry["feasible"] for name, entry in variants.items()} == {
         "control": 0, "youngs_modulus": 2, "density": 0, "all": 2,
@@ -149,6 +150,7 @@ def test_variants_that_cannot_meet_their_constraints_are_told(tmp_path):
     assert {name: mean.mean for name, mean in means.items()} == result_of(other)["trained"]["terms"]
 
 
+@pytest.mark.usefixtures("in_process")
 def test_that_no_run_meets_the_constraints_is_a_failure(tmp_path):
     scene = written(tmp_path, DESIGN)
     given = ["constraints.tip.at_most=0.001", "unknowns.bodies.finger.material.density={bounds: [0.999, 1.001]}"]
@@ -159,6 +161,7 @@ def test_that_no_run_meets_the_constraints_is_a_failure(tmp_path):
     assert "no run of any variant meets the constraints" in text
 
 
+@pytest.mark.usefixtures("pictures")
 def test_runs_that_blow_up_leave_the_comparison_of_the_others(tmp_path):
     """With bounds of stiffness up to 10^7 Pa, no step of the least length that is tried is stable."""
     scene = changed(design(tmp_path, E, RHO), f"{E}: {{bounds: [5, 20]", f"{E}: {{bounds: [5, 1.0e+7]")
@@ -200,6 +203,7 @@ def test_what_cannot_be_compared(tmp_path, change, options, message):
         run_ablation(design(tmp_path, E), [change], tmp_path / "out", threads=1, **{"seeds": 1, **options})
 
 
+@pytest.mark.usefixtures("in_process")
 def test_seeds_of_a_codesign(tmp_path):
     path, good = run_seeds(design(tmp_path, E), [], tmp_path / "out", threads=2, seeds=2, job=CODESIGN)
     assert good
@@ -207,6 +211,7 @@ def test_seeds_of_a_codesign(tmp_path):
     assert {read_record(run)["job"] for run in path.parent.glob("*/")} == {"codesign"}
 
 
+@pytest.mark.usefixtures("in_process")
 def test_variants_run_with_the_time_steps_of_the_whole(tmp_path):
     """`auto` would give control alone longer ones than stiffnesses that may reach 400: the starts are the same."""
     scene = design(tmp_path, E)
@@ -256,7 +261,7 @@ def test_a_start_that_is_another_body_is_refused(tmp_path):
 def test_a_start_of_groups_that_is_not_the_scenes_is_refused(tmp_path):
     """Particles in no group have the scene's own value where the unknown is free, and the start where it is not."""
     scene = load_scene(design(tmp_path), [f"unknowns={{{E}: {{bounds: [5, 20], per: group, initial: 6}}}}"])
-    with pytest.raises(UsageError, match=r"starts at 6, .* start otherwise in particles without a group"):
+    with pytest.raises(UsageError, match=r"starts at 6, .* have other values in particles without a group"):
         variants_of(scene)
 
 
@@ -271,7 +276,7 @@ def test_stopped_it_says_of_how_many_seeds_it_can_compare_all(tmp_path, monkeypa
         talk.stop.ask(signal.SIGINT)
 
     monkeypatch.setattr(ablation, "run_fleet", stopped)
-    for ended, now in ((1, ""), (5, "; with --seeds 2 it compares what there is")):
+    for ended, now in ((1, ""), (5, "; with --seeds 2 it compares the finished runs")):
         told = rf"^{ended} of 6 runs are finished; the same command continues{now}$"
         with pytest.raises(Stopped, match=told):
             run_ablation(design(tmp_path, E), [], tmp_path / "out", threads=2, seeds=3)

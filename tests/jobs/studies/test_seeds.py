@@ -62,7 +62,7 @@ def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
     assert float(rows["high"]["trained:tip"]) == summary["all"]["trained"]["tip"]["high"]
     text = "\n".join(summary_lines(path))
     assert text.startswith("2 of 2 seeds learned; mean and 90% interval over them")
-    assert f"draw them together: cqrun plot {summary['seeds']['0']['run']} {run}" in text
+    assert f"to draw them together: cqrun plot {summary['seeds']['0']['run']} {run}" in text
     assert "learning from 2 seeds, 2 at once" in listener.said
     assert listener.parts[-1][2] == "2 of 2 seeds"
     # and with one that failed, or with one alone
@@ -106,7 +106,7 @@ def test_seeds_that_change_nothing_are_told(tmp_path):
     seeds = {k: {"run": f"results/finger/{k}", "status": "converged"} for k in range(2)}
     path = tmp_path / "summary.json"
     path.write_text(json.dumps({"scene": "s", "confidence": 0.9, "seeds": seeds, "all": {"trained": {"loss": same}}}))
-    assert "note: every seed found the same: nothing in this scene is drawn from its seed" in summary_lines(path)
+    assert "note: all seeds have the same result: nothing in this scene depends on its seed" in summary_lines(path)
 
 
 def test_seeds_that_will_change_nothing_are_warned_of(finger, tmp_path, monkeypatch):
@@ -119,7 +119,7 @@ def test_seeds_that_will_change_nothing_are_warned_of(finger, tmp_path, monkeypa
         listener = Listener()
         overrides = [f"controller={{open_loop: {controller}}}", f"optimizer={{{optimizer}}}", "observers={}"]
         run_seeds(finger, overrides, tmp_path, threads=1, seeds=2, reporter=listener)
-        warned[controller, optimizer] = any("nothing in this scene is drawn from its seed" in s for s in listener.said)
+        warned[controller, optimizer] = any("nothing in this scene depends on its seed" in s for s in listener.said)
     assert {key for key, told in warned.items() if told} == {("{}", "adam: {}"), ("{}", "lbfgs: {}")}
 
 

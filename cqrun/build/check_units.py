@@ -1,0 +1,154 @@
+"""Checks of sizes and quantities that point to another unit than was meant.
+
+Scenes may use any consistent units. So a question is asked only where a ratio without units is absurd, or where the
+scene's gravity or stiffness shows that it uses SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from cqrun.build.limits import Limit
+from cqrun.errors import Problem, SceneError
+from cqrun.geometry.place import Place
+from cqrun.geometry.shape import Shape
+from cqrun.plugin.contract import Array
+from cqrun.scene.schema import Scene
+
+MOST_SUBSTEPS_IN_A_RUN = 100_000_000
+"""A run of more is refused: 1,000 particles would take an hour, and a gradient several."""
+
+LIGHT, HEAVY = 10.0, 30_000.0
+"""Densities [kg/m^3] that no soft robot is made of: foams have 15 and more, osmium has 22,600."""
+
+LARGE_WORLD = 20.0
+"""Edge of a world [m] that may be meant in another unit."""
+
+STANDARD_GRAVITY = (9.5, 10.1)
+"""Range of the gravity near the ground [m/s^2], as it is rounded in scenes."""
+
+SOFTEST = 1e3
+"""A Young's modulus above this is probably in Pa: the softest gels have some 100 Pa; scenes without units use less."""
+
+_LARGEST, _SMALLEST = 2.0, 0.1
+"""Largest size of a body, in sizes of the world, and smallest, in cells. The bounds of turned shapes are loose."""
+
+_TOO_LARGE = {"are its lengths in millimetres": 1e-3, "are they in centimetres": 1e-2, "are they in inches": 0.0254}
+_TOO_SMALL = {"is the world in millimetres": 1e3, "is it in centimetres": 1e2}
+"""Questions on the unit of a body of another size, and the factor that helps if the answer is yes."""
+
+
+def bodies_of_another_size(scene: Scene) -> Iterator[Problem]:
+    """Yield a problem for each piece of a body that is far larger than the world, or far smaller than a cell."""
+    world, dx = np.array(scene.world.size), scene.world.dx
+    for name, body in scene.bodies.items():
+        for path, shape in body.pieces.items():
+            size = _size(shape) * (body.place or Place()).scale
+            if not (np.isfinite(size) & (size > 0)).all() or _SMALLEST * dx <= size.max() <= _LARGEST * world.max():
+                continue
+            if size.max() > dx:
+                than, question = f"the world is {_product(world)} m", _other_unit(scene, shape, size, _TOO_LARGE)
+            else:
+                than, question = f"a cell of the grid is {dx:.4g} m", _other_unit(scene, shape, size, _TOO_SMALL)
+            message = f"is {_product(size)} m, but {than}{question}"
+            key = f"bodies.{name}.{path}"
+            yield Problem(scene.where(key), key, message)
+
+
+def _other_unit(scene: Scene, shape: Shape, size: Array, units: dict[str, float]) -> str:
+    """Return a question on the unit of a shape's lengths, and what to give then."""
+    for unit, factor in units.items():
+        if (size * factor <= scene.world.size).all() and (size * factor).max() >= scene.world.dx:
+            cure = f"give `scale: {factor * shape.scale:g}`" if isinstance(shape, Place) else f"multiply by {factor:g}"
+            return f"; {unit}? then {cure}"
+    return ": check its unit"
+
+
+def unit_questions(scene: Scene) -> Iterator[Problem]:
+    """Yield warnings on quantities that are probably given in another unit."""
+    if _in_si(scene) and max(scene.world.size) > LARGE_WORLD:
+        message = f"the world is {_product(scene.world.size)} m; are its lengths in millimetres? give them in metres"
+        yield Problem(scene.where("world.size"), "world.size", message)
+    for name, body in scene.bodies.items():
+        if body.unit_mass:
+            continue
+        densities = {f"bodies.{name}.material.density": body.material.density}
+        for region, other in body.material_of.items():
+            if other.density is not None:
+                densities[f"bodies.{name}.material_of.{region}.density"] = other.density
+        for path, density in densities.items():
+            if _in_si(scene) and not LIGHT <= density <= HEAVY:
+                yield Problem(scene.where(path), path, _density_question(density))
+        yield from _squashed(scene, name)
+
+
+def _density_question(density: float) -> str:
+    unit, factor = ("g/cm^3", 1e3) if density < LIGHT else ("g/m^3", 1e-3)
+    than = "less than any foam has" if density < LIGHT else "more than any metal has"
+    meant = f"; is it in {unit}? then give {factor * density:.6g}" if LIGHT <= factor * density <= HEAVY else ""
+    return f"{density:.6g} kg/m^3 is {than}{meant}"
+
+
+def _squashed(scene: Scene, name: str) -> Iterator[Problem]:
+    """Yield a warning for a body whose weight is more than its material carries: rho g H > E."""
+    body = scene.bodies[name]
+    law: Any = body.material.elastic.value
+    modulus, size = getattr(law, "youngs_modulus", None), _size(body.whole())
+    if modulus is None or not np.isfinite(size).all():
+        return
+    weight = body.material.density * float(np.abs(scene.world.gravity) @ size)
+    if weight > modulus:
+        path = f"bodies.{name}.material.elastic.{body.material.elastic.name}.youngs_modulus"
+        message = (
+            f"{modulus:.4g} Pa is less than the body's weight per area, {weight:.4g} Pa (density x gravity x height), "
+            "which will flatten it: check the units of the modulus, the density and the lengths"
+        )
+        yield Problem(scene.where(path), path, message)
+
+
+def _in_si(scene: Scene) -> bool:
+    """Return whether a scene uses SI units, as far as its gravity or else its stiffness shows."""
+    gravity = float(np.linalg.norm(scene.world.gravity))
+    if gravity > 0:
+        return STANDARD_GRAVITY[0] <= gravity <= STANDARD_GRAVITY[1]
+    laws: list[Any] = [body.material.elastic.value for body in scene.bodies.values() if not body.unit_mass]
+    return max((getattr(law, "youngs_modulus", 0.0) for law in laws), default=0.0) >= SOFTEST
+
+
+def require_possible_plan(scene: Scene, limits: list[Limit]) -> None:
+    """Raise a SceneError if a run would have too many substeps; it names the part that asks for them.
+
+    Args:
+        limits: the bounds on the substep.
+    """
+    time = scene.time
+    count = time.control_steps * int(time.substeps)
+    if count <= MOST_SUBSTEPS_IN_A_RUN:
+        return
+    least = min(limits, key=lambda limit: limit.dt)
+    needed = time.duration / least.dt
+    if time.control_steps > MOST_SUBSTEPS_IN_A_RUN or needed <= MOST_SUBSTEPS_IN_A_RUN / 10:
+        path = "time.control_step" if time.control_steps > MOST_SUBSTEPS_IN_A_RUN else "time.substeps"
+        cause = f"{time.control_steps:,} control steps of {int(time.substeps):,} substeps"
+    else:
+        path = least.part if "." in least.part else "time.duration"
+        cause = f"its largest stable substep is {least.dt:.3g} s, in a run of {time.duration:g} s"
+    message = (
+        f"asks for a run of {count:,} substeps, more than {MOST_SUBSTEPS_IN_A_RUN:,}: {cause}; check its numbers and "
+        "their units, use a larger dx or a shorter run"
+    )
+    raise SceneError([Problem(scene.where(path), path, message)])
+
+
+def _size(shape: Shape) -> Array:
+    """Return the edge lengths of a shape's bounds (D,) [m]."""
+    lower, upper = shape.bounds()
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond what numbers hold, or infinite
+        return np.asarray(upper - lower)
+
+
+def _product(size: Array | list[float]) -> str:
+    return " x ".join(f"{edge:.4g}" for edge in size)
