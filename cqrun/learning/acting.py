@@ -79,9 +79,9 @@ def acting_in(source: Path, overrides: Sequence[str], controller: Path | None, t
 
 
 def _same_substeps(controller: Path, scene: Scene, talk: Reporter) -> list[str]:
-    """Return an override that keeps the substeps with which a controller was learned, where the scene leaves them open.
+    """Return an override that keeps the number of substeps of a controller's training if the scene has `auto`.
 
-    `auto` follows from the bounds of unknowns, which another scene may not have.
+    `auto` depends on the bounds of unknowns, which another scene may not have. Warn if the scene gives another number.
     """
     learned, here = substeps_in(controller), scene.time.substeps
     if learned in (None, here):
@@ -89,8 +89,8 @@ def _same_substeps(controller: Path, scene: Scene, talk: Reporter) -> list[str]:
     if here == "auto":
         return [f"time.substeps={learned}"]
     talk.warn(
-        f"{controller}: was learned with time.substeps={learned}, and this scene has {here}: bodies may act a little "
-        "softer or stiffer than they did"
+        f"{controller}: was trained with time.substeps={learned}, and this scene has {here}: bodies may be a little "
+        "softer or stiffer than in the training"
     )
     return []
 

@@ -26,7 +26,7 @@ IDENTIFIED = "identified.json"
 """File with the result of the run of sysid that a run replays."""
 
 SUBSTEPS = "substeps"
-"""What a controller's file calls the number of substeps in a control step with which it was learned."""
+"""Key of a controller's file: the number of substeps in a control step of its training."""
 
 Learned = Mapping[str, Array]
 """Values by path: one number, or one per group or particle."""
@@ -39,7 +39,7 @@ def learned_in(controller: Path) -> dict[str, Array]:
 
 
 def substeps_in(controller: Path) -> int | None:
-    """Return with how many substeps a controller was learned; None if its file is older, and does not say."""
+    """Return the number of substeps in a control step of a controller's training, or None in an older file."""
     _, meta = read_controller(controller)
     return meta.get(SUBSTEPS)
 

@@ -70,7 +70,7 @@ def check_direction(block: str, loss: Loss, value: float, gradient: Array, d: Ar
     around = _usual_values(loss, d, rounding)
     scan, floor, best = _central_estimate(around, rounding, MOST * eps**0.5 * large)
     verdict, at = _verdict(adjoint, best, float(floor[best.at]), tolerance), best
-    if verdict in (TOO_ROUGH, DISAGREES):  # in doubt: all smaller steps, and then the sides of a kink
+    if verdict in (TOO_ROUGH, DISAGREES) and np.isfinite(best.value):  # in doubt: all smaller steps, then each side
         around = np.append(around, values_around(loss, d, ALL_STEPS[around.shape[1] :]), axis=1)
         scan, floor, best = _central_estimate(around, rounding, MOST * eps**0.5 * large)
         verdict, at = _verdict(adjoint, best, float(floor[best.at]), tolerance), best
@@ -107,6 +107,8 @@ def _beside_kinks(
 
 
 def _verdict(adjoint: float, found: Estimate, floor: float, tolerance: float) -> Verdict:
+    if not np.isfinite(found.value):
+        return DISAGREES
     size, off = max(abs(adjoint), abs(found.value)), abs(adjoint - found.value)
     if size <= floor:
         return FLAT

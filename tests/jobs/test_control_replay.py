@@ -86,7 +86,10 @@ def test_a_goal_that_was_drawn_may_be_put_anywhere(tmp_path):
     """At the world's edge no spread would be left."""
     listener = Listener()
     run = replay(written(tmp_path), tmp_path, "goals.target.position=[0.98, 0.5]", reporter=listener)
-    assert [line for line in listener.said if "warning" in line] == [f"warning: {UNTRAINED}"]
+    warnings = [line for line in listener.said if "warning" in line]
+    assert [line for line in warnings if "bodies.finger.parts: is 2 cells thick" not in line] == [
+        f"warning: {UNTRAINED}"
+    ]
     assert result_of(run)["goals"] == {"target": [0.98, 0.5]}
     with pytest.raises(SceneError, match=r"goals.target.position: lies outside the world: x = 1.2 m"):
         replay(written(tmp_path), tmp_path, "goals.target.position=[1.2, 0.5]")
@@ -195,6 +198,28 @@ def test_a_controller_of_another_scene_file(trained, tmp_path):
     changed(scene, "muscle: {muscle: {body: finger, each: [left, right], axis: [0, 1], strength: 4}}", PNEUMATIC)
     with pytest.raises(UsageError, match=f"{STRENGTH} was learned .*; this scene has no such number"):
         replay(scene, tmp_path / "out", controller=trained / "controller.npz")
+
+
+def test_elsewhere_it_acts_with_the_substeps_of_the_training(trained, tmp_path):
+    """With `auto` the scene would have another number; a number that the scene gives stays, with a warning."""
+    scene, controller = written(tmp_path, FINGER.replace(", substeps: 2", "")), trained / "controller.npz"
+    assert result_of(trained)["substeps"] == 2
+    kept = replay(scene, tmp_path / "out", controller=controller)
+    np.testing.assert_array_equal(position(kept), position(trained))
+    listener = Listener()
+    for override in ("time.substeps=4", "time.substeps=auto"):
+        other = replay(scene, tmp_path / "out", override, controller=controller, reporter=listener)
+        assert load_scene(other / "scene.yaml").time.substeps != 2
+    told = [line for line in listener.said if "was trained with" in line]
+    assert told == [
+        f"warning: {controller}: was trained with time.substeps=2, and this scene has 4: bodies may be a little softer "
+        "or stiffer than in the training"
+    ]
+    parameters, meta = read_controller(controller)
+    del meta["substeps"]
+    save_controller(tmp_path / "older.npz", parameters, meta)
+    older = replay(scene, tmp_path / "out", controller=tmp_path / "older.npz")
+    assert load_scene(older / "scene.yaml").time.substeps != 2
 
 
 def test_a_stopped_replay_runs_again_with_its_own_copy(trained, tmp_path):

@@ -29,6 +29,13 @@ def checked(value, x, adjoint):
     return check_direction("x", loss, float(value(x)), np.array([adjoint]), np.ones(1), "float64")
 
 
+@pytest.mark.parametrize("adjoint", [0.0, 1.0])
+def test_a_direction_whose_rollouts_all_fail_disagrees_after_the_usual_steps(adjoint):
+    row = checked(lambda x: np.nan, 0.0, adjoint)
+    assert (row.verdict, row.agrees, row.differences) == ("disagrees", False, None)
+    assert len(row.scan) == len(STEPS) - 1
+
+
 @pytest.mark.parametrize("slope", [1e4, 1e6, 1e8])
 def test_a_loss_that_saturates_at_large_steps(slope):
     """There E is its range by the step, and so least where the step is largest."""
@@ -77,7 +84,7 @@ def test_either_slope_of_a_kink_is_a_derivative():
 
 
 def test_many_kinks_on_both_sides(rng):
-    """No wrong derivative is told right, and hardly a right one wrong."""
+    """No wrong derivative is told right, no right one wrong, and few are too rough to tell."""
     right = []
     for _ in range(60):
         places = rng.choice([-1.0, 1.0], 6) * 10 ** rng.uniform(-10, -2, 6)
