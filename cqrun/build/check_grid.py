@@ -1,8 +1,8 @@
-"""Checks of what the grid cannot hold: bodies, gaps and boundaries that are thinner than its cells.
+"""Check what the grid cannot resolve: bodies, gaps and boundaries that are too thin for its cells.
 
-A particle acts on 3 nodes along each axis, and is moved by them. Midway between two rows it acts on these alone, so two
-rows of held nodes stop it, but one does not. Material on both sides of a narrow gap sticks together, and a thin body
-bends otherwise than it should. A scene may be meant so: these are warnings, with the size that would do.
+A particle exchanges momentum with 3 nodes along each axis, and midway between two rows only with these two. So two rows
+of held nodes stop it, but one does not. The material on both sides of a narrow gap sticks together, and a thin body
+bends too far. A scene may still be useful: these are warnings, with the size needed.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from cqrun.scene.body import Body
 from cqrun.scene.schema import Scene
 
 ROWS = 2
-"""The least rows of nodes of a boundary that nothing passes through."""
+"""Smallest number of rows of nodes that no body passes through."""
 
 CELLS = 3
-"""The least cells through the thickness of a body; with 1, 2 and 3 a beam sags 32, 10 and 6 % too far."""
+"""Smallest number of cells through the thickness of a body; with 1, 2 and 3 a beam sags 32, 10 and 6 % too far."""
 
 NEAR = 3.0
-"""A clamp that holds no particle is told if a body is this close [cells]; farther away it is something to fall on."""
+"""A clamp that holds no particle is reported if a body is this close [cells]; farther away it is a floor or a wall."""
 
 PER_CELL = 4
-"""Points along a cell by which bodies and gaps are measured; fewer in bodies that would need more than MOST_POINTS."""
+"""Points per cell and axis that measure bodies and gaps; fewer in a body that needs more than MOST_POINTS."""
 
 MOST_POINTS = 500_000
 
 ROUNDED = 0.4
-"""How far, in diameters, the corner of a square or a cube may lie from the largest disc or ball inside."""
+"""Distance of a corner from the largest disc or ball inside that is not thin [diameters]: a cube's is 0.37."""
 
 THIN = 0.1
-"""Part of a body that must be thin before it is told."""
+"""Share of a body that must be thin for a warning."""
 
 
 def grid_warnings(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> list[Problem]:
-    """Return warnings on everything that the grid cannot hold."""
+    """Return warnings about everything that the grid cannot resolve."""
     return [*_bodies(scene), *_boundaries(scene, conditions), *_clamps(scene, particles, conditions)]
 
 
@@ -55,7 +55,7 @@ def grid_warnings(scene: Scene, particles: Particles, conditions: Sequence[Condi
 
 
 def _bodies(scene: Scene) -> Iterator[Problem]:
-    """Yield warnings for bodies that are less than 3 cells thick, and for those with gaps that close."""
+    """Yield warnings about bodies that are less than 3 cells thick, and about narrow gaps in them."""
     dx = scene.world.dx
     for name, body in scene.bodies.items():
         path = f"bodies.{name}." + ("shape" if body.shape else "parts")
@@ -67,7 +67,7 @@ def _bodies(scene: Scene) -> Iterator[Problem]:
             cells = f"{thickness / dx:.2g}"
             message = (
                 f"is {cells} {'cell' if cells == '1' else 'cells'} thick at {at}: a beam of 1 cell sags about 30 % too "
-                f"far, one of 2 cells 10 %; give dx = {thickness / CELLS:.3g} m, or {CELLS * dx:.3g} m of thickness"
+                f"far, one of 2 cells 10 %; set dx to {thickness / CELLS:.3g} m, or make it {CELLS * dx:.3g} m thick"
             )
             yield Problem(scene.where(path), path, message)
         border = int(np.ceil(CELLS * dx / pitch))
@@ -82,7 +82,7 @@ def _bodies(scene: Scene) -> Iterator[Problem]:
 
 
 def _raster(body: Body, dx: float) -> tuple[Array, Array, float]:
-    """Return which cells of a fine lattice lie in a body, the lower corner before its place, and the pitch [m]."""
+    """Return which cells of a fine raster lie in a body, its lower corner without `place` [m], and its pitch [m]."""
     scale, pieces = (body.place or Place()).scale, list(body.pieces.values())
     bounds = [finite_bounds(piece) for piece in pieces]
     lower, upper = np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
@@ -94,14 +94,14 @@ def _raster(body: Body, dx: float) -> tuple[Array, Array, float]:
 
 
 def _place(body: Body, corner: Array, pitch: float, cells: Array) -> str:
-    """Return where the first of some cells of a raster lies in the world."""
+    """Return the position in the world of the first of some cells of a raster, as text."""
     place = body.place or Place()
     x = corner + (np.argwhere(cells)[0] + 0.5) * pitch
     return _point(place.to_world(x[None] / place.scale)[0])
 
 
 def thinner(solid: Array, width: float) -> Array:
-    """Return which cells of a solid lie where no ball of a diameter fits in, but for its rounded corners.
+    """Return which cells of a solid lie where no ball of a given diameter fits; corners of thicker parts do not count.
 
     Args:
         solid: (...) bool.
@@ -116,7 +116,7 @@ def thinner(solid: Array, width: float) -> Array:
 
 
 def _depth(solid: Array) -> Array:
-    """Return how far each cell lies from the nearest one outside a solid, in cells; a slab of n has (n + 1) // 2."""
+    """Return the distance of each cell to the nearest one outside a solid [cells]; at most (n + 1) // 2 in n layers."""
     inner = (slice(1, -1),) * solid.ndim
     return np.asarray(ndimage.distance_transform_edt(np.pad(solid, 1)))[inner]
 
@@ -125,7 +125,7 @@ def _depth(solid: Array) -> Array:
 
 
 def _boundaries(scene: Scene, conditions: Sequence[ConditionModel]) -> Iterator[Problem]:
-    """Yield warnings for regions that are a single row of nodes, which bodies pass through."""
+    """Yield warnings about regions of a single row of nodes, which bodies pass through."""
     dx = scene.world.dx
     for condition in conditions:
         if condition.spec.region is None:
@@ -142,9 +142,9 @@ def _boundaries(scene: Scene, conditions: Sequence[ConditionModel]) -> Iterator[
 
 
 def _single_rows(nodes: Array) -> Array:
-    """Return which held nodes of the world have no second row beside them; tips of thicker parts do not count.
+    """Return which held nodes of the world have no second row next to them; tips of thicker parts do not count.
 
-    Beyond the world a boundary goes on as at its face, because nothing comes from there.
+    A boundary at a face of the world continues beyond it, because nothing comes from there.
     """
     held = np.pad(nodes, ROWS, mode="edge")
     thick = ndimage.binary_opening(held, np.ones((ROWS,) * held.ndim))
@@ -153,7 +153,7 @@ def _single_rows(nodes: Array) -> Array:
 
 
 def _in_world(scene: Scene, nodes: Array) -> Array:
-    """Return an array over all nodes (n,) as one over those in the world."""
+    """Return the part of an array over all nodes (n,) that lies in the world, with one axis per dimension."""
     size = np.array(scene.world.size)
     counts = np.floor(size / scene.world.dx + 1e-9).astype(int) + 1
     inner = tuple(slice(MARGIN, MARGIN + int(count)) for count in counts)
@@ -161,7 +161,7 @@ def _in_world(scene: Scene, nodes: Array) -> Array:
 
 
 def _clamps(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[Problem]:
-    """Yield warnings for sticky regions beside a body that hold no particle of it."""
+    """Yield warnings about sticky regions that are near a body but hold no particle."""
     dx = scene.world.dx
     shape = grid_shape(np.array(scene.world.size), dx)
     nodes = nearest_nodes(particles.x, shape, dx)
@@ -183,7 +183,7 @@ def _clamps(scene: Scene, particles: Particles, conditions: Sequence[ConditionMo
 
 
 def nearest_nodes(x: Array, shape: tuple[int, ...], dx: float) -> Array:
-    """Return the number of the node that is nearest to each particle at x (N, D) [m], of a grid of a shape."""
+    """Return the index of the nearest node of a grid for each particle at x (N, D) [m]."""
     return np.asarray(np.ravel_multi_index(tuple((np.round(x / dx).astype(int) + MARGIN).T), shape))
 
 

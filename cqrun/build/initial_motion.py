@@ -1,12 +1,12 @@
-"""How bodies move at the start: velocity v and affine matrix C of their particles, by `velocity` and `spin`.
+"""Compute how bodies move at the start: v and C of their particles, from `velocity` and `spin`.
 
 A body starts as a rigid body moves: v(x) = v_0 + A (x - c), with A = [spin]x and c the mean of its particles. The
 transfers keep such a field if each particle's affine matrix is its gradient, C_p = A, because then the nodes get
 
     sum_p w m (v_p + C_p (x_n - x_p)) = m_n v(x_n).
 
-With C_p = 0 each node would get the mean velocity of its particles, and a body would turn more slowly after its first
-substep than it was told to.
+With C_p = 0 each node would get the mean velocity of its particles. After its first substep a body would turn more
+slowly than its scene says.
 """
 
 from __future__ import annotations

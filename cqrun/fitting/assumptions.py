@@ -1,7 +1,7 @@
-"""What a fit takes as known, and what it would find if that were otherwise: sentences for a person.
+"""Report what a fit takes as known, and which values it would find otherwise.
 
-An interval holds the data's noise alone. The values found also depend on the bounds, on the substep, and on numbers of
-the material that the scene holds fixed. Here each of these is changed once, and the unknowns follow to first order.
+An interval covers only the noise of the data. The fitted values also depend on the bounds, on the substep, and on
+material parameters that the scene holds fixed. Each of these is changed once, and the unknowns follow to first order.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from cqrun.plugin.contract import Array
 from cqrun.scene.unknowns import truths
 
 RATIO, PART = 0.1, 0.1
-"""How far a Poisson's ratio may be wrong, and any other number of a material as a part of itself."""
+"""Assumed errors of what a scene holds fixed: of a Poisson's ratio, and of any other number relative to itself."""
 
 INWARD = 0.01
-"""How far an unknown is moved away from its bound to see whether the data depend on it; bounds are 1 apart."""
+"""Distance from its bound at which the effect of an unknown is tested, in scaled coordinates."""
 
 
 def held_numbers(problem: FitProblem) -> dict[str, tuple[float, float]]:
-    """Return the densities and elastic constants that no unknown and no recording sets: their value, and another one.
+    """Return the value of each density and elastic constant that no unknown or recording sets, and another value.
 
-    Of data that the scene makes itself, only those that it makes with another value.
+    With synthetic data, only those are returned whose true value is another one.
     """
     scene = problem.cases[0].built.scene
     set_by = [path for block in problem.params.blocks for path in (block.path, *(f.path for f in block.followers))]
@@ -52,7 +52,7 @@ def _material_numbers(problem: FitProblem) -> Iterator[tuple[str, float]]:
 
 
 def _otherwise(path: str, value: float) -> float:
-    """Return what a number may be if it was not measured with care."""
+    """Return another value that is possible for a number that was not measured carefully."""
     if path.endswith(".poissons_ratio"):
         return value + RATIO if value + RATIO < 0.46 else value - RATIO
     return (1.0 + PART) * value
@@ -62,7 +62,7 @@ def _otherwise(path: str, value: float) -> float:
 
 
 def at_bounds(problem: FitProblem, x: Array, held: Mapping[str, tuple[float, float]]) -> Iterator[str]:
-    """Yield a sentence on each unknown that ended at a bound, with what may have brought it there."""
+    """Yield a sentence about each unknown that ended at a bound, with the likely cause."""
     causes = [f"{path} = {value:g}" for path, (value, _) in held.items()]
     wrong = f", such as one that the scene holds fixed ({listed(causes)})" if causes else ""
     best = "the best fit" if problem.cases[0].built.scene.data is not None else "the least objective"
@@ -86,7 +86,7 @@ def at_bounds(problem: FitProblem, x: Array, held: Mapping[str, tuple[float, flo
 
 
 def _does_nothing(problem: FitProblem, x: Array, k: int) -> bool:
-    """Return whether the residuals stay the same when an unknown leaves its bound."""
+    """Return whether the residuals stay the same if an unknown leaves its bound."""
     inside = x.copy()
     inside[k] += INWARD if x[k] < 0.5 else -INWARD
     try:
@@ -97,25 +97,25 @@ def _does_nothing(problem: FitProblem, x: Array, k: int) -> bool:
 
 
 def of_the_substep(
-    problem: FitProblem, x: Array, jacobian: Array, unknowns: Sequence[Unknown], found: Uncertainty
+    problem: FitProblem, x: Array, jacobian: Array, unknowns: Sequence[Unknown], uncertainty: Uncertainty
 ) -> Iterator[str]:
     """Yield sentences on values that half the substep would move out of their intervals.
 
-    What MLS-MPM smooths in every substep softens and damps a body, so the values that fit depend on how many there
-    are; `substeps: auto` takes more where bounds allow a stiffer material. Data that a run makes have the same substep.
+    MLS-MPM smooths velocities in every substep, which softens and damps a body; so the fitted values depend on the
+    number of substeps. `substeps: auto` takes more if bounds allow a stiffer material. Synthetic data need no check.
     """
     if problem.cases[0].built.scene.synthetic is not None or len(jacobian) == 0:
         return
     try:
         residuals = problem.with_half_substep().residuals(x)
     except TrialFailed as failure:
-        yield f"with half the substep the values found fail: {failure}"
+        yield f"a rollout with half the substep and the identified values failed: {failure}"
         return
     for unknown, value in zip(unknowns, follow(jacobian, residuals, unknowns), strict=True):
-        if _leaves(found.intervals[unknown.name], value):
+        if _leaves(uncertainty.intervals[unknown.name], value):
             yield (
                 f"{unknown.name}: half the substep would move it from {unknown.value:.4g} to about {value:.4g}, out of "
-                "its interval, which holds the data's noise alone: compare values of equal `time.substeps`"
+                "its interval, which covers only the noise of the data: compare values at equal `time.substeps`"
             )
 
 
@@ -124,10 +124,10 @@ def of_held_numbers(
     x: Array,
     jacobian: Array,
     unknowns: Sequence[Unknown],
-    found: Uncertainty,
+    uncertainty: Uncertainty,
     held: Mapping[str, tuple[float, float]],
 ) -> Iterator[str]:
-    """Yield a sentence on each number held fixed whose likely error would move an unknown out of its interval."""
+    """Yield a sentence about each fixed number whose assumed error would move an unknown out of its interval."""
     if len(jacobian) == 0:
         return
     residuals = problem.residuals(x)
@@ -141,7 +141,7 @@ def of_held_numbers(
         moved = [
             f"{u.name} about {new:.4g} instead of {u.value:.4g}"
             for u, now, new in zip(unknowns, here, there, strict=True)
-            if _leaves(found.intervals[u.name], new) and not _leaves(found.intervals[u.name], now)
+            if _leaves(uncertainty.intervals[u.name], new) and not _leaves(uncertainty.intervals[u.name], now)
         ]
         if moved:
             change = np.array([u.to_coordinate(v) - u.coordinate for u, v in zip(unknowns, there, strict=True)])
@@ -153,10 +153,10 @@ def of_held_numbers(
 
 
 def without_intervals(held: Mapping[str, tuple[float, float]]) -> Iterator[str]:
-    """Yield a sentence on the numbers held fixed, where nothing says how much they matter."""
+    """Yield a sentence about the numbers held fixed, for fits without intervals."""
     if held:
         numbers = listed([f"{path} = {value:g}" for path, (value, _) in held.items()])
-        yield f"the scene holds {numbers} fixed, and the values found are right only if these are"
+        yield f"the scene holds {numbers} fixed, and the identified values are right only if these are"
 
 
 def _leaves(interval: tuple[float, float] | None, value: float) -> bool:

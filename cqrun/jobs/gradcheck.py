@@ -50,7 +50,7 @@ from cqrun.store.run import RunDirectory, read_record
 
 VERDICTS: dict[Verdict, str] = {
     AGREES: "",
-    AT_A_KINK: "at a kink: compared to one side",
+    AT_A_KINK: "at a kink: agrees with the slope of one side",
     FLAT: "flat: nothing to compare",
     TOO_ROUGH: "TOO ROUGH TO TELL",
     DISAGREES: "DISAGREES",

@@ -1,4 +1,4 @@
-"""What the grid cannot hold is a warning before a run, with the size that would do."""
+"""What the grid cannot resolve is a warning before a run, with the size that it needs."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_body_that_is_thin(height, cells, place):
         return
     (message,) = told
     assert message.startswith(f"scene: bodies.a.shape: is {cells} cell{'s' * (height > 1)} thick at (")
-    assert f"give dx = {height * DX / 3:.3g} m, or 0.06 m of thickness" in message
+    assert f"set dx to {height * DX / 3:.3g} m, or make it 0.06 m thick" in message
 
 
 def test_a_thin_part_of_a_body():

@@ -21,7 +21,7 @@ FREE = [
 
 
 @pytest.mark.parametrize("place", [None, "{offset: [0.13, 0], angle: 90}"])
-def test_a_free_block_turns_as_fast_as_it_was_told_to(place):
+def test_a_free_block_turns_as_fast_as_its_scene_says(place):
     """Without its affine matrices it would turn at 4.5 rad/s after one step, with a fifth of its energy lost."""
     more = [] if place is None else [f"bodies.beam.place={place}"]
     problem = cqrun.load(BEAM, [*FREE, *more, "bodies.beam.spin=[5]", "bodies.beam.velocity=[0.1, 0]"])

@@ -64,7 +64,7 @@ def test_values_without_intervals(fit, tmp_path):
         f"unknowns.{E_PATH}.bounds=[1.0e4, 3.1e4]",
     )  # fmt: skip
     assert re.match(rf"\d+ of 40 numbers of {E_PATH} ended at their upper bound, 31000: the best fit lies", told[0])
-    assert told[1] == f"the scene holds {DENSITY} = 1000 fixed, and the values found are right only if these are"
+    assert told[1] == f"the scene holds {DENSITY} = 1000 fixed, and the identified values are right only if these are"
 
 
 def test_an_objective_that_is_least_at_a_bound(fit, tmp_path):
