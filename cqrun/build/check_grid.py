@@ -1,4 +1,4 @@
-"""Check what the grid cannot resolve: bodies, gaps and boundaries that are too thin for its cells.
+"""Check what the grid cannot resolve: bodies, gaps and boundaries that are too thin, or that start in each other.
 
 A particle exchanges momentum with 3 nodes along each axis, and midway between two rows only with these two. So two rows
 of held nodes stop it, but one does not. The material on both sides of a narrow gap sticks together, and a thin body
@@ -48,7 +48,12 @@ THIN = 0.1
 
 def grid_warnings(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> list[Problem]:
     """Return warnings about everything that the grid cannot resolve."""
-    return [*_bodies(scene), *_boundaries(scene, conditions), *_clamps(scene, particles, conditions)]
+    return [
+        *_bodies(scene),
+        *_boundaries(scene, conditions),
+        *_clamps(scene, particles, conditions),
+        *_starts_inside(scene, particles, conditions),
+    ]
 
 
 # --- bodies and the gaps in them --------------------------------------------------------------------------------------
@@ -173,13 +178,42 @@ def _clamps(scene: Scene, particles: Particles, conditions: Sequence[ConditionMo
         nearest = int(np.argmin(distances))
         if not np.isfinite(distances[nearest]):
             continue
-        gap, body = distances[nearest] / dx, next(name for name in particles.names if nearest < particles.of(name).stop)
+        gap, body = distances[nearest] / dx, _body_of(particles, nearest)
         path = f"boundaries.{condition.name}.{condition.spec.name}.region"
         message = (
             f"holds {len(x):,} nodes but no particle: the nearest is {gap:.2g} cells away, of '{body}'; to clamp "
             "a body, let the region reach into it"
         )
         yield Problem(scene.where(path), path, message)
+
+
+def _starts_inside(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[Problem]:
+    """Yield warnings about particles that start inside a boundary that is no clamp; no substep would bring them there.
+
+    Particles on its surface have its first row of nodes as their nearest ones.
+    """
+    dx = scene.world.dx
+    shape = grid_shape(np.array(scene.world.size), dx)
+    nodes = nearest_nodes(particles.x, shape, dx)
+    inside: dict[str, Array] = {}
+    for condition in conditions:
+        if not isinstance(condition.spec, Sticky) and condition.nodes[nodes].any():
+            depth = ndimage.distance_transform_edt(condition.nodes.reshape(shape)).reshape(-1)
+            path = f"boundaries.{condition.name}.{condition.spec.name}"
+            inside[path] = inside.get(path, False) | (depth[nodes] >= 2)
+    for path, which in inside.items():
+        if which.any():
+            first = int(np.argmax(which))
+            message = (
+                f"{int(which.sum()):,} particles start inside it, such as one of '{_body_of(particles, first)}' at "
+                f"{_point(particles.x[first])}: there a body does not move freely; move it out, or clamp it with sticky"
+            )
+            yield Problem(scene.where(path), path, message)
+
+
+def _body_of(particles: Particles, number: int) -> str:
+    """Return the name of a particle's body."""
+    return next(name for name in particles.names if number < particles.of(name).stop)
 
 
 def nearest_nodes(x: Array, shape: tuple[int, ...], dx: float) -> Array:

@@ -120,6 +120,20 @@ def test_a_clamp_that_holds_its_body_and_ground_far_below_it(top):
     assert warnings(shelf("sticky", [0.3, 0.2], [0.4, top - 0.2])) == []
 
 
+@pytest.mark.parametrize(("top", "inside"), [(0.6, False), (0.61, False), (0.62, True), (0.66, True)])
+def test_a_body_that_starts_inside_a_boundary(top, inside):
+    """The ball reaches down to y = 0.6 m."""
+    told = warnings(shelf("separate", [0.3, 0.2], [0.4, top - 0.2]))
+    if not inside:
+        assert told == []
+        return
+    (message,) = told
+    assert message.startswith("scene: boundaries.shelf.separate: ")
+    assert "particles start inside it, such as one of 'a' at (0.4" in message
+    floor = {"floor": {"friction": {"face": "y_min", "thickness": top, "coefficient": 0.5}}}
+    assert [text.partition(" particles")[2] for text in warnings(floor)] == [message.partition(" particles")[2]]
+
+
 def test_the_thickness_of_a_slab_is_exact():
     """In the middle of a raster and at its edge, in 2D and 3D."""
     for dim in (2, 3):
