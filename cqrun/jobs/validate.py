@@ -96,10 +96,10 @@ def _world(built: Built) -> Iterator[str]:
 
 
 def _held(built: Built, condition: ConditionModel) -> str:
-    """Return how many nodes a boundary holds, and how many particles have one of them as their nearest."""
+    """Return the number of nodes of a boundary, and of particles with one of them as their nearest node, as text."""
     nearest = nearest_nodes(built.particles.x, built.model.grid_shape, built.model.dx)
-    particles = int(condition.nodes[nearest].sum())
-    return f"{int(condition.nodes.sum()):,} nodes, {particles or 'no'} particle{'s' * (particles != 1)}"
+    nodes, particles = int(condition.nodes.sum()), int(condition.nodes[nearest].sum())
+    return f"{nodes:,} nodes" + (f", {particles:,} particle{'s' * (particles != 1)}" if particles else "")
 
 
 def _body(built: Built, name: str) -> Iterator[str]:
