@@ -16,14 +16,13 @@ import numpy as np
 
 from cqrun.actuators.actuator import within_limits
 from cqrun.build.particles import Particles
+from cqrun.build.values import Values
 from cqrun.engine.model import ActuatorModel
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Array, Plugin
 from cqrun.scene.activation import Activation
 from cqrun.scene.schema import Scene
-
-Values = Mapping[str, Array]
 
 
 @dataclass(frozen=True)

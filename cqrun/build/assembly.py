@@ -13,9 +13,11 @@ from typing import Any, cast
 import numpy as np
 
 from cqrun.build.actuation import Actuation
+from cqrun.build.initial_motion import InitialMotion
 from cqrun.build.particles import Particles, stress_key
 from cqrun.build.regions import boundary
 from cqrun.build.rest_shape import Geometry
+from cqrun.build.values import Values, collect, updated
 from cqrun.engine.model import Inputs
 from cqrun.errors import UsageError
 from cqrun.explain import listed
@@ -25,9 +27,6 @@ from cqrun.objectives.design import DESIGN, MASS, RATIO, STIFFNESS, VOLUME
 from cqrun.plugin.contract import Array, Plugin, is_differentiable
 from cqrun.scene.schema import Scene
 from cqrun.state import ParticleFields, State
-
-Values = Mapping[str, Array]
-"""Key path -> value: one number (), one per group (G,), or one per particle (N,)."""
 
 
 class Assembly:
@@ -42,6 +41,7 @@ class Assembly:
     def __init__(self, scene: Scene, particles: Particles, sequence: int = 0) -> None:
         self.scene, self.particles, self.sequence = scene, particles, sequence
         self.actuation, self.geometry = Actuation(scene, particles), Geometry(scene, particles)
+        self.initial_motion = InitialMotion(scene, particles)
         self.loads: list[tuple[str, Load]] = [
             (f"loads.{name}.{chosen.name}", chosen.value)  # type: ignore[misc]
             for name, chosen in scene.loads.items()
@@ -57,6 +57,10 @@ class Assembly:
     def reaches(self, path: str) -> bool:
         """Return whether the engine's inputs depend on a path; they do not depend on the start of a recording."""
         return not path.startswith("data.")
+
+    def velocities(self, body: str, values: Values) -> Array:
+        """Return a body's velocities at the start (N_b, D) [m/s]."""
+        return self.initial_motion.of_body(body, self.geometry.at_rest(values)[0], values)[0]
 
     # --- values -------------------------------------------------------------------------------------------
 
@@ -123,8 +127,7 @@ class Assembly:
         """Return the engine's inputs."""
         x, volume = self.geometry.at_rest(values)
         state = State.at_rest(x, self.particles.layout.history)
-        for body in self.particles.names:
-            state.v[self.particles.of(body)] = self._velocities(body, x, values)
+        state.v[:], state.C[:] = self.initial_motion.at_start(x, values)
         fields, _ = self._fields(volume, values)
         drive = self.actuation
         return Inputs(
@@ -136,7 +139,8 @@ class Assembly:
         """Return the gradient by path, each with the shape of its value, from the cotangent of the inputs."""
         out = {path: np.zeros(np.shape(value)) for path, value in values.items()}
         x, volume = self.geometry.at_rest(values)
-        x_bar = bar.state.x + self._velocities_vjp(x, values, bar, out) + self.actuation.rest_lengths_vjp(x, bar.rest)
+        moving_bar = self.initial_motion.at_start_vjp(x, values, bar.state.v, bar.state.C, out)
+        x_bar = bar.state.x + moving_bar + self.actuation.rest_lengths_vjp(x, bar.rest)
         self.geometry.at_rest_vjp(values, x_bar, self._fields_vjp(volume, values, bar, out), out)
         self._terms_vjp(values, bar, out)
         self.actuation.activations_vjp(bar.activation, self.sequence, values, out)
@@ -174,42 +178,6 @@ class Assembly:
             self._per_particle_vjp(body, path, fields_bar.mass[part] * volume[part], values, out)
             fields_bar.volume[part] += fields_bar.mass[part] * self._per_particle(body, path, default, values)
         return fields_bar.volume
-
-    # --- velocities ---------------------------------------------------------------------------------------------
-
-    def velocities(self, body: str, values: Values) -> Array:
-        """Return a body's velocities at the start (N_b, D): v + spin x (x - centroid)."""
-        return self._velocities(body, self.geometry.at_rest(values)[0], values)
-
-    def _velocities(self, body: str, x: Array, values: Values) -> Array:
-        base, spec = f"bodies.{body}", self.scene.bodies[body]
-        v = numbers(f"{base}.velocity", spec.velocity, values)
-        spin = numbers(f"{base}.spin", spec.spin, values)
-        return np.asarray(v + self._arm(body, x) @ spin)
-
-    def _arm(self, body: str, x: Array) -> Array:
-        """Return the derivative of each particle's velocity by each entry of the spin (N_b, D, 1 or 3)."""
-        x_body = x[self.particles.of(body)]
-        r = x_body - x_body.mean(axis=0)
-        if self.scene.dim == 2:
-            return np.stack([-r[:, 1], r[:, 0]], axis=1)[:, :, None]
-        return np.cross(np.eye(3)[None, :, :], r[:, None, :]).transpose(0, 2, 1)
-
-    def _velocities_vjp(self, x: Array, values: Values, bar: Inputs, out: dict[str, Array]) -> Array:
-        """Add to the gradients in `out`; return that of the rest positions (N, D): v_bar x spin minus its mean."""
-        x_bar = np.zeros(x.shape)
-        for body in self.particles.names:
-            part, base = self.particles.of(body), f"bodies.{body}"
-            v_bar = bar.state.v[part]
-            spin_bar = np.einsum("nds,nd->s", self._arm(body, x), v_bar)
-            collect(base, {"velocity": v_bar.sum(axis=0), "spin": spin_bar}, out)
-            spin = numbers(f"{base}.spin", self.scene.bodies[body].spin, values)
-            if self.scene.dim == 2:
-                r_bar = spin[0] * np.stack([v_bar[:, 1], -v_bar[:, 0]], axis=1)
-            else:
-                r_bar = np.cross(v_bar, spin)
-            x_bar[part] = r_bar - r_bar.mean(axis=0)
-        return x_bar
 
     # --- material terms -------------------------------------------------------------------------------------------
 
@@ -317,27 +285,6 @@ class Assembly:
             collect(path, {"coefficient": coefficient_bar}, out)
 
 
-# --- values of a plug-in's fields ---------------------------------------------------------------------------------
-
-
-def numbers(path: str, defaults: list[float], values: Values) -> Array:
-    """Return the values of the entries of a list; an entry without a value keeps its default."""
-    return np.array([float(np.asarray(values.get(f"{path}.{k}", d)).reshape(-1)[0]) for k, d in enumerate(defaults)])
-
-
-def updated(spec: Any, path: str, values: Values) -> Any:
-    """Return a plug-in with its differentiable fields set to their values."""
-    changes: dict[str, Any] = {}
-    for name in type(spec).model_fields:
-        if is_differentiable(type(spec), name):
-            current = getattr(spec, name)
-            if isinstance(current, list):
-                changes[name] = numbers(f"{path}.{name}", current, values).tolist()
-            elif f"{path}.{name}" in values:
-                changes[name] = float(np.asarray(values[f"{path}.{name}"]).reshape(-1)[0])
-    return spec.model_copy(update=changes)
-
-
 def require_complete(load: Load, path: str, cotangents: Mapping[str, Any], out: dict[str, Array]) -> None:
     """Raise a UsageError if a load returns no cotangent for a requested gradient, which would silently be 0."""
     for name in type(load).model_fields:
@@ -348,13 +295,3 @@ def require_complete(load: Load, path: str, cotangents: Mapping[str, Any], out: 
                 f"{base}: the load '{load.name}' declares `{name}` differentiable, but its apply_vjp returns no "
                 f"cotangent of it; it returns those of {listed(cotangents)}"
             )
-
-
-def collect(path: str, cotangents: Mapping[str, Any], out: dict[str, Array]) -> None:
-    """Add the cotangents of a part's fields (numbers or lists of numbers) to the gradients in `out`."""
-    for name, cotangent in cotangents.items():
-        base = f"{path}.{name}" if name else path
-        entries = {base: cotangent} if np.ndim(cotangent) == 0 else {f"{base}.{k}": c for k, c in enumerate(cotangent)}
-        for key, bar in entries.items():
-            if key in out:
-                out[key] += bar

@@ -12,6 +12,7 @@ import numpy as np
 from cqrun.build.actuation import Actuation
 from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
+from cqrun.build.check_grid import grid_warnings
 from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.history import fields_of
 from cqrun.build.limits import (
@@ -93,6 +94,8 @@ def build(scene: Scene) -> Built:
         warnings += _check_substeps(scene, bounds) or _check_corner(scene, limits)
     require_possible_plan(scene, bounds)
     warnings += _too_slow(scene, assembly)
+    conditions = _conditions(scene)
+    warnings += grid_warnings(scene, particles, conditions)
     model = Model(
         size=np.array(scene.world.size),
         dx=scene.world.dx,
@@ -102,7 +105,7 @@ def build(scene: Scene) -> Built:
         body_names=particles.names,
         layout=particles.layout,
         groups=_groups(scene, particles, assembly),
-        conditions=_conditions(scene),
+        conditions=conditions,
         actuators=tuple(part.model for part in assembly.actuation.parts),
         forces=tuple(part.model for part in assembly.actuation.passive),
         real=np.dtype(scene.precision).type,

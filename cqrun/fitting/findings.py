@@ -7,7 +7,7 @@ trajectory.h5   the first fitted case with the identified values, which are amon
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,11 @@ from cqrun.design.params import Block, Spread
 from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError
+from cqrun.fitting import assumptions
 from cqrun.fitting.case import Case
-from cqrun.fitting.identifiability import Unknown, follow
+from cqrun.fitting.identifiability import Unknown
 from cqrun.fitting.problem import FitProblem
-from cqrun.fitting.uncertainty import MOST_UNKNOWNS, Uncertainty, central_jacobian, intervals
+from cqrun.fitting.uncertainty import MOST_UNKNOWNS, central_jacobian, intervals
 from cqrun.observers.fracture import Fracture
 from cqrun.optimizers.base import Outcome, TrialFailed
 from cqrun.plugin.contract import Array
@@ -41,6 +42,7 @@ def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, ou
         message=outcome.message,
         loss=problem.unit * outcome.loss if np.isfinite(outcome.loss) else None,
         iterations=outcome.iterations,
+        substeps=cases[0].built.model.substeps,
         unknowns={b.path: Identified(initial=_plain(b.initial), value=_plain(values[b.path])) for b in params.blocks},
     )
     if outcome.status == "stopped":
@@ -94,20 +96,16 @@ def _plain(value: Array) -> Value:
 
 
 def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -> None:
-    unknowns = list_unknowns(problem, outcome.x)
+    unknowns, held = list_unknowns(problem, outcome.x), assumptions.held_numbers(problem)
+    result.findings += assumptions.at_bounds(problem, outcome.x, held)
     if problem.cases[0].built.scene.data is None:
         _no_intervals(result, "a fit to an objective has no noise to compute an interval from")
         return
-    if len(unknowns) > MOST_UNKNOWNS:
-        _no_intervals(result, f"more than {MOST_UNKNOWNS} unknowns")
-        return
-    if problem.cases[0].built.scene.precision == "float32":
-        _no_intervals(result, "`precision: float32` is too coarse for the finite differences of intervals")
-        return
     try:
-        jacobian = find_jacobian(problem, outcome.x, unknowns)
-    except TrialFailed as failure:
-        _no_intervals(result, f"a rollout near the optimum failed: {failure}")
+        jacobian = _find_jacobian(problem, outcome.x, unknowns)
+    except NoIntervals as reason:
+        _no_intervals(result, str(reason))
+        result.findings += assumptions.without_intervals(held)
         return
     uncertainty = intervals(jacobian, problem.residuals(outcome.x), problem.series(), unknowns)
     for block in problem.params.blocks:
@@ -121,32 +119,9 @@ def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -
         reasons = {n: uncertainty.reasons[n] for n in names if n in uncertainty.reasons}
         if reasons:
             entry.reason = "; ".join(dict.fromkeys(reasons.values()))
+    at_optimum = problem, outcome.x, jacobian, unknowns, uncertainty
     result.findings += uncertainty.findings
-    result.findings += _substep_findings(problem, outcome.x, jacobian, unknowns, uncertainty)
-
-
-def _substep_findings(
-    problem: FitProblem, x: Array, jacobian: Array, unknowns: Sequence[Unknown], uncertainty: Uncertainty
-) -> Iterator[str]:
-    """Yield sentences on values that half the substep would move out of their intervals.
-
-    MLS-MPM smooths velocities in every substep, which softens and damps a body; so the fitted values depend on the
-    number of substeps. `substeps: auto` takes more if bounds allow a stiffer material. Synthetic data need no check.
-    """
-    if problem.cases[0].built.scene.synthetic is not None or len(jacobian) == 0:
-        return
-    try:
-        residuals = problem.with_half_substep().residuals(x)
-    except TrialFailed as failure:
-        yield f"a rollout with half the substep and the identified values failed: {failure}"
-        return
-    for unknown, value in zip(unknowns, follow(jacobian, residuals, unknowns), strict=True):
-        interval = uncertainty.intervals[unknown.name]
-        if interval is not None and not interval[0] <= value <= interval[1]:
-            yield (
-                f"{unknown.name}: half the substep would move it from {unknown.value:.4g} to about {value:.4g}, out of "
-                "its interval, which covers only the noise of the data: compare values at equal `time.substeps`"
-            )
+    result.findings += [*assumptions.of_the_substep(*at_optimum), *assumptions.of_held_numbers(*at_optimum, held)]
 
 
 def _no_intervals(result: SysidResult, reason: str) -> None:
@@ -170,6 +145,22 @@ def list_unknowns(problem: FitProblem, x: Array) -> list[Unknown]:
         for block, part in zip(params.blocks, params.slices.values(), strict=True)
         for name, value in zip(_names(block), block.numbers(x[part]), strict=True)
     ]
+
+
+class NoIntervals(Exception):
+    """Why intervals cannot be computed."""
+
+
+def _find_jacobian(problem: FitProblem, x: Array, unknowns: Sequence[Unknown]) -> Array:
+    """Return dr/dz (n, p) at the optimum, by central differences; raise NoIntervals if that is not possible."""
+    if len(unknowns) > MOST_UNKNOWNS:
+        raise NoIntervals(f"more than {MOST_UNKNOWNS} unknowns")
+    if problem.cases[0].built.scene.precision == "float32":
+        raise NoIntervals("`precision: float32` is too coarse for the finite differences of intervals")
+    try:
+        return find_jacobian(problem, x, unknowns)
+    except TrialFailed as failure:
+        raise NoIntervals(f"a rollout near the optimum failed: {failure}") from failure
 
 
 def find_jacobian(problem: FitProblem, x: Array, unknowns: Sequence[Unknown]) -> Array:

@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cqrun.build.assembly import Assembly
 from cqrun.design.params import Params
 from cqrun.engine.model import Records
 from cqrun.errors import Problem, SceneError, UsageError
@@ -25,6 +26,7 @@ from cqrun.optimizers.base import TrialFailed
 from cqrun.plugin.contract import Array
 from cqrun.running.gradient_memory import gradients_at_once
 from cqrun.running.side_by_side import Effort, side_by_side, the_value, trial
+from cqrun.scene.paths import with_values
 
 DIFFERENCE = 1e-4
 """Step of the forward-difference Jacobian in scaled coordinates, in which the bounds are 1 apart."""
@@ -239,8 +241,22 @@ class FitProblem:
             model = replace(model, dt=0.5 * model.dt, substeps=2 * model.substeps)
             return replace(case, built=replace(case.built, model=model))
 
-        finer = [halved(case) for case in self.cases]
-        return FitProblem(finer, self.params, threads=self.threads, interrupt=self.interrupt)
+        return self._with_cases(halved)
+
+    def with_number(self, path: str, value: float) -> FitProblem:
+        """Return the same fit with another value of a number that is no unknown."""
+
+        def changed(case: Case) -> Case:
+            built = case.built
+            scene = with_values(built.scene, {path: value})
+            assembly = Assembly(scene, built.particles, built.assembly.sequence)
+            return replace(case, built=replace(built, scene=scene, assembly=assembly))
+
+        return self._with_cases(changed)
+
+    def _with_cases(self, change: Callable[[Case], Case]) -> FitProblem:
+        cases = [change(case) for case in self.cases]
+        return FitProblem(cases, self.params, threads=self.threads, interrupt=self.interrupt)
 
     def series(self) -> list[Series]:
         """Return the time series among the residuals."""

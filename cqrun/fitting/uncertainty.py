@@ -38,7 +38,9 @@ MOST_UNKNOWNS = 30
 STEP = 1e-3
 """Difference step, in the logarithm or as a part of the range of the bounds on a linear scale."""
 
-_AT_BOUND = 1e-4
+AT_BOUND = 1e-4
+"""An unknown closer to its bound than this part of the distance between the bounds is at the bound."""
+
 _LARGEST_POWER = 500.0
 _SHORTEST = 8
 _BLOCKS = 12
@@ -242,7 +244,7 @@ def _autoregression(errors: Array, block: int) -> Array:
 def bound_reached(unknown: Unknown) -> str | None:
     """Return `lower` or `upper` if the optimum is at this bound."""
     low, here, high = unknown.ends[0], unknown.coordinate, unknown.ends[1]
-    slack = _AT_BOUND * (high - low)
+    slack = AT_BOUND * (high - low)
     return "lower" if here - low <= slack else "upper" if high - here <= slack else None
 
 

@@ -134,6 +134,7 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
             yield ""
             design = [(path, _range(u.initial), _range(u.value), _ends(u)) for path, u in result.unknowns.items()]
             yield from table(("unknown", "before", "learned", "at its bounds"), design)
+            yield from result.how_found()
 
 
 NEEDS = (

@@ -32,6 +32,7 @@ from cqrun.running.cost import about
 from cqrun.running.finite_differences import (
     AGREES,
     ALL_STEPS,
+    AT_A_KINK,
     DISAGREES,
     FLAT,
     STEPS,
@@ -51,6 +52,7 @@ from cqrun.store.run_scene import stem_of
 
 VERDICTS: dict[Verdict, str] = {
     AGREES: "",
+    AT_A_KINK: "at a kink: agrees with the slope of one side",
     FLAT: "flat: nothing to compare",
     TOO_ROUGH: "TOO ROUGH TO TELL",
     DISAGREES: "DISAGREES",

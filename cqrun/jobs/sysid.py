@@ -119,6 +119,7 @@ class Sysid(Job[Identification, SysidResult]):
                 yield f"no intervals: {next(iter(reasons.values()))}"
             else:
                 yield from (f"no interval for {path}: {reason}" for path, reason in reasons.items())
+        yield from result.how_found()
         yield ""
         yield from _errors(scene, result)
         yield from (f"note: {sentence}" for sentence in result.findings)

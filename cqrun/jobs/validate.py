@@ -7,7 +7,9 @@ from math import prod
 from pathlib import Path
 from typing import Any
 
+from cqrun.build.check_grid import nearest_nodes
 from cqrun.build.model import Built, build
+from cqrun.engine.model import ConditionModel
 from cqrun.errors import SceneError
 from cqrun.explain import listed
 from cqrun.fitting.case import Case
@@ -86,8 +88,15 @@ def _world(built: Built) -> Iterator[str]:
     size = " x ".join(number(edge) for edge in world.size)
     nodes = " x ".join(map(str, shape))
     yield line("world", f"{size} m in cells of {number(world.dx)} m: {nodes} = {prod(shape):,} nodes")
-    conditions = (f"{c.name} ({c.spec.name}, {int(c.nodes.sum()):,} nodes)" for c in built.model.conditions)
-    yield line("boundaries", ", ".join(conditions) or "none: a body that reaches the edge of the world stops the run")
+    held = ", ".join(f"{c.name} ({c.spec.name}, {_held(built, c)})" for c in built.model.conditions)
+    yield line("boundaries", held or "none: a body that reaches the edge of the world stops the run")
+
+
+def _held(built: Built, condition: ConditionModel) -> str:
+    """Return the number of nodes of a boundary, and of particles with one of them as their nearest node, as text."""
+    nearest = nearest_nodes(built.particles.x, built.model.grid_shape, built.model.dx)
+    nodes, particles = int(condition.nodes.sum()), int(condition.nodes[nearest].sum())
+    return f"{nodes:,} nodes" + (f", {particles:,} particle{'s' * (particles != 1)}" if particles else "")
 
 
 def _body(built: Built, name: str) -> Iterator[str]:

@@ -20,6 +20,7 @@ from cqrun.learning.replay import (
     learned_in,
     refuse_learned,
     require_fitting,
+    substeps_in,
 )
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter
@@ -71,10 +72,28 @@ def acting_in(source: Path, overrides: Sequence[str], controller: Path | None, t
     overrides = [*_standing_goals(unchanged), *overrides]
     scene = _scene(source, overrides)
     if file is not None:
-        scene = _scene(source, [*as_overrides(file, learned, scene), *overrides])
+        same_step = [] if trained is None else _same_substeps(trained, scene, talk)
+        scene = _scene(source, [*as_overrides(file, learned, scene), *same_step, *overrides])
     stem = source.resolve().parent.name if source.is_dir() else stem_of(source)
     files = {name: file for name, file in ((FILE, trained), (IDENTIFIED, identified)) if file is not None}
     return Acting(stem, scene, files)
+
+
+def _same_substeps(controller: Path, scene: Scene, talk: Reporter) -> list[str]:
+    """Return an override that keeps the number of substeps of a controller's training if the scene has `auto`.
+
+    `auto` depends on the bounds of unknowns, which another scene may not have. Warn if the scene gives another number.
+    """
+    learned, here = substeps_in(controller), scene.time.substeps
+    if learned in (None, here):
+        return []
+    if here == "auto":
+        return [f"time.substeps={learned}"]
+    talk.warn(
+        f"{controller}: was trained with time.substeps={learned}, and this scene has {here}: bodies may be a little "
+        "softer or stiffer than in the training"
+    )
+    return []
 
 
 def _scene(source: Path, overrides: Sequence[str]) -> Scene:

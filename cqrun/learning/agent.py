@@ -25,7 +25,7 @@ from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.explain import listed
 from cqrun.learning.actuator_placement import actuator_placement, require_same
 from cqrun.learning.controller_fingerprint import controller_fingerprint, differences
-from cqrun.learning.replay import kept_values, require_fitting
+from cqrun.learning.replay import SUBSTEPS, kept_values, require_fitting
 from cqrun.objectives.term import Objective, Track, TrackBar
 from cqrun.observers.matter import Unfit
 from cqrun.observers.observer import Observation
@@ -182,6 +182,7 @@ class Agent:
             "middle": self.observation.middle.tolist(),
             "half": self.observation.half.tolist(),
             "n_controls": self.learning.n_controls,
+            SUBSTEPS: self.built.model.substeps,
             "acted_on": actuator_placement(self.built),
             "meaning": self._fingerprint(),
             "unknowns": _of_scene(values),

@@ -66,6 +66,7 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         message=outcome.message,
         loss=float(outcome.loss) if np.isfinite(outcome.loss) else None,
         iterations=outcome.iterations,
+        substeps=problem.built.model.substeps,
         unknowns={
             b.path: _designed(b, values[b.path]) for b in problem.params.blocks if not b.path.startswith(CONTROLLER)
         },

@@ -25,6 +25,9 @@ from cqrun.store.result import Value, read_result_file, values_in
 IDENTIFIED = "identified.json"
 """File with the result of the run of sysid that a run replays."""
 
+SUBSTEPS = "substeps"
+"""Key of a controller's file: the number of substeps in a control step of its training."""
+
 Learned = Mapping[str, Array]
 """Values by path: one number, or one per group or particle."""
 
@@ -33,6 +36,12 @@ def learned_in(controller: Path) -> dict[str, Array]:
     """Return the values that were learned with a controller; raise UsageError for another file."""
     _, meta = read_controller(controller)
     return {path: np.array(value, float) for path, value in meta.get("unknowns", {}).items()}
+
+
+def substeps_in(controller: Path) -> int | None:
+    """Return the number of substeps in a control step of a controller's training, or None in an older file."""
+    _, meta = read_controller(controller)
+    return meta.get(SUBSTEPS)
 
 
 def identified_in(result: Path, scene: Scene) -> dict[str, Array]:

@@ -39,6 +39,8 @@ class FixedCorotated(MaterialTerm):
     """Fixed corotated elasticity, P = 2 mu (F - R) + lam (J - 1) J F^-T (CQ2 eq 12).
 
     It is robust under large rotations and inversion, and the default in the software of both ChainQueen papers.
+    In 2D it is in plane strain: E and nu are those of the 3D material, and a thin beam bends like one of modulus
+    E / (1 - nu^2).
     """
 
     parameters: ClassVar[tuple[str, ...]] = ("youngs_modulus", "poissons_ratio")

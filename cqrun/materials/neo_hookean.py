@@ -28,6 +28,8 @@ class NeoHookean(MaterialTerm):
     """Neo-Hookean elasticity, P = mu (F - F^-T) + lam log(J) F^-T (CQ2 eq 13).
 
     It is the material of every experiment in CQ2. It stiffens without bound as the volume goes to zero.
+    In 2D it is in plane strain: E and nu are those of the 3D material, and a thin beam bends like one of modulus
+    E / (1 - nu^2).
     """
 
     parameters: ClassVar[tuple[str, ...]] = ("youngs_modulus", "poissons_ratio")

@@ -25,7 +25,10 @@ class ViscosityKernel(NamedTuple):
 
 @plugin("material_term", "viscosity")
 class Viscosity(MaterialTerm):
-    """Kelvin-Voigt viscosity, tau = J (2 eta dev(d) + zeta tr(d) I) with d the symmetric velocity gradient."""
+    """Kelvin-Voigt viscosity, tau = J (2 eta dev(d) + zeta tr(d) I) with d the symmetric velocity gradient.
+
+    dev(d) = d - tr(d)/3 I in 2D too: a 2D body is in plane strain, so d has a third row of zeros.
+    """
 
     parameters: ClassVar[tuple[str, ...]] = ("shear", "bulk")
     shear: float = quantity("Pa s", "shear viscosity eta", differentiable=True, ge=0, default=0.0)

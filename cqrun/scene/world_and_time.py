@@ -30,7 +30,10 @@ class Time(Spec):
 
     duration: float = quantity("s", "Duration of the run, a multiple of the control step", gt=0)
     control_step: float = quantity("s", "Time between two frames, and between two values of a signal", gt=0)
-    substeps: Substeps = Field(description="Engine steps per control step, or auto", default="auto")
+    substeps: Substeps = Field(
+        description="Engine steps per control step, or auto: as many as all values within the unknowns' bounds need",
+        default="auto",
+    )
 
     @property
     def control_steps(self) -> int:

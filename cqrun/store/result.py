@@ -5,6 +5,7 @@ The file is result.json, or gradcheck.json for a gradient check.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, TypeVar, get_args
 
@@ -23,7 +24,10 @@ Interval = tuple[float, float]
 
 
 class Search(Part):
-    """The result of any search: how it ended, the final loss, and the number of iterations."""
+    """The result of any search: how it ended, the final loss, and the number of iterations.
+
+    The values found depend on `substeps`, the number of substeps in a control step; older runs do not record it.
+    """
 
     file: ClassVar[str] = RESULT
     job: str
@@ -31,6 +35,12 @@ class Search(Part):
     message: str
     loss: float | None
     iterations: int
+    substeps: int | None = optional()
+
+    def how_found(self) -> Iterator[str]:
+        """Yield a line on the substeps with which values were found."""
+        if self.substeps is not None:
+            yield f"found with time.substeps={self.substeps}: keep that number wherever these values are used"
 
 
 # --- sysid ----------------------------------------------------------------------------------------------------------
@@ -217,7 +227,7 @@ class SimulateResult(Part):
 # --- gradcheck ------------------------------------------------------------------------------------------------------
 
 
-Verdict = Literal["agrees", "flat", "too rough", "disagrees"]
+Verdict = Literal["agrees", "agrees at a kink", "flat", "too rough", "disagrees"]
 
 
 class Direction(Part):
@@ -232,10 +242,10 @@ class Direction(Part):
         step: step size of the plateau.
         noise: possible effect of rounding on the difference there, or the scatter of the scan.
         scan: extrapolated difference for every step; None if a rollout failed.
-        verdict: `agrees`; `flat`: both are below the effect of rounding, so they cannot be compared; `too rough`: the
-            scatter of the scan is large, and the two differ by at most a few times the scatter, or are not larger
-            than it; `disagrees`.
-        agrees: whether the verdict is one of the first two.
+        verdict: `agrees`; `agrees at a kink`: the loss has two slopes there, and the adjoint is one of them; `flat`:
+            both are below the effect of rounding, so they cannot be compared; `too rough`: the scatter of the scan is
+            large, and the two differ by at most a few times the scatter, or are not larger than it; `disagrees`.
+        agrees: whether the verdict is one of the first three.
     """
 
     block: str

@@ -53,6 +53,12 @@ def test_it_converges_with_the_cell():
     assert np.all(sag[:-1] / sag[1:] > 1.5)
 
 
+def test_a_thin_beam_sags_too_far():
+    """1 and 3 cells through the thickness: 32 and 6 % of the sag, as the warning before a run says."""
+    sag = [cantilever(2, dx, 0.0)[1] for dx in (1.0, 1 / 3)]
+    assert sag == pytest.approx([0.32, 0.06], abs=0.02)
+
+
 def test_plane_strain_is_stiffer():
     """nu .3 in 2D bends with E / (1 - nu^2): without it the frequency were 4.6 % and the sag 9 % off."""
     frequency, sag = cantilever(2, 0.25, 0.3)

@@ -14,6 +14,7 @@ from cqrun.loads.point_force import PointForce
 from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf, leaves
+from cqrun.state import MOTION
 
 STEP = 1e-3
 """Relative step of a fourth-order difference; the map is linear or smooth in each number."""
@@ -77,8 +78,8 @@ def flat(inputs: Inputs) -> np.ndarray:
 def random_bar(inputs: Inputs, rng: np.random.Generator) -> Inputs:
     """Return a random cotangent of the inputs; each part is divided by its own size."""
     bar = Inputs.zeros_like(inputs)
-    for whole, like in ((bar.state, inputs.state), (bar.fields, inputs.fields)):
-        for name in (name for name in vars(whole) if name != "history"):  # no term of this scene has one
+    for whole, like, names in ((bar.state, inputs.state, MOTION), (bar.fields, inputs.fields, vars(bar.fields))):
+        for name in names:
             size = np.abs(getattr(like, name)).max(initial=0.0) or 1.0
             setattr(whole, name, rng.normal(size=getattr(like, name).shape) / size)
     bar.terms = [[rng.normal(size=a.shape) / (np.abs(a).max() or 1.0) for a in group] for group in inputs.terms]

@@ -36,6 +36,14 @@ def test_every_plugin_has_a_page(kind, name):
     assert f"{kind} {name}: " in page(kind)
 
 
+@pytest.mark.parametrize("name", ["viscosity", "fixed_corotated", "neo_hookean"])
+def test_a_materials_page_says_what_it_is_in_2d(name):
+    """The trace is divided by 3, and a thin beam is stiffer than E."""
+    text = page(name)
+    assert "plane strain" in " ".join(text.split())
+    assert ("tr(d)/3" if name == "viscosity" else "E / (1 - nu^2)") in text
+
+
 def test_a_page_shows_units_ranges_and_defaults():
     text = page("shape", "union")
     assert "scale: [1], number, > 0, default 1.0" in text

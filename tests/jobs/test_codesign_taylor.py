@@ -25,6 +25,7 @@ UNKNOWNS = {
     "where a muscle lies": "unknowns.actuators.muscle.muscle.weight={bounds: [0, 1], per: field}",
     "a strength": "unknowns.actuators.muscle.muscle.strength={bounds: [1, 8], scale: log, regulariser: .5}",
     "a velocity": "unknowns.bodies.finger.velocity.0={bounds: [-1, 1]}",
+    "a spin": "unknowns.bodies.finger.spin.0={bounds: [-5, 5]}",
 }  # fmt: skip
 OTHERS = [
     "bodies.finger.velocity=[0.1, 0.0]",

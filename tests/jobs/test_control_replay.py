@@ -197,6 +197,28 @@ def test_a_controller_of_another_scene_file(trained, tmp_path):
         replay(scene, tmp_path / "out", controller=trained / "controller.npz")
 
 
+def test_elsewhere_it_acts_with_the_substeps_of_the_training(trained, tmp_path):
+    """With `auto` the scene would have another number; a number that the scene gives stays, with a warning."""
+    scene, controller = written(tmp_path, FINGER.replace(", substeps: 2", "")), trained / "controller.npz"
+    assert result_of(trained)["substeps"] == 2
+    kept = replay(scene, tmp_path / "out", controller=controller)
+    np.testing.assert_array_equal(position(kept), position(trained))
+    listener = Listener()
+    for override in ("time.substeps=4", "time.substeps=auto"):
+        other = replay(scene, tmp_path / "out", override, controller=controller, reporter=listener)
+        assert load_scene(other / "scene.yaml").time.substeps != 2
+    told = [line for line in listener.said if "was trained with" in line]
+    assert told == [
+        f"warning: {controller}: was trained with time.substeps=2, and this scene has 4: bodies may be a little softer "
+        "or stiffer than in the training"
+    ]
+    parameters, meta = read_controller(controller)
+    del meta["substeps"]
+    save_controller(tmp_path / "older.npz", parameters, meta)
+    older = replay(scene, tmp_path / "out", controller=tmp_path / "older.npz")
+    assert load_scene(older / "scene.yaml").time.substeps != 2
+
+
 def test_a_stopped_replay_runs_again_with_its_own_copy(trained, tmp_path):
     whole = replay(trained, tmp_path / "whole", "time.duration=0.2")
     source = tmp_path / "finger" / trained.name

@@ -133,7 +133,7 @@ def test_too_little_memory_is_refused_before_there_is_a_run(fit, tmp_path):
 
 
 def test_a_direction_whose_steps_all_fail_disagrees(fit, tmp_path, monkeypatch):
-    monkeypatch.setattr(finite_differences, "_central", lambda loss, d, h: float("nan"))
+    monkeypatch.setattr(finite_differences, "_at", lambda loss, step: float("nan"))
     run, agrees, found = check(fit, tmp_path)
     assert not agrees
     assert found["rows"][0]["scan"] == [None] * (len(STEPS) - 1)
@@ -142,9 +142,12 @@ def test_a_direction_whose_steps_all_fail_disagrees(fit, tmp_path, monkeypatch):
 
 def test_differences_that_are_too_rough_do_not_agree(fit, tmp_path, monkeypatch):
     """They scatter by more than they are, at every step: no adjoint could be told right by them, or wrong."""
-    monkeypatch.setattr(
-        finite_differences, "_central", lambda loss, d, h: (-1.0) ** round(float(np.log(h) / np.log(4.0)))
-    )
+
+    def rough(loss, step):
+        h = np.abs(step).max()
+        return float(np.sign(step.sum()) * h * (-1.0) ** round(np.log(h) / np.log(4.0)))
+
+    monkeypatch.setattr(finite_differences, "_at", rough)
     run, agrees, found = check(fit, tmp_path)
     assert not agrees
     assert {row["verdict"] for row in found["rows"]} == {TOO_ROUGH}

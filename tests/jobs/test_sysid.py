@@ -93,6 +93,7 @@ def test_the_report_is_a_table(found):
     assert lines[3].split()[0] == E_PATH
     assert lines[3].split()[-2:] == ["Pa", "30000"]
     text = "\n".join(lines)
+    assert "found with time.substeps=24: keep that number wherever these values are used" in lines
     assert "synthetic  fitted  0.0" in text
     assert "see tracks.csv, trajectory.h5" in text
 

@@ -1,0 +1,225 @@
+"""Check what the grid cannot resolve: bodies, gaps and boundaries that are too thin, or that start in each other.
+
+A particle exchanges momentum with 3 nodes along each axis, and midway between two rows only with these two. So two rows
+of held nodes stop it, but one does not. The material on both sides of a narrow gap sticks together, and a thin body
+bends too far. A scene may still be useful: these are warnings, with the size needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from cqrun.boundaries.sticky import Sticky
+from cqrun.build.check_particles import TOO_CLOSE
+from cqrun.build.particles import Particles
+from cqrun.engine.model import ConditionModel
+from cqrun.engine.setting import MARGIN, grid_shape
+from cqrun.errors import Problem
+from cqrun.geometry.place import Place
+from cqrun.geometry.shape import cell_centres, finite_bounds
+from cqrun.plugin.contract import Array
+from cqrun.scene.body import Body
+from cqrun.scene.schema import Scene
+
+ROWS = 2
+"""Smallest number of rows of nodes that no body passes through."""
+
+CELLS = 3
+"""Smallest number of cells through the thickness of a body; with 1, 2 and 3 a beam sags 32, 10 and 6 % too far."""
+
+NEAR = 3.0
+"""A clamp that holds no particle is reported if a body is this close [cells]; farther away it is a floor or a wall."""
+
+PER_CELL = 4
+"""Points per cell and axis that measure bodies and gaps; fewer in a body that needs more than MOST_POINTS."""
+
+MOST_POINTS = 500_000
+
+ROUNDED = 0.4
+"""Distance of a corner from the largest disc or ball inside that is not thin [diameters]: a cube's is 0.37."""
+
+THIN = 0.1
+"""Share of a body that must be thin for a warning."""
+
+
+def grid_warnings(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> list[Problem]:
+    """Return warnings about everything that the grid cannot resolve."""
+    return [
+        *_bodies(scene),
+        *_boundaries(scene, conditions),
+        *_clamps(scene, particles, conditions),
+        *_starts_inside(scene, particles, conditions),
+    ]
+
+
+# --- bodies and the gaps in them --------------------------------------------------------------------------------------
+
+
+def _bodies(scene: Scene) -> Iterator[Problem]:
+    """Yield warnings about bodies that are less than 3 cells thick, and about narrow gaps in them."""
+    dx = scene.world.dx
+    for name, body in scene.bodies.items():
+        path = f"bodies.{name}." + ("shape" if body.shape else "parts")
+        solid, corner, pitch = _raster(body, dx)
+        thin = thinner(solid, CELLS * dx / pitch)
+        if thin.sum() > THIN * solid.sum():
+            thickness = 2.0 * pitch * float(_depth(solid)[thin].max())
+            at = _place(body, corner, pitch, thin)
+            cells = f"{thickness / dx:.2g}"
+            message = (
+                f"is {cells} {'cell' if cells == '1' else 'cells'} thick at {at}: a beam of 1 cell sags about 30 % too "
+                f"far, one of 2 cells 10 %; set dx to {thickness / CELLS:.3g} m, or make it {CELLS * dx:.3g} m thick"
+            )
+            yield Problem(scene.where(path), path, message)
+        border = int(np.ceil(CELLS * dx / pitch))
+        gaps = thinner(~np.pad(solid, border), TOO_CLOSE * dx / pitch)
+        if gaps.sum() * pitch**scene.dim > (TOO_CLOSE * dx) ** scene.dim:
+            at = _place(body, corner - border * pitch, pitch, gaps)
+            message = (
+                f"has a gap or a hole at {at} that is less than {TOO_CLOSE:g} cells wide: the material around it "
+                f"sticks together as if glued; if it should not, make it {TOO_CLOSE * dx:.3g} m wide, or dx smaller"
+            )
+            yield Problem(scene.where(path), path, message)
+
+
+def _raster(body: Body, dx: float) -> tuple[Array, Array, float]:
+    """Return which cells of a fine raster lie in a body, its lower corner without `place` [m], and its pitch [m]."""
+    scale, pieces = (body.place or Place()).scale, list(body.pieces.values())
+    bounds = [finite_bounds(piece) for piece in pieces]
+    lower, upper = np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
+    volume = float(np.prod(upper - lower)) * scale ** len(lower)
+    pitch = max(dx / PER_CELL, (volume / MOST_POINTS) ** (1 / len(lower)))
+    counts = np.ceil((upper - lower) * scale / pitch * (1 - 1e-9)).astype(int)
+    x = cell_centres(lower, np.full(len(lower), pitch / scale), counts)
+    return np.any([piece.inside(x) for piece in pieces], axis=0).reshape(counts), lower * scale, pitch
+
+
+def _place(body: Body, corner: Array, pitch: float, cells: Array) -> str:
+    """Return the position in the world of the first of some cells of a raster, as text."""
+    place = body.place or Place()
+    x = corner + (np.argwhere(cells)[0] + 0.5) * pitch
+    return _point(place.to_world(x[None] / place.scale)[0])
+
+
+def thinner(solid: Array, width: float) -> Array:
+    """Return which cells of a solid lie where no ball of a given diameter fits; corners of thicker parts do not count.
+
+    Args:
+        solid: (...) bool.
+        width: the diameter, in cells.
+    """
+    depth = _depth(solid)
+    filled = depth >= 0.5 * width
+    if not filled.any():
+        return solid
+    reach = ndimage.distance_transform_edt(~filled)
+    return np.asarray(solid & (reach > (0.5 + ROUNDED) * width))
+
+
+def _depth(solid: Array) -> Array:
+    """Return the distance of each cell to the nearest one outside a solid [cells]; at most (n + 1) // 2 in n layers."""
+    inner = (slice(1, -1),) * solid.ndim
+    return np.asarray(ndimage.distance_transform_edt(np.pad(solid, 1)))[inner]
+
+
+# --- boundaries -------------------------------------------------------------------------------------------------------
+
+
+def _boundaries(scene: Scene, conditions: Sequence[ConditionModel]) -> Iterator[Problem]:
+    """Yield warnings about regions of a single row of nodes, which bodies pass through."""
+    dx = scene.world.dx
+    for condition in conditions:
+        if condition.spec.region is None:
+            continue
+        nodes = _in_world(scene, condition.nodes)
+        thin = _single_rows(nodes)
+        if thin.sum() > ROWS or (thin.any() and (thin == nodes).all()):
+            path = f"boundaries.{condition.name}.{condition.spec.name}.region"
+            message = (
+                f"is a single row of nodes at {_point(np.argwhere(thin)[0] * dx)}, which bodies pass through: make it "
+                f"{ROWS * dx:.3g} m thick, or {(ROWS - 1) * dx:.3g} m with its faces on nodes"
+            )
+            yield Problem(scene.where(path), path, message)
+
+
+def _single_rows(nodes: Array) -> Array:
+    """Return which held nodes of the world have no second row next to them; tips of thicker parts do not count.
+
+    A boundary at a face of the world continues beyond it, because nothing comes from there.
+    """
+    held = np.pad(nodes, ROWS, mode="edge")
+    thick = ndimage.binary_opening(held, np.ones((ROWS,) * held.ndim))
+    near = ndimage.binary_dilation(thick, np.ones((3,) * held.ndim))
+    return np.asarray((held & ~near)[(slice(ROWS, -ROWS),) * held.ndim])
+
+
+def _in_world(scene: Scene, nodes: Array) -> Array:
+    """Return the part of an array over all nodes (n,) that lies in the world, with one axis per dimension."""
+    size = np.array(scene.world.size)
+    counts = np.floor(size / scene.world.dx + 1e-9).astype(int) + 1
+    inner = tuple(slice(MARGIN, MARGIN + int(count)) for count in counts)
+    return np.asarray(nodes.reshape(grid_shape(size, scene.world.dx))[inner])
+
+
+def _clamps(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[Problem]:
+    """Yield warnings about sticky regions that are near a body but hold no particle."""
+    dx = scene.world.dx
+    shape = grid_shape(np.array(scene.world.size), dx)
+    nodes = nearest_nodes(particles.x, shape, dx)
+    for condition in conditions:
+        if not isinstance(condition.spec, Sticky) or condition.spec.region is None or condition.nodes[nodes].any():
+            continue
+        x = (np.argwhere(condition.nodes.reshape(shape)) - MARGIN) * dx
+        distances, _ = cKDTree(x).query(particles.x, distance_upper_bound=NEAR * dx)
+        nearest = int(np.argmin(distances))
+        if not np.isfinite(distances[nearest]):
+            continue
+        gap, body = distances[nearest] / dx, _body_of(particles, nearest)
+        path = f"boundaries.{condition.name}.{condition.spec.name}.region"
+        message = (
+            f"holds {len(x):,} nodes but no particle: the nearest is {gap:.2g} cells away, of '{body}'; to clamp "
+            "a body, let the region reach into it"
+        )
+        yield Problem(scene.where(path), path, message)
+
+
+def _starts_inside(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[Problem]:
+    """Yield warnings about particles that start inside a boundary that is no clamp; no substep would bring them there.
+
+    Particles on its surface have its first row of nodes as their nearest ones.
+    """
+    dx = scene.world.dx
+    shape = grid_shape(np.array(scene.world.size), dx)
+    nodes = nearest_nodes(particles.x, shape, dx)
+    inside: dict[str, Array] = {}
+    for condition in conditions:
+        if not isinstance(condition.spec, Sticky) and condition.nodes[nodes].any():
+            depth = ndimage.distance_transform_edt(condition.nodes.reshape(shape)).reshape(-1)
+            path = f"boundaries.{condition.name}.{condition.spec.name}"
+            inside[path] = inside.get(path, False) | (depth[nodes] >= 2)
+    for path, which in inside.items():
+        if which.any():
+            first = int(np.argmax(which))
+            message = (
+                f"{int(which.sum()):,} particles start inside it, such as one of '{_body_of(particles, first)}' at "
+                f"{_point(particles.x[first])}: there a body does not move freely; move it out, or clamp it with sticky"
+            )
+            yield Problem(scene.where(path), path, message)
+
+
+def _body_of(particles: Particles, number: int) -> str:
+    """Return the name of a particle's body."""
+    return next(name for name in particles.names if number < particles.of(name).stop)
+
+
+def nearest_nodes(x: Array, shape: tuple[int, ...], dx: float) -> Array:
+    """Return the index of the nearest node of a grid for each particle at x (N, D) [m]."""
+    return np.asarray(np.ravel_multi_index(tuple((np.round(x / dx).astype(int) + MARGIN).T), shape))
+
+
+def _point(x: Array) -> str:
+    return "(" + ", ".join(f"{c + 0.0:.4g}" for c in x) + ") m"

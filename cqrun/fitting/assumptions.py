@@ -1,0 +1,163 @@
+"""Report what a fit takes as known, and which values it would find otherwise.
+
+An interval covers only the noise of the data. The fitted values also depend on the bounds, on the substep, and on
+material parameters that the scene holds fixed. Each of these is changed once, and the unknowns follow to first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from cqrun.explain import listed
+from cqrun.fitting.identifiability import FLAT, Unknown, follow
+from cqrun.fitting.problem import FitProblem
+from cqrun.fitting.uncertainty import AT_BOUND, Uncertainty
+from cqrun.optimizers.base import TrialFailed
+from cqrun.plugin.contract import Array
+from cqrun.scene.unknowns import truths
+
+RATIO, PART = 0.1, 0.1
+"""Assumed errors of what a scene holds fixed: of a Poisson's ratio, and of any other number relative to itself."""
+
+INWARD = 0.01
+"""Distance from its bound at which the effect of an unknown is tested, in scaled coordinates."""
+
+
+def held_numbers(problem: FitProblem) -> dict[str, tuple[float, float]]:
+    """Return the value of each density and elastic constant that no unknown or recording sets, and another value.
+
+    With synthetic data, only those are returned whose true value is another one.
+    """
+    scene = problem.cases[0].built.scene
+    set_by = [path for block in problem.params.blocks for path in (block.path, *(f.path for f in block.followers))]
+    set_by += [path for recording in scene.recordings.values() for path in recording.overrides]
+    true = truths(scene)
+    held = {}
+    for path, value in _material_numbers(problem):
+        is_right = scene.synthetic is not None and true.get(path, value) == value
+        if not is_right and not any(f"{path}.".startswith(f"{other}.") for other in set_by):
+            held[path] = value, _otherwise(path, value)
+    return held
+
+
+def _material_numbers(problem: FitProblem) -> Iterator[tuple[str, float]]:
+    """Yield path and value of the density and of every elastic constant of all bodies."""
+    for name, body in problem.cases[0].built.scene.bodies.items():
+        base, elastic = f"bodies.{name}.material", body.material.elastic
+        yield f"{base}.density", float(body.material.density)
+        for field in elastic.value.parameters:  # type: ignore[attr-defined]  # a law, by its kind
+            yield f"{base}.elastic.{elastic.name}.{field}", float(getattr(elastic.value, field))
+
+
+def _otherwise(path: str, value: float) -> float:
+    """Return another value that is possible for a number that was not measured carefully."""
+    if path.endswith(".poissons_ratio"):
+        return value + RATIO if value + RATIO < 0.46 else value - RATIO
+    return (1.0 + PART) * value
+
+
+# --- sentences --------------------------------------------------------------------------------------------------------
+
+
+def at_bounds(problem: FitProblem, x: Array, held: Mapping[str, tuple[float, float]]) -> Iterator[str]:
+    """Yield a sentence about each unknown that ended at a bound, with the likely cause."""
+    causes = [f"{path} = {value:g}" for path, (value, _) in held.items()]
+    wrong = f", such as one that the scene holds fixed ({listed(causes)})" if causes else ""
+    best = "the best fit" if problem.cases[0].built.scene.data is not None else "the least objective"
+    for block, part in zip(problem.params.blocks, problem.params.slices.values(), strict=True):
+        scaled, several = x[part], part.stop - part.start > 1
+        for end, reached, bound in (
+            ("lower", scaled <= AT_BOUND, block.lower),
+            ("upper", scaled >= 1.0 - AT_BOUND, block.upper),
+        ):
+            if not reached.any():
+                continue
+            which = f"{int(reached.sum())} of {len(scaled)} numbers of {block.path}" if several else block.path
+            ended = f"{which} ended at {'their' if several else 'its'} {end} bound, {bound:g}"
+            if not several and _does_nothing(problem, x, part.start):
+                yield f"{ended}, but the data do not depend on it there: fix it, or add data that do"
+            else:
+                yield (
+                    f"{ended}: {best} lies there or beyond. Widen the bound if such a value is possible; if not, "
+                    f"another number is wrong{wrong}"
+                )
+
+
+def _does_nothing(problem: FitProblem, x: Array, k: int) -> bool:
+    """Return whether the residuals stay the same if an unknown leaves its bound."""
+    inside = x.copy()
+    inside[k] += INWARD if x[k] < 0.5 else -INWARD
+    try:
+        here, there = problem.residuals_at([x, inside])
+    except TrialFailed:
+        return False
+    return float(np.linalg.norm(there - here)) <= FLAT * float(np.linalg.norm(here))
+
+
+def of_the_substep(
+    problem: FitProblem, x: Array, jacobian: Array, unknowns: Sequence[Unknown], uncertainty: Uncertainty
+) -> Iterator[str]:
+    """Yield sentences on values that half the substep would move out of their intervals.
+
+    MLS-MPM smooths velocities in every substep, which softens and damps a body; so the fitted values depend on the
+    number of substeps. `substeps: auto` takes more if bounds allow a stiffer material. Synthetic data need no check.
+    """
+    if problem.cases[0].built.scene.synthetic is not None or len(jacobian) == 0:
+        return
+    try:
+        residuals = problem.with_half_substep().residuals(x)
+    except TrialFailed as failure:
+        yield f"a rollout with half the substep and the identified values failed: {failure}"
+        return
+    for unknown, value in zip(unknowns, follow(jacobian, residuals, unknowns), strict=True):
+        if _leaves(uncertainty.intervals[unknown.name], value):
+            yield (
+                f"{unknown.name}: half the substep would move it from {unknown.value:.4g} to about {value:.4g}, out of "
+                "its interval, which covers only the noise of the data: compare values at equal `time.substeps`"
+            )
+
+
+def of_held_numbers(
+    problem: FitProblem,
+    x: Array,
+    jacobian: Array,
+    unknowns: Sequence[Unknown],
+    uncertainty: Uncertainty,
+    held: Mapping[str, tuple[float, float]],
+) -> Iterator[str]:
+    """Yield a sentence about each fixed number whose assumed error would move an unknown out of its interval."""
+    if len(jacobian) == 0:
+        return
+    residuals = problem.residuals(x)
+    here = follow(jacobian, residuals, unknowns)
+    for path, (value, other) in held.items():
+        try:
+            changed = problem.with_number(path, other).residuals(x)
+        except TrialFailed:
+            continue
+        there = follow(jacobian, changed, unknowns)
+        moved = [
+            f"{u.name} about {new:.4g} instead of {u.value:.4g}"
+            for u, now, new in zip(unknowns, here, there, strict=True)
+            if _leaves(uncertainty.intervals[u.name], new) and not _leaves(uncertainty.intervals[u.name], now)
+        ]
+        if moved:
+            change = np.array([u.to_coordinate(v) - u.coordinate for u, v in zip(unknowns, there, strict=True)])
+            error = float(np.linalg.norm(changed + jacobian @ change) / np.linalg.norm(residuals))
+            yield (
+                f"{path} is held at {value:g}. With {other:g} the fit would find {listed(moved)}, outside the "
+                f"interval, and its residuals would be {error:.2f} times as large: measure it, or make it an unknown"
+            )
+
+
+def without_intervals(held: Mapping[str, tuple[float, float]]) -> Iterator[str]:
+    """Yield a sentence about the numbers held fixed, for fits without intervals."""
+    if held:
+        numbers = listed([f"{path} = {value:g}" for path, (value, _) in held.items()])
+        yield f"the scene holds {numbers} fixed, and the identified values are right only if these are"
+
+
+def _leaves(interval: tuple[float, float] | None, value: float) -> bool:
+    return interval is not None and not interval[0] <= value <= interval[1]

@@ -1,0 +1,74 @@
+"""What a fit takes as known is among its findings: bounds that it ended at, and numbers that the scene holds fixed."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from small_beam import E_PATH, SHEAR_PATH, changed, result_of
+
+from cqrun.jobs.sysid import run_sysid
+
+MATERIAL = "bodies.beam.material"
+RATIO = f"{MATERIAL}.elastic.fixed_corotated.poissons_ratio"
+DENSITY = f"{MATERIAL}.density"
+
+
+def findings(scene, out, *overrides: str) -> tuple[dict[str, dict], list[str]]:
+    """Return the unknowns and the findings of a fit."""
+    result = result_of(run_sysid(scene, list(overrides), out, threads=1))
+    return result["unknowns"], result["findings"]
+
+
+@pytest.mark.parametrize(("path", "true"), [(RATIO, 0.4), (DENSITY, 1100)])
+def test_a_number_held_at_another_value_than_the_true_one(path, true, fit, tmp_path):
+    """The modulus takes over the error, residuals hardly show it, and the finding says what would be right."""
+    unknowns, told = findings(fit, tmp_path, f"data.synthetic.truth.{path}={true}")
+    wrong, (low, high) = unknowns[E_PATH]["value"], unknowns[E_PATH]["interval"]
+    assert not low <= 4.0e4 <= high
+    (sentence,) = [text for text in told if f"{path} is held at" in text]
+    about = float(re.search(f"With {true} the fit would find {E_PATH} about ([^ ]+) instead of", sentence)[1])
+    assert abs(about - 4.0e4) < 0.25 * abs(wrong - 4.0e4)
+    assert 0.5 < float(re.search("its residuals would be ([^ ]+) times as large", sentence)[1]) < 1.05
+
+
+def test_numbers_with_which_the_data_were_made_are_right(fit, tmp_path):
+    _, told = findings(fit, tmp_path)
+    assert told == []
+
+
+def test_an_unknown_that_ends_at_its_bound(fit, tmp_path):
+    changed(fit, "bounds: [1.0e4, 1.0e5]", "bounds: [1.0e4, 3.5e4]")
+    unknowns, told = findings(fit, tmp_path, f"data.synthetic.truth.{DENSITY}=1010")
+    assert unknowns[E_PATH]["reason"] == "at its upper bound"
+    assert told[0] == (
+        f"{E_PATH} ended at its upper bound, 35000: the best fit lies there or beyond. Widen the bound if such a value "
+        f"is possible; if not, another number is wrong, such as one that the scene holds fixed ({DENSITY} = 1000)"
+    )
+
+
+def test_an_unknown_that_does_nothing_stays_at_its_bound(fit, tmp_path):
+    """Without gravity the beam rests, whatever its viscosity: its data do not ask for more."""
+    unknown = f"unknowns={{{SHEAR_PATH}: {{bounds: [3, 20]}}}}"
+    _, told = findings(fit, tmp_path, "world.gravity=[0, 0]", unknown)
+    assert told[0] == (
+        f"{SHEAR_PATH} ended at its lower bound, 3, but the data do not depend on it there: fix it, or add data that do"
+    )
+
+
+def test_values_without_intervals(fit, tmp_path):
+    """Forty numbers, some of them at a bound."""
+    changed(fit, "scale: log}\n  bodies.beam.material.visc", "scale: log, per: particle}\n  bodies.beam.material.visc")
+    _, told = findings(
+        fit, tmp_path, "optimizer={lbfgs: {max_iterations: 3}}", f"data.synthetic.truth.{DENSITY}=1010",
+        f"unknowns.{E_PATH}.bounds=[1.0e4, 3.1e4]",
+    )  # fmt: skip
+    assert re.match(rf"\d+ of 40 numbers of {E_PATH} ended at their upper bound, 31000: the best fit lies", told[0])
+    assert told[1] == f"the scene holds {DENSITY} = 1000 fixed, and the identified values are right only if these are"
+
+
+def test_an_objective_that_is_least_at_a_bound(fit, tmp_path):
+    """It has no intervals, and no noise."""
+    goal = "objective={up: {reach: {body: beam, position: [0.07, 0.09]}}}"
+    _, told = findings(fit, tmp_path, "data=null", goal, "optimizer=null", "time.duration=0.05")
+    assert f"{E_PATH} ended at its upper bound, 100000: the least objective lies there or beyond." in told[0]
