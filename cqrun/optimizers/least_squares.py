@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import numpy as np
 from pydantic import Field
 
 from cqrun.optimizers.base import Status
 from cqrun.optimizers.replayed import Replayed, Trials
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
+
+INSIDE = 0.01
+"""Distance from a bound, in widths of the box, that a start has at least."""
 
 
 @plugin("optimizer", "least_squares")
@@ -38,12 +42,18 @@ class LeastSquares(Replayed):
     )
 
     def attempt(self, trials: Trials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
-        """Run scipy's method once."""
+        """Run scipy's method once.
+
+        It starts inside the bounds. At a bound, scipy would move the start by 1e-10, and take the length of that, if
+        all else is 0, as the radius of its trust region: it would end there, as converged.
+        """
         from scipy.optimize import least_squares
 
+        width = upper - lower
+        inside = INSIDE * np.where(np.isfinite(width), width, 0.0)
         result = least_squares(
             trials.residuals,
-            x,
+            np.clip(x, lower + inside, upper - inside),
             jac=trials.jacobian,
             bounds=(lower, upper),
             method="trf",

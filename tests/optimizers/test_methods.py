@@ -66,6 +66,23 @@ def test_scipy_converges_to_the_minimum_of_the_valley(tmp_path, method):
     assert outcome.loss < 1e-12
 
 
+@pytest.mark.parametrize("side", ["lower", "upper"])
+@pytest.mark.parametrize("method", SCIPY, ids=name_of)
+def test_a_start_at_a_bound_is_left(tmp_path, method, side):
+    """Where all else is 0, as in a fit's own coordinates, the length of x0 says nothing of how far to go."""
+    problem = Rosenbrock(n=2, bound=3.0)
+    problem.start = np.zeros(2)
+    problem.lower, problem.upper = (problem.start, problem.upper) if side == "lower" else (problem.lower, problem.start)
+    if side == "upper":  # the same valley with its minimum at (-1, 1)
+        problem.upper = np.array([0.0, 3.0])
+        inner = problem._evaluate
+        flip = np.array([-1.0, 1.0])
+        problem._evaluate = lambda x: (lambda r, J: (r, J * flip))(*inner(x * flip))
+    outcome, _ = solve(tmp_path, method, problem)
+    assert outcome.status == "converged"
+    np.testing.assert_allclose(np.abs(outcome.x), 1.0, atol=1e-4)
+
+
 @pytest.mark.parametrize("method", SCIPY, ids=name_of)
 def test_scipy_respects_bounds(tmp_path, method):
     problem = Rosenbrock(bound=0.9)
