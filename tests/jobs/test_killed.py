@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_beam import BEAM, FIT, assert_same, changed, record, recorded, result_of
+from small_beam import BEAM, FIT, assert_same, changed, record, recorded
 from small_finger import DESIGN, FINGER, written
 
 from cqrun.build.model import build
@@ -47,6 +47,9 @@ DESIGNERS = {
     "nlopt_mma": "optimizer={nlopt: {algorithm: mma, max_iterations: 60}}",
     "nlopt_auglag": "optimizer={nlopt: {algorithm: auglag, max_iterations: 60}}",
 }
+
+MANY = 30
+"""Kills of each method in the long tests: 500 in all, with those of simulations and checks."""
 
 PATIENCE = 120.0
 """Longest that one process may take [s]."""
@@ -108,7 +111,7 @@ def killed_and_resumed(
     out, done, alive = folder / "killed", 0, 0
     while done < kills:
         (run,) = list(out.glob("*/*")) or [None]
-        finished = run is not None and read_record(run)["status"] == result_of(whole)["status"]
+        finished = run is not None and read_record(run)["status"] == read_record(whole)["status"]
         if finished:  # before all kills were dealt: begin again, so that every kill hits something
             words: tuple[str | Path, ...] = (job, scene, "-o", override, "--out", out, "--fresh")
         elif run is None or done % 2:
@@ -141,28 +144,34 @@ def test_learning_killed_three_times(tmp_path, rng):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LEARNERS)
-def test_learning_killed_twenty_times(tmp_path, rng, name):
+def test_learning_killed_many_times(tmp_path, rng, name):
     scene = written(tmp_path)
     if name == "sgd":
         changed(scene, "unseen: 1", "unseen: 1, fresh: true")
-    killed_and_resumed(scene, tmp_path, LEARNERS[name], 20, rng, "control")
+    killed_and_resumed(scene, tmp_path, LEARNERS[name], MANY, rng, "control")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DESIGNERS)
-def test_a_design_killed_twenty_times(tmp_path, rng, name):
+def test_a_design_killed_many_times(tmp_path, rng, name):
     if name.startswith("nlopt"):
         pytest.importorskip("nlopt", reason="the extra nlopt is absent")
     scene = written(tmp_path, DESIGN)
     changed(scene, "at_most: 0.018, scale: 0.01", "at_most: 0.03, scale: 0.01")
-    killed_and_resumed(scene, tmp_path, DESIGNERS[name], 20, rng, "codesign")
+    killed_and_resumed(scene, tmp_path, DESIGNERS[name], MANY, rng, "codesign")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OPTIMIZERS)
-def test_killed_twenty_times(fit, recordings, tmp_path, rng, name):
+def test_a_fit_killed_many_times(fit, recordings, tmp_path, rng, name):
     scene = recordings if "batch_size" in OPTIMIZERS[name] else fit
-    killed_and_resumed(scene, tmp_path, OPTIMIZERS[name], 20, rng)
+    killed_and_resumed(scene, tmp_path, OPTIMIZERS[name], MANY, rng)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("job", ["simulate", "gradcheck"])
+def test_a_job_without_an_optimizer_killed_ten_times(fit, tmp_path, rng, job):
+    killed_and_resumed(fit, tmp_path, "time.substeps=1500", 10, rng, job)
 
 
 @pytest.fixture(scope="module")
