@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from cqrun.characters import printable
+
 
 class CqrunError(Exception):
     """Base of every error that cqrun raises on purpose."""
@@ -25,6 +27,10 @@ class UsageError(CqrunError):
 class DataError(UsageError):
     """A recording or another data file that cannot be used as it is."""
 
+    def __str__(self) -> str:
+        """Return one line: what names in the file would do to a terminal is shown, not done."""
+        return printable(super().__str__())
+
 
 class MissingExtra(UsageError):
     """An optional dependency is needed but not installed; the message names the extra."""
@@ -34,6 +40,14 @@ class Stopped(CqrunError):
     """The run stopped early and can be resumed."""
 
     exit_code = 75
+
+
+class StopAsked(Exception):
+    """Raised between two rollouts if the run was asked to stop; what was computed before is kept."""
+
+
+class StopNow(BaseException):
+    """Raised by a signal where nothing waits for the work at hand, so that no handler of errors takes it for one."""
 
 
 class RunError(CqrunError):
@@ -65,8 +79,9 @@ class Problem:
     message: str
 
     def __str__(self) -> str:
+        """Return one line; what names and values of a file would do to a terminal is shown, not done."""
         key = f"{self.path}: " if self.path else ""
-        return f"{self.where}: {key}{self.message}"
+        return printable(f"{self.where}: {key}{self.message}")
 
 
 class SceneError(CqrunError):

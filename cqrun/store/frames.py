@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.disk import require_ordinary
 from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
 
@@ -42,6 +43,7 @@ class Frames:
         self.path = path if path.exists() else part_path(path)
         if not self.path.exists():
             raise UsageError(f"{path}: no such trajectory")
+        require_ordinary(self.path)
         with self._reading():
             self._file = h5py.File(self.path, "r", locking=False)  # also while a writer has it open
         try:
@@ -53,13 +55,31 @@ class Frames:
         self.complete = self.path.suffix != ".part"
 
     def _read_head(self) -> None:
-        count = int(self._file["frames"][()])
+        count = int(self._own("frames")[()])
+        bodies = json.loads(self._file["particles"].attrs["bodies"])
+        self.bodies = {name: slice(int(start), int(stop)) for name, (start, stop) in bodies.items()}
+        self.fields = tuple(name for name in self._file["particles"] if name != "body")
+        particles = max(part.stop for part in self.bodies.values())
+        for name in ("time", "step"):
+            self._require_room(name, (count,))
+        for name in self.fields:
+            self._require_room(f"particles/{name}", (count, particles))
         self.time: Array = self._file["time"][:count]
         self.step: Array = self._file["step"][:count]
-        bodies = json.loads(self._file["particles"].attrs["bodies"])
-        self.bodies = {name: slice(start, stop) for name, (start, stop) in bodies.items()}
-        self.fields = tuple(name for name in self._file["particles"] if name != "body")
         self.provenance: dict[str, Any] = json.loads(self._file.attrs["provenance"])
+
+    def _own(self, name: str) -> Any:
+        """Return a dataset whose numbers are in this file, and not behind a link in another one."""
+        found = self._file[name]
+        if found.file != self._file or found.is_virtual or found.external:
+            raise ValueError(f"{name} is in another file")
+        return found
+
+    def _require_room(self, name: str, shape: tuple[int, ...]) -> None:
+        """Refuse a dataset that does not have what others say of it."""
+        found = self._own(name).shape
+        if len(found) < len(shape) or found[0] < shape[0] or found[1 : len(shape)] != shape[1:]:
+            raise ValueError(f"{name} is of shape {found}, and {shape} is needed")
 
     def __len__(self) -> int:
         return len(self.time)
@@ -90,5 +110,5 @@ class Frames:
     def _reading(self) -> Iterator[None]:
         try:
             yield
-        except (OSError, KeyError, ValueError) as error:
-            raise UsageError(f"{self.path}: not a cqrun trajectory, or truncated ({error})") from error
+        except Exception as error:  # a damaged file may raise anything
+            raise UsageError(f"{self.path}: not a cqrun trajectory, or damaged ({error})") from error
