@@ -198,9 +198,9 @@ def _starts_inside(scene: Scene, particles: Particles, conditions: Sequence[Cond
     inside: dict[str, Array] = {}
     for condition in conditions:
         if not isinstance(condition.spec, Sticky) and condition.nodes[nodes].any():
-            depth = ndimage.distance_transform_edt(condition.nodes.reshape(shape)).reshape(-1)
+            deep = ndimage.binary_erosion(condition.nodes.reshape(shape), np.ones((3,) * scene.dim), border_value=1)
             path = f"boundaries.{condition.name}.{condition.spec.name}"
-            inside[path] = inside.get(path, False) | (depth[nodes] >= 2)
+            inside[path] = inside.get(path, False) | deep.reshape(-1)[nodes]
     for path, which in inside.items():
         if which.any():
             first = int(np.argmax(which))

@@ -78,13 +78,19 @@ def columns(labels: Sequence[str], names: Sequence[str] | None, source: str) -> 
     for name in names:
         if counts[name] == 0:
             known = listed((f"'{label}'" for label in counts), 12)
-            raise DataError(f"{source}: no marker '{name}'{suggest(name, counts)}; it has {known}")
+            raise DataError(f"{source}: no marker '{name}'{_meant(name, labels)}; it has {known}")
         if counts[name] > 1:
             raise DataError(
                 f"{source}: marker '{name}' appears {counts[name]} times; rename or remove the others in the recording"
             )
     place = {label: k for k, label in enumerate(labels)}
     return [place[name] for name in names]
+
+
+def _meant(name: str, labels: Sequence[str]) -> str:
+    """Return ` (did you mean 'x'?)` for a label with the name of a subject, such as `arm:tip`, or a similar one."""
+    of_subject = [label for label in labels if label.rpartition(":")[2] == name]
+    return f" (did you mean '{of_subject[0]}'?)" if of_subject else suggest(name, labels)
 
 
 def check_recording(recording: Recording) -> Recording:

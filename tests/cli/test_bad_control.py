@@ -309,7 +309,10 @@ def test_a_controller_file_of_another_shape(cqrun, tmp_path):
     save_controller(file, {"weights": np.zeros((2, 9)), "biases": np.zeros(2)}, facts | {"unknowns": {}})
     code, _, err = cqrun("simulate", scene, "--controller", file, "--out", tmp_path / "out")
     assert code == 2
-    assert err.startswith(f"error: {file}: holds a controller of another shape: weights 2 x 9, biases 2; this scene's ")
+    error = err.splitlines()[-1]
+    assert error.startswith(
+        f"error: {file}: holds a controller of another shape: weights 2 x 9, biases 2; this scene's "
+    )
     for content, words in ((None, "cannot be read as a controller file"), (b"else", "is not a controller file")):
         other = tmp_path / "other.npz"
         if content is not None:

@@ -18,7 +18,7 @@ cqrun: 1
 world: {size: [0.14, 0.06, 0.06], dx: 0.01, gravity: [0, 0, -9.81]}
 bodies:
   beam:
-    shape: {box: {corner: [0.02, 0.02, 0.02], size: [0.1, 0.02, 0.01]}}
+    shape: {box: {corner: [0.02, 0.02, 0.02], size: [0.1, 0.03, 0.03]}}
     particles_per_cell: 8
     material: {density: 1000, elastic: {fixed_corotated: {youngs_modulus: 3.0e4, poissons_ratio: 0.3}}}
 time: {duration: 0.1, control_step: 0.01}
@@ -312,7 +312,8 @@ def test_all_missing_recordings_are_reported_at_once(cqrun, tmp_path):
     scene = recorded(tmp_path / "fit.yaml", {"one": tmp_path / "1.c3d", "two": tmp_path / "2.c3d"})
     code, _, err = cqrun("sysid", scene, "--out", tmp_path)
     assert code == 2
-    lines = err.splitlines()
+    thin, *lines = err.splitlines()
+    assert "bodies.beam.shape: is 1 cell thick" in thin
     assert [line.partition(": ")[2].partition(":")[0] for line in lines] == [
         f"data.recordings.{name}.file" for name in ("one", "two")
     ]

@@ -195,6 +195,8 @@ def test_csv_reads_only_the_markers_that_are_named(text):
     np.testing.assert_array_equal(np.argwhere(recording.seen()), [[7, 1], [10_000, 0]])
     refused(path, "10,001 lines for 10,001 markers at 10,001 times", "all markers of a frame have one time")
     refused(path, "no marker 'top' (did you mean 'tip'?)", names=["top"])
+    of_subject = text("0,arm:m1,1,2,3", "0,arm:m12,4,5,6")
+    refused(of_subject, "no marker 'm1' (did you mean 'arm:m1'?)", names=["m1"])
     refused(path, "`markers` is missing", "such as m0: [x, y, z]; it has m0, m1", names=[])
 
 
