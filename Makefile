@@ -30,6 +30,7 @@ $(READY): pyproject.toml constraints.txt
 
 lint: $(READY) ## run ruff
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .
+	$(BIN)/ruff check --preview --select PLW1514 cqrun  # no encoding is left to the locale
 
 types: $(READY) ## run mypy
 	$(BIN)/mypy

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cqrun.fingerprint import set_kernel_cache
 from cqrun.version import __version__
 
 if TYPE_CHECKING:
@@ -16,8 +15,6 @@ if TYPE_CHECKING:
     from cqrun.learning.environment import environment as environment
 
 __all__ = ["__version__", "environment", "load"]
-
-set_kernel_cache()  # here, because numba reads its cache folder when it is first imported
 
 
 def __getattr__(name: str) -> Any:

@@ -1,5 +1,5 @@
 """`python -m cqrun` is the `cqrun` command."""
 
-from cqrun.cli.app import main
+from cqrun.cli.start import main
 
 main()

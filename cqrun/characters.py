@@ -31,12 +31,17 @@ def controls(character: str) -> bool:
 
 def printable(text: str) -> str:
     r"""Return one line: a text in which all characters that cannot be seen, but spaces, are escaped, as in `\x1b`."""
-    return "".join(c if c.isprintable() else _escaped(c) for c in text)
+    return "".join(c if c.isprintable() or _is_byte(c) else _escaped(c) for c in text)
 
 
 def harmless(text: str) -> str:
     r"""Return lines for a terminal: a text in which all characters that control it, but line feeds, are escaped."""
-    return "".join(_escaped(c) if controls(c) and c != "\n" else c for c in text)
+    return "".join(_escaped(c) if controls(c) and c != "\n" and not _is_byte(c) else c for c in text)
+
+
+def _is_byte(character: str) -> bool:
+    """Return whether Python made a character of a byte that is not UTF-8, as in a file's name; no control character."""
+    return "\udca0" <= character <= "\udcff"
 
 
 def _escaped(character: str) -> str:

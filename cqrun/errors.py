@@ -42,6 +42,14 @@ class Stopped(CqrunError):
     exit_code = 75
 
 
+class StopAsked(Exception):
+    """Raised between two rollouts if the run was asked to stop; what was computed before is kept."""
+
+
+class StopNow(BaseException):
+    """Raised by a signal where nothing waits for the work at hand, so that no handler of errors takes it for one."""
+
+
 class RunError(CqrunError):
     """The run itself failed."""
 

@@ -15,6 +15,8 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
+from cqrun.characters import lookalikes, number_meant
+
 KEY, MISSING, VALUE = "cqrun_key", "cqrun_missing", "cqrun_value"
 
 Loc = tuple[int | str, ...]
@@ -114,6 +116,16 @@ def reworded(error: ErrorDetails, prefix: Loc = (), **hints: Any) -> InitErrorDe
     return finding(in_words(error, **hints), loc, kind=kind)
 
 
+def _likely(kind: str, value: Any) -> str:
+    """Return what a text of the wrong type was probably meant to be, and the characters that make it a text."""
+    if not isinstance(value, str):
+        return ""
+    strange = list(dict.fromkeys(description for _, description in lookalikes(value)))
+    meant = number_meant(value) if kind in ("float_type", "int_type") else None
+    hints = [f"it has {listed(strange, 3)}"] * bool(strange) + [f"write {meant}"] * (meant is not None)
+    return f": {'; '.join(hints)}" if hints else ""
+
+
 def in_words(error: ErrorDetails, *, keys: Iterable[str] = (), about: str = "", unit: str | None = None) -> str:
     """Return what is wrong; `keys` are the legal keys, `about` and `unit` describe the field."""
     kind, value, context = error["type"], error["input"], error.get("ctx", {})
@@ -124,7 +136,7 @@ def in_words(error: ErrorDetails, *, keys: Iterable[str] = (), about: str = "", 
         return f"unknown key{suggest(key, keys)}; keys here: {listed(keys)}"
     if kind in _TYPES:
         in_unit = f" in {unit}" if unit not in (None, "1") and kind == "float_type" else ""
-        return f"must be {_TYPES[kind]}{in_unit}, is {shown(value)}"
+        return f"must be {_TYPES[kind]}{in_unit}, is {shown(value)}{_likely(kind, value)}"
     if kind in _RANGES:
         key, relation = _RANGES[kind]
         return f"must be {relation} {context[key]:g}, is {shown(value)}"

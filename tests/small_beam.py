@@ -102,8 +102,8 @@ def contents(run: Path) -> dict[str, bytes | list[list[str]]]:
             continue
         if name == "history.csv":
             rows = list(csv.reader(path.read_text().splitlines()))
-            assert rows[0][-1] == "seconds"
-            files[name] = [row[:-1] for row in rows]
+            assert rows[0][-2:] == ["seconds", "crc32"]
+            files[name] = [row[:-2] for row in rows]
         else:
             files[name] = path.read_bytes()
     return files

@@ -17,7 +17,7 @@ import numpy as np
 from cqrun.actuators.actuator import within_limits
 from cqrun.build.particles import Particles
 from cqrun.engine.model import ActuatorModel
-from cqrun.errors import Problem, SceneError
+from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Array, Plugin
 from cqrun.scene.activation import Activation
@@ -69,7 +69,10 @@ class Actuation:
             spec: Any = chosen.value
             path = f"{section}.{name}.{chosen.name}"
             for part in spec.parts():
-                indices = spec.particles(part, x, self.particles.inside)
+                try:
+                    indices = spec.particles(part, x, self.particles.inside)
+                except UsageError as error:
+                    raise SceneError([Problem(scene.where(path), path, str(error))]) from None
                 problem = spec.problem(x[indices], scene.world.dx) if len(indices) else None
                 if problem or not len(indices):
                     raise SceneError([Problem(scene.where(path), path, problem or "holds no particle")])

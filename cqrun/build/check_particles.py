@@ -7,7 +7,7 @@ The model builder raises them before a run.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -51,6 +51,9 @@ _MEASURING_CELLS = 200_000
 READ_WHEN_BUILT = ("bodies", "regions", "boundaries", "loads", "actuators")
 """The sections whose files are read while a scene is built; other files are read by the code that uses them."""
 
+MOST_PAIRS = 20
+"""Largest number of pairs of bodies, and of parts, whose overlaps are told; of many copies all pairs overlap."""
+
 PROBES = 16
 """Number of points along every axis by which the overlap of two parts is estimated."""
 
@@ -80,8 +83,8 @@ def geometry_problems(scene: Scene, points: Points, margin: float = 0.0) -> list
     return [
         *empty_bodies(scene, points),
         *outside_world(scene, points, margin),
-        *overlapping_bodies(scene, points),
-        *overlapping_parts(scene, points),
+        *islice(overlapping_bodies(scene, points), MOST_PAIRS),
+        *islice(overlapping_parts(scene, points), MOST_PAIRS),
         *empty_regions(scene, points),
         *points_to_track(scene, points),
     ]
@@ -97,22 +100,21 @@ def empty_bodies(scene: Scene, points: Points) -> Iterator[Problem]:
 
 
 def outside_world(scene: Scene, points: Points, margin: float = 0.0) -> Iterator[Problem]:
-    """Yield bodies that leave the world, one problem for each axis and side."""
+    """Yield bodies that leave the world, one problem for each axis and side, at the part that reaches farthest."""
     upper = np.array(scene.world.size)
     for name, body in points.items():
         x = body.world
-        if not len(x):
-            continue
-        for axis, letter in enumerate("xyz"[: scene.dim]):
+        for axis, letter in enumerate("xyz"[: scene.dim]) if len(x) else ():
             low, high = margin, upper[axis] - margin
-            for reach, out in ((x[:, axis].min(), "below"), (x[:, axis].max(), "above")):
+            for farthest, out in ((x[:, axis].argmin(), "below"), (x[:, axis].argmax(), "above")):
+                reach = x[farthest, axis]
                 if reach < low if out == "below" else reach > high:
                     limit = low if out == "below" else high
                     message = (
                         f"reaches {letter} = {reach:.6g} m, {out} {limit:.6g} m: the world holds "
                         f"particles from {low:.6g} to {high:.6g} m; move the body or enlarge the world"
                     )
-                    yield _problem(scene, _placement_path(scene, name), message)
+                    yield _problem(scene, _placement_path(scene, name, body.piece[farthest]), message)
 
 
 def overlapping_bodies(scene: Scene, points: Points) -> Iterator[Problem]:
@@ -133,9 +135,11 @@ def _hits(scene: Scene, x: Array, body: str) -> Array:
     return near[shape.inside(near)] if len(near) else near
 
 
-def _placement_path(scene: Scene, body: str) -> str:
-    """Return the path of the part that gives the position of a body."""
+def _placement_path(scene: Scene, body: str, piece: int | None = None) -> str:
+    """Return the path of what gives the position of a body, or of one of its pieces, by its number."""
     spec = scene.bodies[body]
+    if piece is not None and spec.parts:
+        return f"bodies.{body}.{list(spec.pieces)[piece]}"
     return f"bodies.{body}." + ("place" if spec.place else "shape" if spec.shape else "parts")
 
 

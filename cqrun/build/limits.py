@@ -64,3 +64,13 @@ def push_limit(part: str, dx: float, acceleration: float) -> Limit | None:
 def auto_substeps(control_step: float, limits: list[Limit]) -> int:
     """Return how many substeps a control step needs."""
     return max(1, int(np.ceil(control_step / (SAFETY * min(limit.dt for limit in limits)) - 1e-9)))
+
+
+def rounded_away(size: Array, dt: float) -> float:
+    """Return the speed [m/s] below which float32 loses motion: less than a position's last bit in a substep.
+
+    Args:
+        size: edges of the world (D,) [m].
+        dt: the substep [s].
+    """
+    return float(np.finfo(np.float32).eps) * float(np.max(size)) / dt

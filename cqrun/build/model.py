@@ -12,10 +12,19 @@ import numpy as np
 from cqrun.build.actuation import Actuation
 from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
-from cqrun.build.check_memory import memory_problems
 from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.history import fields_of
-from cqrun.build.limits import MOST_SUBSTEPS, REFUSE, WARN, Limit, auto_substeps, motion_limit, push_limit, wave_limit
+from cqrun.build.limits import (
+    MOST_SUBSTEPS,
+    REFUSE,
+    WARN,
+    Limit,
+    auto_substeps,
+    motion_limit,
+    push_limit,
+    rounded_away,
+    wave_limit,
+)
 from cqrun.build.particles import Particles, sample, stress_key
 from cqrun.build.regions import boundary
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
@@ -82,9 +91,8 @@ def build(scene: Scene) -> Built:
         if truth := _truth(scene):
             bounds += _possible(scene, _limits(scene, particles, assembly, truth))
         warnings += _check_substeps(scene, bounds) or _check_corner(scene, limits)
-    if problems := memory_problems(scene, particles):
-        raise SceneError(problems)
     require_possible_plan(scene, bounds)
+    warnings += _too_slow(scene, assembly)
     model = Model(
         size=np.array(scene.world.size),
         dx=scene.world.dx,
@@ -183,6 +191,24 @@ def _conditions(scene: Scene) -> tuple[ConditionModel, ...]:
         message = f"there are {len(conditions)} planes of boundaries, but at most 60 are possible: join some"
         raise SceneError([Problem(scene.where("boundaries"), "boundaries", message)])
     return tuple(conditions)
+
+
+def _too_slow(scene: Scene, assembly: Assembly) -> list[Problem]:
+    """Return warnings for bodies that start so slowly that float32 would leave them where they are."""
+    if scene.precision != "float32":
+        return []
+    least = rounded_away(np.array(scene.world.size), scene.time.control_step / int(scene.time.substeps))
+    warnings = []
+    for name in scene.bodies:
+        fastest = float(np.linalg.norm(assembly.velocities(name, {}), axis=1).max())
+        if 0 < fastest < least:
+            path = f"bodies.{name}.velocity"
+            message = (
+                f"starts at {fastest:.3g} m/s, but float32 loses motion slower than about {least:.3g} m/s, so the body "
+                "stays where it is: use float64, or fewer substeps"
+            )
+            warnings.append(Problem(scene.where(path), path, message))
+    return warnings
 
 
 # --- the substep ------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.build.check_memory import require_memory
 from cqrun.build.check_particles import (
     bodies_too_close,
     file_problems,
@@ -90,7 +91,8 @@ def sample(scene: Scene) -> Particles:
     """Sample every body.
 
     Raises:
-        SceneError: a body is empty, outside the world or inside another body, or a region holds no particle.
+        SceneError: a body is empty, outside the world or inside another body, a region holds no particle, or there is
+            too little memory.
     """
     problems, warnings = file_problems(scene)
     if problems := problems or list(bodies_of_another_size(scene)):
@@ -98,9 +100,12 @@ def sample(scene: Scene) -> Particles:
     keys = {body: stress_key(scene, body) for body in scene.bodies}
     first_of = list(dict.fromkeys(keys.values()))
     names = tuple(sorted(scene.bodies, key=lambda body: first_of.index(keys[body])))
+    require_memory(scene)
     points, volumes, spacing = {}, {}, {}
     for name in names:
         points[name], volumes[name] = fill(scene, name)
+        layout = Layout(scene.dim, tuple(len(body.x) for body in points.values()), history_of(scene))
+        require_memory(scene, layout)
     problems = geometry_problems(scene, points)
     if problems:
         raise SceneError(problems)
@@ -111,7 +116,6 @@ def sample(scene: Scene) -> Particles:
         spacing[name] = float(volumes[name].mean() ** (1 / scene.dim))
         if scene.bodies[name].unit_mass:
             room[name], volumes[name] = volumes[name], room[name]
-    layout = Layout(scene.dim, tuple(len(points[name].x) for name in names), history_of(scene))
     return Particles(
         names,
         layout,

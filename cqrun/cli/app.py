@@ -12,6 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from cqrun.characters import harmless
 from cqrun.cli.bench import bench
 from cqrun.cli.codesign import codesign
 from cqrun.cli.compress import compress
@@ -26,9 +27,11 @@ from cqrun.cli.resume import resume
 from cqrun.cli.schema import schema
 from cqrun.cli.simulate import simulate
 from cqrun.cli.sysid import sysid
+from cqrun.cli.terminal import echo
 from cqrun.cli.validate import validate
 from cqrun.cli.warmup import warmup
-from cqrun.errors import CqrunError, SceneError
+from cqrun.errors import CqrunError, SceneError, StopNow
+from cqrun.running.reporter import StopFlag
 from cqrun.version import __version__
 
 COMMANDS = (
@@ -54,7 +57,7 @@ def _print_version(wanted: bool) -> None:
     from importlib.metadata import version
 
     others = ", ".join(f"{name} {version(name)}" for name in ("numba", "numpy", "scipy"))
-    typer.echo(f"cqrun {__version__} ({others}, Python {sys.version.split()[0]})")
+    echo(f"cqrun {__version__} ({others}, Python {sys.version.split()[0]})")
     raise typer.Exit
 
 
@@ -68,19 +71,28 @@ def _root(
     pass
 
 
+def _with_home(word: str) -> str:
+    """Return a word of the command line with a path's `~` replaced; shells leave it in `--out=~/results`."""
+    option, equals, value = word.partition("=") if word.startswith("--") else ("", "", word)
+    return f"{option}{equals}{os.path.expanduser(value)}"  # noqa: PTH111 that of Path fails where there is no such user
+
+
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit; this is the one place that handles cqrun's errors.
 
     Args:
         arguments: the arguments without the program's name; those of the process if not given.
     """
-    # must be set before NumPy is loaded: BLAS threads busy-wait after each call, on cores that rollouts need
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        app(arguments, prog_name="cqrun")
-    except CqrunError as error:
-        # a scene's problems start with file:line:column, which editors follow
-        prefix = "" if isinstance(error, SceneError) else "error: "
-        print(f"{prefix}{error}", file=sys.stderr)
-        sys.exit(error.exit_code)
+    with StopFlag() as stop:
+        words = sys.argv[1:] if arguments is None else arguments
+        try:
+            app([_with_home(word) for word in words], prog_name="cqrun")
+        except CqrunError as error:
+            # a scene's problems start with file:line:column, which editors follow
+            prefix = "" if isinstance(error, SceneError) else "error: "
+            print(harmless(f"{prefix}{error}"), file=sys.stderr)
+            sys.exit(error.exit_code)
+        except StopNow:
+            print("error: stopped before it was finished; give the command again", file=sys.stderr)
+            sys.exit(stop.exit_code)
     raise AssertionError("typer ends the process itself")

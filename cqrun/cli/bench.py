@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import AllowPlugins, Overrides, Quiet, Threads
+from cqrun.cli.terminal import echo
 
 
 def bench(
@@ -27,19 +28,21 @@ def bench(
     Without SCENE it measures falling blocks of several sizes. With SCENE it measures the scene's substeps, from the
     middle of its rollout on, and the cost of a gradient.
     """
-    from cqrun.cli.progress import reporting
+    from cqrun.cli.progress import working
     from cqrun.errors import UsageError
-    from cqrun.jobs.bench import run_bench, run_bench_scene
-    from cqrun.scene.plugin_files import plugins_allowed
 
     if scene is None:
         if overrides or allow_plugins:
             raise UsageError("-o and --allow-plugins are for a scene: `cqrun bench SCENE -o KEY=VALUE`")
+        from cqrun.jobs.bench import run_bench
+
         run_bench(output, threads=threads, quick=quick)
         return
     if quick:
         raise UsageError("--quick is for blocks; make a scene small with -o")
-    with plugins_allowed(allow_plugins), reporting(quiet) as reporter:
+    with working(quiet, allow_plugins, f"reading {scene}") as reporter:
+        from cqrun.jobs.bench import run_bench_scene
+
         lines = run_bench_scene(scene, overrides or (), output, threads=threads, talk=reporter)
     for line in lines:
-        typer.echo(line)
+        echo(line)

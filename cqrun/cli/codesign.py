@@ -32,7 +32,7 @@ def codesign(
 
     Use the same command again to continue the run; if the run is finished, it says so.
     """
-    from cqrun.cli.progress import reporting
+    from cqrun.cli.progress import working
     from cqrun.cli.results import (
         draw_and_print_ablation,
         draw_and_print_run,
@@ -41,17 +41,17 @@ def codesign(
         require_seeds_for_jobs,
     )
     from cqrun.errors import UsageError
-    from cqrun.jobs.control import CODESIGN, run_codesign
-    from cqrun.jobs.studies.ablation import run_ablation
-    from cqrun.jobs.studies.seeds import run_seeds
-    from cqrun.scene.plugin_files import plugins_allowed
 
     if rates and not ablate:
         raise UsageError("--rate: is only for variants: add --ablate, or use -o optimizer...learning_rate=X")
     if not ablate:
         require_seeds_for_jobs(seeds, jobs)
-    with plugins_allowed(allow_plugins), infeasible_shown():
-        with reporting(quiet) as reporter:
+    with infeasible_shown(quiet, allow_plugins):
+        with working(quiet, allow_plugins, f"reading {scene}") as reporter:
+            from cqrun.jobs.control import CODESIGN, run_codesign
+            from cqrun.jobs.studies.ablation import run_ablation
+            from cqrun.jobs.studies.seeds import run_seeds
+
             if ablate:
                 comparison, succeeded = run_ablation(
                     scene, overrides or [], out, seeds=1 if seeds is None else seeds, rates=rates or [], jobs=jobs,
@@ -65,8 +65,8 @@ def codesign(
             else:
                 run = run_codesign(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
         if ablate:
-            draw_and_print_ablation(comparison, succeeded)
+            draw_and_print_ablation(comparison, succeeded, quiet)
         elif seeds is not None:
             print_seeds(summary, succeeded)
         else:
-            draw_and_print_run(run)
+            draw_and_print_run(run, quiet, allow_plugins)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import Quiet
+from cqrun.cli.terminal import echo
 
 
 class Method(StrEnum):
@@ -31,11 +32,12 @@ def compress(
 ) -> None:
     """Learn from runs to describe a body's deformation in few numbers; the observers pca and vae read the file."""
     from cqrun.cli.progress import reporting
-    from cqrun.jobs.compress import compress as learn
 
-    with reporting(quiet) as reporter:
+    with reporting(quiet, f"reading {len(runs)} runs") as reporter:
+        from cqrun.jobs.compress import compress as learn
+
         summary = learn(
             runs, method.value, size, output, body=body, cells=cells, epochs=epochs, seed=seed, reporter=reporter
         )
-    typer.echo(summary)
-    typer.echo(f"written: {output}")
+    echo(summary)
+    echo(f"written: {output}")

@@ -20,15 +20,15 @@ def control(
 
     Use the same command again to continue the run; if the run is finished, it says so.
     """
-    from cqrun.cli.progress import reporting
+    from cqrun.cli.progress import working
     from cqrun.cli.results import draw_and_print_run, infeasible_shown, print_seeds, require_seeds_for_jobs
-    from cqrun.jobs.control import run_control
-    from cqrun.jobs.studies.seeds import run_seeds
-    from cqrun.scene.plugin_files import plugins_allowed
 
     require_seeds_for_jobs(seeds, jobs)
-    with plugins_allowed(allow_plugins), infeasible_shown():
-        with reporting(quiet) as reporter:
+    with infeasible_shown(quiet, allow_plugins):
+        with working(quiet, allow_plugins, f"reading {scene}") as reporter:
+            from cqrun.jobs.control import run_control
+            from cqrun.jobs.studies.seeds import run_seeds
+
             if seeds is not None:
                 summary, succeeded = run_seeds(
                     scene, overrides or [], out, seeds=seeds, jobs=jobs, fresh=fresh, threads=threads,
@@ -37,6 +37,6 @@ def control(
             else:
                 run = run_control(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
         if seeds is None:
-            draw_and_print_run(run)
+            draw_and_print_run(run, quiet, allow_plugins)
         else:
             print_seeds(summary, succeeded)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cqrun.cli.options import PluginFiles
+from cqrun.cli.terminal import echo
 from cqrun.errors import UsageError
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def describe(
 
         load_plugin_files(plugin)
     for line in _lines(kind, name):
-        typer.echo(line)
+        echo(line)
 
 
 def _lines(kind: str | None, name: str | None) -> Iterator[str]:

@@ -14,6 +14,7 @@ from pathlib import Path
 import typer
 
 from cqrun.cli.options import DEFAULT_OUT, Out
+from cqrun.cli.terminal import echo
 from cqrun.fingerprint import engine_hash
 from cqrun.version import __version__
 
@@ -47,7 +48,7 @@ def doctor(out: Out = DEFAULT_OUT) -> None:
 
 
 def _print(name: str, value: str) -> None:
-    typer.echo(f"{name:20} {value}")
+    echo(f"{name:20} {value}")
 
 
 def _machine() -> Iterator[tuple[str, str]]:

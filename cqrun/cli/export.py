@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import AllowPlugins, Quiet, Run
+from cqrun.cli.terminal import echo
 from cqrun.errors import UsageError
 
 
@@ -28,11 +29,11 @@ def export(
     """
     if not design:
         raise UsageError("nothing to export is given: add --design")
-    from cqrun.cli.progress import reporting
-    from cqrun.jobs.export import export_design
-    from cqrun.scene.plugin_files import plugins_allowed
+    from cqrun.cli.progress import working
 
-    with plugins_allowed(allow_plugins), reporting(quiet) as reporter:
+    with working(quiet, allow_plugins, f"reading {run}") as reporter:
+        from cqrun.jobs.export import export_design
+
         paths = export_design(run, out or run / "design", reporter)
     for path in paths:
-        typer.echo(path)
+        echo(path)

@@ -17,14 +17,13 @@ def gradcheck(
     quiet: Quiet = False,
 ) -> None:
     """Compare a scene's gradient with finite differences for several step sizes; exit with 1 unless they agree."""
-    from cqrun.cli.progress import reporting
+    from cqrun.cli.progress import working
     from cqrun.cli.results import print_run
-    from cqrun.jobs.gradcheck import run_gradcheck
-    from cqrun.scene.plugin_files import plugins_allowed
 
-    with plugins_allowed(allow_plugins):
-        with reporting(quiet) as reporter:
-            run, agrees = run_gradcheck(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
-        print_run(run)
+    with working(quiet, allow_plugins, f"reading {scene}") as reporter:
+        from cqrun.jobs.gradcheck import run_gradcheck
+
+        run, agrees = run_gradcheck(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
+    print_run(run, allow_plugins)
     if not agrees:
         raise typer.Exit(1)

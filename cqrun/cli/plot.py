@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import DEFAULT_OUT, AllowPlugins
+from cqrun.cli.terminal import echo
 
 FIGURES = DEFAULT_OUT / "figures"
 KINDS = ("png", "pdf")
@@ -33,15 +34,20 @@ def plot(
     Runs need not be finished. Three or more runs that differ only in their seeds are drawn as their mean with its 90 %
     interval; on a logarithmic axis it is the geometric mean.
     """
-    from cqrun.figures.draw import draw_run, draw_several
-    from cqrun.scene.plugin_files import plugins_allowed
+    from cqrun.cli.progress import working
 
     for file in [run for run in runs if run.is_file()]:  # results/SCENE/* includes summaries of several runs
-        typer.echo(f"skipped: {file} is a file and not a run", err=True)
+        echo(f"skipped: {file} is a file and not a run", err=True)
     runs = [run for run in runs if not run.is_file()] or runs
-    with plugins_allowed(allow_plugins):
-        is_single = len(runs) == 1 and show is None
-        place = runs[0] / "figures" if len(runs) == 1 and out == FIGURES else out
-        paths = draw_run(runs[0], KINDS) if is_single else draw_several(runs, place, KINDS, show)
+    with working(False, allow_plugins, "drawing pictures"):
+        from cqrun.figures.draw import draw_run, draw_several
+        from cqrun.store.folder import make_below
+
+        if len(runs) == 1 and show is None:
+            paths = draw_run(runs[0], KINDS)
+        else:
+            if out == FIGURES:
+                out = make_below(runs[0] if len(runs) == 1 else DEFAULT_OUT, FIGURES.name)
+            paths = draw_several(runs, out, KINDS, show)
     for path in paths:
-        typer.echo(path)
+        echo(path)

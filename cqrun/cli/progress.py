@@ -1,11 +1,13 @@
 """Show progress on standard error: one live line on a terminal, or else a plain line from time to time.
 
+Whatever the work does, something is said every few seconds: a live line shows the time, and a plain one is repeated.
 Results are printed on standard output by other modules. Colours follow NO_COLOR.
 """
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,10 +17,23 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from cqrun.characters import harmless
+from cqrun.errors import StopNow
 from cqrun.running.reporter import StopFlag
 
 PLAIN_EVERY = 5.0
 """Shortest time between two plain progress lines [s], so that log files remain readable."""
+
+SILENT_AT_MOST = 8.0
+"""Longest time without a line [s]."""
+
+SHOWN_FROM = 2.0
+"""A live line shows the time that work without numbers has taken from here on [s]."""
+
+BRIEF = 1.0
+"""A first phase that is shorter is not printed [s]: most commands take a moment to read their input."""
+
+AGAIN = "stopped before it was finished; give the command again"
 
 
 class Progress:
@@ -29,6 +44,8 @@ class Progress:
         quiet: print only warnings.
         stream: stream to print to; standard error if not given.
         plain_every: shortest time between two plain lines [s].
+        silent_at_most: longest time without a line [s].
+        doing: what is done first; a plain line says so only if it lasts.
     """
 
     def __init__(
@@ -37,27 +54,38 @@ class Progress:
         quiet: bool = False,
         stream: TextIO | None = None,
         plain_every: float = PLAIN_EVERY,
+        silent_at_most: float = SILENT_AT_MOST,
+        doing: str = "",
     ) -> None:
         self.stop = StopFlag(announce=self.warn)
         # no emoji: `:100:` in the place `scene.yaml:100:53` is the name of one
         self._console = Console(file=stream or sys.stderr, highlight=False, soft_wrap=True, emoji=False)
         self._quiet = quiet
-        self._plain_every = plain_every
+        self._plain_every, self._silent_at_most = plain_every, silent_at_most
+        self._unsaid = bool(doing)
         self._total = total
-        self._phase = ""
+        self._phase = doing
+        self._phase_began = self._last_line = time.monotonic()
         self._numbers = ""
         self._unprinted = False
         self._last_print = float("-inf")
+        self._ended = threading.Event()
         self._began: tuple[int, float] | None = None
         live = self._console.is_terminal and not self._console.is_dumb_terminal and not quiet
-        self._live = Live(console=self._console, get_renderable=self._render, transient=True) if live else None
+        self._live: Live | None = None
+        if live:  # what a job prints meanwhile goes above the line, unless it goes to a file
+            above = sys.stdout.isatty()
+            self._live = Live(console=self._console, get_renderable=self._render, transient=True, redirect_stdout=above)
 
     def __enter__(self) -> Progress:
         if self._live is not None:
             self._live.start()
+        elif not self._quiet:
+            threading.Thread(target=self._break_silences, daemon=True).start()
         return self
 
     def __exit__(self, *exception: object) -> None:
+        self._ended.set()
         if self._live is not None:
             self._live.stop()
         self._print_pending()
@@ -68,8 +96,9 @@ class Progress:
 
     def phase(self, text: str) -> None:
         """Show what happens now."""
+        self._unsaid = False
         self._print_pending()
-        self._phase, self._numbers, self._began = text, "", None
+        self._phase, self._numbers, self._began, self._phase_began = text, "", None, time.monotonic()
         if self._live is None and not self._quiet:
             self._print(text)
 
@@ -120,29 +149,55 @@ class Progress:
         self._print(f"warning: {text}", style="yellow")
 
     def _print(self, text: str, style: str | None = None) -> None:
-        self._console.print(text, style=style, markup=False)
+        self._last_line = time.monotonic()
+        self._console.print(harmless(text), style=style, markup=False)
+
+    def _break_silences(self) -> None:
+        """Repeat what is being done when nothing has been printed for a while, until the work ends."""
+        while not self._ended.wait(min(0.25, 0.25 * self._silent_at_most)):
+            now = time.monotonic()
+            if self._unsaid and now - self._phase_began >= BRIEF:
+                self.phase(self._phase)
+            elif self._phase and not self._unsaid and now - self._last_line >= self._silent_at_most:
+                last = f"; last: {self._numbers}" if self._numbers else ""
+                self._print(f"still {self._phase}: {clock(now - self._phase_began)} so far{last}")
 
     def _render(self) -> Text:
+        lasts = time.monotonic() - self._phase_began
+        shown = f"[{clock(lasts)}]" if lasts >= SHOWN_FROM and not self._numbers else ""
         return Text(
-            "  ".join(part for part in (self._phase, self._numbers) if part),
+            harmless("  ".join(part for part in (shown, self._phase, self._numbers) if part)),
             overflow="ellipsis",
             no_wrap=True,
         )
 
 
 @contextmanager
-def reporting(quiet: bool) -> Iterator[Progress]:
+def reporting(quiet: bool, doing: str = "", stopped: str = AGAIN) -> Iterator[Progress]:
     """Show progress and handle Ctrl-C and SIGTERM while a job runs.
 
+    Args:
+        doing: what is done first, before the job's libraries are imported.
+        stopped: what to say if a signal ends the job at once.
+
     Raises:
-        Stopped: at the second signal, which aborts the job at once.
+        Stopped: a signal ended the job at once.
     """
-    with Progress(quiet=quiet) as progress, progress.stop:
+    with Progress(quiet=quiet, doing=doing) as progress, progress.stop:
         try:
             yield progress
-        except KeyboardInterrupt:
-            message = "aborted; the same command continues from the last checkpoint"
-            raise progress.stop.stopped(message) from None
+        except StopNow as now:
+            raise progress.stop.stopped(str(now) or stopped) from None
+
+
+@contextmanager
+def working(quiet: bool, allow_plugins: bool, doing: str, stopped: str = AGAIN) -> Iterator[Progress]:
+    """Do the same as `reporting`, and allow or forbid that scenes run their plug-in files."""
+    with reporting(quiet, doing, stopped) as reporter:
+        from cqrun.scene.plugin_files import plugins_allowed
+
+        with plugins_allowed(allow_plugins):
+            yield reporter
 
 
 def clock(seconds: float) -> str:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from cqrun.cli.options import AllowPlugins, Quiet, Run
+from cqrun.cli.terminal import echo
 from cqrun.errors import UsageError
 from cqrun.figures.choices import Look, Quantity
 
@@ -54,16 +55,16 @@ def render(
     """
     options = {"gif": gif, "mp4": mp4, "png": png, "stills": stills is not None, "onion": onion is not None}
     kind = _kind([name for name, given in options.items() if given], output)
-    from cqrun.cli.progress import reporting
-    from cqrun.figures.render import RenderOptions
-    from cqrun.figures.render import render as draw
-    from cqrun.scene.plugin_files import plugins_allowed
+    from cqrun.cli.progress import working
 
-    render_options = RenderOptions(kind, stills or onion or 1, color, fps, every, view, trail, output)
-    with plugins_allowed(allow_plugins), reporting(quiet) as reporter:
-        paths = draw(run, render_options, reporter)
+    with working(quiet, allow_plugins, f"reading {run}") as reporter:
+        from cqrun.figures.render import RenderOptions
+        from cqrun.figures.render import render as draw
+
+        wanted = RenderOptions(kind, stills or onion or 1, color, fps, every, view, trail, output)
+        paths = draw(run, wanted, reporter)
     for path in paths:
-        typer.echo(path)
+        echo(path)
 
 
 def _kind(options: list[str], output: Path | None) -> Literal["gif", "mp4", "png", "stills", "onion"]:

@@ -9,70 +9,88 @@ from pathlib import Path
 
 import typer
 
+from cqrun.cli.terminal import echo
+
 PICTURES = "CQRUN_PICTURES"
 """Environment variable: 0 means that no pictures are drawn when a run is finished, for example in large studies."""
 
 
-def print_run(run: Path) -> None:
+def print_run(run: Path, allow_plugins: bool) -> None:
     """Print the results of a run, and its directory."""
     from cqrun.jobs.table import report_lines
+    from cqrun.scene.plugin_files import plugins_allowed
 
-    for line in report_lines(run):
-        typer.echo(line)
-    typer.echo(f"run: {run}")
+    with plugins_allowed(allow_plugins):
+        for line in report_lines(run):
+            echo(line)
+    echo(f"run: {run}")
 
 
-def draw_and_print_run(run: Path) -> None:
+def draw_and_print_run(run: Path, quiet: bool, allow_plugins: bool) -> None:
     """Draw a run, if its job has pictures, and print it; an error while drawing does not make the run fail.
 
     Raises:
-        UsageError, RunError: the pictures cannot be written.
+        UsageError, RunError: the pictures cannot be written. Stopped: a signal has stopped the drawing.
     """
-    from cqrun.figures.draw import draw_run, has_pictures
+    from cqrun.cli.progress import working
+    from cqrun.jobs.table import job_of
 
+    stopped = f"stopped while pictures were drawn; the run is finished, and `cqrun plot {run}` draws them"
     try:
-        _draw(lambda: has_pictures(run) and draw_run(run), f"`cqrun plot {run}` shows the details")
+        if job_of(run).pictures and _wanted():
+            with working(quiet, allow_plugins, "drawing pictures", stopped):
+                from cqrun.figures.draw import draw_run
+
+                _draw(lambda: draw_run(run), f"`cqrun plot {run}` shows the details")
     finally:
-        print_run(run)
+        print_run(run, allow_plugins)
 
 
-def draw_and_print_ablation(comparison: Path, succeeded: bool) -> None:
+def draw_and_print_ablation(comparison: Path, succeeded: bool, quiet: bool) -> None:
     """Draw and print the comparison of variants; exit with 1 if a run failed. Raises as `draw_and_print_run`."""
-    from cqrun.figures.ablation import draw_ablation
+    from cqrun.cli.progress import reporting
     from cqrun.jobs.studies.ablation import ablation_lines
 
+    stopped = f"stopped while the picture was drawn; the runs are finished, and the numbers are in {comparison}"
     try:
-        _draw(lambda: draw_ablation(comparison), f"the numbers are in {comparison}")
+        if _wanted():
+            with reporting(quiet, "drawing the comparison", stopped):
+                from cqrun.figures.ablation import draw_ablation
+
+                _draw(lambda: draw_ablation(comparison), f"the numbers are in {comparison}")
     finally:
         for line in ablation_lines(comparison):
-            typer.echo(line)
+            echo(line)
     if not succeeded:
         raise typer.Exit(1)
 
 
+def _wanted() -> bool:
+    """Return whether pictures are not switched off."""
+    return os.environ.get(PICTURES) != "0"
+
+
 def _draw(draw: Callable[[], object], advice: str) -> None:
-    """Draw, unless pictures are switched off; a bug in drawing is only a warning, so that the results are printed."""
+    """Draw; a bug in drawing is only a warning, so that the results are printed."""
     from cqrun.errors import CqrunError
 
-    if os.environ.get(PICTURES) == "0":
-        return
     try:
         draw()
     except CqrunError:
         raise
     except Exception as error:
-        typer.echo(f"warning: no pictures: {type(error).__name__}: {error}; {advice}", err=True)
+        echo(f"warning: no pictures: {type(error).__name__}: {error}; {advice}", err=True)
 
 
 @contextmanager
-def infeasible_shown() -> Iterator[None]:
+def infeasible_shown(quiet: bool, allow_plugins: bool) -> Iterator[None]:
     """Also draw and print a run that ended infeasible, before its error is shown."""
     from cqrun.errors import InfeasibleError
 
     try:
         yield
     except InfeasibleError as error:
-        draw_and_print_run(error.run)
+        draw_and_print_run(error.run, quiet, allow_plugins)
         raise
 
 
@@ -89,6 +107,6 @@ def print_seeds(summary: Path, succeeded: bool) -> None:
     from cqrun.jobs.studies.seeds import summary_lines
 
     for line in summary_lines(summary):
-        typer.echo(line)
+        echo(line)
     if not succeeded:
         raise typer.Exit(1)

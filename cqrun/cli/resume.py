@@ -13,12 +13,12 @@ def resume(
     quiet: Quiet = False,
 ) -> None:
     """Continue a run from its directory; `-o optimizer.NAME.max_iterations=N` extends a finished run."""
-    from cqrun.cli.progress import reporting
+    from cqrun.cli.progress import working
     from cqrun.cli.results import draw_and_print_run, infeasible_shown
-    from cqrun.jobs.resume import run_resume
-    from cqrun.scene.plugin_files import plugins_allowed
 
-    with plugins_allowed(allow_plugins), infeasible_shown():
-        with reporting(quiet) as reporter:
+    with infeasible_shown(quiet, allow_plugins):
+        with working(quiet, allow_plugins, f"reading {run}") as reporter:
+            from cqrun.jobs.resume import run_resume
+
             continued = run_resume(run, overrides or [], threads=threads, reporter=reporter)
-        draw_and_print_run(continued)
+        draw_and_print_run(continued, quiet, allow_plugins)

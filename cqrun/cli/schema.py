@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 
-import typer
-
 from cqrun.cli.options import PluginFiles
+from cqrun.cli.terminal import echo
 
 
 def schema(plugin: PluginFiles = None) -> None:
@@ -15,4 +14,4 @@ def schema(plugin: PluginFiles = None) -> None:
     from cqrun.scene.schema_json import scene_json_schema
 
     load_plugin_files(plugin or [])
-    typer.echo(json.dumps(scene_json_schema(), indent=2))
+    echo(json.dumps(scene_json_schema(), indent=2))

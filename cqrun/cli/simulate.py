@@ -30,14 +30,13 @@ def simulate(
     Instead of a scene you can give a run to replay: one of `cqrun control` or `codesign`, with -o for example for a
     longer time or another goal, or one of `cqrun sysid`, with the values that it identified.
     """
-    from cqrun.cli.progress import reporting
+    from cqrun.cli.progress import working
     from cqrun.cli.results import draw_and_print_run
-    from cqrun.jobs.simulate import run_simulate
-    from cqrun.scene.plugin_files import plugins_allowed
 
-    with plugins_allowed(allow_plugins):
-        with reporting(quiet) as reporter:
-            run = run_simulate(
-                scene, overrides or [], out, fresh=fresh, threads=threads, controller=controller, reporter=reporter
-            )
-        draw_and_print_run(run)
+    with working(quiet, allow_plugins, f"reading {scene}") as reporter:
+        from cqrun.jobs.simulate import run_simulate
+
+        run = run_simulate(
+            scene, overrides or [], out, fresh=fresh, threads=threads, controller=controller, reporter=reporter
+        )
+    draw_and_print_run(run, quiet, allow_plugins)

@@ -18,12 +18,11 @@ def sysid(
 
     Use the same command again to continue the run; if the run is finished, it says so.
     """
-    from cqrun.cli.progress import reporting
+    from cqrun.cli.progress import working
     from cqrun.cli.results import draw_and_print_run
-    from cqrun.jobs.sysid import run_sysid
-    from cqrun.scene.plugin_files import plugins_allowed
 
-    with plugins_allowed(allow_plugins):
-        with reporting(quiet) as reporter:
-            run = run_sysid(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
-        draw_and_print_run(run)
+    with working(quiet, allow_plugins, f"reading {scene}") as reporter:
+        from cqrun.jobs.sysid import run_sysid
+
+        run = run_sysid(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
+    draw_and_print_run(run, quiet, allow_plugins)

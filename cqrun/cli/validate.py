@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import typer
-
 from cqrun.cli.options import AllowPlugins, Overrides, Scene
+from cqrun.cli.terminal import echo
 
 
 def validate(scene: Scene, overrides: Overrides = None, allow_plugins: AllowPlugins = False) -> None:
@@ -12,9 +11,11 @@ def validate(scene: Scene, overrides: Overrides = None, allow_plugins: AllowPlug
 
     The scene is checked for the job that it names; use `-o job=control` to check it for another job.
     """
-    from cqrun.jobs.validate import validate as validation_lines
-    from cqrun.scene.plugin_files import plugins_allowed
+    from cqrun.cli.progress import working
 
-    with plugins_allowed(allow_plugins):
-        for line in validation_lines(scene, overrides or []):
-            typer.echo(line)
+    with working(False, allow_plugins, f"checking {scene}"):
+        from cqrun.jobs.validate import validate as validation_lines
+
+        lines = list(validation_lines(scene, overrides or []))
+    for line in lines:
+        echo(line)

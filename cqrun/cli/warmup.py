@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cqrun.cli.options import AllowPlugins, Quiet
+from cqrun.cli.terminal import echo
 
 
 def warmup(
@@ -18,10 +19,10 @@ def warmup(
     quiet: Quiet = False,
 ) -> None:
     """Compile the kernels of SCENE..., or the common ones, into the cache, so that the next run starts at once."""
-    from cqrun.cli.progress import reporting
-    from cqrun.jobs.warmup import warmup as compile_kernels
-    from cqrun.scene.plugin_files import plugins_allowed
+    from cqrun.cli.progress import working
 
-    with plugins_allowed(allow_plugins), reporting(quiet) as reporter:
+    with working(quiet, allow_plugins, "building scenes") as reporter:
+        from cqrun.jobs.warmup import warmup as compile_kernels
+
         for line in compile_kernels(scenes or (), reporter=reporter):
-            typer.echo(line)
+            echo(line)

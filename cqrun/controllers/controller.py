@@ -27,6 +27,10 @@ class ParameterBlock:
     upper: float | Array = np.inf
 
 
+MOST_PARAMETERS = 10_000_000
+"""Largest number of parameters of a controller: with a gradient and an optimizer's averages they fill gigabytes."""
+
+
 class Controller(Plugin):
     """Base of the plug-ins of kind `controller`.
 
@@ -95,4 +99,12 @@ class Controller(Plugin):
             raise UsageError(
                 f"the controller {self.name} acts on observations and there are none: add an observer, "
                 "such as a clock, or take open_loop or sinusoid"
+            )
+
+    def require_few(self, parameters: float, of: str) -> None:
+        """Raise UsageError if there are more parameters than can be learned; `of` says of what, in words."""
+        if parameters > MOST_PARAMETERS:
+            raise UsageError(
+                f"the controller {self.name} would have {parameters:.3g} parameters ({of}), more than "
+                f"{MOST_PARAMETERS:,}: make it smaller"
             )

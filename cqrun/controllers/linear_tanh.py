@@ -28,6 +28,7 @@ class LinearTanh(Controller):
         self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, neutral: Array, rng: np.random.Generator
     ) -> list[ParameterBlock]:
         self.require_observations(n_in)
+        self.require_few(float(n_in) * n_out, f"{n_in} observations for {n_out} actuators")
         weights = self.spread * rng.normal(size=(n_out, n_in))
         return [ParameterBlock("weights", weights), ParameterBlock("biases", np.zeros(n_out))]
 

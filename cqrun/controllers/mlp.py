@@ -39,6 +39,8 @@ class Mlp(Controller):
     ) -> list[ParameterBlock]:
         self.require_observations(n_in)
         widths, blocks = [n_in, *self.hidden, n_out], []
+        pairs = [(float(inputs), float(outputs)) for inputs, outputs in itertools.pairwise(widths)]
+        self.require_few(sum((1.0 + inputs) * outputs for inputs, outputs in pairs), "the weights of all layers")
         for k, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
             last = k == len(self.hidden)
             relu = self.activation == "relu" and not last

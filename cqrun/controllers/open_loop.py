@@ -45,6 +45,7 @@ class OpenLoop(Controller):
             )
         intervals, rest = divmod(n_controls - 1, self.every)
         shape = (intervals + 1 + (self.interpolate == "linear" and rest > 0), n_out)
+        self.require_few(float(shape[0]) * n_out, f"{shape[0]:.3g} knots for {n_out} actuators")
         initial = np.broadcast_to(neutral if self.initial is None else self.initial, shape)
         start = initial + self.noise * rng.normal(size=shape)
         low, high = np.broadcast_to(low, shape).copy(), np.broadcast_to(high, shape).copy()

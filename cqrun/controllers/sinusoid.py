@@ -36,6 +36,7 @@ class Sinusoid(Controller):
     def blocks(
         self, n_in: int, n_out: int, n_controls: int, low: Array, high: Array, neutral: Array, rng: np.random.Generator
     ) -> list[ParameterBlock]:
+        self.require_few(float(self.count) * n_out, f"{self.count:.3g} sinusoids for {n_out} actuators")
         blocks = [
             ParameterBlock("weights", self.spread * rng.normal(size=(n_out, self.count))),
             ParameterBlock("biases", np.zeros(n_out)),

@@ -139,8 +139,8 @@ class Crew(NamedTuple):
 
 def grid_shape(size: Array, dx: float) -> tuple[int, ...]:
     """Return the number of nodes along each axis, a multiple of BLOCK."""
-    cells = np.ceil(np.asarray(size) / dx - 1e-9).astype(int)
-    return tuple(int(-(-(c + 1 + 2 * MARGIN) // BLOCK) * BLOCK) for c in cells)
+    cells = np.ceil(np.asarray(size) / dx - 1e-9)  # floats, which hold any number of them
+    return tuple(BLOCK * int(blocks) for blocks in np.ceil((cells + 1 + 2 * MARGIN) / BLOCK))
 
 
 def node_positions(shape: tuple[int, ...], dx: float) -> Array:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.errors import StopNow
 from cqrun.numerics.packed import LINE, aligned
 
 Tasks = SimpleQueue[Any]
@@ -88,7 +89,7 @@ def _wait(answers: Answers, asked: int) -> None:
             while answers.qsize() < asked:  # `get` could lose an answer if it is interrupted
                 time.sleep(1e-3)
             return
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, StopNow):
             continue
 
 

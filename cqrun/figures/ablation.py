@@ -11,6 +11,7 @@ from cqrun.figures.losses import term_curve, term_names
 from cqrun.figures.quantities import capitalised
 from cqrun.figures.run_data import read_run
 from cqrun.figures.style import COLOURS, new_figure, save, styled, titled, whole_ticks
+from cqrun.store.model_file import path_of
 from cqrun.store.study import Ablation, read_ablation
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def _figure(result: Ablation) -> Figure:
     for place, (name, entry) in enumerate(variants.items()):
         colour, value = COLOURS[place % len(COLOURS)], entry.terms[compared]
         # some runs fail at the start, and some optimizers report no terms
-        runs = [run for run in map(read_run, map(Path, entry.runs)) if compared in term_names(run)]
+        runs = [run for run in map(read_run, map(path_of, entry.runs)) if compared in term_names(run)]
         if runs:
             plot_group(by_iteration, Group(name, tuple(term_curve(run, compared) for run in runs)), colour, None)
         if value.mean is None:  # all runs of this variant have failed

@@ -14,7 +14,7 @@ from cqrun.explain import listed
 from cqrun.figures.losses import LossCurve, loss_curve, term_curve, term_names
 from cqrun.figures.quantities import time_unit
 from cqrun.figures.run_data import RunData
-from cqrun.figures.style import COLOURS, log_ticks, new_figure, titled, whole_ticks
+from cqrun.figures.style import COLOURS, legend_label, log_ticks, new_figure, titled, whole_ticks
 from cqrun.fitting.uncertainty import interval_of_mean
 from cqrun.plugin.contract import Array
 from cqrun.scene.load import resolve
@@ -258,11 +258,11 @@ def plot_group(axes: Axes, group: Group, colour: str, clock: float | None) -> No
     count, over_time = len(group.curves), clock is not None
     many = count >= BAND_FROM
     what = f"{count} {'seeds' if group.seeds else 'runs'}"
-    factor = clock or 1.0
+    factor, name = clock or 1.0, legend_label(group.label)
     for k, curve in enumerate(group.curves):
         x = factor * _place(curve, over_time)
         value = np.maximum(curve.value, SMALLEST) if group.log else curve.value
-        label = None if many or k else group.label if count == 1 else f"{group.label}: {what}"
+        label = None if many or k else name if count == 1 else f"{name}: {what}"
         if many:
             axes.plot(x, value, color=colour, linewidth=0.7, alpha=0.35)
         else:
@@ -270,6 +270,6 @@ def plot_group(axes: Axes, group: Group, colour: str, clock: float | None) -> No
     if many:
         mean = band(group, over_time=over_time)
         kind = "geometric mean" if group.log else "mean"
-        text = f"{group.label}: {kind} of {what} and its {100 * CONFIDENCE:.0f} % interval"
+        text = f"{name}: {kind} of {what} and its {100 * CONFIDENCE:.0f} % interval"
         axes.fill_between(factor * mean.x, mean.low, mean.high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(factor * mean.x, mean.mean, color=colour, linewidth=1.8, label=text)

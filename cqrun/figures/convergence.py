@@ -12,7 +12,18 @@ import numpy as np
 from cqrun.figures.losses import LossCurve, loss_curve, term_curve, term_names
 from cqrun.figures.quantities import error, estimate, labels, number, shown_unit
 from cqrun.figures.run_data import RunData
-from cqrun.figures.style import COLOURS, GREY, PALE, TRUTH, clock_ticks, log_ticks, new_figure, titled, whole_ticks
+from cqrun.figures.style import (
+    COLOURS,
+    GREY,
+    PALE,
+    TRUTH,
+    clock_ticks,
+    legend_label,
+    log_ticks,
+    new_figure,
+    titled,
+    whole_ticks,
+)
 from cqrun.optimizers.constrained import VIOLATION
 from cqrun.plugin.contract import Array
 from cqrun.scene.paths import canonical, leaf
@@ -224,7 +235,9 @@ def _plot_gradients(axes: Axes, iteration: Array, blocks: dict[str, Array]) -> N
     for k, (name, norm) in enumerate(blocks.items()):
         positive = norm > 0
         colour = COLOURS[k % len(COLOURS)]
-        axes.plot(iteration[positive], norm[positive], color=colour, label=name, **_marked(len(iteration)))
+        axes.plot(
+            iteration[positive], norm[positive], color=colour, label=legend_label(name), **_marked(len(iteration))
+        )
     whole_ticks(axes.xaxis)
     _pad_iterations(axes, iteration)
     titled(axes, "Norm of the gradient")
@@ -261,7 +274,7 @@ def plot_unknown(axes: Axes, iteration: Array, curve: UnknownCurve, *, show_boun
     if curve.truth is not None:
         axes.axhline(curve.truth, color=TRUTH, linestyle="--", linewidth=1.0, label="truth")
     for k, column in enumerate(curve.values.T):
-        label = None if single else curve.names[k]
+        label = None if single else legend_label(curve.names[k])
         axes.plot(iteration, column, color=COLOURS[k % len(COLOURS)], label=label, **_marked(len(iteration)))
     _plot_intervals(axes, iteration, curve, (low, high))
     if len(axes.get_legend_handles_labels()[0]):

@@ -19,22 +19,16 @@ from cqrun.figures.style import save, styled
 from cqrun.figures.tracks import draw_recording
 from cqrun.jobs.table import JOBS, job_of
 from cqrun.store.atomic import make_directory
+from cqrun.store.folder import FIGURES, make_below
 from cqrun.store.result import RESULT, SysidResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FIGURES = "figures"
-
 MOST_NAMES = 5
 """Largest number of scenes in the name of a comparison."""
 
 INCOMPLETE = "although the run has finished: the directory is incomplete, run its scene again with --fresh"
-
-
-def has_pictures(path: Path) -> bool:
-    """Return whether the job of a run has pictures; raise a UsageError if the path is not a run."""
-    return bool(job_of(path).pictures)
 
 
 def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
@@ -57,8 +51,7 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
     """
     run = read_run(path)
     require_files(run)
-    figures = path / FIGURES
-    make_directory(figures)
+    figures = make_below(path, FIGURES)
     written: list[Path] = []
     with styled():
         for name, figure in _figures(run):

@@ -143,7 +143,6 @@ def write_mp4(path: Path, pictures: Iterable[Array], fps: float) -> None:
         source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "-"]
         kind = ["-c:v", "libx264", "-crf", QUALITY, "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"]
         words = [program, "-y", "-loglevel", "error", "-nostats", *source, *kind, str(temporary)]
-        temporary.touch()  # if this fails, the error is clearer than that of ffmpeg
         # in a new session, so that Ctrl-C reaches only cqrun, which then ends ffmpeg
         process = subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
         try:

@@ -25,6 +25,7 @@ from cqrun.figures.views import PLANE, View, view
 from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter, Silent
 from cqrun.store.atomic import make_directory
+from cqrun.store.folder import FIGURES, make_below
 from cqrun.store.frames import Frames
 
 MOVIE_DPI, STILL_DPI = 110.0, 220.0
@@ -93,7 +94,7 @@ def render(path: Path, options: RenderOptions, reporter: Reporter | None = None)
         shown = shown_frames(len(frames), options)
         reporter.phase(f"reading {len(shown)} of {len(frames)} frames")
         stage = set_stage(run, frames, shown, options)
-        output = options.output or path / "figures" / _name(options, stage)
+        output = options.output or make_below(path, FIGURES) / _name(options, stage)
         make_directory(output.parent)
         return _draw(stage, frames, shown, options, output, reporter)
 

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.disk import open_file
 from cqrun.errors import UsageError
 from cqrun.measurements.markers import Markers
 from cqrun.measurements.measurement import Measurement
 from cqrun.plugin.contract import Array
-from cqrun.scene.load import load_scene
+from cqrun.running.runs import kept_scene
 from cqrun.scene.schema import Scene
 from cqrun.store.frames import Frames, part_path
 from cqrun.store.history import read_history
@@ -21,7 +22,7 @@ from cqrun.store.result import Result, read_result
 from cqrun.store.run import FINISHED, read_record
 from cqrun.store.trajectory import Trajectory, read_trajectory
 
-HISTORY, TRAJECTORY, SCENE = "history.csv", "trajectory.h5", "scene.yaml"
+HISTORY, TRAJECTORY = "history.csv", "trajectory.h5"
 
 
 @dataclass(frozen=True)
@@ -167,22 +168,14 @@ def read_run(path: Path) -> RunData:
         SceneError: this version cannot read the scene.
     """
     record = read_record(path)
-    scene_file = path / SCENE
-    if not scene_file.is_file():
-        raise UsageError(f"{path}: there is no {SCENE}; the run is incomplete, run its scene again with --fresh")
-    scene = load_scene(scene_file, (), Path(record.get("base") or "."))
-    return RunData(path, record, scene, _history(path / HISTORY), read_result(path))
+    return RunData(path, record, kept_scene(path, record), _history(path / HISTORY), read_result(path))
 
 
 def _history(path: Path) -> dict[str, Array]:
     if not path.is_file():
         return {}
-    try:
-        columns = read_history(path)
-    except (ValueError, IndexError) as error:
-        raise UsageError(f"{path}: unreadable ({error}); run the scene again with --fresh") from error
-    rows = {name: np.array(column) for name, column in columns.items()}
-    return rows if rows and len(rows["iteration"]) else {}
+    rows = {name: np.array(column) for name, column in read_history(path).items()}
+    return rows if len(rows["iteration"]) else {}
 
 
 def read_tracks(
@@ -193,12 +186,17 @@ def read_tracks(
     Raises:
         UsageError: the file is not such a table.
     """
-    with path.open(newline="") as file:
-        rows = list(csv.reader(file))
+    try:
+        with open_file(path, "r", newline="", encoding="utf-8") as file:
+            rows = list(csv.reader(file))
+    except (OSError, ValueError, csv.Error) as error:
+        raise UsageError(f"{path}: unreadable ({error}); run the scene again with --fresh") from error
     header, body = (rows[0], rows[1:]) if rows else ([], [])
     components = tuple(name.removeprefix("data_") for name in header if name.startswith("data_"))
     if header[:3] != ["recording", measurement.channel, "time"] or len(header) != 3 + 2 * len(components) or not body:
         raise UsageError(f"{path}: is not a table of {measurement.channel}s; run the scene again with --fresh")
+    if short := next((row for row in body if len(row) != len(header)), None):
+        raise UsageError(f"{path}: damaged (a row has {len(short)} columns); run the scene again with --fresh")
     grouped: dict[str, dict[str, list[list[str]]]] = {}
     for row in body:
         grouped.setdefault(row[0], {}).setdefault(row[1], []).append(row[2:])

@@ -84,14 +84,18 @@ NARROW = 3.0
 
 
 @contextmanager
-def styled() -> Iterator[None]:
-    """Draw and save in cqrun's style, independent of the user's settings."""
+def styled(*, formulas: bool = False) -> Iterator[None]:
+    """Draw and save in cqrun's style, independent of the user's settings.
+
+    Args:
+        formulas: read what is between two dollars as a formula; the names in users' files are drawn as they are.
+    """
     import matplotlib
     from cycler import cycler
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(STYLE)
+        matplotlib.rcParams.update(STYLE | {"text.parse_math": formulas})
         matplotlib.rcParams["axes.prop_cycle"] = cycler(color=COLOURS)
         yield
 
@@ -183,9 +187,9 @@ def note(axes: Axes, text: str) -> None:
     line.set_in_layout(False)  # a long line must not make the axes smaller
 
 
-def plain(name: str) -> str:
-    """Return a user's name as literal text; matplotlib would draw text between two dollars as a formula."""
-    return name.replace("$", r"\$")
+def legend_label(name: str) -> str:
+    """Return a user's name as a label; matplotlib leaves labels that begin with an underscore out of legends."""
+    return f" {name}" if name.startswith("_") else name
 
 
 def titled(axes: Axes, title: str, text: str = "") -> None:

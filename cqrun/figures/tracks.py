@@ -9,7 +9,7 @@ import numpy as np
 
 from cqrun.figures.quantities import error, length_unit, shown_unit
 from cqrun.figures.run_data import Tracks
-from cqrun.figures.style import COLOURS, GREY, INK, new_figure, plain, titled
+from cqrun.figures.style import COLOURS, GREY, INK, new_figure, titled
 from cqrun.plugin.contract import Array
 from cqrun.units import Unit
 
@@ -95,7 +95,7 @@ def draw_recording(tracks: Tracks, scene: str) -> Figure:
     paths = len(tracks.channels) > FEW_MARKERS and tracks.data.shape[2] > 1
     figure = _draw_paths(tracks) if paths else _draw_channels(tracks)
     kind = "held out" if tracks.holdout else "fitted"
-    title = f"{plain(scene)}, {plain(tracks.recording)} ({kind}): RMSE {rmse(tracks)}"
+    title = f"{scene}, {tracks.recording} ({kind}): RMSE {rmse(tracks)}"
     figure.suptitle(title, fontsize=10, fontweight="bold", color=INK, x=0.01, ha="left")
     return figure
 
@@ -112,7 +112,7 @@ def _draw_channels(tracks: Tracks) -> Figure:
     panels[-1].set_xlabel("time (s)")
     unit = tracks.measurement.shown
     named = zip(tracks.channels, tracks.rmse_by_channel(), strict=True)
-    texts = [f"{plain(name)}  {error(unit.factor * own)}" for name, own in named]
+    texts = [f"{name}  {error(unit.factor * own)}" for name, own in named]
     figure.legend(lines, texts, title=unit.label("RMSE"), loc="outside right upper", alignment="left")
     return figure
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from cqrun.build.model import Built
@@ -21,12 +21,13 @@ def is_fit(scene: Scene) -> bool:
     return bool(scene.unknowns) and scene.controller is None and (scene.data is not None or bool(scene.objective))
 
 
-def make_cases(built: Built, directory: Path | None = None) -> list[Case]:
+def make_cases(built: Built, directory: Path | None = None, interrupt: Callable[[], None] = lambda: None) -> list[Case]:
     """Return the cases of a scene's data or, without data, of its objective.
 
     Args:
         built: the scene.
         directory: folder for synthetic data; without it the data stay in memory.
+        interrupt: called before every rollout that makes data.
 
     Raises:
         SceneError: the data or the objective cannot be used.
@@ -40,7 +41,7 @@ def make_cases(built: Built, directory: Path | None = None) -> list[Case]:
     if data.recordings is not None:
         return recorded_cases(built, data.recordings)
     assert data.synthetic is not None
-    return synthetic_cases(built, data.synthetic, directory)
+    return synthetic_cases(built, data.synthetic, directory, interrupt)
 
 
 def given_cases(built: Built) -> list[Case] | None:
@@ -76,14 +77,17 @@ def remarks(cases: Sequence[Case]) -> Iterator[str]:
         yield from (f"{case.name}: {comparison.remark}" for comparison in case.comparisons if comparison.remark)
 
 
-def made_cases(run: RunDirectory, built: Built) -> list[Case]:
+def made_cases(run: RunDirectory, built: Built, interrupt: Callable[[], None]) -> list[Case]:
     """Return the cases of the data that a run makes with the true values.
 
+    Args:
+        interrupt: called before every rollout.
+
     Raises:
-        RunError: the rollout with the true values fails.
+        RunError: the rollout with the true values fails. And what `interrupt` raises.
     """
     try:
-        return make_cases(built, run.path)
+        return make_cases(built, run.path, interrupt)
     except RolloutError as error:
         run.finish("failed", f"data.synthetic.truth: {error}")
         raise RunError(f"{run.path}: data.synthetic.truth: {error}") from error

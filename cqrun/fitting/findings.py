@@ -52,6 +52,7 @@ def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, ou
         result.recordings = _errors(cases, records, values)
         _write_tables(run, cases, records, values)
         first = next(case for case in cases if not case.holdout)  # a held-out case may blow up
+        problem.interrupt()
         rollout = Rollout(first.built.model, first.inputs(values), threads=problem.threads)
         provenance = as_found(values) | first.comparisons[0].wanted()
         write_trajectory(run.path / "trajectory.h5", first.built, rollout, provenance=provenance)
@@ -197,6 +198,7 @@ def _predict(
         def watch(control: int, state: State, fracture: Fracture = fracture) -> None:
             fracture.count(state.x)
 
+        problem.interrupt()
         try:
             records.append(case.run(values, problem.threads, watch))
         except RolloutError as error:

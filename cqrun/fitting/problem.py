@@ -37,6 +37,7 @@ class FitProblem:
         cases: all cases; the held-out ones are not fitted.
         params: the unknowns.
         threads: number of threads.
+        interrupt: called before every rollout; it raises StopAsked if the run was asked to stop.
 
     Attributes:
         unit: loss of bodies that do not move; the square of a cell if that is zero.
@@ -46,7 +47,9 @@ class FitProblem:
 
     stochastic = False
 
-    def __init__(self, cases: Sequence[Case], params: Params, *, threads: int = 1) -> None:
+    def __init__(
+        self, cases: Sequence[Case], params: Params, *, threads: int = 1, interrupt: Callable[[], None] = lambda: None
+    ) -> None:
         self.cases = [case for case in cases if not case.holdout]
         self.params, self.threads = params, threads
         self.start = params.start
@@ -55,7 +58,7 @@ class FitProblem:
         self.term_names: Sequence[str] = ()
         self.effort = Effort()
         self._kept: dict[tuple[int, bytes], Records] = {}
-        self.interrupt: Callable[[], None] = lambda: None
+        self.interrupt = interrupt
         total = sum(o.weight for case in self.cases for o in case.comparisons)
         still = [case.still_losses() for case in self.cases]
         self.weights = [np.array([o.weight / total for o in case.comparisons]) for case in self.cases]
@@ -142,7 +145,12 @@ class FitProblem:
 
         def task(case: int) -> Callable[[int], tuple[float, dict[str, Array], Effort]]:
             budget = self.cases[case].built.model.memory_budget // at_once
-            return lambda threads: self.cases[case].gradient(values, share * self.weights[case], threads, budget)
+
+            def run(threads: int) -> tuple[float, dict[str, Array], Effort]:
+                self.interrupt()
+                return self.cases[case].gradient(values, share * self.weights[case], threads, budget)
+
+            return run
 
         results = side_by_side([task(c) for c in chosen], self.threads, at_once)
         total = {path: np.zeros(np.shape(value)) for path, value in values.items()}
@@ -231,9 +239,8 @@ class FitProblem:
             model = replace(model, dt=0.5 * model.dt, substeps=2 * model.substeps)
             return replace(case, built=replace(case.built, model=model))
 
-        finer = FitProblem([halved(case) for case in self.cases], self.params, threads=self.threads)
-        finer.interrupt = self.interrupt
-        return finer
+        finer = [halved(case) for case in self.cases]
+        return FitProblem(finer, self.params, threads=self.threads, interrupt=self.interrupt)
 
     def series(self) -> list[Series]:
         """Return the time series among the residuals."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,17 +21,21 @@ from cqrun.objectives.hermite import interpolant
 from cqrun.observers.matter import Matter
 from cqrun.scene.data import Synthetic
 from cqrun.scene.unknowns import truths
-from cqrun.store.atomic import disk_errors, make_directory
+from cqrun.store.atomic import replacing
+from cqrun.store.folder import SYNTHETIC, make_below
 from cqrun.store.marker_csv import write_csv
 from cqrun.store.recordings import read_recording
 from cqrun.store.synthetic import make_synthetic
 
-SYNTHETIC = "synthetic"
-"""Folder of a run with its synthetic data."""
+CHECK = b"# crc32 %d\n"
+"""The last line of a file with data that a run has made."""
 
 
-def synthetic_cases(built: Built, spec: Synthetic, directory: Path | None) -> list[Case]:
-    """Return the cases of a scene's synthetic data; keep the data in a directory, if one is given."""
+def synthetic_cases(built: Built, spec: Synthetic, directory: Path | None, interrupt: Callable[[], None]) -> list[Case]:
+    """Return the cases of a scene's synthetic data; keep the data in a directory, if one is given.
+
+    `interrupt` as `make_cases`.
+    """
     scene, matter = built.scene, matter_of(built, {})
     rng = np.random.default_rng(spec.seed)
     names, observer = _observed(spec, matter, rng)
@@ -39,6 +45,7 @@ def synthetic_cases(built: Built, spec: Synthetic, directory: Path | None) -> li
     cases = []
     for sequence in range(scene.sequences):
         name = f"sequence_{sequence}" if random else "synthetic"
+        interrupt()
         variant = replace(base, assembly=base.assembly.with_sequence(sequence))
         model = variant.model
         comparisons = tuple(
@@ -70,7 +77,7 @@ def _made(
     """Return the noisy copies of a sequence: read them from the run, or make and write them."""
     draw = np.random.default_rng(rng.integers(2**63))  # one generator per sequence, whether its files exist or not
     files = [(directory / SYNTHETIC / f"{name}_{copy}.csv") if directory else None for copy in range(spec.copies)]
-    if all(file is not None and file.is_file() for file in files):
+    if all(file is not None and _is_whole(file) for file in files):
         return [read_recording(file) for file in files if file is not None]
     truth = {path: np.asarray(value, float) for path, value in truths(built.scene).items()}
     records = Rollout(built.model, built.assembly.inputs(truth)).run()
@@ -82,10 +89,22 @@ def _made(
     clean = interpolant(time, step, steps)(*observer.observe(records))
     made = make_synthetic(time, names, clean, noise=spec.noise, copies=spec.copies, rng=draw, source=name)
     for recording, file in zip(made, files, strict=True):
-        if file is not None:
-            make_directory(file.parent)
-            beginning = file.with_suffix(".part")
-            with disk_errors(file):
-                write_csv(recording, beginning)
-                beginning.replace(file)  # if the run is killed here, it will not read an incomplete file
+        if file is not None and directory is not None:
+            make_below(directory, SYNTHETIC)
+            with replacing(file) as temporary:  # a run that is killed here will not read an incomplete file
+                write_csv(recording, temporary)
+                _guard(temporary)
     return made
+
+
+def _guard(file: Path) -> None:
+    """Add a last line with the CRC-32 of the others, which readers of recordings skip as a comment."""
+    with file.open("rb+") as content:
+        content.write(CHECK % zlib.crc32(content.read()))
+
+
+def _is_whole(file: Path) -> bool:
+    """Return whether data that the run has made is as it was written; else it is made again, with the same numbers."""
+    content = file.read_bytes() if file.is_file() else b""
+    before = content.rpartition(CHECK.partition(b"%")[0])[0]
+    return content == before + CHECK % zlib.crc32(before)

@@ -15,6 +15,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from cqrun.errors import UsageError
 from cqrun.explain import Loc
 from cqrun.forces.force import Inside, Shares
 from cqrun.numerics.compile import kernel
@@ -41,8 +42,16 @@ def route_problems(route: list[Point], dim: int) -> list[tuple[Loc, str]]:
     ]
 
 
+MOST_PIECES = 10_000
+"""Largest number of pieces of a line: a search among all particles for each of more would take minutes."""
+
+
 def particles_along(route: list[Point], spacing: float | None, body: str, x: Array, inside: Inside) -> Array:
-    """Return the particles along a route, in order: the nearest to its points, and to places every `spacing`."""
+    """Return the particles along a route, in order: the nearest to its points, and to places every `spacing`.
+
+    Raises:
+        UsageError: the spacing is far too small.
+    """
     of_body = inside(body, None)
 
     def nearest(place: Array) -> int:
@@ -52,7 +61,14 @@ def particles_along(route: list[Point], spacing: float | None, body: str, x: Arr
     tied = [nearest(point) for point in points]
     along = tied[:1]
     for k, (begin, end) in enumerate(itertools.pairwise(points)):
-        pieces = 1 if spacing is None else max(1, round(float(np.linalg.norm(end - begin)) / spacing))
+        length = float(np.linalg.norm(end - begin))
+        wanted = 1.0 if spacing is None else length / spacing
+        if wanted > MOST_PIECES:
+            raise UsageError(
+                f"a spacing of {spacing:g} m ties a line of {length:.3g} m at {wanted:.3g} points, more than "
+                f"{MOST_PIECES:,}: give one near the distance of its body's particles"
+            )
+        pieces = max(1, round(wanted))
         for piece in range(1, pieces):
             particle = nearest(begin + (end - begin) * piece / pieces)
             # if the spacing is less than the distance of particles, the same particle is nearest again

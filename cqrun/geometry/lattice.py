@@ -27,6 +27,10 @@ class Lattice(Sampling):
     def needs_spacing(self) -> bool:
         return self.count is None
 
+    def estimate(self, shape: Shape, spacing: float | None) -> float:
+        dim = len(shape.bounds()[0])
+        return super().estimate(shape, spacing) if self.count is None else float(self.count) ** dim
+
     def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:
         if self.count is None:
             assert spacing is not None

@@ -14,7 +14,7 @@ from cqrun.plugin.registry import plugin
 NEAREST = {2: 0.78, 3: 0.84}
 """Minimum distance in spacings, by dimension, at which there is about one particle in spacing^D (measured)."""
 
-MOST = 50_000
+MOST = 15_000
 """Largest number of particles over the bounds of a shape; SciPy makes about a thousand in a second."""
 
 
@@ -37,7 +37,7 @@ class PoissonDisk(Sampling):
         if expected > MOST:
             raise UsageError(
                 f"about {expected:.3g} particles around the {shape.name} are too many for poisson_disk sampling, "
-                f"which takes a minute for {MOST:,}; use `jittered`"
+                f"which makes a thousand in a second and stops at {MOST:,}; use `jittered`"
             )
         rng = np.random.default_rng(self.seed)
         radius = NEAREST[len(lower)] * spacing

@@ -25,6 +25,9 @@ class Random(Sampling):
     def needs_spacing(self) -> bool:
         return False
 
+    def estimate(self, shape: Shape, spacing: float | None) -> float:
+        return float(self.count)
+
     def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:
         lower, upper = finite_bounds(shape)
         rng = np.random.default_rng(self.seed)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Annotated
 
+import numpy as np
+
 from cqrun.geometry.shape import Shape
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin
@@ -17,6 +19,14 @@ class Sampling(Plugin):
     def needs_spacing(self) -> bool:
         """Whether the body must give a spacing of particles."""
         return True
+
+    def estimate(self, shape: Shape, spacing: float | None) -> float:
+        """Return about how many points it tries, 0 if the shape cannot be filled; arguments as in `sample`."""
+        lower, upper = shape.bounds()
+        if spacing is None or not (np.isfinite(upper - lower).all() and (upper > lower).all()):
+            return 0.0
+        with np.errstate(over="ignore"):
+            return float(np.prod((upper - lower) / spacing))
 
     @abstractmethod
     def sample(self, shape: Shape, spacing: float | None) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import psutil
 
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
@@ -19,9 +20,13 @@ from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter, Silent
 from cqrun.store.atomic import disk_errors, make_directory, require_room, write_bytes
 from cqrun.store.frames import Frames
+from cqrun.units import format_bytes
 
 EDGE = 1.2
 """Edge of the grid of cells divided by the largest extent of the body in the runs."""
+
+DOUBLE = 8
+"""Size of a float64 [bytes]."""
 
 KEEP_EVERY = 20.0
 """Time between two saved states of a training [s]."""
@@ -65,6 +70,7 @@ def compress(
         return f"{size} components explain {components.explained.sum():.1%} of the variance"
     x, v = (np.concatenate(parts) for parts in zip(*frames, strict=True))
     raster = raster_of(x, v, cells)
+    require_memory(len(x), raster, size)
     training = Training(np.stack([raster.image(*frame) for frame in zip(x, v, strict=True)]), size, seed=seed)
     learn(training, epochs, output.with_name(f"{output.name}.training"), talk)
     with disk_errors(output):
@@ -86,6 +92,11 @@ def learn(training: Training, epochs: int, kept: Path, talk: Reporter) -> None:
     if kept.exists() and not training.restore(kept.read_bytes(), epochs):
         talk.warn(f"{kept}: is the state of another training (other runs, options or torch): training starts again")
     talk.begin(epochs)
+    with talk.stop.deferred():
+        _train(training, epochs, kept, talk)
+
+
+def _train(training: Training, epochs: int, kept: Path, talk: Reporter) -> None:
     last = time.monotonic()
     while training.epochs < epochs:
         training.epoch()
@@ -108,6 +119,18 @@ def read(run: Path, body: str | None) -> tuple[Array, Array]:
             raise UsageError(f"{run}: no body is called '{name}'{near}; there are: {listed(frames.bodies)}")
         part = frames.bodies[name]
         return tuple(frames.read_all(field)[:, part].astype(float) for field in ("x", "v"))  # type: ignore[return-value]
+
+
+def require_memory(count: int, raster: Raster, size: int) -> None:
+    """Raise a UsageError if the images of all frames, or the weights of a code, need more memory than is free."""
+    pixels = (1.0 + raster.dim) * float(raster.cells) ** raster.dim
+    free = psutil.virtual_memory().available
+    for what, need, advice in (
+        (f"{count:,} images of {raster.cells}^{raster.dim} cells", DOUBLE * count * pixels, "give fewer --cells"),
+        (f"a code of {size:.3g} numbers", DOUBLE * size * pixels, "give a smaller --size"),
+    ):
+        if need > free:
+            raise UsageError(f"{what} need {format_bytes(need)}; {format_bytes(free)} are free: {advice}")
 
 
 def raster_of(x: Array, v: Array, cells: int) -> Raster:

@@ -23,10 +23,11 @@ from cqrun.learning.record_memory import require_records
 from cqrun.optimizers.constrained import VIOLATION, ConstrainedOptimizer, report_names
 from cqrun.plugin.registry import plugins
 from cqrun.running.bodies import report_bodies
+from cqrun.running.cost import about
 from cqrun.running.gradient_memory import gradient_plan, gradients_at_once
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter
-from cqrun.running.runs import build_and_warn, optimizer_of, stopping
+from cqrun.running.runs import build_and_warn, optimizer_of
 from cqrun.running.tables import number, table
 from cqrun.scene.schema import Scene
 from cqrun.store.history import read_history
@@ -90,8 +91,10 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
         compile_kernels([built], talk, adjoint=optimizer.gradients)
         run.begin(problem.threads)
         report_bodies(built, run, talk)
+        problem.interrupt = talk.stop.check
         episodes = "an episode" if problem.n_episodes == 1 else f"{problem.n_episodes} episodes"
-        talk.phase(f"learning {len(params.start)} parameters, {episodes} an iteration")
+        lasts = about(built.model, gradients=optimizer.gradients, each="an episode")
+        talk.phase(f"learning {len(params.start)} parameters, {episodes} an iteration, {lasts}")
         talk.begin(optimizer.max_iterations)
         session = RunSession(
             run, seed=built.scene.seed, blocks=params.slices, physical=params.physical,
@@ -106,8 +109,7 @@ class Learning(Job[EpisodeProblem, LearnedResult]):
             talk.warn(FLAT)
             run.log(FLAT)
         if outcome.status != "failed":
-            talk.phase("writing result and trajectory")
-        problem.interrupt = stopping(run, talk)
+            talk.phase(f"writing result and trajectory, {about(built.model, each='an episode')}")
         for sentence in blown_up(write_learned(run, problem, outcome)):
             run.log(sentence)
         run.finish(outcome.status, outcome.message)

@@ -28,6 +28,7 @@ from cqrun.learning.episode_loss import episode_loss
 from cqrun.learning.episodes import EpisodeProblem, has_episodes
 from cqrun.optimizers.base import TrialFailed
 from cqrun.plugin.contract import Array
+from cqrun.running.cost import about
 from cqrun.running.finite_differences import (
     AGREES,
     ALL_STEPS,
@@ -46,6 +47,7 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.store.result import Direction, GradcheckResult, Verdict, write_result
 from cqrun.store.run import RunDirectory, read_record
+from cqrun.store.run_scene import stem_of
 
 VERDICTS: dict[Verdict, str] = {
     AGREES: "",
@@ -101,30 +103,30 @@ class Gradcheck(Job[GradientCheck, GradcheckResult]):
         """Check all directions.
 
         Raises:
-            RunError: the scene blows up with its start values. Stopped: asked to stop.
+            RunError: the scene blows up with its start values. StopAsked: asked to stop.
         """
         built, cases, episodes, threads = prepared.built, prepared.cases, prepared.episodes, prepared.threads
         compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=True)
         run.begin(threads)
         if has_data(built.scene) and cases is None:
-            talk.phase("making data")
-            cases = made_cases(run, built)
+            talk.phase(f"making data, {about(built.model)}")
+            cases = made_cases(run, built, talk.stop.check)
+        talk.phase(f"computing the gradient, {about(built.model, gradients=True)}")
         try:
             if episodes is not None:
                 loss = episode_loss(episodes)
             else:
                 loss = state_loss(built, threads) if cases is None else fit_loss(built, cases, threads)
+            loss = loss.interrupted_by(talk.stop.check)
             value, gradient = loss.value_and_grad(loss.x)
         except (RolloutError, TrialFailed) as error:
             run.finish("failed", f"with the start values: {error}")
             raise RunError(f"{run.path}: with the start values: {error}") from error
-        talk.phase(f"checking {len(loss.params.blocks)} blocks by {2 * len(STEPS)} rollouts each")
+        lasts = about(built.model)
+        talk.phase(f"checking {len(loss.params.blocks)} blocks by {2 * len(STEPS)} rollouts each, {lasts}")
         chosen = directions(loss.params, np.random.default_rng(built.scene.seed))
         rows: list[Direction] = []
         for number, (block, d) in enumerate(chosen.items()):
-            if talk.stop.asked:
-                run.finish("stopped", f"stopped after {number} of {len(chosen)} directions")
-                raise talk.stop.stopped(f"{run.record['reason']}; `cqrun resume {run.path}` starts again")
             talk.advance(number, len(chosen), f"{number} of {len(chosen)} directions, now {block}")
             rows.append(check_direction(block, loss, value, gradient, d, built.scene.precision))
         agrees, steps = all(row.agrees for row in rows), ALL_STEPS[: max(len(row.scan) for row in rows)].tolist()
@@ -160,7 +162,7 @@ def run_gradcheck(
     """
     source = Path(source)
     scene = load_scene(source, overrides)
-    run = GRADCHECK.start(source.stem, scene, out, fresh=fresh, threads=threads, reporter=reporter)
+    run = GRADCHECK.start(stem_of(source), scene, out, fresh=fresh, threads=threads, reporter=reporter)
     return run, read_record(run)["status"] == "done"
 
 

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Generic, Protocol, TypeVar, final
 
 from cqrun.build.model import Built
-from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.errors import Problem, SceneError, StopAsked, UsageError
 from cqrun.running.reporter import Reporter, Silent
 from cqrun.running.runs import (
     finished_already,
@@ -28,7 +28,8 @@ from cqrun.scene.schema import Scene
 from cqrun.scene.sections import JobName
 from cqrun.store.atomic import write_bytes
 from cqrun.store.result import Result, read_result
-from cqrun.store.run import RunDirectory, read_record
+from cqrun.store.run import STOPPED, RunDirectory, read_record
+from cqrun.store.run_scene import stem_of
 
 NO_FILES: Mapping[str, Path] = MappingProxyType({})
 
@@ -107,7 +108,7 @@ class Job(ABC, Generic[P, R]):
         """Start or continue the job in a run directory; it ends with `run.finish`.
 
         Raises:
-            Stopped: asked to stop. RunError: the run failed in a way that its status cannot describe.
+            StopAsked, Stopped: asked to stop. RunError: the run failed in a way that its status cannot describe.
         """
 
     @abstractmethod
@@ -134,7 +135,7 @@ class Job(ABC, Generic[P, R]):
         """
         source = Path(source)
         scene = load_scene(source, overrides)
-        return raise_if_failed(self.start(source.stem, scene, out, fresh=fresh, threads=threads, reporter=reporter))
+        return raise_if_failed(self.start(stem_of(source), scene, out, fresh=fresh, threads=threads, reporter=reporter))
 
     @final
     def start(
@@ -156,13 +157,15 @@ class Job(ABC, Generic[P, R]):
             stem, scene, Path(out), job=self.name, threads=n_threads, fresh=fresh, with_data=self.reads_data(scene),
             files=files,
         ) as run:  # fmt: skip
+            if run.warning:
+                talk.warn(run.warning)
             if finished_already(run, talk):
                 return run.path
             if run.record.get("extended"):
                 prepared = self.prepare(saved_scene(run), n_threads, talk, files)
             for name, file in files.items():
                 write_bytes(run.path / name, file.read_bytes())
-            self.work(run, prepared, talk)
+            self._work(run, prepared, talk)
             return run.path
 
     @final
@@ -186,8 +189,27 @@ class Job(ABC, Generic[P, R]):
             prepared = self.prepare(scene, threads, talk, self._kept(run))
             if overrides:
                 run.extend(dump(resolve(prepared.built.scene)), list(overrides))
-            self.work(run, prepared, talk)
+            self._work(run, prepared, talk)
         return raise_if_failed(run.path)
+
+    def _work(self, run: RunDirectory, prepared: P, talk: Reporter) -> None:
+        """Do the job; a request to stop is heard between two rollouts.
+
+        Raises:
+            Stopped: asked to stop. RunError: as `work`.
+        """
+        with talk.stop.deferred():
+            try:
+                self.work(run, prepared, talk)
+            except StopAsked:
+                reason = "stopped before its results were written"
+                run.finish(STOPPED, reason)
+                raise talk.stop.stopped(f"{reason}; `cqrun resume {run.path}` {self.again}") from None
+
+    @property
+    def again(self) -> str:
+        """What `cqrun resume` does with a run that was stopped."""
+        return "continues" if self.extensible else "starts it again"
 
     @final
     def report(self, run: Path) -> list[str]:

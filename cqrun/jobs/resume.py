@@ -23,5 +23,8 @@ def run_resume(
         UsageError: there is no run, another process works on it, another engine made it, or the overrides do not fit.
         RunError: the run failed. Stopped: asked to stop.
     """
+    talk = reporter or Silent()
     with RunDirectory.resume(Path(run_dir)) as run:
-        return job_of(run.path).resume(run, overrides, cores(threads), reporter or Silent())
+        if run.warning:
+            talk.warn(run.warning)
+        return job_of(run.path).resume(run, overrides, cores(threads), talk)

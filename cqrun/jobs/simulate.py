@@ -29,6 +29,7 @@ from cqrun.learning.learned import constraints_of
 from cqrun.learning.replay import IDENTIFIED
 from cqrun.plugin.contract import Array
 from cqrun.running.bodies import report_bodies
+from cqrun.running.cost import about
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.observables import Observables
 from cqrun.running.reporter import Reporter, Silent
@@ -86,7 +87,8 @@ class Simulate(Job[Simulation, SimulateResult]):
             run.log(sentence)
         report_bodies(built, run, talk, rollout.inputs)
         time, model = built.scene.time, built.model
-        talk.phase(f"simulating {model.layout.n_particles} particles, {model.n_steps} substeps")
+        lasts = about(model, each="in all")
+        talk.phase(f"simulating {model.layout.n_particles} particles, {model.n_steps} substeps, {lasts}")
         reached = 0.0
         with Observables(run.path / "observables.csv", built, rollout.inputs) as watch:
 

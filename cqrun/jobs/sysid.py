@@ -15,13 +15,13 @@ from cqrun.fitting.problem import FitProblem
 from cqrun.jobs.job import NO_FILES, Job, Need
 from cqrun.optimizers.base import Outcome
 from cqrun.running.bodies import report_bodies
+from cqrun.running.cost import about
 from cqrun.running.gradient_memory import gradient_plan
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter
-from cqrun.running.runs import Progress, build_and_warn, optimizer_of, stopping
+from cqrun.running.runs import Progress, build_and_warn, kept_scene, optimizer_of
 from cqrun.running.tables import number, table
 from cqrun.running.unknowns import make_params
-from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import groups_of
@@ -86,15 +86,16 @@ class Sysid(Job[Identification, SysidResult]):
         run.begin(prepared.threads)
         report_bodies(built, run, talk)
         if cases is None:
-            talk.phase("making data")
-            cases = made_cases(run, built)
+            talk.phase(f"making data, {about(built.model)}")
+            cases = made_cases(run, built, talk.stop.check)
         for warning in recording_warnings(built, cases):
             talk.warn(warning)
         for sentence in remarks(cases):
             run.log(sentence)
         params = make_params(built)
-        problem = FitProblem(cases, params, threads=prepared.threads)
-        talk.phase(f"fitting {len(params.start)} unknowns")
+        problem = FitProblem(cases, params, threads=prepared.threads, interrupt=talk.stop.check)
+        lasts = about(built.model, gradients=uses_gradients(scene))
+        talk.phase(f"fitting {len(params.start)} unknowns, {lasts}")
         talk.begin(optimizer.max_iterations)
         session = RunSession(
             run, seed=scene.seed, blocks=params.slices, physical=params.physical, loss_unit=problem.unit,
@@ -104,7 +105,7 @@ class Sysid(Job[Identification, SysidResult]):
 
     def lines(self, run: Path, result: SysidResult) -> Iterator[str]:
         """Yield every unknown with its interval, the errors by recording, and the findings."""
-        scene = load_scene(run / "scene.yaml", (), Path(str(read_record(run).get("base", ""))))
+        scene = kept_scene(run, read_record(run))
         yield f"{result.status} after {result.iterations} iterations: {result.message}"
         yield ""
         yield from table(
@@ -202,8 +203,7 @@ def _conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome
         run.finish("stopped", outcome.message)
         raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
     if outcome.status != "failed":
-        talk.phase("intervals, predictions, trajectory")
-    problem.interrupt = stopping(run, talk)
+        talk.phase(f"intervals, predictions, trajectory, {about(cases[0].built.model)}")
     write_findings(run, cases, problem, outcome)
     run.finish(outcome.status, outcome.message)
 

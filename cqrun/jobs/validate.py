@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import prod
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from cqrun.build.model import Built, build
 from cqrun.errors import SceneError
@@ -19,7 +18,8 @@ from cqrun.jobs.table import JOBS
 from cqrun.learning.agent import Agent
 from cqrun.learning.description import control_lines, line, objective_lines
 from cqrun.learning.episodes import EpisodeProblem, differentiated, has_episodes
-from cqrun.running.bodies import lies, made_of
+from cqrun.running.bodies import lies, made_of, rounding_of
+from cqrun.running.cost import NANOSECONDS, duration, forward_seconds, gradient_seconds
 from cqrun.running.gradient_memory import GRADIENT, gradient_plan, state_bytes
 from cqrun.running.reporter import Silent
 from cqrun.running.runs import optimizer_of
@@ -30,9 +30,6 @@ from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import start
 from cqrun.store.result import LEARNED
 from cqrun.units import format_bytes
-
-NANOSECONDS = {2: 30.0, 3: 95.0}
-"""Typical time per particle and forward substep on one core, by dimension (`cqrun bench` measures it)."""
 
 MILLI = 1e3
 
@@ -88,7 +85,7 @@ def _world(built: Built) -> Iterator[str]:
     world, shape = built.scene.world, built.model.grid_shape
     size = " x ".join(number(edge) for edge in world.size)
     nodes = " x ".join(map(str, shape))
-    yield line("world", f"{size} m in cells of {number(world.dx)} m: {nodes} = {int(np.prod(shape)):,} nodes")
+    yield line("world", f"{size} m in cells of {number(world.dx)} m: {nodes} = {prod(shape):,} nodes")
     conditions = (f"{c.name} ({c.spec.name}, {int(c.nodes.sum()):,} nodes)" for c in built.model.conditions)
     yield line("boundaries", ", ".join(conditions) or "none: a body that reaches the edge of the world stops the run")
 
@@ -122,9 +119,8 @@ def _time(built: Built) -> Iterator[str]:
     corner = " at the worst corner of the unknowns' bounds" if built.scene.unknowns else ""
     cause = f"{number(least.dt)} s ({least.part}{corner})"
     yield line("", f"{model.dt / least.dt:.2f} of the largest stable substep, {cause}")
-    if model.real is np.float32:  # rounding error of a position divided by the substep
-        slowest = float(np.finfo(np.float32).eps) * max(built.scene.world.size) / model.dt
-        yield line("", f"float32 loses motion slower than about {number(slowest)} m/s: less than a position's last bit")
+    if rounding := rounding_of(built):
+        yield line("", rounding)
     for limit in built.limits:
         if limit is not least:
             yield line("", f"limit of {limit.part}: {number(limit.dt)} s")
@@ -176,12 +172,12 @@ def _recording(case: Case) -> Iterator[str]:
 def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     model = built.model
     size, budget = state_bytes(model), format_bytes(model.memory_budget)
-    forward = 1e-9 * NANOSECONDS[model.dim] * model.layout.n_particles * model.n_steps
+    forward = forward_seconds(model)
     try:
         plan = gradient_plan(built)
     except SceneError as error:  # the scene can still be run forward
         yield f"warning: no gradients: {error}"
-        yield line("cost", f"an estimate, for one core: {_seconds(forward)} forward")
+        yield line("cost", f"an estimate, for one core: {duration(forward)} forward")
         return
     again = "no substep runs twice" if plan.recompute == 1 else f"{plan.recompute:.2f} forward substeps for each"
     yield line(
@@ -189,10 +185,10 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
         f"a gradient keeps {plan.states:,} states of {format_bytes(size)}, {format_bytes(plan.states * size)} "
         f"of a budget of {budget}: {again}",
     )
-    backward = forward * (GRADIENT + plan.recompute - 1)
+    backward = gradient_seconds(model)
     yield line(
         "cost",
-        f"an estimate, for one core: {_seconds(forward)} forward, {_seconds(backward)} with the gradient "
+        f"an estimate, for one core: {duration(forward)} forward, {duration(backward)} with the gradient "
         f"({NANOSECONDS[model.dim]:g} ns per particle and substep; `cqrun bench` measures this machine)",
     )
     if learned is not None:
@@ -205,11 +201,7 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
             if constraints:
                 of += f" and the gradients of {constraints} constraint{'s' if constraints > 1 else ''}"
             once, most = ("a trial", "at most ") if constraints else ("an iteration", "")
-            yield line("", f"{once} of {optimizer.name}: {of}, {most}{_seconds(episodes * (backward + sweeps))}")
+            yield line("", f"{once} of {optimizer.name}: {of}, {most}{duration(episodes * (backward + sweeps))}")
         else:
             of = f"{learned.n_episodes} {'episode' if learned.n_episodes == 1 else 'episodes'} forward"
-            yield line("", f"a trial of {optimizer.name}: {of}, {_seconds(learned.n_episodes * forward)}")
-
-
-def _seconds(seconds: float) -> str:
-    return f"{seconds:.2g} s" if seconds < 99.5 else f"{seconds / 60:.2g} min"
+            yield line("", f"a trial of {optimizer.name}: {of}, {duration(learned.n_episodes * forward)}")

@@ -29,6 +29,7 @@ from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.store.result import LEARNED, RESULT
 from cqrun.store.run import FINISHED, read_record
+from cqrun.store.run_scene import stem_of
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def acting_in(source: Path, overrides: Sequence[str], controller: Path | None, t
     scene = _scene(source, overrides)
     if file is not None:
         scene = _scene(source, [*as_overrides(file, learned, scene), *overrides])
-    stem = source.resolve().parent.name if source.is_dir() else source.stem
+    stem = source.resolve().parent.name if source.is_dir() else stem_of(source)
     files = {name: file for name, file in ((FILE, trained), (IDENTIFIED, identified)) if file is not None}
     return Acting(stem, scene, files)
 

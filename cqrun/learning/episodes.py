@@ -48,6 +48,7 @@ class EpisodeProblem:
         built, params: the agent's scene, and the numbers to learn.
         summands: names of the terms of the loss.
         observations: (T, Z) inputs of the controller, for each episode of the last evaluation.
+        interrupt: called before every rollout; it raises StopAsked if the run was asked to stop.
     """
 
     def __init__(self, agent: Agent, *, threads: int = 1) -> None:
@@ -213,7 +214,11 @@ class EpisodeProblem:
         values = self.values(x)
 
         def task(goal: Goals) -> Callable[[int], Attempt]:
-            return lambda threads: self.attempt(values, goal, threads)
+            def run(threads: int) -> Attempt:
+                self.interrupt()
+                return self.attempt(values, goal, threads)
+
+            return run
 
         with trial(self.params, x):
             attempts = side_by_side([task(goal) for goal in self.goals(None)], self.threads)

@@ -83,6 +83,7 @@ def write_learned(run: RunDirectory, problem: EpisodeProblem, outcome: Outcome) 
         if shown is None:
             raise next(a.error for a in learned if isinstance(a, Lost))
         write_activation(run.path / "activation.csv", problem.built, shown.activation)
+        problem.interrupt()
         rollout = problem.agent.rollout(values, shown.goals, problem.threads)
         unknowns = {path: value for path, value in values.items() if not path.startswith(CONTROLLER)}
         provenance = problem.agent.wanted(shown.goals) | as_found(unknowns)

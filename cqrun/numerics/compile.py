@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -23,7 +24,7 @@ from numba import config, njit
 from numba.core import caching, codegen, types
 from numba.extending import intrinsic, overload
 
-_compiled = partial(njit, cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+_compiled = partial(njit, nogil=True, error_model="numpy", fastmath={"contract"})
 _KERNELS: list[Any] = []
 _OF_ONE_BODY: set[str] = set()
 
@@ -48,21 +49,65 @@ class _OwnHelpers(codegen.JITCodeLibrary):
 codegen.JITCPUCodegen._library_class = _OwnHelpers
 
 
+CACHE_PROBLEMS: dict[str, bool] = {}
+"""What the cache could not do in this process, as sentences, and whether compiled code was lost."""
+
+
 class SharedIndex(caching.IndexDataCacheFile):
     """A kernel's index of compiled versions, which only one process at a time changes.
 
     Numba reads the index, takes the next free number for a file and writes both. Without a lock, two processes that
     compile different versions at the same time take the same number, and one of them later loads the other's code.
+
+    A file that is damaged, or cannot be written, costs time only: the code is compiled again.
     """
 
     def save(self, key: Any, data: Any) -> None:
-        """Add a version."""
-        with Path(f"{self._index_path}.lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            super().save(key, data)
+        """Add a version under its key."""
+        try:
+            with Path(f"{self._index_path}.lock").open("wb") as lock:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX)
+                except OSError:
+                    self._note(
+                        "this file system has no locks, so nothing keeps two processes apart that compile at once: let "
+                        "one end first, or set NUMBA_CACHE_DIR to a folder on a local disk"
+                    )
+                super().save(key, data)
+        except OSError as error:
+            self._note(
+                f"compiled kernels cannot be kept here ({error.strerror}), so the next process compiles them again; "
+                "set NUMBA_CACHE_DIR to another folder",
+                lost=True,
+            )
+
+    def load(self, key: Any) -> Any:
+        """Return the version of a key, or None."""
+        try:
+            return super().load(key)
+        except Exception:  # an incomplete file, as after a power cut, may raise anything
+            return None
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except Exception:
+            return {}
+
+    def _note(self, problem: str, lost: bool = False) -> None:
+        CACHE_PROBLEMS[f"{Path(self._index_path).parent.parent}: {problem}"] = lost
 
 
 caching.IndexDataCacheFile = SharedIndex
+
+
+def _folder_in_cache(cls: type, file: str) -> str:
+    """Return the folder of a source file's kernels, as Numba does, also if the file's path is not UTF-8."""
+    folder = Path(file).absolute().parent
+    return f"{folder.name}_{hashlib.sha1(os.fsencode(folder)).hexdigest()}"
+
+
+caching._CacheLocator.get_suitable_cache_subpath = classmethod(_folder_in_cache)
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -88,16 +133,30 @@ def one_body(function: Callable[..., Any]) -> Any:
 
 
 def _kernel(function: Callable[..., Any], references: bool) -> Any:
-    _KERNELS.append(_compiled(_nrt=references)(function))
-    return _KERNELS[-1]
+    compiled = _compiled(_nrt=references)(function)
+    _KERNELS.append(compiled)
+    _cache(compiled)
+    return compiled
+
+
+def _cache(compiled: Any) -> None:
+    """Keep the versions of a kernel, unless no folder for them can be written."""
+    if config.DISABLE_JIT:
+        return
+    try:
+        compiled.enable_caching()
+    except RuntimeError:
+        CACHE_PROBLEMS[
+            f"{config.CACHE_DIR}: no folder for compiled kernels can be written, so every process compiles them again; "
+            "set NUMBA_CACHE_DIR to one that can"
+        ] = True
 
 
 def cache_kernels_in(folder: Path) -> None:
     """Store compiled code in this folder from now on, also that of kernels that are already defined."""
     config.CACHE_DIR = str(folder)
-    if not config.DISABLE_JIT:
-        for compiled in _KERNELS:
-            compiled.enable_caching()
+    for compiled in _KERNELS:
+        _cache(compiled)
 
 
 def own_symbols(kernel_class: type) -> None:

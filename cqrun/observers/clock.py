@@ -23,7 +23,7 @@ class Clock(Observer):
     period: float | None = quantity(
         "s", "Period of the rhythm; if absent, the clock gives the time", gt=0, default=None
     )
-    harmonics: int = Field(description="Number of harmonics, each a sine and a cosine", ge=1, default=1)
+    harmonics: int = Field(description="Number of harmonics, each a sine and a cosine", ge=1, le=1000, default=1)
     range: Range = Field(
         description="Range that is scaled to [-1, 1]; auto: -1 to 1, or 0 to the run's length without a period",
         default="auto",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.lib import format as numpy_format
 
+from cqrun.disk import replacing
 from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
 from cqrun.plugin.reference import why_unreadable
@@ -23,15 +23,8 @@ LARGEST = 2**30
 
 def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
     """Write arrays to `path`, so that a reader sees the old file or the new one; OSError if that fails."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
 def read_arrays(path: Path, what: str) -> dict[str, Array]:

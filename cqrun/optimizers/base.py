@@ -21,6 +21,15 @@ from cqrun.plugin.contract import Array, Plugin
 Status = Literal["converged", "iteration_limit", "stalled", "infeasible", "failed", "stopped"]
 
 
+NOT_STARTED = -1
+"""Number of the last iteration before the start is evaluated, which is iteration 0."""
+
+
+def asked_to_stop(iteration: int) -> str:
+    """Return the message of a search that was asked to stop, given its last finished iteration."""
+    return "asked to stop " + ("before the first iteration" if iteration < 0 else f"after iteration {iteration}")
+
+
 class TrialFailed(Exception):
     """A trial whose rollout blew up. This is not an error of the run, but a point to avoid.
 

@@ -9,14 +9,16 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from cqrun.errors import MissingExtra
+from cqrun.errors import MissingExtra, StopAsked
 from cqrun.optimizers.base import (
+    NOT_STARTED,
     Optimizer,
     Outcome,
     Problem,
     Session,
     Status,
     TrialFailed,
+    asked_to_stop,
     one_blas_thread,
     require_finite,
     values_at,
@@ -42,7 +44,9 @@ class CmaEs(Optimizer):
 
     gradients: ClassVar[bool] = False
     max_iterations: int = Field(100, ge=1, description="maximum number of generations")
-    population: int | None = Field(None, ge=4, description="number of trials in a generation; 4 + 3 ln n if absent")
+    population: int | None = Field(
+        None, ge=4, le=10_000, description="number of trials in a generation; 4 + 3 ln n if absent"
+    )
     sigma: float = Field(0.3, gt=0, description="standard deviation of the first generation, in scaled coordinates")
     function_tolerance: float = Field(
         1e-11, ge=0, description="converged when the losses of recent generations differ by less"
@@ -104,24 +108,30 @@ class _Search:
         self.method, self.problem, self.session, self.strategy = method, problem, session, strategy
         self.generation = self.failures = 0
         self.best_x, self.best_loss = start, np.inf
+        self.started = False
 
     def run(self) -> Outcome:
         """Evaluate the start, then generation after generation."""
-        if self.session.should_stop():
-            return self._outcome("stopped", "asked to stop before the start")
+        try:
+            return self._search()
+        except StopAsked:
+            return self._outcome("stopped", asked_to_stop(self.generation if self.started else NOT_STARTED))
+
+    def _search(self) -> Outcome:
+        self._check()
         try:
             answer = self.session.evaluate("value", self.best_x, self._at_start)
         except TrialFailed as failure:
             return self._outcome("failed", f"the start itself fails: {failure}")
         self._record(self.best_x, float(answer["f"]))
+        self.started = True
         while True:
             if reasons := self.strategy.stop():
                 status: Status = "converged" if set(reasons) <= CONVERGED else "stalled"
                 return self._outcome(status, f"CMA-ES: {_listed(reasons.items())}")
             if self.generation >= self.method.max_iterations:
                 return self._outcome("iteration_limit", f"{self.generation} generations, the limit")
-            if self.session.should_stop():
-                return self._outcome("stopped", f"asked to stop after generation {self.generation}")
+            self._check()
             points = np.array(self.strategy.ask())
             losses = self.session.evaluate("values", points, partial(self._at, points))["f"]
             if np.isfinite(losses).any():
@@ -133,6 +143,10 @@ class _Search:
                 self.failures += 1
                 self.strategy.sigma *= 0.5
                 self.session.note(f"every trial of generation {self.generation + 1} failed: sigma halved")
+
+    def _check(self) -> None:
+        if self.session.should_stop():
+            raise StopAsked
 
     def _advance(self, points: Array, losses: Array) -> None:
         """Give a generation (population, n) and its losses (population,), inf for failed trials, to the strategy."""

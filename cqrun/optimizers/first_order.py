@@ -14,14 +14,24 @@ from typing import final
 import numpy as np
 from pydantic import Field
 
-from cqrun.optimizers.base import Optimizer, Outcome, Problem, Session, Status, TrialFailed, one_blas_thread
+from cqrun.errors import StopAsked
+from cqrun.optimizers.base import (
+    NOT_STARTED,
+    Optimizer,
+    Outcome,
+    Problem,
+    Session,
+    Status,
+    TrialFailed,
+    asked_to_stop,
+    one_blas_thread,
+)
 from cqrun.plugin.contract import Array
 
 HALVINGS = 5
 """How many times in a row a failed trial halves the step before the run fails."""
 
 MEMORY = "memory."
-NOT_STARTED = -1
 
 
 @dataclass(frozen=True)
@@ -178,9 +188,11 @@ class FirstOrder(Optimizer):
             if state.iteration >= self.max_iterations:
                 return self._outcome(state, "iteration_limit", f"{self.max_iterations} iterations, the limit")
             if session.should_stop():
-                return self._outcome(state, "stopped", f"asked to stop after iteration {state.iteration}")
+                return self._outcome(state, "stopped", asked_to_stop(state.iteration))
             try:
                 state, terms = self._advance(state, problem, merit)
+            except StopAsked:
+                return self._outcome(state, "stopped", asked_to_stop(state.iteration))
             except TrialFailed as failure:
                 session.note(f"iteration {state.iteration + 1}: failed trial: {failure}")
                 if state.iteration == NOT_STARTED:

@@ -24,14 +24,14 @@ class Lbfgs(Replayed):
     """
 
     max_iterations: int = Field(100, ge=1, description="maximum number of iterations")
-    memory: int = Field(10, ge=1, description="number of pairs (s, y) for the inverse Hessian")
+    memory: int = Field(10, ge=1, le=1000, description="number of pairs (s, y) for the inverse Hessian")
     function_tolerance: float = Field(
         1e-10, ge=0, description="converged when an iteration reduces the loss by less than this part of it"
     )
     gradient_tolerance: float = Field(
         1e-8, ge=0, description="converged when no component of the projected gradient is larger"
     )
-    line_search_steps: int = Field(20, ge=1, description="maximum number of trials in a line search")
+    line_search_steps: int = Field(20, ge=1, le=1000, description="maximum number of trials in a line search")
 
     def attempt(self, trials: Trials, x: Array, lower: Array, upper: Array) -> tuple[Status, str]:
         """Run scipy's method once."""

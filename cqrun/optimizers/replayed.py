@@ -13,13 +13,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cqrun.errors import StopAsked
 from cqrun.optimizers.base import (
+    NOT_STARTED,
     Optimizer,
     Outcome,
     Problem,
     Session,
     Status,
     TrialFailed,
+    asked_to_stop,
     checked_value_and_grad,
     one_blas_thread,
     refuse_stochastic,
@@ -135,10 +138,16 @@ class Trials:
 
     def _request(self, kind: str, x: Array, compute: Callable[[], dict[str, Array]]) -> dict[str, Array]:
         if self.session.should_stop():
-            raise Halt("stopped", f"asked to stop in iteration {self.iteration + 1}")
+            raise self._stopped()
         self._last_x = x.copy()
         self.requests += 1
-        return self.session.evaluate(kind, x, compute)
+        try:
+            return self.session.evaluate(kind, x, compute)
+        except StopAsked:
+            raise self._stopped() from None
+
+    def _stopped(self) -> Halt:
+        return Halt("stopped", asked_to_stop(self.iteration if self._started else NOT_STARTED))
 
     def _note_best(self, x: Array, loss: float) -> None:
         if loss < self.best_loss:

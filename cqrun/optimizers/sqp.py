@@ -55,7 +55,7 @@ class Sqp(TwoSearches):
     It first searches for a point that meets the constraints, without the objective, and then minimises the objective.
     """
 
-    memory: int = Field(20, ge=1, description="number of recent steps that determine the curvature")
+    memory: int = Field(20, ge=1, le=1000, description="number of recent steps that determine the curvature")
     radius: float = Field(0.25, gt=0, description="initial limit of an unknown's step, in its scaled range")
 
     def search(

@@ -6,6 +6,7 @@ A plug-in is a pydantic model. Its fields are its YAML keys, and its docstring i
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -39,7 +40,7 @@ class Spec(BaseModel):
 
     def path_of(self, file: str) -> Path:
         """Return the path of a file that one of its fields names."""
-        return self._folder / file
+        return from_folder(self._folder, file)
 
     @model_validator(mode="wrap")
     @classmethod
@@ -70,6 +71,11 @@ class Spec(BaseModel):
             if is_vector(type(self), name) and isinstance(value, list) and len(value) != dim:
                 problems.append(((name,), f"must have {dim} entries in this {dim}D world, has {len(value)}"))
         return problems
+
+
+def from_folder(folder: Path, file: str) -> Path:
+    """Return where a file is that is named from a folder on, absolutely or from the user's home (`~`)."""
+    return folder / os.path.expanduser(file)  # noqa: PTH111 (that of Path fails where there is no such user)
 
 
 class Plugin(Spec):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cqrun.build.limits import rounded_away
 from cqrun.build.model import Built
 from cqrun.engine.model import Inputs
 from cqrun.plugin.contract import Array
@@ -21,6 +22,17 @@ def report_bodies(built: Built, run: RunDirectory, talk: Reporter, inputs: Input
         text = f"{name}: {made_of(built, name, inputs)}; {lies(built, name, inputs)} of {size} m"
         talk.say(text)
         run.log(text)
+    if rounding := rounding_of(built):
+        talk.say(rounding)
+        run.log(rounding)
+
+
+def rounding_of(built: Built) -> str:
+    """Return what the precision of the engine leaves of slow motion; nothing to say of float64."""
+    if built.model.real is not np.float32:
+        return ""
+    least = number(rounded_away(built.model.size, built.model.dt))
+    return f"float32 loses motion slower than about {least} m/s: less than a position's last bit"
 
 
 def made_of(built: Built, name: str, inputs: Inputs | None = None) -> str:

@@ -98,6 +98,11 @@ def run_fleet(members: Sequence[Member], at_once: int, what: str, reporter: Repo
         what: what the members are called, such as `seeds`.
         reporter: receives the progress, failures and warnings.
     """
+    with reporter.stop.deferred():
+        _run_all(members, at_once, what, reporter)
+
+
+def _run_all(members: Sequence[Member], at_once: int, what: str, reporter: Reporter) -> None:
     waiting, running, announced, stopping = list(members), list[Member](), set[str](), False
     try:
         while waiting or running:
@@ -129,7 +134,7 @@ def run_fleet(members: Sequence[Member], at_once: int, what: str, reporter: Repo
                 _report_progress(members, running, waiting, what, reporter)
             if running or waiting:
                 time.sleep(POLL_INTERVAL)
-    finally:  # after a second Ctrl-C, or an error here
+    finally:  # after a second signal, or an error here
         for member in running:
             member.kill()
 

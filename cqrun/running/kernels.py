@@ -20,7 +20,11 @@ from cqrun.engine.model import LossBar
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError
 from cqrun.fingerprint import set_kernel_cache
+from cqrun.numerics.compile import CACHE_PROBLEMS
 from cqrun.running.reporter import Reporter
+
+LASTS = {False: "up to half a minute", True: "one to two minutes"}
+"""How long compiling takes on one core, with and without the adjoint."""
 
 
 def composition(built: Built, *, adjoint: bool) -> str:
@@ -63,13 +67,16 @@ def compile_kernels(scenes: Sequence[Built], reporter: Reporter, *, adjoint: boo
     begin = time.perf_counter()
     for words, built in {composition(built, adjoint=adjoint): built for built in scenes}.items():
         if not mark_of(words).exists():
-            reporter.phase(f"compiling kernels (once for scenes of this kind: {words})")
+            reporter.phase(f"compiling kernels, {LASTS[adjoint]} (once for scenes of this kind: {words})")
         try:
-            _one_substep(built, adjoint)
+            with reporter.stop.deferred(False):  # nothing is lost, and it may take minutes
+                _one_substep(built, adjoint)
         except RolloutError:
             continue  # the job fails at its first step as well, and reports it with its values
-        for compiled in {words, composition(built, adjoint=False)}:
+        for compiled in {words, composition(built, adjoint=False)} if not any(CACHE_PROBLEMS.values()) else ():
             _write_mark(compiled)
+    while CACHE_PROBLEMS:
+        reporter.warn(CACHE_PROBLEMS.popitem()[0])
     return time.perf_counter() - begin
 
 
@@ -91,4 +98,4 @@ def _write_mark(words: str) -> None:
     if not config.DISABLE_JIT and not mark.exists():
         with contextlib.suppress(OSError):
             mark.parent.mkdir(parents=True, exist_ok=True)
-            mark.write_text(words + "\n")
+            mark.write_text(words + "\n", encoding="utf-8")

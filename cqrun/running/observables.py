@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.build.model import Built
+from cqrun.disk import open_file
 from cqrun.engine.model import Inputs
 from cqrun.observers.fracture import Fracture
 from cqrun.state import State
@@ -58,7 +59,7 @@ class Observables:
         self.least_volume_ratio = dict.fromkeys(self._bodies, np.inf)
         self.last: dict[str, dict[str, float]] = {}
         with disk_errors(path):
-            self._file = path.open("w", newline="", encoding="utf-8")
+            self._file = open_file(path, "w", newline="", encoding="utf-8")
         self._table = csv.writer(self._file, lineterminator="\n")
 
     def record(self, control: int, state: State) -> None:

@@ -7,33 +7,37 @@ line, and Python callers get `Silent`.
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType, TracebackType
 from typing import Any, Protocol
 
-from cqrun.errors import Stopped
+from cqrun.errors import StopAsked, StopNow, Stopped
 
 EXIT_INTERRUPTED = 130
 """Exit code after Ctrl-C, the same as in shells."""
 
+ABORTED = "aborted; the same command continues from what was kept"
+
 
 class StopFlag:
-    """A flag that the first SIGINT or SIGTERM sets; a job checks it after each iteration.
+    """A request to stop, by SIGINT, SIGTERM or `ask`.
 
-    As a context manager it handles both signals: the first asks the job to finish its iteration and write a checkpoint,
-    the second raises KeyboardInterrupt at once. Outside a context no signal sets the flag, only `ask` does.
+    As a context manager it handles both signals: each raises StopNow at once. Inside `deferred()` the first one only
+    sets the flag, which the work asks for between two rollouts, and the second raises StopNow.
 
-        if reporter.stop.asked:
-            checkpoint()
-            raise reporter.stop.stopped("stopped after iteration 7; `cqrun resume RUN` continues")
+        with reporter.stop.deferred():
+            for rollout in rollouts:
+                reporter.stop.check()
 
     Args:
-        announce: called with one sentence when the first signal arrives.
+        announce: called with one sentence when the first signal arrives and is deferred.
     """
 
     def __init__(self, announce: Callable[[str], None] | None = None) -> None:
         self._announce = announce
         self._signal: int | None = None
+        self._deferred = False
         self._previous: dict[int, Any] = {}
 
     @property
@@ -50,11 +54,27 @@ class StopFlag:
         """Ask the job to stop, as the signal `signum` does."""
         self._signal = signum
 
+    def check(self) -> None:
+        """Raise StopAsked if the job should stop."""
+        if self.asked:
+            raise StopAsked
+
     def stopped(self, message: str) -> Stopped:
         """Return the error that a job raises after its checkpoint; its exit code fits the signal."""
         error = Stopped(message)
         error.exit_code = self.exit_code
         return error
+
+    @contextmanager
+    def deferred(self, deferred: bool = True) -> Iterator[None]:
+        """Let the work inside end by itself when it is asked to stop; with False, end it at once again."""
+        before, self._deferred = self._deferred, deferred
+        try:
+            if not deferred:
+                self.check()
+            yield
+        finally:
+            self._deferred = before
 
     def __enter__(self) -> StopFlag:
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -69,11 +89,13 @@ class StopFlag:
         self._previous.clear()
 
     def _receive(self, signum: int, frame: FrameType | None) -> None:
-        if self.asked:
-            raise KeyboardInterrupt
+        first = not self.asked
         self.ask(signum)
+        if not (first and self._deferred):
+            raise StopNow("" if first else ABORTED)
         if self._announce is not None:
-            self._announce("finishing this iteration, then stopping (once more: abort now)")
+            with suppress(RuntimeError):  # the signal came while the same stream was written to
+                self._announce("stopping after the rollout at hand (once more: abort now)")
 
 
 class Reporter(Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ from cqrun.scene.keypath import joined
 from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.schema import Scene
 from cqrun.store.history import read_history
-from cqrun.store.run import RunDirectory, RunScene, read_record
+from cqrun.store.run import SCENE, RunDirectory, read_record, read_scene
+from cqrun.store.run_scene import RunScene
 
 EXTENDED = "`cqrun resume` has given it more iterations than this scene has"
 """The warning if a command asks for the original scene of an extended run."""
@@ -74,7 +75,8 @@ def run_scene(
     """
     read = {**part_files(scene), **(data_files(scene) if with_data else {}), **(files or {})}
     base = str(scene.resolve_path("").resolve())
-    return RunScene(stem, dump(resolve(scene)), scene.text, read, base, job, scene.plugin_paths())
+    tables = () if scene.data is None else tuple(m.table_file() for m in scene.data.measurements)
+    return RunScene(stem, dump(resolve(scene)), scene.text, read, base, job, scene.plugin_paths(), tables)
 
 
 def part_files(scene: Scene) -> dict[str, Path]:
@@ -98,6 +100,16 @@ def data_files(scene: Scene) -> dict[str, Path]:
     return files_by_name(scene, of_data=True)
 
 
+def kept_scene(folder: Path, record: Mapping[str, Any], overrides: Sequence[str] = ()) -> Scene:
+    """Return the scene in the folder of a run, which names its files from where the run began.
+
+    Raises:
+        UsageError: it is missing or damaged. SceneError: this version cannot read it.
+    """
+    read_scene(folder, record)
+    return load_scene(folder / SCENE, overrides, Path(str(record.get("base", ""))))
+
+
 def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
     """Return the scene in a run directory; its relative paths start at the folder of the original scene.
 
@@ -109,7 +121,7 @@ def saved_scene(run: RunDirectory, overrides: Sequence[str] = ()) -> Scene:
             f"{run.path}: the folder's name does not match its scene: the folder was renamed, or its scene.yaml has "
             "changed since the run began; restore the name, or run the scene again"
         )
-    scene = load_scene(run.path / "scene.yaml", overrides, Path(run.record["base"]))
+    scene = kept_scene(run.path, run.record, overrides)
     _require_as_begun(run.path, run.record, part_files(scene))
     return scene
 
@@ -126,7 +138,7 @@ def scene_in(folder: Path, overrides: Sequence[str] = (), *, with_data: bool = F
         UsageError: there is no run, or a file that its scene uses has changed since.
     """
     record = read_record(folder)
-    scene = load_scene(folder / "scene.yaml", overrides, Path(str(record.get("base", ""))))
+    scene = kept_scene(folder, record, overrides)
     data = files_by_name(scene, of_data=True) if with_data else {}
     _require_as_begun(folder, record, part_files(scene) | data)
     return scene
@@ -158,16 +170,6 @@ def finished_already(run: RunDirectory, talk: Reporter, *, asked_by_scene: bool 
     if asked_by_scene and run.record.get("extended"):
         talk.warn(f"{run.path}: {EXTENDED}{over}")
     return run.finished
-
-
-def stopping(run: RunDirectory, talk: Reporter) -> Callable[[], None]:
-    """Return a function that raises Stopped if the run is asked to stop after its optimizer has ended."""
-
-    def interrupt() -> None:
-        if talk.stop.asked:
-            raise talk.stop.stopped(f"stopped before the results were written; `cqrun resume {run.path}` continues")
-
-    return interrupt
 
 
 def refuse_overrides(run: RunDirectory, overrides: Sequence[str]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,19 @@ class Loss:
     value: Callable[[Array], float]
     value_and_grad: Callable[[Array], tuple[float, Array]]
     scale: float
+
+    def interrupted_by(self, interrupt: Callable[[], None]) -> Loss:
+        """Return the same function, which calls `interrupt` before every evaluation."""
+
+        def value(x: Array) -> float:
+            interrupt()
+            return self.value(x)
+
+        def value_and_grad(x: Array) -> tuple[float, Array]:
+            interrupt()
+            return self.value_and_grad(x)
+
+        return replace(self, value=value, value_and_grad=value_and_grad)
 
 
 def state_loss(built: Built, threads: int) -> Loss:

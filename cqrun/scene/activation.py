@@ -16,7 +16,7 @@ from cqrun.scene.fields import Name, Seed
 class RandomActivation(Spec):
     """Random sequences of knots, for synthetic data."""
 
-    sequences: int = Field(description="Number of sequences", ge=1)
+    sequences: int = Field(description="Number of sequences", ge=1, le=10_000)
     knots: int = Field(description="Knots per sequence, spread evenly over the run", ge=1)
     low: float = quantity("1", "Smallest activation", default=0.0)
     high: float = quantity("1", "Largest activation", default=1.0)

@@ -14,12 +14,17 @@ from typing import Any
 
 import yaml
 
+from cqrun.characters import instead_of, lookalikes
 from cqrun.errors import Problem, SceneError
-from cqrun.explain import Loc
+from cqrun.explain import Loc, shown
 
-MAX_CHARACTERS = 4_000_000
+MAX_CHARACTERS = 500_000
+"""Longer texts take half a minute to read; a scene names files for what is that long."""
+
 MAX_ALIASED_NODES = 100_000
 MAX_DEPTH = 100
+MAX_DIGITS = 400
+"""More than any number has that a machine holds; Python takes long to read longer ones."""
 
 _RESOLVERS = [
     ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
@@ -126,20 +131,19 @@ def read(text: str, name: str = "scene") -> Document:
         SceneError: wrong syntax, duplicate keys, tags, or too many repeated aliases; with `name:line:column`.
     """
     if len(text) > MAX_CHARACTERS:
-        message = f"has {len(text)} characters; a scene has at most {MAX_CHARACTERS}"
-        raise SceneError([Problem(f"{name}:1:1", "", message)])
+        raise SceneError([Problem(f"{name}:1:1", "", too_long(f"{len(text)} characters"))])
     try:
         node = yaml.compose(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
         reason = ", ".join(part for part in (error.context, error.problem) if part)
-        raise SceneError([Problem(place, "", f"this is not YAML: {reason}")]) from None
+        cause = _strange_character(text, mark.line) if mark else ""
+        raise SceneError([Problem(place, "", f"this is not YAML: {reason}{cause}")]) from None
     except yaml.reader.ReaderError as error:
-        line = text.count("\n", 0, error.position) + 1
-        column = error.position - text.rfind("\n", 0, error.position)
-        message = f"this is not YAML: the character {error.character!r} is not allowed"
-        raise SceneError([Problem(f"{name}:{line}:{column}", "", message)]) from None
+        place = f"{name}:{place_of(text, error.position)}"
+        message = f"this is not YAML: the character U+{ord(text[error.position]):04X} is not allowed: remove it"
+        raise SceneError([Problem(place, "", message)]) from None
     except RecursionError:
         raise SceneError([Problem(f"{name}:{_deep_place(text)}", "", _too_deep())]) from None
     if node is None:
@@ -149,6 +153,26 @@ def read(text: str, name: str = "scene") -> Document:
     if builder.problems:
         raise SceneError(builder.problems)
     return Document(data, name, node)
+
+
+def too_long(size: str) -> str:
+    """Return what is wrong with a text of a size."""
+    return f"has {size}; a scene has at most {MAX_CHARACTERS:,} characters: give long data in files that it names"
+
+
+def place_of(text: str, position: int) -> str:
+    """Return `line:column`, counted from 1, of a position in a text."""
+    return f"{text.count(chr(10), 0, position) + 1}:{position - text.rfind(chr(10), 0, position)}"
+
+
+def _strange_character(text: str, line: int) -> str:
+    """Return the first character that YAML takes for another than eyes do, in a line or in the one before it."""
+    lines = text.split("\n")[: line + 1]
+    near = [k for k, content in enumerate(lines) if content.strip()][-2:]
+    for k in reversed(near):
+        for column, description in lookalikes(re.sub(r"(^|\s)#.*", "", lines[k])):
+            return f"; line {k + 1} has {description} in column {column + 1}"
+    return ""
 
 
 def _too_deep() -> str:
@@ -214,6 +238,9 @@ class _Builder:
                 self._report(key_node, loc, "a key must be text")
                 continue
             key = str(key_node.value)
+            if fault := _fault_of_key(key_node):
+                self._report(key_node, loc, fault)
+                continue
             if key in data:
                 first = f"the first is in line {lines[key]}"
                 self._report(key_node, (*loc, key), f"this key is here twice; {first}; keep one")
@@ -232,7 +259,22 @@ class _Builder:
         raise SceneError(self.problems)
 
 
+def _fault_of_key(node: yaml.ScalarNode) -> str:
+    """Return what is wrong with a key that means something else than it looks like, or an empty text."""
+    if node.style is not None:  # quoted
+        return ""
+    if node.value == "<<":
+        return "merge keys (`<<`) are not part of YAML 1.2: write the keys out, or repeat a whole part (`*name`)"
+    for column, description in lookalikes(node.value):
+        if instead_of(node.value[column]) in ("", " ", ":", ","):
+            at = node.start_mark.column + column + 1
+            return f"the key {shown(node.value)} has {description} in column {at}"
+    return ""
+
+
 def _int(text: str) -> int:
+    if len(text) > MAX_DIGITS:
+        raise ValueError(f"it has {len(text):,} digits")
     return int(text, 0) if text.startswith(("0o", "0x")) else int(text)
 
 

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from cqrun.errors import Problem
 from cqrun.explain import KEY, Loc, cut
+from cqrun.plugin.contract import from_folder
 from cqrun.scene.document import Document
 from cqrun.scene.keypath import joined, locate
 
@@ -55,8 +56,8 @@ class Origin:
         return override.where if override is not None else self.document.where(loc)
 
     def path_of(self, file: str) -> Path:
-        """Return the path of a file that the scene names."""
-        return (self.base or (self.source.parent if self.source else Path())) / file
+        """Return the path of a file that the scene names; `~` is the user's home."""
+        return from_folder(self.base or (self.source.parent if self.source else Path()), file)
 
     def plugin_paths(self, names: Iterable[str]) -> list[Path]:
         """Return the paths of plug-in files: the copies in a run directory, or the files that the scene names."""

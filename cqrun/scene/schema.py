@@ -13,6 +13,7 @@ from cqrun.plugin.contract import Plugin
 from cqrun.plugin.reference import NamesFile
 from cqrun.scene.defaults import with_defaults
 from cqrun.scene.origin import Origin
+from cqrun.scene.plain_data import impossible_data, one_line
 from cqrun.scene.references import findings_between
 from cqrun.scene.sections import Sections
 from cqrun.scene.walk import marked
@@ -60,6 +61,10 @@ class Scene(Sections):
     @model_validator(mode="before")
     @classmethod
     def _fill_in(cls, data: Any) -> Any:
+        if isinstance(data, dict) and isinstance(data.get("title"), str):
+            data = {**data, "title": one_line(data["title"])}
+        if findings := list(impossible_data(data)):
+            raise complaint("Scene", findings)
         return with_defaults(data)
 
     @model_validator(mode="after")

@@ -10,8 +10,9 @@ import json
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+from cqrun import disk
 from cqrun.errors import CqrunError, RunError, UsageError
 
 FULL = {errno.ENOSPC, errno.EDQUOT}
@@ -23,8 +24,8 @@ def disk_error(error: OSError, path: Path) -> CqrunError:
     """Return the error that explains `error` on `path`, and what to do about it."""
     if error.errno in FULL:
         return RunError(
-            f"{path}: the disk is full; nothing written before is lost. "
-            "Free some space, then `cqrun resume` the run, or choose another disk with --out"
+            f"{path}: the disk is full; nothing written before is lost. Free some space and give the same command "
+            "again, or choose another disk with --out"
         )
     if error.errno in REFUSED:
         return UsageError(f"{path}: cannot be written ({error.strerror}); choose another place with --out")
@@ -65,10 +66,11 @@ def require_room(path: Path, size: int) -> None:
     """
     if not hasattr(os, "posix_fallocate"):
         return
-    trial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    trial = disk.temporary_of(path)
     with disk_errors(path):
         try:
-            with trial.open("wb") as file:
+            disk.make_empty(trial)
+            with trial.open("r+b") as file:
                 os.posix_fallocate(file.fileno(), 0, max(size, 1))
         finally:
             trial.unlink(missing_ok=True)
@@ -76,26 +78,14 @@ def require_room(path: Path, size: int) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path to write to; when the block ends without an error, its file replaces `path`.
-
-    A reader sees either the complete old file or the complete new one, even after a crash. A block that fails leaves no
-    file.
+    """Yield an empty temporary file to write to, which then replaces `path`, completely or not at all.
 
     Raises:
         UsageError: the directory cannot be written to.
         RunError: the disk is full, or failed.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with disk_errors(path):
-        try:
-            yield temporary
-            with temporary.open("rb") as file:
-                os.fsync(file.fileno())
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-        sync_directory(path.parent)
+    with disk_errors(path), disk.replacing(path) as temporary:
+        yield temporary
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -105,8 +95,8 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write `text` to `path` as UTF-8; see `write_bytes`."""
-    write_bytes(path, text.encode())
+    """Write `text` to `path` as UTF-8; bytes of file names that are none become `\\udcXX`. See `write_bytes`."""
+    write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def write_table(path: Path, rows: Iterable[Iterable[object]]) -> None:
@@ -125,7 +115,7 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
 
 
-def append_durably(file: io.FileIO, data: bytes) -> None:
+def append_durably(file: IO[bytes], data: bytes) -> None:
     """Write all of `data` at the position of an unbuffered file, and wait until it is on disk.
 
     The file must be unbuffered, because after an error on a full disk a buffer would be written again on closing.
@@ -134,15 +124,3 @@ def append_durably(file: io.FileIO, data: bytes) -> None:
     while rest:
         rest = rest[file.write(rest) :]
     os.fsync(file.fileno())
-
-
-def sync_directory(directory: Path) -> None:
-    """Make a rename or a new file in `directory` durable, even after a power cut."""
-    handle = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    except OSError as error:
-        if error.errno != errno.EINVAL:  # a file system that cannot sync a directory does not need it
-            raise
-    finally:
-        os.close(handle)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cqrun.disk import require_ordinary
 from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
 from cqrun.store.hdf5 import UNREADABLE, numbers, require_sound_heaps, text
@@ -47,6 +48,7 @@ class Frames:
         if not self.path.exists():
             raise UsageError(f"{path}: no such trajectory")
         self._checked: dict[str, h5py.Dataset] = {}
+        require_ordinary(self.path)
         with self._reading():
             require_sound_heaps(self.path)
             self._file = h5py.File(self.path, "r", locking=False)  # also while a writer has it open
@@ -109,7 +111,7 @@ class Frames:
         try:
             yield
         except UNREADABLE as error:
-            raise UsageError(f"{self.path}: not a cqrun trajectory, or truncated ({error})") from error
+            raise UsageError(f"{self.path}: not a cqrun trajectory, or damaged ({error})") from error
 
 
 def _require_room(data: h5py.Dataset, shape: tuple[int, ...]) -> None:

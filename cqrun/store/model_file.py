@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,8 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from cqrun.errors import UsageError
 from cqrun.explain import in_words, shown
+from cqrun.store.atomic import write_text
 
 T = TypeVar("T")
+
+NOT_UTF8, ESCAPED = re.compile("[\udc80-\udcff]"), re.compile(r"\\x([89a-f][0-9a-f])")
 
 
 class Part(BaseModel):
@@ -24,6 +28,21 @@ class Part(BaseModel):
 def optional() -> Any:
     """Return a field that may be None; its key is then omitted from the file."""
     return Field(default=None, exclude_if=lambda value: value is None)
+
+
+def write_model(file: Path, model: BaseModel) -> None:
+    """Write a model. Bytes of file names that are not UTF-8, which JSON cannot have, are written as `\\xe9`.
+
+    Raises:
+        ValueError: a number is not finite. UsageError, RunError: the file cannot be written.
+    """
+    text = json.dumps(model.model_dump(), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    write_text(file, NOT_UTF8.sub(lambda sign: rf"\\x{ord(sign[0]) - 0xDC00:02x}", text))
+
+
+def path_of(text: str) -> Path:
+    """Return the path that such a file names."""
+    return Path(ESCAPED.sub(lambda sign: chr(0xDC00 + int(sign[1], 16)), text))
 
 
 def read_model(file: Path, model: TypeAdapter[T]) -> T:

@@ -22,10 +22,11 @@ from pathlib import Path
 
 import numpy as np
 
+from cqrun.disk import open_file, sync_directory
 from cqrun.errors import UsageError
 from cqrun.optimizers.base import TrialFailed
 from cqrun.plugin.contract import Array
-from cqrun.store.atomic import append_durably, disk_errors, sync_directory
+from cqrun.store.atomic import append_durably, disk_errors
 
 MAGIC = b"CQREPLAY" + struct.pack("<I", 1)
 FRAME = struct.Struct("<II")
@@ -62,7 +63,7 @@ class ReplayLog:
         self.replayed = self.computed = 0
         with disk_errors(path):
             fresh = not path.exists() or path.stat().st_size < len(MAGIC)
-            self._file = path.open("w+b" if fresh else "r+b", buffering=0)
+            self._file = open_file(path, "w+b" if fresh else "r+b", buffering=0)
             if fresh:
                 append_durably(self._file, MAGIC)
                 sync_directory(path.parent)

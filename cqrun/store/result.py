@@ -11,8 +11,7 @@ from typing import Annotated, ClassVar, Literal, TypeVar, get_args
 from pydantic import ConfigDict, Field, TypeAdapter
 
 from cqrun.errors import UsageError
-from cqrun.store.atomic import write_json
-from cqrun.store.model_file import Part, optional, read_model
+from cqrun.store.model_file import Part, optional, read_model, write_model
 
 RESULT, GRADCHECK = "result.json", "gradcheck.json"
 
@@ -275,7 +274,7 @@ def write_result(run: Path, result: Result) -> None:
     Raises:
         ValueError: a number is not finite. UsageError, RunError: the file cannot be written.
     """
-    write_json(run / result.file, result.model_dump())
+    write_model(run / result.file, result)
 
 
 def read_result(run: Path) -> Result | None:

@@ -6,6 +6,7 @@ results/<scene's stem>/<12 hex>/
   run.json              status, provenance       result.json    the result
   log.txt               events by phase          figures/       lock
   plugins/              copies of plug-in files  trajectory.h5  the motion
+  synthetic/            data that the run made
 Jobs add controller.npz, activation.csv, observables.csv (learned.py, simulate.py), tracks.csv (findings.py) and design/
 (export.py).
 """
@@ -14,72 +15,39 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
+import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from cqrun.errors import CqrunError, UsageError
+from cqrun.characters import harmless
+from cqrun.disk import open_file
+from cqrun.errors import CqrunError, StopNow, UsageError
+from cqrun.explain import listed, shown
 from cqrun.fingerprint import engine_hash
 from cqrun.scene.origin import PLUGINS
-from cqrun.store.atomic import disk_errors, make_directory, write_bytes, write_json, write_text
+from cqrun.store.atomic import disk_errors, write_bytes, write_json, write_text
+from cqrun.store.folder import RECORD, clear, make_below, remove_temporary_files, require_own
 from cqrun.store.history import History
 from cqrun.store.lock import DirectoryLock
 from cqrun.store.provenance import git_state, versions
 from cqrun.store.replay import ReplayLog
+from cqrun.store.run_scene import RunScene, digest_of, hash_of
 from cqrun.store.snapshots import Snapshots
 
 NEW, RUNNING, STOPPED = "new", "running", "stopped"
 FINISHED = ("done", "converged", "iteration_limit", "stalled", "infeasible", "failed")
-RECORD = "run.json"
+SCENE = "scene.yaml"
 
+KINDS: dict[str, type | tuple[type, ...]] = {
+    "seconds": (int, float), "job": str, "base": str, "files": dict, "plugins": dict, "versions": dict,
+    "extended": list, "scenes": list, "reason": (str, type(None)),
+}  # fmt: skip
+"""What an entry of run.json must be, if it is there."""
 
-@dataclass(frozen=True)
-class RunScene:
-    """The inputs of a run, which determine its name.
-
-    Args:
-        stem: name of the scene file without its suffix.
-        resolved: the resolved scene as YAML text.
-        original: the scene as typed.
-        files: every file that the scene names, by the name in the scene.
-        base: folder to which these names are relative; a resumed run looks for them there.
-        job: the job, such as `sysid`; a scene has a separate run for each job.
-        plugins: the plug-in files of the scene, by the name in the scene; the run keeps copies.
-    """
-
-    stem: str
-    resolved: str
-    original: str
-    files: Mapping[str, Path] = field(default_factory=dict)
-    base: str = ""
-    job: str = "sysid"
-    plugins: Mapping[str, Path] = field(default_factory=dict)
-
-    def digest(self) -> str:
-        """Return 12 hex digits over the job, the resolved scene and the contents of its files.
-
-        Raises:
-            UsageError: a file cannot be read.
-        """
-        return _digest(self.job, self.resolved, self.contents())
-
-    def contents(self) -> dict[str, str]:
-        """Return the sha256 of every file, by name.
-
-        Raises:
-            UsageError: a file cannot be read.
-        """
-        hashes = {}
-        for name, path in sorted({**self.files, **self.plugins}.items()):
-            try:
-                hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
-            except OSError as error:
-                raise UsageError(f"{path}: cannot be read ({error.strerror}); the scene names it") from error
-        return hashes
+DIGEST = re.compile("[0-9a-f]{64}")
 
 
 class RunDirectory:
@@ -121,11 +89,12 @@ class RunDirectory:
             fresh: delete an existing run and start over.
 
         Raises:
-            UsageError: another process has locked the run, another engine made it, or it cannot be written.
+            UsageError: another process has locked the run, another engine made it, it cannot be written, or something
+                lies there that cqrun did not write.
             RunError: the disk is full.
         """
-        path = out / scene.stem / scene.digest()
-        make_directory(path)
+        path = make_below(out, scene.stem, scene.digest())
+        require_own(path)
         run = cls(path, DirectoryLock(path))
         try:
             if fresh or not (path / RECORD).exists():
@@ -164,9 +133,16 @@ class RunDirectory:
         return self.status in FINISHED
 
     @property
+    def warning(self) -> str | None:
+        """What the user should know about the place where the run is, or None."""
+        if self._lock.works:
+            return None
+        return f"{self.path}: this file system has no locks, so nothing keeps a second process away: run only one"
+
+    @property
     def resolved(self) -> str:
-        """The text of the resolved scene."""
-        return (self.path / "scene.yaml").read_text()
+        """The text of the resolved scene; UsageError if it is missing or damaged."""
+        return read_scene(self.path, self.record)
 
     def elapsed(self) -> float:
         """Return the time spent on this run, including earlier processes [s]."""
@@ -193,22 +169,22 @@ class RunDirectory:
         """Continue with a changed scene, for example with more iterations; the run keeps its name."""
         self.record["extended"] = [*self.record.get("extended", []), list(overrides)]
         # if the process is killed before the last line, the run has one of these two scenes
-        self.record["scenes"] = [_hash_of(text) for text in (self.resolved, resolved)]
+        self.record["scenes"] = [hash_of(text) for text in (self.resolved, resolved)]
         self.log("extended: " + " ".join(overrides))
         self.begin()  # first: a run that is killed here continues with its old scene
-        write_text(self.path / "scene.yaml", resolved)
+        write_text(self.path / SCENE, resolved)
 
     def is_as_begun(self) -> bool:
-        """Return whether scene.yaml is unchanged: the scene that named the folder, or the one that `extend` wrote."""
+        """Return whether the folder is named after scene.yaml; the scene that `extend` wrote does not name it."""
         if self.record.get("extended"):
-            return _hash_of(self.resolved) in self.record["scenes"]
-        return _digest(self.record["job"], self.resolved, self.record["files"]) == self.path.name
+            return bool(self.resolved)
+        return digest_of(self.record["job"], self.resolved, self.record["files"]) == self.path.name
 
     def log(self, text: str) -> None:
         """Append a line to log.txt."""
         path = self.path / "log.txt"
-        with disk_errors(path), path.open("a") as file:
-            file.write(f"[{self.elapsed():10.3f} s] {text}\n")
+        with disk_errors(path), open_file(path, "a", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(f"[{self.elapsed():10.3f} s] {harmless(text)}\n")
 
     def history(self, columns: Sequence[str]) -> History:
         """Open history.csv; `elapsed` continues from its last row, also after a kill."""
@@ -227,11 +203,6 @@ class RunDirectory:
         """Return the state files for an optimizer that saves its state."""
         return Snapshots(self.path / "evals", self.log)
 
-    def figures(self) -> Path:
-        """Return the directory of figures, and make it if necessary."""
-        make_directory(self.path / "figures")
-        return self.path / "figures"
-
     def close(self) -> None:
         """Release the run; a second call does nothing."""
         for file in self._files:
@@ -247,7 +218,7 @@ class RunDirectory:
     ) -> None:
         try:
             if error is not None and self.status == RUNNING:
-                self.finish(STOPPED, f"{type(error).__name__}: {error}")
+                self.finish(STOPPED, "aborted" if isinstance(error, StopNow) else f"{type(error).__name__}: {error}")
         except CqrunError as second:
             assert error is not None
             error.add_note(f"run.json still says 'running': {second}")
@@ -255,12 +226,12 @@ class RunDirectory:
             self.close()
 
     def _create(self, scene: RunScene, **facts: Any) -> None:
-        self._clear()
-        write_text(self.path / "scene.yaml", scene.resolved)
+        clear(self.path, scene.tables)
+        write_text(self.path / SCENE, scene.resolved)
         write_text(self.path / "scene.original.yaml", scene.original)
         copies = {path.name: path.read_bytes() for path in scene.plugins.values()}
         if copies:
-            make_directory(self.path / PLUGINS)
+            make_below(self.path, PLUGINS)
         for name, content in copies.items():
             write_bytes(self.path / PLUGINS / name, content)
         self._write(
@@ -270,26 +241,20 @@ class RunDirectory:
                 **facts,
                 "base": scene.base,
                 "files": scene.contents(),
+                "scenes": [hash_of(scene.resolved)],
                 "plugins": {name: hashlib.sha256(content).hexdigest() for name, content in copies.items()},
                 "engine": engine_hash(),
             }
             | {"versions": versions(), "git": git_state(), "seconds": 0.0}
         )  # last: if run.json exists, the rest is complete
 
-    def _clear(self) -> None:
-        """Remove everything but the lock; run.json first, because without it the rest is ignored."""
-        with disk_errors(self.path):
-            (self.path / RECORD).unlink(missing_ok=True)
-            for entry in self.path.iterdir():
-                if entry.is_dir() and not entry.is_symlink():
-                    shutil.rmtree(entry)
-                elif entry.name != self._lock.path.name:
-                    entry.unlink()
-
     def _load(self) -> None:
-        for orphan in self.path.glob(".*.tmp"):  # from a killed process; this process has the lock
-            orphan.unlink(missing_ok=True)
+        remove_temporary_files(self.path)
         self.record = read_record(self.path)
+        if absent := [name for name in ("job", "files", "base") if name not in self.record]:
+            raise UsageError(
+                f"{self.path / RECORD}: damaged (no {listed(absent)} in it); run the scene again with --fresh"
+            )
         made_by, here = self.record.get("engine"), engine_hash()
         if made_by != here:
             version = self.record.get("versions", {}).get("cqrun", "unknown")
@@ -320,8 +285,9 @@ def read_record(path: Path) -> dict[str, Any]:
     """Return run.json of the run in `path`, without locking the run.
 
     Raises:
-        UsageError: there is no run, or its record cannot be read.
+        UsageError: there is no run, its record cannot be read, or it holds a link.
     """
+    require_own(path)
     file = path / RECORD
     if not file.is_file():
         inside = sorted(str(p.parent) for p in path.glob(f"*/{RECORD}"))[:5] if path.is_dir() else []
@@ -330,21 +296,48 @@ def read_record(path: Path) -> dict[str, Any]:
             f"{path}: no run (it has no {RECORD}); a run is a directory results/<scene>/<12 hex digits>{hint}"
         )
     try:
-        record = json.loads(file.read_text())
-        if not isinstance(record, dict) or "status" not in record or "seconds" not in record:
-            raise ValueError("no status in it")
-    except (OSError, ValueError) as error:
+        with open_file(file, "r", encoding="utf-8") as text:
+            record = json.load(text)
+        _require_record(record)
+    except (OSError, ValueError, RecursionError) as error:
         raise UsageError(f"{file}: unreadable ({error}); run the scene again with --fresh") from error
     return record
 
 
-def _digest(job: str, resolved: str, contents: Mapping[str, str]) -> str:
-    """Return 12 hex digits: the hash of a job, a resolved scene and the sha256 of every file that it names."""
-    digest = hashlib.sha256(f"{job}\0{resolved}".encode())
-    for name, content in contents.items():
-        digest.update(name.encode() + b"\0" + bytes.fromhex(content))
-    return digest.hexdigest()[:12]
+def _require_record(record: Any) -> None:
+    """Refuse what cannot be a run's record; ValueError says why."""
+    if not isinstance(record, dict) or "status" not in record or "seconds" not in record:
+        raise ValueError("no status in it")
+    if record["status"] not in (NEW, RUNNING, STOPPED, *FINISHED):
+        raise ValueError(f"status: is {shown(record['status'])}, which is none of a run")
+    for name, kind in KINDS.items():
+        if name in record and not isinstance(record[name], kind):
+            raise ValueError(f"{name}: is {shown(record[name])}")
+    for name in ("files", "plugins"):
+        for file, digest in record.get(name, {}).items():
+            if not isinstance(digest, str) or not DIGEST.fullmatch(digest):
+                raise ValueError(f"{name}: the hash of '{file}' is {shown(digest)}")
 
 
-def _hash_of(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
+def read_scene(path: Path, record: Mapping[str, Any]) -> str:
+    """Return the text of a run's resolved scene.
+
+    Raises:
+        UsageError: it is missing, or not the one that the run has written.
+    """
+    file = path / SCENE
+    try:
+        with open_file(file, "r", encoding="utf-8") as text:
+            scene = str(text.read())
+    except FileNotFoundError:
+        raise UsageError(
+            f"{path}: there is no {SCENE}; the run is incomplete, run its scene again with --fresh"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{file}: unreadable ({error}); run the scene again with --fresh") from error
+    scenes = record.get("scenes")  # runs of earlier versions have none
+    if scenes and hash_of(scene) not in scenes:
+        raise UsageError(
+            f"{file}: has changed since the run began; put it back, or run the scene that you want with a new command"
+        )
+    return scene

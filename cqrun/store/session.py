@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from cqrun.errors import UsageError
 from cqrun.optimizers.base import TrialFailed
 from cqrun.plugin.contract import Array
 from cqrun.store.replay import ReplayLog
@@ -79,8 +80,19 @@ class RunSession:
             raise
 
     def restore(self) -> dict[str, Array] | None:
-        """Return the last saved state, and drop the rows of the history after it."""
-        state = self._snapshots.load()
+        """Return the last saved state, and drop the rows of the history after it.
+
+        Raises:
+            UsageError: states or rows are missing, or damaged.
+        """
+        rows = len(self._history)
+        state = self._snapshots.load(rows)
+        if state is None and rows > 1:  # a state is saved after each row, and a kill leaves out one
+            missing = " and ".join(path.name for path in self._snapshots.paths)
+            raise UsageError(
+                f"{self._run.path}: {missing} are missing, and history.csv has {rows} rows; start the run over with "
+                "--fresh"
+            )
         self._history.truncate(0 if state is None else int(state["iteration"]) + 1)
         return state
 

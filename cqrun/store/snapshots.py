@@ -13,7 +13,7 @@ from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
 from cqrun.store.atomic import write_bytes
 
-GENERATION = "generation"
+GENERATION, ITERATION = "generation", "iteration"
 
 
 class Snapshots:
@@ -43,11 +43,14 @@ class Snapshots:
         write_bytes(self.paths[generation % 2], buffer.getvalue())
         self._generation = generation
 
-    def load(self) -> dict[str, Array] | None:
-        """Return the newest intact state, or None if nothing was saved.
+    def load(self, rows: int | None = None) -> dict[str, Array] | None:
+        """Return the newest intact state, or None if nothing was saved; `save` continues after it.
+
+        Args:
+            rows: number of rows of the history; the state of an iteration that has no row is not used.
 
         Raises:
-            UsageError: there are files, but none is intact.
+            UsageError: there are files, but none is intact, or the history lacks rows for each.
         """
         present = [path for path in self.paths if path.exists()]
         intact = [state for path in present if (state := self._read(path)) is not None]
@@ -55,11 +58,17 @@ class Snapshots:
             raise UsageError(
                 f"{present[0]}: unreadable checkpoint, and no older one is intact; start the run over with --fresh"
             )
-        if not intact:
-            self._generation = 0
-            return None
-        newest = max(intact, key=lambda state: int(state[GENERATION]))
-        self._generation = int(newest.pop(GENERATION))
+        usable = [state for state in intact if rows is None or int(state[ITERATION]) < rows]
+        if intact and not usable:
+            last = max(int(state[ITERATION]) for state in intact)
+            raise UsageError(
+                f"{present[0]}: the checkpoint is of iteration {last}, and history.csv has {rows} whole rows; start "
+                "the run over with --fresh"
+            )
+        if len(usable) < len(intact):
+            self._note("history.csv lacks the last rows: it continues from the checkpoint before them")
+        newest = max(usable, key=lambda state: int(state[GENERATION]), default=None)
+        self._generation = 0 if newest is None else int(newest.pop(GENERATION))
         return newest
 
     def _read(self, path: Path) -> dict[str, Array] | None:
@@ -69,9 +78,11 @@ class Snapshots:
                 damaged = archive.testzip()
             if damaged is None:
                 with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-                    return {name: arrays[name] for name in arrays.files}
+                    state = {name: arrays[name] for name in arrays.files}
+                int(state[GENERATION]), int(state[ITERATION])
+                return state
             reason = f"checksum of {damaged} is wrong"
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        except Exception as error:  # a damaged archive may raise anything
             reason = str(error)
         self._note(f"{path.name}: unreadable ({reason}); the generation before it is used instead")
         return None

@@ -7,8 +7,7 @@ from typing import Literal
 
 from pydantic import TypeAdapter
 
-from cqrun.store.atomic import make_directory, write_json
-from cqrun.store.model_file import Part, optional, read_model
+from cqrun.store.model_file import Part, optional, read_model, write_model
 
 
 class Mean(Part):
@@ -103,8 +102,7 @@ def write_study(file: Path, study: SeedsSummary | Ablation) -> None:
     Raises:
         UsageError, RunError: the file cannot be written.
     """
-    make_directory(file.parent)
-    write_json(file, study.model_dump())
+    write_model(file, study)
 
 
 def read_seeds(file: Path) -> SeedsSummary:

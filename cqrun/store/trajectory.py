@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cqrun.disk import make_empty, sync_directory
 from cqrun.plugin.contract import Array
-from cqrun.store.atomic import disk_errors, make_directory, require_room, sync_directory
+from cqrun.store.atomic import disk_errors, make_directory, require_room
 from cqrun.store.frames import Frames, part_path
 from cqrun.store.vtkhdf import add_vtk_view
 
@@ -90,6 +91,7 @@ class TrajectoryWriter:
         require_room(self.part, self._raw)
         beginning = path.with_name(path.name + ".new")  # renamed once it is readable, because every `.part` must be
         with disk_errors(self.part):
+            make_empty(beginning)
             with _open_for_writing(beginning, "w") as file:
                 self._lay_out(file, dict(bodies), dict(provenance))
             beginning.replace(self.part)
@@ -133,6 +135,7 @@ class TrajectoryWriter:
         packed = self.path.with_name(self.path.name + ".packing")
         require_room(packed, self._raw + self._raw // 50 + SPARE)  # in case nothing can be compressed
         with disk_errors(self.path):
+            make_empty(packed)
             with _open_for_writing(packed, "w") as target:
                 _pack(self._file, target, self.written)
             self._file.close()
@@ -186,7 +189,7 @@ class TrajectoryWriter:
 def _open_for_writing(path: Path, mode: str) -> h5py.File:
     import h5py
 
-    return h5py.File(path, mode, libver=LIBVER, locking="best-effort")
+    return h5py.File(path, mode, libver=LIBVER, locking=False)  # the run is locked, where the file system has locks
 
 
 def _make_contiguous(file: h5py.File, name: str, shape: tuple[int, ...], kind: str) -> None:

@@ -112,7 +112,7 @@ def test_a_count_and_a_spacing_exclude_each_other() -> None:
     assert "bodies.b.spacing: has no meaning with lattice sampling, which has a count" in error_of(body)
     del body["spacing"]
     assert len(particles(body).x) == 81
-    assert "a count of 30000 makes 9e+08 cells" in error_of(body, "bodies.b.sampling.lattice.count=30000")
+    assert "9e+08 points that may be particles need" in error_of(body, "bodies.b.sampling.lattice.count=30000")
 
 
 def test_values_by_group_reach_the_particles_of_their_part() -> None:

@@ -63,10 +63,34 @@ def test_the_error_of_a_body_outside_the_world_says_where_and_how_far() -> None:
     assert ["reaches x" in both[0], "reaches y" in both[1], len(both)] == [True, True, 2]
 
 
+def test_the_error_of_a_body_outside_the_world_names_the_part_that_reaches_out() -> None:
+    parts = {
+        "head": {"ball": {"center": [0.6, 0.5], "radius": 0.05}},
+        "hand": {"ball": {"center": [0.99, 0.5], "radius": 0.05}},
+        "arm": {"box": {"corner": [0.7, 0.48], "size": [0.2, 0.04]}},
+        "foot": {"box": {"corner": [0.6, -0.02], "size": [0.04, 0.1]}},
+    }
+    scene = with_values(two_balls(shape=None, parts=parts), {})
+    messages = problems(scene)
+    assert [message.partition(": reaches")[0] for message in messages] == [
+        "scene: bodies.right.parts.hand",
+        "scene: bodies.right.parts.foot",
+    ]
+
+
 def test_the_error_of_overlapping_bodies_says_where() -> None:
     (message,) = problems(two_balls(shape={"ball": {"center": [0.45, 0.5], "radius": 0.1}}))
     assert message.startswith("scene: bodies.right.shape: overlaps the body 'left' in ")
     assert "such as at (0." in message
+
+
+def test_of_many_overlapping_parts_some_pairs_are_told() -> None:
+    parts = {f"p{k}": {"ball": {"center": [0.6, 0.5], "radius": 0.05}} for k in range(60)}
+    messages = problems(with_values(two_balls(shape=None, parts=parts), {}))
+    assert len(messages) == check.MOST_PAIRS
+    assert messages[0].startswith(
+        "scene: bodies.right.parts.p1: overlaps the part 'p0', in about 100.0% of the smaller"
+    )
 
 
 def test_bodies_may_touch() -> None:

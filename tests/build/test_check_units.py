@@ -167,7 +167,7 @@ def test_body_that_reaches_a_little_out_of_the_world_is_told_where() -> None:
 def test_plan_of_too_many_substeps_is_an_error_with_its_cause(
     overrides: tuple[str, ...], path: str, cause: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cqrun.build.model.memory_problems", lambda *_: [])  # their records may not fit either
+    monkeypatch.setattr("cqrun.build.particles.require_memory", lambda *_: None)  # their records may not fit either
     with pytest.raises(SceneError) as info:
         build(scene(*overrides))
     (problem,) = info.value.problems

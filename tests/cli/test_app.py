@@ -11,6 +11,7 @@ import pytest
 
 from cqrun import __version__
 from cqrun.cli import app as cli
+from cqrun.cli.terminal import echo
 from cqrun.errors import CqrunError, Problem, RolloutError, RunError, SceneError, Stopped, UsageError
 
 NAMES = [
@@ -120,6 +121,28 @@ def test_a_scene_error_starts_with_its_place(capsys, monkeypatch):
 
     monkeypatch.setattr(cli, "app", ends)
     assert run(capsys) == (2, "", "a.yaml:3:5: world.dx: must be greater than 0\n-o x=1: no\n")
+
+
+def test_a_tilde_means_home_in_options(capsys, monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    given: list[list[str]] = []
+    monkeypatch.setattr(cli, "app", lambda words, **_: given.append(words) or sys.exit(0))
+    run(
+        capsys, "simulate", "~/a.yaml", "--out=~/results", "--controller", "~", "-o", "title=~", "--x=a~", "--y=~none/b"
+    )
+    home = str(tmp_path)
+    expected = ["simulate", f"{home}/a.yaml", f"--out={home}/results", "--controller", home, "-o", "title=~", "--x=a~"]
+    assert given == [[*expected, "--y=~none/b"]]
+
+
+def test_errors_and_lines_do_not_control_the_terminal(capsys, monkeypatch):
+    def ends(*_, **__):
+        raise UsageError("marker 'a\x1b[2J\rb'\nsecond line")
+
+    monkeypatch.setattr(cli, "app", ends)
+    assert run(capsys) == (2, "", "error: marker 'a\\x1b[2J\\rb'\nsecond line\n")
+    echo("title \x1b]0;mine\x07 \N{RIGHT-TO-LEFT OVERRIDE}end")
+    assert capsys.readouterr().out == "title \\x1b]0;mine\\x07 \\u202eend\n"
 
 
 def test_a_bug_keeps_its_traceback(monkeypatch):

@@ -184,7 +184,8 @@ def test_a_run_on_a_full_disk_can_be_continued(separate_run, finished, tmp_path,
     done = mounted(script, tmp_path, options=f"size={kib}k")
     assert "code 1\n" in done.stderr, done.stderr
     assert "the disk is full" in done.stderr
-    assert "Free some space, then `cqrun resume` the run" in done.stderr
+    assert "Free some space and give the same command again, or choose another disk with --out" in done.stderr
+    assert "resume" not in done.stderr
     assert "Traceback" not in done.stderr
     assert done.returncode == 0, done.stderr
     assert_same(tmp_path / "kept", separate_run)
@@ -213,7 +214,7 @@ def test_a_file_in_place_of_the_output_directory(cqrun, finished, tmp_path):
     (tmp_path / "out").write_text("")
     code, _, err = cqrun("sysid", scene, "--out", tmp_path / "out")
     assert code == 2
-    assert err.endswith("cannot be made (Not a directory); choose another place with --out\n")
+    assert err.endswith("cannot be made (File exists); choose another place with --out\n")
 
 
 def test_results_end_with_the_path_of_the_run(cqrun, run_of):

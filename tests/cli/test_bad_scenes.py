@@ -40,7 +40,7 @@ CASES = {
     "unknown named twice": ("unknowns:", f"unknowns:\n  {E_PATH}: {{bounds: [1, 2]}}", "this key is here twice"),
     "log scale with a bound of zero": ("bounds: [0.5, 20]", "bounds: [0, 20]", "needs bounds greater than 0"),
     "more memory than there is": ("title:", "memory: 900TiB\ntitle:", "fit.yaml:3:9: memory: "),
-    "more grid than there is": ("size: [0.16", "size: [1.0e+8", "world: 2e+11 grid nodes and 40 particles need "),
+    "more grid than there is": ("size: [0.16", "size: [1.0e+8", "world: 2e+11 grid nodes need "),
 }  # fmt: skip
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import io
 import os
 import signal
+import time
 
 import pytest
 
-from cqrun.cli.progress import Progress, clock, reporting
+from cqrun.cli.progress import BRIEF, Progress, clock, reporting
 from cqrun.errors import Stopped
 
 
@@ -115,16 +116,61 @@ def test_no_color_is_respected(monkeypatch):
     assert "\x1b[33m" not in use(Terminal())
 
 
+def test_no_silence_is_long(monkeypatch):
+    """Whatever the work does, and however long it does it."""
+    stream = io.StringIO()
+    with Progress(stream=stream, silent_at_most=0.2) as progress:
+        progress.phase("compiling kernels")
+        time.sleep(0.7)
+        progress.phase("fitting")
+        progress.update(1, loss=1.0, best=1.0, step=0.5, seconds=40.0)
+        time.sleep(0.35)
+    lines = stream.getvalue().splitlines()
+    assert lines[0] == "compiling kernels"
+    assert lines.count("still compiling kernels: 0 s so far") + lines.count("still compiling kernels: 1 s so far") >= 2
+    (again, *_) = (line for line in lines if line.startswith("still fitting: 0 s so far; last: iteration 1  loss 1"))
+    assert lines.index(again) > lines.index("fitting")
+
+
+def test_the_first_phase_is_printed_if_it_lasts(monkeypatch):
+    """It is what is done while libraries are imported and the scene is read."""
+    monkeypatch.setattr("cqrun.cli.progress.BRIEF", 0.2)
+    for lasts, expected in ((0.0, ["then"]), (0.6, ["reading beam.yaml", "then"])):
+        stream = io.StringIO()
+        with Progress(stream=stream, doing="reading beam.yaml") as progress:
+            time.sleep(lasts)
+            progress.phase("then")
+        assert stream.getvalue().splitlines() == expected
+    assert BRIEF <= 1.0  # with the interval of the check, that is two seconds at most
+
+
+def test_quiet_and_live_progress_are_not_interrupted_by_lines():
+    for stream, quiet in ((io.StringIO(), True), (Terminal(), False)):
+        with Progress(stream=stream, quiet=quiet, silent_at_most=0.05) as progress:
+            progress.phase("compiling")
+            time.sleep(0.3)
+        assert "still" not in stream.getvalue()
+
+
+def test_a_live_line_shows_the_time_of_work_without_numbers(monkeypatch):
+    monkeypatch.setattr("cqrun.cli.progress.SHOWN_FROM", 0.0)
+    stream = Terminal()
+    with Progress(stream=stream) as progress:
+        progress.phase("compiling kernels")
+        time.sleep(0.4)
+    assert "[0 s]  compiling kernels" in stream.getvalue()
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
 def test_the_first_signal_asks_to_stop_and_the_second_aborts(capsys, number, code):
     before = signal.getsignal(number)
 
     def job() -> None:
-        with reporting(quiet=True) as reporter:
+        with reporting(quiet=True) as reporter, reporter.stop.deferred():
             assert not reporter.stop.asked
             os.kill(os.getpid(), number)
             assert reporter.stop.asked
-            assert "finishing this iteration" in capsys.readouterr().err
+            assert "stopping after the rollout at hand (once more: abort now)" in capsys.readouterr().err
             os.kill(os.getpid(), number)
 
     with pytest.raises(Stopped, match="aborted") as ended:

@@ -34,6 +34,29 @@ def test_open_loop_has_a_knot_for_each_control_step_within_the_ranges(rng):
     np.testing.assert_array_equal(knots.initial, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("controller", "n_controls", "said"),
+    [
+        (Mlp(hidden=[2**62]), 7, "the controller mlp would have 3.23e+19 parameters (the weights of all layers)"),
+        (Mlp(hidden=[4000, 4000]), 7, "would have 1.6e+07 parameters"),
+        (
+            Sinusoid(frequency=1.0, count=2**62),
+            7,
+            "would have 9.22e+18 parameters (4.61e+18 sinusoids for 2 actuators)",
+        ),
+        (
+            OpenLoop(),
+            10**15,
+            "would have 2e+15 parameters (1e+15 knots for 2 actuators), more than 10,000,000: make it",
+        ),
+    ],
+)
+def test_controllers_with_far_too_many_parameters_are_refused_before_they_are_made(rng, controller, n_controls, said):
+    with pytest.raises(UsageError) as info:
+        blocks_of(controller, rng, n_controls=n_controls)
+    assert said in str(info.value)
+
+
 def test_open_loop_holds_knots():
     assert acts(OpenLoop(every=3), [1.0, 2.0, 4.0], range(9)) == [1, 1, 1, 2, 2, 2, 4, 4, 4]
     assert acts(OpenLoop(every=3), [1.0, 2.0], [6, 100]) == [2, 2], "a longer replay holds the last knot"

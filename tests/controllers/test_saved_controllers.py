@@ -88,7 +88,7 @@ def test_a_failed_write_leaves_the_old_file(path, rng, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("cqrun.observers.npz.os.fsync", full)
+    monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OSError, match="No space left"):
         save_controller(path, {"knots": np.zeros(3)}, {})
     assert path.read_bytes() == old

@@ -70,7 +70,7 @@ def test_held_out_recordings_are_known_from_the_scene(tmp_path, rng):
     [
         ("run.json", None, "no run (it has no run.json)"),
         ("scene.yaml", None, "there is no scene.yaml; the run is incomplete"),
-        ("history.csv", "iteration,loss,seconds\n0,one,1.0\n", "history.csv: unreadable"),
+        ("history.csv", "iteration,loss,seconds\n0,one,1.0\n1,1.0,2.0\n", "history.csv:2: this row is damaged"),
         ("result.json", "{", "result.json: unreadable"),
         ("result.json", "[]", "result.json: is not a result"),
     ],

@@ -1,4 +1,4 @@
-"""Judge many scenes in processes of their own, and gather those that cqrun takes wrongly."""
+"""Judge many scenes or commands in processes of their own, and gather what cqrun takes wrongly."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from gallery import write_gallery
 
@@ -40,22 +41,29 @@ def faults(folder: Path, texts: Iterable[tuple[str, str]]) -> list[str]:
         names.append(f"{name}.yaml")
         (folder / names[-1]).write_bytes(text.encode("utf-8", "surrogatepass"))
     found: list[str] = []
-    while names:
-        done, ended = _judge(folder, names)
-        for name, fault in done:
-            if fault:
-                found.append(f"{name}: {fault}")
-            else:
-                (folder / name).unlink()
-        names = names[len(done) :]
-        if names:
-            found.append(f"{names.pop(0)}: the process ended: {ended}")
+    for name, fault in judged("judge.py", names, folder):
+        if fault:
+            found.append(f"{name}: {fault}")
+        else:
+            (folder / name).unlink()
     return found
 
 
-def _judge(folder: Path, names: list[str]) -> tuple[list[tuple[str, str]], str]:
-    """Return the judged scenes with what is wrong, and how the process ended if it did not judge all of them."""
-    words = [sys.executable, "-W", "ignore", str(Path(__file__).with_name("judge.py"))]
-    words += [str(folder), str(MEGABYTES), str(SECONDS)]
-    ended = subprocess.run(words, input="\n".join(names), capture_output=True, text=True, cwd=ROOT)
-    return [json.loads(line) for line in ended.stdout.splitlines()], f"{ended.returncode}\n{ended.stderr[-4000:]}"
+def judged(script: str, lines: Sequence[str], *words: str | Path) -> Iterator[tuple[str, Any]]:
+    """Yield what a script of this folder finds of each line, in a process with limits; text if the process ended there.
+
+    Args:
+        script: name of its file; it judges what standard input says, line by line, by `judge.judge_lines`.
+        words: its words after the limits.
+    """
+    command = [sys.executable, "-W", "ignore", str(Path(__file__).with_name(script)), str(MEGABYTES), str(SECONDS)]
+    while lines:
+        ended = subprocess.run(
+            [*command, *map(str, words)], input="\n".join(lines), capture_output=True, text=True, cwd=ROOT
+        )
+        done = [json.loads(line) for line in ended.stdout.splitlines()]
+        yield from map(tuple, done)
+        lines = lines[len(done) :]
+        if lines:
+            yield lines[0], f"the process ended: {ended.returncode}\n{ended.stderr[-4000:]}"
+            lines = lines[1:]

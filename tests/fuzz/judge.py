@@ -1,4 +1,4 @@
-"""Judge scenes in a process with limits: `python judge.py SCENES MEGABYTES SECONDS`, names of scenes on standard input.
+"""Judge scenes in a process with limits: `python judge.py MEGABYTES SECONDS SCENES`, names of scenes on standard input.
 
 For every name, a line of JSON: the name, and what is wrong with how cqrun took the scene, or nothing. A scene that asks
 for more memory ends in a MemoryError, which is reported; one that takes longer ends the process, with the place.
@@ -13,8 +13,10 @@ import resource
 import signal
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import psutil
 
@@ -42,20 +44,21 @@ def fault(scene: Path) -> str:
     return f"control characters: {strange[0]!r}" if strange else ""
 
 
-def main(folder: Path, megabytes: int, seconds: float) -> None:
-    """Judge every scene that standard input names."""
+def judge_lines(judge: Callable[[str], Any], megabytes: int, seconds: float) -> None:
+    """Print for every line of standard input a line of JSON: the input and what `judge` finds of it, within limits."""
     limit = psutil.Process().memory_info().vms + megabytes * 2**20
     free = SimpleNamespace(available=megabytes * 2**19, total=megabytes * 2**20)  # what cqrun plans with
     psutil.virtual_memory = lambda: free
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     faulthandler.enable()
     faulthandler.register(signal.SIGPROF, chain=True)  # time of the processor: a test may have to wait for one
-    for name in map(str.strip, sys.stdin):
+    for line in map(str.strip, sys.stdin):
         signal.setitimer(signal.ITIMER_PROF, seconds)
-        found = fault(folder / name)
+        found = judge(line)
         signal.setitimer(signal.ITIMER_PROF, 0.0)
-        print(json.dumps([name, found]), flush=True)
+        print(json.dumps([line, found]), flush=True)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]))
+    folder = Path(sys.argv[3])
+    judge_lines(lambda name: fault(folder / name), int(sys.argv[1]), float(sys.argv[2]))

@@ -158,7 +158,10 @@ def test_a_design_that_cannot_be_had_ends_infeasible_and_is_kept(finger, tmp_pat
     assert result["status"] == read_record(folder)["status"] == "infeasible"
     assert result["constraints"]["tip"]["value"] < result["constraints"]["tip"]["start"]
     assert (folder / "controller.npz").is_file()
-    with pytest.raises(InfeasibleError), infeasible_shown():  # as the command line runs it
+    with (
+        pytest.raises(InfeasibleError),
+        infeasible_shown(quiet=True, allow_plugins=False),
+    ):  # as the command line runs it
         learn(finger, tmp_path, "constraints.tip.at_most=0.001", "optimizer.slsqp.max_iterations=15")
     told = r"infeasible after \d+ iterations: not met[^:]* may help: constraint 'tip'"
     assert re.search(told, capsys.readouterr().out)
@@ -296,7 +299,7 @@ def test_a_run_whose_scene_was_edited_is_not_continued(finger, tmp_path):
     """Its log has answers for the body that it began with."""
     overrides = ["constraints={}", "optimizer={adam: {max_iterations: 1}}"]
     run = learn(finger, tmp_path, *overrides)
-    file, told = run / "scene.yaml", "scene.yaml has changed since the run began"
+    file, told = run / "scene.yaml", "scene.yaml: has changed since the run began"
     for limit in (2, 3):  # one that was extended is known by another mark
         text = file.read_text()
         file.write_text(text.replace("density: 1", "density: 2"))

@@ -9,9 +9,10 @@ import pytest
 from small_beam import BEAM
 
 from cqrun.errors import MissingExtra, Stopped, UsageError
-from cqrun.jobs.compress import compress, raster_of
+from cqrun.jobs.compress import compress, raster_of, require_memory
 from cqrun.jobs.simulate import run_simulate
 from cqrun.observers.pca import load_components
+from cqrun.observers.raster import Raster
 from cqrun.running.reporter import Silent
 
 
@@ -44,6 +45,16 @@ def test_a_run_without_a_trajectory_is_refused(tmp_path):
 def test_what_does_not_move_is_refused():
     with pytest.raises(UsageError, match="does not move"):
         raster_of(np.zeros((3, 4, 2)), np.zeros((3, 4, 2)), 8)
+
+
+@pytest.mark.parametrize(("cells", "size", "option"), [(10**6, 2, "--cells"), (8, 2**62, "--size"), (4, 2, None)])
+def test_grids_and_codes_without_bound_are_refused_before_they_are_made(cells, size, option):
+    raster = Raster(cells, 0.1, 1.0, 3)
+    if option is None:
+        require_memory(100, raster, size)
+    else:
+        with pytest.raises(UsageError, match=rf"need .*iB; .* are free: give (fewer|a smaller) {option}"):
+            require_memory(100, raster, size)
 
 
 def test_a_missing_torch_is_named(swing, tmp_path, monkeypatch):

@@ -186,7 +186,7 @@ def test_a_signal_finishes_the_iteration_and_leaves_a_run_that_goes_on(undisturb
     process.send_signal(number)
     out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, out) == (code, ""), err
-    assert "warning: finishing this iteration, then stopping (once more: abort now)" in err
+    assert "warning: stopping after the rollout at hand (once more: abort now)" in err
     (run,) = (tmp_path / "stopped").glob("*/*")
     assert err.splitlines()[-1].startswith("error: asked to stop after iteration ")
     assert err.splitlines()[-1].endswith(f"; `cqrun resume {run}` continues")

@@ -55,7 +55,15 @@ def test_progress_is_told_by_simulated_time(beam, tmp_path):
     simulate(beam, tmp_path, reporter=listener)
     assert [part[0] for part in listener.parts] == list(range(11))
     assert listener.parts[-1] == (10, 10, "t = 0.1 of 0.1 s")
-    assert listener.said[-1] == "simulating 40 particles, 240 substeps"
+    assert listener.said[-1] == "simulating 40 particles, 240 substeps, less than 0.1 s in all on one core"
+
+
+def test_a_run_in_float32_tells_what_is_rounded_away(beam, tmp_path):
+    listener = Listener()
+    run = simulate(beam, tmp_path, "precision=float32", "bodies.beam.velocity=[0, -1e-6]", reporter=listener)
+    (told,) = [line for line in listener.said if line.startswith("float32 loses motion slower than about")]
+    assert told in (run / "log.txt").read_text()
+    assert any(line.startswith("warning") and "starts at 1e-06 m/s" in line for line in listener.said)
 
 
 def test_the_same_again_is_finished_and_fresh_starts_over(beam, tmp_path):

@@ -56,6 +56,14 @@ def test_it_tells_what_float32_rounds_away(beam):
     assert f"float32 loses motion slower than about {slow:.5g} m/s" in told(beam, "precision=float32")
 
 
+def test_it_warns_of_a_body_that_float32_leaves_where_it_is(beam):
+    slow, fast = "bodies.beam.velocity=[0, -1e-6]", "bodies.beam.velocity=[0, -1e-4]"
+    assert "float32 rounds" not in told(beam, slow)
+    text = told(beam, "precision=float32", slow)
+    assert f"warning: -o {slow}: bodies.beam.velocity: starts at 1e-06 m/s, but float32 loses motion slower" in text
+    assert "warning" not in told(beam, "precision=float32", fast)
+
+
 def test_an_actuator_over_no_particles_is_refused(beam):
     away = "region: {ball: {center: [0.1, 0.1], radius: 0.01}}"
     changed(beam, "boundaries:", MUSCLES.replace("region: long", away))

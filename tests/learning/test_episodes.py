@@ -107,7 +107,7 @@ def test_records_that_do_not_fit_are_refused(monkeypatch):
     for spare, refused in ((0, False), (-1, True)):
         memory = SimpleNamespace(available=need + spare, total=2 * need)
         with monkeypatch.context() as patch:
-            patch.setattr("cqrun.build.model.memory_problems", lambda *_: [])
+            patch.setattr("cqrun.build.particles.require_memory", lambda *_: None)
             patch.setattr("psutil.virtual_memory", lambda memory=memory: memory)
             if refused:
                 with pytest.raises(SceneError, match=r"objective.whole: 108 of .* at 8 control steps, by 1 ep"):

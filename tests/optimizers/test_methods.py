@@ -37,6 +37,15 @@ def test_registry_contains_all_optimizers():
     assert all(cls().max_iterations >= 1 for cls in registered.values())
 
 
+@pytest.mark.parametrize(
+    ("method", "field"),
+    [("lbfgs", "memory"), ("lbfgs", "line_search_steps"), ("sqp", "memory"), ("cma_es", "population")],
+)
+def test_counts_that_a_method_allocates_have_a_bound(method, field):
+    with pytest.raises(ValueError, match=rf"{field}\n.*must be at most 1(0)?000, is 1000000"):
+        plugins("optimizer")[method].model_validate({field: 10**6})
+
+
 def test_registry_does_not_import_scipy():
     import subprocess
     import sys

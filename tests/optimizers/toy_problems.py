@@ -8,7 +8,8 @@ import numpy as np
 
 from cqrun.optimizers.base import Optimizer, Outcome, TrialFailed
 from cqrun.optimizers.constrained import ConstrainedOptimizer, report_names
-from cqrun.store.run import RunDirectory, RunScene
+from cqrun.store.run import RunDirectory
+from cqrun.store.run_scene import RunScene
 from cqrun.store.session import RunSession
 
 
@@ -193,8 +194,8 @@ def run_folder(out: Path) -> Path:
 
 
 def history_rows(out: Path) -> list[str]:
-    """Return the rows of the history without the column of seconds."""
-    return [row.rsplit(",", 1)[0] for row in (run_folder(out) / "history.csv").read_text().splitlines()]
+    """Return the rows of the history without seconds, and without the checksum of a row."""
+    return [row.rsplit(",", 2)[0] for row in (run_folder(out) / "history.csv").read_text().splitlines()]
 
 
 def bits(outcome: Outcome) -> tuple:

@@ -12,7 +12,7 @@ from test_publish import PUBLISHED, record_of
 from toys import COUNT
 
 from benchmarks.papers.catalogue import FIGURES
-from benchmarks.papers.machinery.page import _missing, _time, write_page
+from benchmarks.papers.machinery.page import _missing, _time, code, literal, write_page
 
 
 def test_the_committed_gallery_is_of_the_committed_figures(tmp_path):
@@ -80,3 +80,26 @@ def test_the_page_in_a_browser(tmp_path, width):
     assert measured["wide"] <= 0
     assert max(measured["cut"]) <= 0
     assert measured["sections"] == len(FIGURES)
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("a *b* _c_ d_e [f](g) <h> `i` | j \\ $k$", r"a \*b\* \_c\_ d_e \[f\](g) \<h> \`i\` \| j \\ \$k\$"),
+        ("two\nlines", "two lines"),
+        ("# heading", r"\# heading"),
+        ("- item", r"\- item"),
+        ("1. item", r"1\. item"),
+        ("---", r"\---"),
+        ("-0.02 -> 0.77 m, 1.5", "-0.02 -> 0.77 m, 1.5"),
+    ],
+)
+def test_the_gallery_shows_texts_literally_as_the_page_does(text, shown):
+    assert literal(text) == shown
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"), [("cqrun a_b", "`cqrun a_b`"), ("a `b`\nc", "``a `b` c``"), ("`a", "`` `a ``")]
+)
+def test_the_gallery_shows_commands_as_code(text, shown):
+    assert literal(code(text)) == shown

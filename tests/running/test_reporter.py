@@ -7,28 +7,59 @@ import signal
 
 import pytest
 
-from cqrun.errors import Stopped
+from cqrun.errors import StopAsked, StopNow, Stopped
 from cqrun.running.reporter import Silent, StopFlag
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
-def test_a_signal_sets_the_flag_once_and_its_exit_code(number, code):
+def test_a_deferred_signal_sets_the_flag_once_and_its_exit_code(number, code):
     messages = []
-    with StopFlag(messages.append) as flag:
+    with StopFlag(messages.append) as flag, flag.deferred():
         assert not flag.asked
+        flag.check()
         os.kill(os.getpid(), number)
         assert flag.asked
-        assert len(messages) == 1
+        assert messages == ["stopping after the rollout at hand (once more: abort now)"]
+        with pytest.raises(StopAsked):
+            flag.check()
         error = flag.stopped("after iteration 3")
     assert (str(error), error.exit_code) == ("after iteration 3", code)
     assert Stopped.exit_code == 75, "the exit code of the class is unchanged"
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
+def test_where_nothing_asks_for_the_flag_a_signal_ends_the_work_at_once(number, code):
+    messages = []
+    with StopFlag(messages.append) as flag:
+        with pytest.raises(StopNow):
+            os.kill(os.getpid(), number)
+        assert flag.exit_code == code
+    with StopFlag(messages.append) as flag, flag.deferred(), flag.deferred(False), pytest.raises(StopNow):
+        os.kill(os.getpid(), number)
+    assert messages == []
+
+
 def test_the_second_signal_aborts():
-    with StopFlag() as flag:
+    with StopFlag() as flag, flag.deferred():
         flag.ask()
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(StopNow, match="aborted"):
             os.kill(os.getpid(), signal.SIGTERM)
+
+
+def test_work_that_takes_long_does_not_begin_after_a_request_to_stop():
+    flag = StopFlag()
+    flag.ask()
+    with flag.deferred(), pytest.raises(StopAsked), flag.deferred(False):
+        raise AssertionError
+
+
+def test_a_stream_that_is_written_to_when_the_signal_comes_loses_the_announcement_only():
+    def announce(text):
+        raise RuntimeError("reentrant call inside <_io.BufferedWriter name='<stderr>'>")
+
+    with StopFlag(announce) as flag, flag.deferred():
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert flag.asked
 
 
 def test_handlers_are_restored_after_an_error():

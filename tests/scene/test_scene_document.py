@@ -62,24 +62,58 @@ def test_nan_is_read_so_that_the_schema_can_refuse_it_with_its_position() -> Non
         ("\ta: 1", "s.yaml:1:1: this is not YAML: "),
         ("a: 1\n---\nb: 2", "s.yaml:2:1: this is not YAML: expected a single document"),
         ("a: *nope", "s.yaml:1:4: this is not YAML: found undefined alias 'nope'"),
-        ("a: 1\nb: \x07", "s.yaml:2:4: this is not YAML: the character 7 is not allowed"),
+        ("a: 1\nb: \x07", "s.yaml:2:4: this is not YAML: the character U+0007 is not allowed: remove it"),
         ("", "s.yaml:1:1: is empty"),
         ("# only this\n", "s.yaml:1:1: is empty"),
         ("? [a]: 3", "a key must be text"),
         ("null: 3", "s.yaml:1:1: a key must be text"),
         ("a: !!int x", "s.yaml:1:4: a: is not a valid int"),
         ("a: !!bool maybe", "s.yaml:1:4: a: is not a valid bool"),
-        ("a: " + "9" * 5000, "s.yaml:1:4: a: is not a valid int: Exceeds the limit"),
+        ("a: " + "9" * 5000, "s.yaml:1:4: a: is not a valid int: it has 5,000 digits"),
         ("a: &x [1, *x]", "s.yaml:1:4: a.1: an alias contains itself"),
         ("a:\n " + "[" * 5000, "s.yaml:2:101: is nested more than 100 levels deep"),
         ("a: " + "[" * 150 + "]" * 150, "is nested more than 100 levels deep"),
-        ("#" * (MAX_CHARACTERS + 1), "s.yaml:1:1: has 4000001 characters; a scene has at most 4000000"),
+        ("#" * (MAX_CHARACTERS + 1), "s.yaml:1:1: has 500001 characters; a scene has at most 500,000 characters: "),
     ],
 )
 def test_bad_texts_are_refused_with_their_position(text: str, message: str) -> None:
     with pytest.raises(SceneError) as info:
         read(text, "s.yaml")
     assert message in str(info.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: &x {b: 1}\nc:\n  <<: *x", "s.yaml:3:3: c: merge keys (`<<`) are not part of YAML 1.2: write the keys out"),
+        (
+            "a: {b:\u00a01}",
+            "s.yaml:1:5: a: the key 'b:\\xa01' has a no-break space (U+00A0) instead of a space in column 7",
+        ),
+        ("a:\n\u00a0 b: 1\n  c: 2", "; line 2 has a no-break space (U+00A0) instead of a space in column 1"),
+        ("a\uff1a 1\nb: {c: 1}", "; line 1 has a fullwidth colon (U+FF1A) instead of : in column 2"),
+        (
+            "a\u200b: 1",
+            "s.yaml:1:1: the key 'a\\u200b' has a zero width space (U+200B) that is not visible in column 2",
+        ),
+        ("a: \u201cb: c\u201d", '; line 1 has a left double quotation mark (U+201C) instead of " in column 4'),
+    ],
+)
+def test_what_looks_like_something_else_is_named(text: str, message: str) -> None:
+    with pytest.raises(SceneError) as info:
+        read(text, "s.yaml")
+    assert message in str(info.value)
+
+
+@pytest.mark.parametrize("text", ["\u201cb\u201d", "b\u2014c # d\u00a0e", '"<<"', "\u7532\u3000", "caf\u00e9"])
+def test_such_characters_in_texts_are_read(text: str) -> None:
+    assert read(f"title: {text}\n'\u00a0': 1\n'<<': 2").data.keys() == {"title", "\u00a0", "<<"}
+
+
+def test_the_cause_of_wrong_syntax_is_not_looked_for_in_comments_and_far_away() -> None:
+    with pytest.raises(SceneError) as info:
+        read("title: a\u2014b\n\nc: 1 # \u00a0\nd: {\n", "s.yaml")
+    assert "U+" not in str(info.value)
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,23 @@ def test_a_scene_knows_its_file_and_text(tmp_path: Path, beam: str) -> None:
     assert load_scene(resolve(scene)).text == ""
 
 
+def test_a_tilde_means_home_in_names_of_files(tmp_path: Path, beam: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    file = tmp_path / "beam.yaml"
+    image = "bodies.beam.shape={image: {file: ~/a.png, width: 0.1, corner: [0.05, 0.04]}}"
+    file.write_text(beam)
+    scene = load_scene(file, [image])
+    assert scene.resolve_path("~/a.csv") == tmp_path / "home" / "a.csv"
+    assert scene.bodies["beam"].shape.value.path == tmp_path / "home" / "a.png"  # type: ignore[union-attr]
+    assert scene.resolve_path("a~/b") == tmp_path / "a~" / "b"
+
+
+def test_a_title_is_one_line(beam: str) -> None:
+    text = beam.replace("title: a beam", "title: |\n  a  beam\n\n  of rubber\t!\n")
+    assert load_scene(text).title == "a  beam of rubber !"
+    assert load_scene(beam.replace("title: a beam", "title: 'a  beam '")).title == "a  beam "
+
+
 def test_a_scene_is_frozen(beam: str) -> None:
     with pytest.raises(ValueError, match="frozen"):
         load_scene(beam).world.dx = 1.0  # type: ignore[misc]

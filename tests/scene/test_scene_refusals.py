@@ -255,8 +255,22 @@ def test_a_missing_file_and_a_wrong_encoding_are_reported(tmp_path: Path) -> Non
     with pytest.raises(SceneError, match=r"none.yaml: the scene cannot be read: No such file"):
         load_scene(tmp_path / "none.yaml")
     (tmp_path / "latin.yaml").write_bytes(b"title: \xe9\n")
-    with pytest.raises(SceneError, match="it is not UTF-8 text"):
+    with pytest.raises(SceneError, match=r"latin.yaml:1:8: this is not UTF-8 text: it has the byte 0xe9 here; save"):
         load_scene(tmp_path / "latin.yaml")
+    (tmp_path / "second.yaml").write_bytes("title: \N{EURO SIGN}\na: ".encode() + b"b\xe9\n")
+    with pytest.raises(SceneError, match=r"second.yaml:2:5: this is not UTF-8 text"):
+        load_scene(tmp_path / "second.yaml")
+    (tmp_path / "wide.yaml").write_text("cqrun: 1\n", encoding="utf-16")
+    with pytest.raises(SceneError, match=r"wide.yaml:1:1: this is UTF-16 text: save the scene as UTF-8"):
+        load_scene(tmp_path / "wide.yaml")
+
+
+def test_a_file_far_too_long_is_refused_without_reading_it(tmp_path: Path) -> None:
+    (tmp_path / "long.yaml").write_text("a" * 4_000_000)
+    with pytest.raises(SceneError, match=r"long.yaml:1:1: has more than 2,000,000 bytes; a scene has at most 500,000"):
+        load_scene(tmp_path / "long.yaml")
+    with pytest.raises(SceneError, match=r"zero:1:1: has more than 2,000,000 bytes"):
+        load_scene(Path("/dev/zero"))
 
 
 @pytest.mark.parametrize(

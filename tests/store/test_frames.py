@@ -54,7 +54,7 @@ def test_what_it_says_of_itself_may_be_damaged(tmp_path, place, value):
     write(tmp_path / "t.h5", 2)
     with h5py.File(tmp_path / "t.h5", "a") as file:
         (file if place == "provenance" else file["particles"]).attrs[place] = value
-    with pytest.raises(UsageError, match="not a cqrun trajectory, or truncated"):
+    with pytest.raises(UsageError, match="not a cqrun trajectory, or damaged"):
         Frames(tmp_path / "t.h5")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import zlib
 
 import numpy as np
 import pytest
@@ -30,8 +31,8 @@ def history(tmp_path, opened):
 
 def test_rows_are_on_disk_with_all_their_digits(tmp_path, history):
     lines = (tmp_path / "h.csv").read_text().splitlines()
-    assert lines[0] == 'iteration,loss,"value:a,b",seconds'
-    assert lines[2] == "1,0.25,1.0,11.000"
+    assert lines[0] == 'iteration,loss,"value:a,b",seconds,crc32'
+    assert lines[2] == f"1,0.25,1.0,11.000,{zlib.crc32(b'1,0.25,1.0,11.000')}"
     assert float(lines[1].split(",")[1]) == 1 / 3
     assert (len(history), history.seconds) == (4, 13.0)
     assert read_history(tmp_path / "h.csv")["value:a,b"] == [0.0, 1.0, 2.0, 3.0]

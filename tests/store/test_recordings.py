@@ -169,6 +169,14 @@ def test_csv_refused(text, lines, words):
     refused(text(*lines), *words)
 
 
+def test_names_in_a_file_are_data_in_messages(text):
+    path = text('0,"a\nerror: b\x1b[2J",1,2,3', '1,"a\nerror: b\x1b[2J",1,2,3')
+    with pytest.raises(DataError) as info:
+        read_recording(path).select(["tip"])
+    assert str(info.value).endswith(r"no marker 'tip'; it has 'a\nerror: b\x1b[2J'")
+    assert str(info.value).isprintable()
+
+
 def test_csv_header_and_encoding(text, tmp_path):
     refused(text("0,a,1,2,3", header="t,name,x,y,z"), "time,marker,x,y,z", "t,name,x,y,z")
     (tmp_path / "b.csv").write_bytes(b"\x00\x81" * 50)
@@ -263,8 +271,8 @@ def test_trajectory_whose_numbers_are_elsewhere(tmp_path):
     virtual = h5py.VirtualLayout((2, 5, 2), float)
     virtual[:] = source
     for place, words in (
-        (h5py.ExternalLink("other.h5", "/particles/x"), "no dataset /particles/x"),
-        (h5py.SoftLink("/elsewhere"), "no dataset /particles/x"),
+        (h5py.ExternalLink("other.h5", "/particles/x"), "'particles/x' is a link, perhaps to another file"),
+        (h5py.SoftLink("/elsewhere"), "'particles/x' is a link, perhaps to another file"),
         (virtual, "the numbers of 'particles/x' are in another file"),
         (None, "the numbers of 'particles/x' are in another file"),
     ):

@@ -11,8 +11,10 @@ import pytest
 
 from cqrun.errors import RunError, Stopped, UsageError
 from cqrun.fingerprint import engine_hash
+from cqrun.store.folder import FIGURES, make_below
 from cqrun.store.result import SysidResult, read_result, write_result
-from cqrun.store.run import RunDirectory, RunScene, read_record
+from cqrun.store.run import RunDirectory, read_record
+from cqrun.store.run_scene import RunScene, stem_of
 
 ROOT = Path(__file__).parents[2]
 FOUND = SysidResult(status="converged", message="small enough", loss=1.0, iterations=3, unknowns={})
@@ -23,6 +25,14 @@ def scene(tmp_path):
     data = tmp_path / "data.csv"
     data.write_text("time,marker\n")
     return RunScene("beam", "cqrun: 1\nseed: 0\n", "cqrun: 1  # mine\n", {"data.csv": data})
+
+
+@pytest.mark.parametrize(
+    ("file", "stem"),
+    [("a/beam.yaml", "beam"), ("...yaml", "...yaml"), ("..yaml", "..yaml"), (".yaml", ".yaml"), ("a.b.yaml", "a.b")],
+)
+def test_the_name_of_a_scene_is_a_folder_inside_the_results(file, stem):
+    assert stem_of(Path(file)) == stem
 
 
 def start(scene, out, **options):
@@ -139,7 +149,7 @@ def test_fresh_starts_over(scene, tmp_path):
     with start(scene, tmp_path) as run:
         run.finish("converged", "")
         write_result(run.path, FOUND)
-        (run.figures() / "convergence.png").write_text("")
+        (make_below(run.path, FIGURES) / "convergence.png").write_text("")
         run.replay_log()
     with start(scene, tmp_path, fresh=True) as run:
         assert run.status == "new"

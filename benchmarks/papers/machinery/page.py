@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
 
 from benchmarks.papers.figure import NOT_PRINTED, Figure, Judgement, Size
 from benchmarks.papers.machinery.publish import Publication, Record
@@ -37,10 +39,29 @@ def write_page(figures: Iterable[Figure], out: Path) -> list[str]:
     make_directory(out)
     for template, name in ((PAGE, "index.html"), (GALLERY, "README.md")):
         environment = Environment(
-            autoescape=template is PAGE, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-        )
+            autoescape=template is PAGE, finalize=None if template is PAGE else literal,
+            undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        )  # fmt: skip
+        environment.filters["code"] = code
         write_text(out / name, environment.from_string(template.read_text()).render(rows=rows, totals=totals))
     return [result["error"] for row in rows for result in row["results"] if result["error"]]
+
+
+def literal(value: object) -> str:
+    """Return a text as Markdown that shows it as it is, in one line, as the page in HTML does; code stays as it is."""
+    if isinstance(value, Markup):
+        return value
+    text = " ".join(str(value).splitlines())
+    text = re.sub(r"[\\`*\[\]<|&~$]|(?<![^\W_])_|_(?![^\W_])", r"\\\g<0>", text)  # _ inside a word means nothing
+    return re.sub(r"^(\s*\d*)([#+=>.)-])(?=[#+=>-]*(\s|$))", r"\1\\\2", text)  # headings, lists, quotations
+
+
+def code(text: str) -> Markup:
+    """Return a text as code in Markdown, between more backticks than it has in a row."""
+    line = " ".join(text.splitlines())
+    fence = "`" * (1 + max((len(ticks) for ticks in re.findall("`+", line)), default=0))
+    edge = " " if line.startswith("`") or line.endswith("`") else ""
+    return Markup(f"{fence}{edge}{line}{edge}{fence}")
 
 
 def _result(figure: Figure, size: Size, out: Path) -> dict[str, Any]:

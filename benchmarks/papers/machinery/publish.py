@@ -160,7 +160,7 @@ class Publication:
         """
         table = read_table(self.file(".csv"))
         if folders is not None or not self.figure.needs_runs:
-            with styled():
+            with styled(formulas=True):
                 picture = attempt(complete, self.figure.draw, table, self.size, folders or {})
                 if picture is None:
                     return None

@@ -51,8 +51,10 @@ from cqrun.running.threads import cores
 from cqrun.scene.load import load_scene
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
+from cqrun.store.folder import RECORD, make_below
 from cqrun.store.result import LearnedResult, Stage, require_result
-from cqrun.store.run import RECORD, RunScene, read_record
+from cqrun.store.run import read_record
+from cqrun.store.run_scene import RunScene, stem_of
 from cqrun.store.study import Ablation, Mean, VariantRuns, read_ablation, write_study
 
 NOTHING = Mean(mean=None, low=None, high=None)
@@ -82,6 +84,7 @@ def run_ablation(
     variants, tried = variants_of(scene), rate_overrides(scene, rates)
     whole = control.CODESIGN.prepare(scene, 1, Silent())
     warn_if_alike(whole, seeds, talk)
+    folder = make_below(out, stem_of(source))
     # `auto` depends on the bounds of the free unknowns; variants with different time steps could not be compared
     same_step = [f"time.substeps={whole.built.model.substeps}"] if scene.time.substeps == "auto" else []
     at_once = min(n_threads if jobs is None else jobs, len(variants) * max(seeds, len(tried)))
@@ -101,12 +104,12 @@ def run_ablation(
     talk.phase(f"learning {len(variants)} variants from {seeds} seeds, {at_once} at once")
     everyone = [run for of_seed in zip(*runs.values(), strict=True) for run in of_seed]  # so a stop leaves whole seeds
     _run(everyone, at_once, "runs", talk, len(variants))
-    result = summary(source.stem, scene, variants, runs)
+    result = summary(stem_of(source), scene, variants, runs)
     for v in variants:
         result.variants[v.name].rate = (best[v.name] or "").partition("=")[2] or None
         result.variants[v.name].searched = searched.get(v.name)
     name = _name(inputs_of(source, scene, None, control.CODESIGN.name), rates)
-    path = out / source.stem / f"ablation-{name}-{seeds}.json"
+    path = folder / f"ablation-{name}-{seeds}.json"
     write_study(path, result)
     write_table(path.with_suffix(".csv"), _table(result))
     return path, all(map(has_ended, everyone)) and not _none_is_feasible(result)

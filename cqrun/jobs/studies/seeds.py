@@ -26,6 +26,7 @@ from cqrun.jobs.control import CONTROL, Learning
 from cqrun.learning.agent import Agent
 from cqrun.learning.episodes import EpisodeProblem
 from cqrun.learning.learned import STAGES, blown_up
+from cqrun.running.cost import about
 from cqrun.running.fleet import Member, run_fleet
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.reporter import Reporter, Silent
@@ -36,9 +37,15 @@ from cqrun.scene.load import dump, load_scene, resolve
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
+from cqrun.store.folder import make_below
+from cqrun.store.model_file import path_of
 from cqrun.store.result import RESULT, LearnedResult, Stage, StageName, require_result
-from cqrun.store.run import RunScene, read_record
+from cqrun.store.run import read_record
+from cqrun.store.run_scene import RunScene, stem_of
 from cqrun.store.study import Mean, Seed, SeedsSummary, read_seeds, write_study
+
+MOST_SEEDS = 10_000
+"""More are a slip: runs take minutes."""
 
 CONFIDENCE = 0.9
 """Confidence of the intervals of means."""
@@ -67,19 +74,21 @@ def run_seeds(
     talk, n_threads = reporter or Silent(), cores(threads)
     require_seeds(overrides, seeds, jobs)
     at_once = min(seeds, n_threads if jobs is None else jobs)
+    folder = make_below(out, stem_of(source))
     problem = job.prepare(load_scene(source, overrides), 1, talk)
     scene, optimizer = problem.built.scene, optimizer_of(problem.built.scene)
     warn_if_alike(problem, seeds, talk)
     compile_kernels([problem.built], talk, adjoint=optimizer.gradients)
     words = command_of(job.name, source, out, n_threads // at_once, fresh, allow_plugins)
     all_of_them = [member(words, source, scene, overrides, k, out, job.name) for k in range(seeds)]
-    talk.phase(f"learning from {seeds} seeds, {at_once} at once")
+    lasts = about(problem.built.model, gradients=optimizer.gradients, each="an episode")
+    talk.phase(f"learning from {seeds} seeds, {at_once} at once, {lasts}")
     run_fleet(all_of_them, at_once, "seeds", talk)
     good = [s for s in all_of_them if s.failure is None]
     if talk.stop.asked and len(good) < seeds:
         raise talk.stop.stopped(f"{len(good)} of {seeds} seeds are finished; the same command continues the others")
-    path = out / source.stem / f"summary-{inputs_of(source, scene, None, job.name).digest()}-{seeds}.json"
-    summary = _summary(source.stem, all_of_them)
+    path = folder / f"summary-{inputs_of(source, scene, None, job.name).digest()}-{seeds}.json"
+    summary = _summary(stem_of(source), all_of_them)
     write_study(path, summary)
     write_table(path.with_suffix(".csv"), _table(summary))
     return path, len(good) == seeds
@@ -91,6 +100,8 @@ def require_seeds(overrides: Sequence[str], seeds: int, jobs: int | None) -> Non
     for name, count in (("seeds", seeds), ("jobs", jobs)):
         if count is not None and count < 1:
             raise UsageError(f"--{name} {count}: must be at least 1; without it {without[name]}")
+    if seeds > MOST_SEEDS:
+        raise UsageError(f"--seeds {seeds}: must be at most {MOST_SEEDS:,}: each is a run of its own")
     for override in overrides:
         if override.partition("=")[0].strip() == "seed":
             raise UsageError(f"-o {override}: --seeds gives every run a seed of its own: remove one of the two")
@@ -113,8 +124,8 @@ def starts_alike(problem: EpisodeProblem) -> bool:
 
 
 def command_of(job: str, source: Path, out: Path, threads: int, fresh: bool, allow_plugins: bool) -> list[str]:
-    """Return the command of one run, without its overrides."""
-    words = [sys.executable, "-m", "cqrun", job, str(source), "--quiet", "--out", str(out)]
+    """Return the command of one run, without its overrides; -P: it imports nothing from the current folder."""
+    words = [sys.executable, "-P", "-m", "cqrun", job, str(source), "--quiet", "--out", str(out)]
     words += ["--threads", str(max(1, threads))]
     return words + ["--fresh"] * fresh + ["--allow-plugins"] * allow_plugins
 
@@ -125,16 +136,16 @@ def member(
     """Return the run of one seed; `scene` is the resolved scene with the overrides."""
     optimizer: Any = scene.optimizer.value if scene.optimizer is not None else None
     options = [word for override in (*overrides, f"seed={seed}") for word in ("-o", override)]
-    run = out / source.stem / inputs_of(source, scene, seed, job).digest()
+    run = out / stem_of(source) / inputs_of(source, scene, seed, job).digest()
     return Member(f"seed {seed}", run, [*words, *options], optimizer.max_iterations)
 
 
 def inputs_of(source: Path, scene: Scene, seed: int | None, job: str) -> RunScene:
     """Return the inputs whose hash names the run of a seed, or without a seed the summary."""
     if seed is not None:
-        return run_scene(source.stem, with_values(scene, {"seed": seed}), job=job, with_data=False)
+        return run_scene(stem_of(source), with_values(scene, {"seed": seed}), job=job, with_data=False)
     unseeded = {key: value for key, value in resolve(scene).items() if key != "seed"}
-    return replace(run_scene(source.stem, scene, job=job, with_data=False), resolved=dump(unseeded))
+    return replace(run_scene(stem_of(source), scene, job=job, with_data=False), resolved=dump(unseeded))
 
 
 def has_ended(member: Member) -> bool:
@@ -228,7 +239,7 @@ def summary_lines(path: Path) -> list[str]:
     if len(good) > 1 and spread is not None and spread.low == spread.high:
         lines.append("note: all seeds have the same result: nothing in this scene depends on its seed")
     if ended:
-        lines += ["", "to draw them together: cqrun plot " + " ".join(entry.run for entry in ended)]
+        lines += ["", "to draw them together: cqrun plot " + " ".join(str(path_of(entry.run)) for entry in ended)]
     return [*lines, f"summary: {path}"]
 
 

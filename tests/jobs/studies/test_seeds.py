@@ -63,7 +63,7 @@ def test_every_seed_is_a_run_of_its_own_and_all_are_summed_up(finger, tmp_path):
     text = "\n".join(summary_lines(path))
     assert text.startswith("2 of 2 seeds learned; mean and 90% interval over them")
     assert f"to draw them together: cqrun plot {summary['seeds']['0']['run']} {run}" in text
-    assert "learning from 2 seeds, 2 at once" in listener.said
+    assert any(line.startswith("learning from 2 seeds, 2 at once") for line in listener.said)
     assert listener.parts[-1][2] == "2 of 2 seeds"
     # and with one that failed, or with one alone
     runs = [Member(f"seed {k}", Path(entry["run"]), [], 2) for k, entry in enumerate(summary["seeds"].values())]
@@ -142,7 +142,7 @@ def test_permission_and_fresh_are_handed_on(finger, tmp_path, monkeypatch):
     run_seeds(finger, ["time.duration=0.05"], tmp_path, fresh=True, threads=4, seeds=3, jobs=2, allow_plugins=True)
     command, at_once = asked[0]
     assert at_once == 2
-    assert command[:5] == [sys.executable, "-m", "cqrun", "control", str(finger)]
+    assert command[:6] == [sys.executable, "-P", "-m", "cqrun", "control", str(finger)]
     assert command[command.index("--threads") + 1] == "2"
     assert {"--fresh", "--allow-plugins", "time.duration=0.05", "seed=2"} <= set(command)
 
@@ -151,6 +151,7 @@ def test_permission_and_fresh_are_handed_on(finger, tmp_path, monkeypatch):
     ("overrides", "options", "message"),
     [
         ([], {"seeds": 0}, "--seeds 0: must be at least 1"),
+        ([], {"seeds": 10**9}, "--seeds 1000000000: must be at most 10,000: each is a run of its own"),
         ([], {"seeds": 2, "jobs": 0}, "--jobs 0: must be at least 1"),
         (["seed=3"], {"seeds": 2}, "-o seed=3: --seeds gives every run a seed of its own"),
     ],
