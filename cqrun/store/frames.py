@@ -14,7 +14,7 @@ import numpy as np
 from cqrun.disk import require_ordinary
 from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
-from cqrun.store.hdf5 import numbers, require_sound_heaps, text
+from cqrun.store.hdf5 import UNREADABLE, numbers, require_sound_heaps, text
 
 if TYPE_CHECKING:
     import h5py
@@ -47,8 +47,8 @@ class Frames:
         self.path = path if path.exists() else part_path(path)
         if not self.path.exists():
             raise UsageError(f"{path}: no such trajectory")
-        require_ordinary(self.path)
         self._checked: dict[str, h5py.Dataset] = {}
+        require_ordinary(self.path)
         with self._reading():
             require_sound_heaps(self.path)
             self._file = h5py.File(self.path, "r", locking=False)  # also while a writer has it open
@@ -74,19 +74,6 @@ class Frames:
         self.time: Array = self._file["time"][:count]
         self.step: Array = self._file["step"][:count]
         self.provenance: dict[str, Any] = dict(json.loads(text(self._file, "provenance")))
-
-    def _own(self, name: str) -> Any:
-        """Return a dataset whose numbers are in this file, and not behind a link in another one."""
-        found = self._file[name]
-        if found.file != self._file or found.is_virtual or found.external:
-            raise ValueError(f"{name} is in another file")
-        return found
-
-    def _require_room(self, name: str, shape: tuple[int, ...]) -> None:
-        """Refuse a dataset that does not have what others say of it."""
-        found = self._own(name).shape
-        if len(found) < len(shape) or found[0] < shape[0] or found[1 : len(shape)] != shape[1:]:
-            raise ValueError(f"{name} is of shape {found}, and {shape} is needed")
 
     def __len__(self) -> int:
         return len(self.time)

@@ -16,7 +16,7 @@ from cqrun.units import format_bytes
 if TYPE_CHECKING:
     import h5py
 
-UNREADABLE = (OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError)
+UNREADABLE = (OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError, ArithmeticError)
 """What h5py raises for a damaged file, and what is raised where its content is not as expected."""
 
 EXPANSION = 1032
@@ -78,12 +78,19 @@ def text(node: h5py.Group, name: str) -> str:
 
 
 def member(group: h5py.Group, name: str) -> Any:
-    """Return an object in a group, or None; links are not followed, because they can lead to other files."""
+    """Return an object in a group, or None.
+
+    Raises:
+        UNREADABLE: it is a link. A link can lead to another file, so it is not followed.
+    """
     import h5py
 
     for part in name.split("/"):
-        if not isinstance(group, h5py.Group) or not isinstance(group.get(part, getlink=True), h5py.HardLink):
+        link = group.get(part, getlink=True) if isinstance(group, h5py.Group) else None
+        if link is None:
             return None
+        if not isinstance(link, h5py.HardLink):
+            raise ValueError(f"'{name}' is a link, perhaps to another file")
         group = group[part]
     return group
 
@@ -97,8 +104,6 @@ def numbers(group: h5py.Group, name: str) -> h5py.Dataset:
     import h5py
 
     data = member(group, name)
-    if data is None and isinstance(group.get(name, getlink=True), (h5py.ExternalLink, h5py.SoftLink)):
-        raise ValueError(f"'{name}' is a link, and links are not followed")
     if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "iuf" or data.shape is None:
         raise ValueError(f"'{name}' is no array of numbers")
     if data.is_virtual or data.external:

@@ -195,9 +195,12 @@ def test_csv_reads_only_the_markers_that_are_named(text):
     np.testing.assert_array_equal(np.argwhere(recording.seen()), [[7, 1], [10_000, 0]])
     refused(path, "10,001 lines for 10,001 markers at 10,001 times", "all markers of a frame have one time")
     refused(path, "no marker 'top' (did you mean 'tip'?)", names=["top"])
-    of_subject = text("0,arm:m1,1,2,3", "0,arm:m12,4,5,6")
-    refused(of_subject, "no marker 'm1' (did you mean 'arm:m1'?)", names=["m1"])
     refused(path, "`markers` is missing", "such as m0: [x, y, z]; it has m0, m1", names=[])
+
+
+def test_a_marker_without_the_name_of_its_subject_is_recognised(text):
+    path = text("0,arm:m1,1,2,3", "0,arm:m12,4,5,6")
+    refused(path, "no marker 'm1' (did you mean 'arm:m1'?)", names=["m1"])
 
 
 def test_time_of_a_marker_that_is_not_named_is_a_frame(text):
@@ -273,8 +276,8 @@ def test_trajectory_whose_numbers_are_elsewhere(tmp_path):
     virtual = h5py.VirtualLayout((2, 5, 2), float)
     virtual[:] = source
     for place, words in (
-        (h5py.ExternalLink("other.h5", "/particles/x"), "no dataset /particles/x"),
-        (h5py.SoftLink("/elsewhere"), "no dataset /particles/x"),
+        (h5py.ExternalLink("other.h5", "/particles/x"), "'particles/x' is a link, perhaps to another file"),
+        (h5py.SoftLink("/elsewhere"), "'particles/x' is a link, perhaps to another file"),
         (virtual, "the numbers of 'particles/x' are in another file"),
         (None, "the numbers of 'particles/x' are in another file"),
     ):
