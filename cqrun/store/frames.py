@@ -14,7 +14,7 @@ import numpy as np
 from cqrun.disk import require_ordinary
 from cqrun.errors import UsageError
 from cqrun.plugin.contract import Array
-from cqrun.store.hdf5 import UNREADABLE, numbers, require_sound_heaps, text
+from cqrun.store.hdf5 import numbers, require_sound_heaps, text
 
 if TYPE_CHECKING:
     import h5py

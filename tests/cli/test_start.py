@@ -41,6 +41,11 @@ def run(*words: str | Path, folder: Path, **options: object) -> tuple[int, str, 
     return process.returncode, out, err
 
 
+def but_for_warnings(err: str) -> list[str]:
+    """Return the lines on standard error, without the warnings about thin bodies."""
+    return [line for line in err.splitlines() if not line.startswith("warning: ")]
+
+
 @pytest.fixture
 def folder(tmp_path):
     """Return a folder with a scene, and files that call themselves like libraries."""
@@ -66,7 +71,7 @@ def folder(tmp_path):
 )
 def test_nothing_is_imported_from_the_current_folder(folder, python, path):
     code, out, err = run("simulate", "beam.yaml", "-o", SHORT, "-q", folder=folder, python=python, PYTHONPATH=path)
-    assert (code, err) == (0, "")
+    assert (code, but_for_warnings(err)) == (0, [])
     assert "figures/bodies.png" in out
     assert not list(folder.glob("was-run-*"))
 
@@ -74,7 +79,7 @@ def test_nothing_is_imported_from_the_current_folder(folder, python, path):
 def test_runs_of_a_study_import_nothing_from_the_current_folder(folder):
     words = ("control", "finger.yaml", "--seeds", "1", "-o", "optimizer.adam.max_iterations=1", "-q", "--threads", "1")
     code, out, err = run(*words, folder=folder)
-    assert (code, err) == (0, "")
+    assert (code, but_for_warnings(err)) == (0, [])
     assert "1 of 1 seeds learned" in out
     assert not list(folder.glob("was-run-*"))
 
