@@ -23,6 +23,12 @@ def _threads_for_few_particles(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"cqrun.engine.forward_run.{worth}", 1)
 
 
+@pytest.fixture(autouse=True)
+def _first_phases_are_not_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Print nothing about a command's first phase, which takes more than a moment on a busy machine only."""
+    monkeypatch.setattr("cqrun.cli.progress.BRIEF", float("inf"))
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """Return a generator that is the same for every test and every run."""
