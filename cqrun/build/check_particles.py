@@ -28,11 +28,8 @@ from cqrun.scene.keypath import joined
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import marked, parts
 
-ROUNDING = 1e-9
-"""Relative difference up to which a length counts as a multiple of another."""
-
-FLOAT32 = 1e-6
-"""The same for the size of a shape from a file, whose numbers may have single precision."""
+ROUNDING, FLOAT32 = 1e-9, 1e-6
+"""Relative difference up to which a length, or one from a file, counts as a multiple of another."""
 
 TOO_CLOSE = 1.5
 """Bodies that start closer than this stick together [cells]."""
