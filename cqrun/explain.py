@@ -133,6 +133,8 @@ def in_words(error: ErrorDetails, *, keys: Iterable[str] = (), about: str = "", 
         return f"is missing: {about}" if about else "is missing"
     if kind == "extra_forbidden":
         key = str(error["loc"][-1])
+        if key.isdigit() and value is None:  # {dx: 0,02} has the keys dx and 02
+            return "is a number after a comma: if the comma is decimal, write a point"
         return f"unknown key{suggest(key, keys)}; keys here: {listed(keys)}"
     if kind in _TYPES:
         in_unit = f" in {unit}" if unit not in (None, "1") and kind == "float_type" else ""

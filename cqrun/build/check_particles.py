@@ -28,8 +28,8 @@ from cqrun.scene.keypath import joined
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import marked, parts
 
-ROUNDING = 1e-9
-"""Relative difference up to which a length counts as a multiple of another."""
+ROUNDING, FLOAT32 = 1e-9, 1e-6
+"""Relative difference up to which a length, or one from a file, counts as a multiple of another."""
 
 TOO_CLOSE = 1.5
 """Bodies that start closer than this stick together [cells]."""
@@ -299,7 +299,7 @@ def _volume_advice(size: Array, spacing: float | None) -> str:
     if spacing is None:
         return "give another count, or `sampling: {random: {count: ...}}`, whose particles share the shape's volume"
     rows = size / spacing
-    odd = [f"{size[k]:.6g} m along {'xyz'[k]}" for k in np.flatnonzero(np.abs(rows - np.round(rows)) > ROUNDING * rows)]
+    odd = [f"{size[k]:.6g} m along {'xyz'[k]}" for k in np.flatnonzero(np.abs(rows - np.round(rows)) > FLOAT32 * rows)]
     if not odd:
         return "give a smaller spacing, or `sampling: {random: {count: ...}}`, whose particles share the shape's volume"
     return (

@@ -214,9 +214,11 @@ def _read(path: Path, time: int, size: int) -> Array:
         with warnings.catch_warnings(action="ignore"), Pillow.open(path, formats=("PNG",)) as image:
             count = image.width * image.height
             if count > MAX_PIXELS:
-                raise UsageError(f"{path}: {image.width} x {image.height} pixels; at most {MAX_PIXELS:.0e} are read")
+                raise UsageError(f"{path}: {image.width} x {image.height} pixels; at most {MAX_PIXELS:,} are read")
             require_memory(path, _PIXEL_MEMORY * count, "save it with fewer pixels")
             pixels = _rgba(image, _bit_depth(path))
+    except Pillow.DecompressionBombError:
+        raise UsageError(f"{path}: has far too many pixels; at most {MAX_PIXELS:,} are read") from None
     except UnidentifiedImageError:
         raise UsageError(f"{path}: is not a PNG; only PNG is read, whatever a file is called: save it as PNG") from None
     except UsageError:

@@ -62,7 +62,7 @@ def read_triangles(path: Path) -> tuple[Array, Array]:
             f"{path}: cannot be read as {kind[1:].upper()} ({error}); is the file whole? save it again"
         ) from None
     if not len(faces):
-        raise UsageError(f"{path}: holds no triangle; is it a {kind[1:].upper()} file of a surface, and whole?")
+        raise UsageError(f"{path}: holds no triangle; is it a surface in the format {kind[1:].upper()}, and whole?")
     return vertices, faces
 
 
@@ -103,10 +103,13 @@ def _broken_stl(data: bytes) -> str:
     if held == announced * _STL_TRIANGLE:
         return ""
     though = ", though it begins with `solid` as text files do," if data.startswith(b"solid") else ""
+    short = held < announced * _STL_TRIANGLE
     return (
         f"is a binary STL file{though} that announces {announced:,} triangles of {_STL_TRIANGLE} bytes, but has "
-        f"{max(0, held):,} bytes of them: it was cut short, or its number is wrong; save it again"
-    )
+        f"{max(0, held):,} bytes of them: "
+        + ("it was cut short, or its number is wrong; save it again" if short
+           else "its number is wrong, or something else follows; save it again")
+    )  # fmt: skip
 
 
 def _is_text(stl: bytes) -> bool:

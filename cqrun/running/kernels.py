@@ -2,8 +2,8 @@
 
 Numba compiles a kernel for the types of its arguments. These depend on the dimension, the precision, the terms of each
 body's stress, and the planes of the boundaries: together they are the composition of a scene. The compiled code is in
-a folder named after all kernels (`fingerprint.py`). There a mark file for each composition shows a later process that
-its kernels are compiled.
+a folder named after all kernels (`fingerprint.py`). There a mark file for each composition, processor and installation
+shows a later process that its kernels are compiled.
 """
 
 from __future__ import annotations
@@ -47,9 +47,20 @@ def _kind(kernel_class: type) -> str:
     return kernel_class.__module__.rpartition(".")[2]
 
 
+def processor() -> tuple[str, ...]:
+    """Return the processor's kind, name and features, by which Numba distinguishes compiled code."""
+    from numba.core.registry import cpu_target
+
+    return tuple(str(part) for part in cpu_target.target_context.codegen().magic_tuple())
+
+
 def mark_of(words: str) -> Path:
-    """Return the file that marks a composition as compiled."""
-    digest = hashlib.sha256(words.encode()).hexdigest()[:12]
+    """Return the file that marks a composition as compiled, for this processor and this installation.
+
+    Numba compiles again for both, and computers of several kinds may share a home.
+    """
+    where = (*processor(), str(Path(__file__).parent))
+    digest = hashlib.sha256("\0".join((words, *where)).encode(errors="surrogateescape")).hexdigest()[:12]
     return set_kernel_cache() / f"compiled-{digest}.txt"
 
 

@@ -172,6 +172,9 @@ def _strange_character(text: str, line: int) -> str:
     for k in reversed(near):
         for column, description in lookalikes(re.sub(r"(^|\s)#.*", "", lines[k])):
             return f"; line {k + 1} has {description} in column {column + 1}"
+    for k in reversed(near):
+        if "\t" in lines[k][: len(lines[k]) - len(lines[k].lstrip())]:
+            return f"; line {k + 1} begins with a tab: YAML is indented with spaces"
     return ""
 
 

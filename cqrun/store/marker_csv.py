@@ -18,6 +18,9 @@ from cqrun.units import METRES
 
 COLUMNS = ("time", "marker", "x", "y", "z")
 
+NEAR = 12
+"""So many bytes before and after a wrong one are shown."""
+
 SPARSEST, MANY = 100, 1_000_000
 """A table of so many places may have so many times as many places as lines."""
 
@@ -61,7 +64,11 @@ def _lines(path: Path, source: str) -> Iterator[tuple[float, str, list[float], s
                 if not _blank(row):
                     at = f"{source}:{rows.line_num}"
                     yield *_row(row, dim, at), at
-    except (UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        near = error.object[max(0, error.start - NEAR) : error.end + NEAR].decode("latin-1")
+        what = f"not a CSV text file in UTF-8: byte 0x{error.object[error.start]:02x} in {near!r}; save it as UTF-8"
+        raise DataError(f"{source}: {other_format(path) or what}") from error
+    except csv.Error as error:
         raise DataError(f"{source}: {other_format(path) or f'not a CSV text file ({error})'}") from error
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+import trimesh
 
 from cqrun.build import check_particles as check
 from cqrun.build.particles import fill
@@ -162,6 +164,21 @@ def test_particles_with_another_volume_than_their_shape_are_a_warning() -> None:
         assert volume_warnings(shape=thin, spacing=None, sampling=sampling) == []
     assert volume_warnings(shape=thin, sampling={"poisson_disk": {}}) == []
     assert volume_warnings(shape={"box": {"corner": [0.5, 0.45], "size": [0.2, 0.03]}}) == []
+
+
+def test_size_in_single_precision_counts_as_a_multiple(tmp_path: Path) -> None:
+    """An STL file has a side of 0.2 m as 0.2 (1 + 1e-8): the reason is the round shape, and not this side."""
+    trimesh.creation.icosphere(3, 0.1).export(tmp_path / "ball.stl")
+    mesh = {"mesh": {"file": str(tmp_path / "ball.stl"), "offset": [0.5, 0.5, 0.5]}}
+    material = {"density": 1.0, "elastic": {"neo_hookean": {"youngs_modulus": 1.0, "poissons_ratio": 0.3}}}
+    scene = load_scene({
+        "cqrun": 1,
+        "world": {"size": [1, 1, 1], "dx": 0.025},
+        "bodies": {"ball": {"shape": mesh, "particles_per_cell": 8, "material": material}},
+        "time": {"duration": 1.0, "control_step": 0.1},
+    })  # fmt: skip
+    (message,) = (str(p) for p in check.volume_errors(scene, *sampled(scene)))
+    assert "so does its mass: give a smaller spacing, or" in message
 
 
 def test_unavoidable_volume_errors_of_small_round_bodies_are_no_warning(rng: np.random.Generator) -> None:

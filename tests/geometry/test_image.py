@@ -164,7 +164,10 @@ def test_files_without_a_readable_image_are_errors(tmp_path: Path, flag: str) ->
 def test_image_that_is_too_large_is_an_error(flag: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cqrun.geometry.image.MAX_PIXELS", 20)
     Path(flag).touch()
-    with pytest.raises(UsageError, match="6 x 4 pixels; at most 2e"):
+    with pytest.raises(UsageError, match="6 x 4 pixels; at most 20 are read"):
+        image(flag).examine()
+    monkeypatch.setattr("PIL.Image.MAX_IMAGE_PIXELS", 10)  # the reader refuses twice as many in its own words
+    with pytest.raises(UsageError, match=r"\.png: has far too many pixels; at most 20 are read"):
         image(flag).examine()
 
 

@@ -148,7 +148,7 @@ def test_name_in_latin_1_is_read(suffix: str, sphere: Any, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("text.stl", b"no mesh at all", "text.stl: holds no triangle; is it a STL file of a surface"),
+        ("text.stl", b"no mesh at all", "text.stl: holds no triangle; is it a surface in the format STL"),
         ("empty.stl", b"solid a\nendsolid a\n", "empty.stl: holds no triangle"),
         ("none.stl", b"", "none.stl: holds no triangle"),
         ("points.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 1\n", "points.obj: holds no triangle"),

@@ -37,6 +37,15 @@ def test_a_scenes_kernels(beam, cache):
         assert len(listener.said) == 1
 
 
+def test_another_processor_compiles_again(beam, cache, monkeypatch):
+    """Numba does so, and computers of several kinds may share a home: it would last a minute without a word."""
+    listener = Listener()
+    next(warmup([beam], reporter=listener))
+    monkeypatch.setattr(kernels, "processor", lambda: ("x86_64-unknown-linux-gnu", "znver9", "+everything"))
+    next(warmup([beam], reporter=listener))
+    assert len(listener.said) == 2
+
+
 def test_a_cache_that_cannot_be_written_is_no_trouble(beam, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(kernels, "set_kernel_cache", lambda: tmp_path / "file" / "cache")

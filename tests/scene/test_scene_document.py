@@ -91,6 +91,8 @@ def test_bad_texts_are_refused_with_their_position(text: str, message: str) -> N
             "s.yaml:1:5: a: the key 'b:\\xa01' has a no-break space (U+00A0) instead of a space in column 7",
         ),
         ("a:\n\u00a0 b: 1\n  c: 2", "; line 2 has a no-break space (U+00A0) instead of a space in column 1"),
+        ("a:\n\tb: 1\n", "; line 2 begins with a tab: YAML is indented with spaces"),
+        ("a:\n  b: 1\n \tc: 1\n", "; line 3 begins with a tab: YAML is indented with spaces"),
         ("a\uff1a 1\nb: {c: 1}", "; line 1 has a fullwidth colon (U+FF1A) instead of : in column 2"),
         (
             "a\u200b: 1",

@@ -143,6 +143,10 @@ def test_short_and_long_form_of_a_union_are_the_same_path(beam: str) -> None:
         ("world.dx=small", "world.dx: must be a number in m, is 'small'"),
         ("world.dx.x=1", "world.dx: must be a number in m, is a mapping"),
         ("world.dy=1", "world.dy: unknown key; keys here: size, dx, gravity"),
+        (
+            "world={size: [1, 1], dx: 1,02}",
+            "world.02: is a number after a comma: if the comma is decimal, write a point",
+        ),
         ("wrld.dx=1", "wrld: unknown key (did you mean 'world'?)"),
         ("world.gravity.7=1", "world.gravity.7: there is no entry '7' in a list of 2; they count from 0"),
         ("world.gravity=[1, 2, 3]", "world.gravity: must have 2 entries in this 2D world, has 3"),

@@ -32,7 +32,7 @@ LONG = "write one line for each marker and frame: time,marker,x,y,z"
         ("a.xlsx", b"PK\x03\x04" + bytes(40), "is a spreadsheet or another packed file: save its table as CSV text"),
         ("a.csv", b"\x89HDF\r\n\x1a\n" + bytes(40), "is an HDF5 file: if it is a trajectory.h5 of cqrun, let its"),
         ("a.csv", b"\x02\x50" + bytes(600), "is a C3D file: let its name end in .c3d"),
-        ("a.csv", b"time,marker,x,y\n0,b\xf6se,1,2\n", "not a CSV text file ('utf-8' codec can't decode byte 0xf6"),
+        ("a.csv", b"time,marker,x,y\n0,b\xf6se,1,2\n", "UTF-8: byte 0xf6 in 'rker,x,y\\n0,böse,1,2\\n'; save"),
         ("a.csv", "step,name,value\n", "the first line must be 'time,marker,x,y,z'"),
         ("a.mat", "MATLAB 5.0 MAT-file\n", "the name of a recording ends in .c3d, .csv, .h5, not in '.mat'"),
     ],
