@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from cqrun.characters import harmless
+from cqrun.characters import harmless, printable
 from cqrun.errors import StopNow
 from cqrun.running.reporter import StopFlag
 
@@ -95,8 +95,8 @@ class Progress:
         self._total = total
 
     def phase(self, text: str) -> None:
-        """Show what happens now."""
-        self._unsaid = False
+        """Show what happens now, in one line, whatever the name of a file contains."""
+        text, self._unsaid = printable(text), False
         self._print_pending()
         self._phase, self._numbers, self._began, self._phase_began = text, "", None, time.monotonic()
         if self._live is None and not self._quiet:

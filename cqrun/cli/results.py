@@ -9,6 +9,7 @@ from pathlib import Path
 
 import typer
 
+from cqrun.characters import printable
 from cqrun.cli.terminal import echo
 
 PICTURES = "CQRUN_PICTURES"
@@ -23,7 +24,7 @@ def print_run(run: Path, allow_plugins: bool) -> None:
     with plugins_allowed(allow_plugins):
         for line in report_lines(run):
             echo(line)
-    echo(f"run: {run}")
+    echo(f"run: {printable(str(run))}")
 
 
 def draw_and_print_run(run: Path, quiet: bool, allow_plugins: bool) -> None:

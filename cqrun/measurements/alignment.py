@@ -105,7 +105,12 @@ def measure(recording: Recording, markers: Mapping[str, Array], still: tuple[flo
             chosen.time, chosen.names, rest, chosen.positions, np.zeros((0, *rest.shape)), True, None, chosen.source
         )
     frames, mean = still_frames(chosen, still), still_mean(chosen, still)
-    alignment = align(mean, rest, chosen.names, chosen.source)
+    try:
+        alignment = align(mean, rest, chosen.names, chosen.source)
+    except DataError as error:
+        zero = [f"marker '{name}' is at exactly 0" for name, x in zip(chosen.names, mean, strict=True) if not x.any()]
+        unseen = f"; {' and '.join(zero)}: if it was not seen, leave it out of `markers:`" if zero else ""
+        raise DataError(f"{error}{unseen}") from None
     values = (chosen.positions - mean) @ alignment.rotation.T
     return Measured(chosen.time, chosen.names, rest, values, values[frames], False, alignment, chosen.source)
 
@@ -187,7 +192,7 @@ def _check_seen(recording: Recording) -> None:
 
 
 def _check_not_zero(recording: Recording, rest: Array) -> None:
-    """Refuse markers that are nowhere but at 0; with still frames the alignment refuses them."""
+    """Refuse markers that are nowhere but at 0; with still frames they are named if the alignment fails."""
     for name, track, place in zip(recording.names, recording.positions.transpose(1, 0, 2), rest, strict=True):
         if place.any() and not np.nan_to_num(track).any():
             raise DataError(

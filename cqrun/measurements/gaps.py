@@ -99,18 +99,25 @@ def stopped(recording: Recording, size: float) -> Iterator[Doubt]:
     """Yield the frames in which no marker moves at all, as measured markers never do.
 
     A model can stand still, at the beginning or under a load that grows in steps. So a recording is only reported if no
-    marker stands still elsewhere, or if several move until the frames begin, and again when they end.
+    marker stands still for long elsewhere, or if several move until the frames begin, and again when they end. Rounded
+    positions may be equal by chance in a few frames.
     """
     moves = np.stack([_changes(recording, marker) for marker in range(len(recording.names))], axis=1)
     still = (moves == 0).any(axis=1) & ~(moves > 0).any(axis=1)
     fast = (moves > SMALLEST * size).sum(axis=1) >= 2  # NaN is not
     for first, last in np.flatnonzero(np.diff(np.r_[False, still, False])).reshape(-1, 2).tolist():
         goes_on = last < len(moves)
-        changes_always = not (moves[np.r_[:first, last : len(moves)]] == 0).any()
+        changes_always = not any(_longest(column == 0, first, last) >= HELD for column in moves.T)
         moving = first > 1 and fast[first - 2 : first].all() and fast[last : last + 2].all()
         if first > 0 and last - first >= HELD and (changes_always or moving):
             what = "moves at all, although they move before" + " and after" * goes_on + ","
             yield Doubt(None, np.arange(first + 1, last + 1), what, "did the recording stop there?")
+
+
+def _longest(same: Array, first: int, last: int) -> int:
+    """Return how often `same` (n,) is true in a row, before `first` or from `last` on."""
+    edges = np.flatnonzero(np.diff(np.r_[False, same[:first], False, same[last:], False])).reshape(-1, 2)
+    return int(np.diff(edges).max(initial=0))
 
 
 def coincident(recording: Recording) -> Iterator[Doubt]:

@@ -6,10 +6,12 @@ import io
 import os
 import signal
 import time
+from pathlib import Path
 
 import pytest
 
 from cqrun.cli.progress import BRIEF, Progress, clock, reporting
+from cqrun.cli.results import print_run
 from cqrun.errors import Stopped
 
 
@@ -89,6 +91,16 @@ def test_the_last_numbers_of_a_phase_are_not_lost():
         progress.phase("then")
     lines = [line.partition("  ")[0] for line in stream.getvalue().splitlines()]
     assert lines == ["0 of 3", "warning: careful", "3 of 3", "then"]
+
+
+def test_line_feed_in_a_files_name_makes_no_second_line(capsys, monkeypatch):
+    stream = io.StringIO()
+    with Progress(stream=stream) as progress:
+        progress.phase("reading a\nerror: b.yaml")
+    assert stream.getvalue() == "reading a\\nerror: b.yaml\n"
+    monkeypatch.setattr("cqrun.jobs.table.report_lines", lambda run: [])
+    print_run(Path("results/a\nerror: b/0123456789ab"), allow_plugins=False)
+    assert capsys.readouterr().out == "run: results/a\\nerror: b/0123456789ab\n"
 
 
 def test_quiet_keeps_warnings():

@@ -106,6 +106,16 @@ def test_wrong_units_are_recognised(rng, factor, words):
         measure(wrong, REST[3], (0.0, 0.9))
 
 
+@pytest.mark.parametrize("distance", [0.0, 1.5])
+def test_marker_that_is_always_at_0_is_named(rng, distance):
+    """It makes the others look wrong: at wrong places, or on one line if they are 1.5 m from it."""
+    recording, _ = recorded(3, rng)
+    positions = recording.positions + distance
+    positions[:, 1] = 0.0
+    with pytest.raises(DataError, match="; marker 'b' is at exactly 0: if it was not seen, leave it out"):
+        measure(Recording(recording.time, recording.names, positions, "beam.csv"), REST[3], (0.0, 0.9))
+
+
 def test_too_few_collinear_or_coincident_markers(rng):
     recording, _ = recorded(3, rng)
     with pytest.raises(DataError, match="2 alignment markers; a rigid alignment in 3D needs 3 or more"):

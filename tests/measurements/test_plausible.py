@@ -207,6 +207,16 @@ def test_frames_in_which_the_recording_stops_are_reported_and_used(swing, last, 
     )
 
 
+def test_a_stop_is_reported_although_rounded_positions_are_equal_by_chance(swing):
+    positions = swing.positions.copy()
+    positions[11, 0], positions[150, 3] = positions[10, 0], positions[149, 3]
+    positions[199] = positions[198]
+    positions[101:115] = positions[100]
+    assert any(doubt.startswith("no marker moves at all") for doubt in judged(replace(swing, positions=positions))[1])
+    positions[150:157, 3] = positions[149, 3]  # such markers can stand still, and so can all
+    assert not any(doubt.startswith("no marker") for doubt in judged(replace(swing, positions=positions))[1])
+
+
 def test_two_markers_in_exactly_one_place_are_reported(swing):
     _, doubts = judged(changed(swing, 3, slice(None), swing.positions[:, 2]))
     where = "in frames 0 to 199 (0 to 1.99 s)"

@@ -9,7 +9,7 @@ import pytest
 
 from cqrun.disk import open_file, replacing
 from cqrun.errors import CqrunError, UsageError
-from cqrun.store.folder import OWN_FILES, OWN_FOLDERS, make_below
+from cqrun.store.folder import OWN_FILES, OWN_FOLDERS, _delete, make_below
 from cqrun.store.frames import Frames
 from cqrun.store.lock import is_locked
 from cqrun.store.run import RunDirectory, read_record
@@ -193,3 +193,13 @@ def test_a_trajectory_is_not_read_through_a_link(tmp_path, victim):
     (tmp_path / "trajectory.h5").symlink_to(victim / "notes.txt")
     with pytest.raises(CqrunError, match=r"trajectory.h5: is a link"):
         Frames(tmp_path / "trajectory.h5")
+
+
+def test_files_behind_a_folder_that_became_a_link_are_not_deleted(tmp_path: Path) -> None:
+    """The link may appear between the check and the deletion."""
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "log.txt").write_text("precious")
+    (tmp_path / "run").symlink_to(tmp_path / "other")
+    with pytest.raises(OSError, match="run"):
+        _delete(tmp_path / "run", ["*"])
+    assert (tmp_path / "other" / "log.txt").read_text() == "precious"
