@@ -75,6 +75,13 @@ def _bodies(scene: Scene) -> Iterator[Problem]:
                 f"far, one of 2 cells 10 %; set dx to {thickness / CELLS:.3g} m, or make it {CELLS * dx:.3g} m thick"
             )
             yield Problem(scene.where(path), path, message)
+        elif (neck := _neck(solid, ROWS * dx / pitch)).any():
+            at = _place(body, corner, pitch, neck)
+            message = (
+                f"has a neck less than {ROWS} cells thick at {at}, which joins thicker parts: it bends too easily, and "
+                f"may break; make it {CELLS * dx:.3g} m thick, or dx smaller"
+            )
+            yield Problem(scene.where(path), path, message)
         border = int(np.ceil(CELLS * dx / pitch))
         gaps = thinner(~np.pad(solid, border), TOO_CLOSE * dx / pitch)
         if gaps.sum() * pitch**scene.dim > (TOO_CLOSE * dx) ** scene.dim:
@@ -118,6 +125,13 @@ def thinner(solid: Array, width: float) -> Array:
         return solid
     reach = ndimage.distance_transform_edt(~filled)
     return np.asarray(solid & (reach > (0.5 + ROUNDED) * width))
+
+
+def _neck(solid: Array, width: float) -> Array:
+    """Return the cells thinner than a width, if the solid falls into more parts without them; else none."""
+    thin = thinner(solid, width)
+    _, parts = ndimage.label(solid & ~thin)
+    return thin & (parts > ndimage.label(solid)[1])
 
 
 def _depth(solid: Array) -> Array:

@@ -67,6 +67,16 @@ def test_a_post_on_a_floor_is_thin():
     assert "is a single row of nodes at (0.3, 0.14) m" in told
 
 
+@pytest.mark.parametrize(("height", "told"), [(0.016, True), (0.03, True), (0.06, False)])
+def test_a_neck_between_two_blocks(height, told):
+    """A flexure hinge is a small part of its body."""
+    blocks = {"left": box([0.1, 0.5], [0.3, 0.2]), "right": box([0.46, 0.5], [0.3, 0.2])}
+    neck = {"neck": box([0.4, 0.6], [0.06, height])}
+    found = [each for each in warnings(shape=None, parts=blocks | neck) if "neck less than 2 cells thick" in each]
+    assert len(found) == told
+    assert all("which joins thicker parts" in each and "make it 0.06 m thick" in each for each in found)
+
+
 @pytest.mark.parametrize(("height", "cells"), [(1, "1"), (2, "2"), (3, None), (6, None)])
 @pytest.mark.parametrize("place", [None, {"angle": 30, "offset": [0.5, 0.2]}, {"scale": 2, "offset": [0.1, 0.2]}])
 def test_a_body_that_is_thin(height, cells, place):
