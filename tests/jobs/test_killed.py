@@ -109,7 +109,8 @@ def killed_and_resumed(
     (whole,) = (folder / "whole").glob("*/*")
     work = read_record(whole)["seconds"]  # of the job itself, without the start of Python
     out, done, alive = folder / "killed", 0, 0
-    while done < kills:
+    while alive < kills:  # those that met a process that still ran
+        assert done < 3 * kills, f"only {alive} of {done} kills met a process that still ran"
         (run,) = list(out.glob("*/*")) or [None]
         finished = run is not None and read_record(run)["status"] == read_record(whole)["status"]
         if finished:  # before all kills were dealt: begin again, so that every kill hits something
@@ -120,11 +121,10 @@ def killed_and_resumed(
             words = ("resume", run)
         alive += kill_after(start(*words), out, float(rng.uniform(0.0, 0.9 * work)))
         done += 1
-    assert alive >= 0.6 * kills, f"{alive} of {kills} kills met a process that still ran"
     (run,) = out.glob("*/*")
     finish(start("resume", run))
     assert_same(run, whole)
-    assert time.monotonic() - begin < PATIENCE * (kills + 2)
+    assert time.monotonic() - begin < PATIENCE * (done + 2)
 
 
 @pytest.fixture
