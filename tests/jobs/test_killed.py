@@ -111,7 +111,7 @@ def killed_and_resumed(
     out, done, alive = folder / "killed", 0, 0
     while alive < kills:  # those that met a process that still ran
         assert done < 3 * kills, f"only {alive} of {done} kills met a process that still ran"
-        (run,) = list(out.glob("*/*")) or [None]
+        (run,) = [record.parent for record in out.glob("*/*/run.json")] or [None]  # none while `--fresh` deletes it
         finished = run is not None and read_record(run)["status"] == read_record(whole)["status"]
         if finished:  # before all kills were dealt: begin again, so that every kill hits something
             words: tuple[str | Path, ...] = (job, scene, "-o", override, "--out", out, "--fresh")
