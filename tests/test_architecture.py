@@ -19,7 +19,8 @@ ROOT = Path(cqrun.__file__).parents[1]
 PACKAGE = ROOT / "cqrun"
 
 FLOORS = (
-    {"characters", "errors", "explain", "units", "fingerprint", "state", "version", "disk", "numerics", "plugin"},
+    {"characters", "disk", "errors", "explain", "fingerprint", "memory", "state", "units", "version"}
+    | {"numerics", "plugin"},
     {"materials", "actuators", "forces", "boundaries", "loads"},
     {"engine", "geometry", "observers", "controllers", "objectives", "measurements", "design", "optimizers"},
     {"scene", "store"},

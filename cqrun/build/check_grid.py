@@ -60,7 +60,7 @@ def grid_warnings(scene: Scene, particles: Particles, conditions: Sequence[Condi
 
 
 def _bodies(scene: Scene) -> Iterator[Problem]:
-    """Yield warnings about bodies that are less than 3 cells thick, and about narrow gaps in them."""
+    """Yield warnings about bodies less than 3 cells thick, their necks of less than 2, and narrow gaps in them."""
     dx = scene.world.dx
     for name, body in scene.bodies.items():
         path = f"bodies.{name}." + ("shape" if body.shape else "parts")

@@ -12,9 +12,9 @@ import numpy as np
 from cqrun.engine.setting import grid_shape
 from cqrun.errors import Problem, SceneError
 from cqrun.geometry.place import Place
+from cqrun.memory import shortage
 from cqrun.scene.schema import Scene
 from cqrun.state import Layout
-from cqrun.units import format_bytes
 
 DOUBLE = 8
 """Size of a float64 [bytes]."""
@@ -39,16 +39,11 @@ def require_memory(scene: Scene, layout: Layout | None = None) -> None:
         scene: the scene; the files that shapes are made from can be read.
         layout: its particles; if None, what is known without them is checked.
     """
-    import psutil
-
-    available = psutil.virtual_memory().available
     needs = _needs(scene) if layout is None else _needs_with(scene, layout)
     problems = [
-        Problem(
-            scene.where(path), path, f"{what} need {format_bytes(need)}; {format_bytes(available)} are free: {advice}"
-        )
+        Problem(scene.where(path), path, lack)
         for path, what, need, advice in needs
-        if not need <= available
+        if (lack := shortage(f"{what} need", need, advice))
     ]
     if problems:
         raise SceneError(problems)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from pathlib import Path
 
-import psutil
 from pydantic import Field
 
 from cqrun.errors import UsageError
 from cqrun.geometry.shape import Shape
+from cqrun.memory import shortage
 from cqrun.plugin.reference import FileName, why_unreadable
-from cqrun.units import format_bytes
 
 
 class FileShape(Shape):
@@ -46,8 +45,5 @@ class FileShape(Shape):
 
 def require_memory(path: Path, need: int, advice: str) -> None:
     """Raise a UsageError if reading a file needs more memory [bytes] than is free."""
-    free = psutil.virtual_memory().available
-    if need > free:
-        raise UsageError(
-            f"{path}: reading it needs about {format_bytes(need)}; {format_bytes(free)} are free: {advice}"
-        )
+    if lack := shortage("reading it needs about", need, advice):
+        raise UsageError(f"{path}: {lack}")

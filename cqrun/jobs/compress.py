@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import psutil
 
 from cqrun.errors import UsageError
 from cqrun.explain import listed, suggest
+from cqrun.memory import shortage
 from cqrun.observers.pca import fit_components, save_components
 from cqrun.observers.raster import Raster
 from cqrun.observers.vae import MOST_CELLS, Trained, save_encoder
@@ -20,7 +20,6 @@ from cqrun.plugin.contract import Array
 from cqrun.running.reporter import Reporter, Silent
 from cqrun.store.atomic import disk_errors, make_directory, require_room, write_bytes
 from cqrun.store.frames import Frames
-from cqrun.units import format_bytes
 
 EDGE = 1.2
 """Edge of the grid of cells divided by the largest extent of the body in the runs."""
@@ -124,13 +123,12 @@ def read(run: Path, body: str | None) -> tuple[Array, Array]:
 def require_memory(count: int, raster: Raster, size: int) -> None:
     """Raise a UsageError if the images of all frames, or the weights of a code, need more memory than is free."""
     pixels = (1.0 + raster.dim) * float(raster.cells) ** raster.dim
-    free = psutil.virtual_memory().available
     for what, need, advice in (
-        (f"{count:,} images of {raster.cells}^{raster.dim} cells", DOUBLE * count * pixels, "give fewer --cells"),
-        (f"a code of {size:.3g} numbers", DOUBLE * size * pixels, "give a smaller --size"),
+        (f"{count:,} images of {raster.cells}^{raster.dim} cells need", DOUBLE * count * pixels, "give fewer --cells"),
+        (f"a code of {size:.3g} numbers needs", DOUBLE * size * pixels, "give a smaller --size"),
     ):
-        if need > free:
-            raise UsageError(f"{what} need {format_bytes(need)}; {format_bytes(free)} are free: {advice}")
+        if lack := shortage(what, need, advice):
+            raise UsageError(lack)
 
 
 def raster_of(x: Array, v: Array, cells: int) -> Raster:

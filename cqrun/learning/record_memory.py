@@ -7,7 +7,7 @@ import numpy as np
 from cqrun.controllers.policy import memory_size
 from cqrun.errors import Problem, SceneError
 from cqrun.learning.agent import Agent
-from cqrun.units import format_bytes
+from cqrun.memory import shortage
 
 FORWARD, BACKWARD = 3, 2
 """Largest number of copies of an episode's records, and the additional number with gradients."""
@@ -28,17 +28,14 @@ def record_bytes(agent: Agent, functions: int) -> int:
 
 def require_records(agent: Agent, functions: int, at_once: int) -> None:
     """Raise SceneError, at the part with the most records, if the records of episodes do not fit the free memory."""
-    import psutil
-
-    need, available = at_once * record_bytes(agent, functions), psutil.virtual_memory().available
-    if need > available:
-        rows = {"observers": agent.observation.rows.shape[0]}
-        for key, terms in (("objective", agent.objective.terms), ("constraints", agent.constraints.terms)):
-            rows |= {f"{key}.{name}": term.rows.shape[0] for name, term in terms.items()}
-        path = max(rows, key=rows.__getitem__)
-        message = (
-            f"{rows[path]:,} of {sum(rows.values()):,} points recorded at {agent.model.n_controls:,} control steps, by "
-            f"{at_once} {'episode' if at_once == 1 else 'episodes'} at once, need {format_bytes(need)}; "
-            f"{format_bytes(available)} are free: use a part of the body, or fewer and longer control steps"
-        )
+    rows = {"observers": agent.observation.rows.shape[0]}
+    for key, terms in (("objective", agent.objective.terms), ("constraints", agent.constraints.terms)):
+        rows |= {f"{key}.{name}": term.rows.shape[0] for name, term in terms.items()}
+    path = max(rows, key=rows.__getitem__)
+    what = (
+        f"{rows[path]:,} of {sum(rows.values()):,} points recorded at {agent.model.n_controls:,} control steps, by "
+        f"{at_once} {'episode' if at_once == 1 else 'episodes'} at once, need"
+    )
+    advice = "use a part of the body, or fewer and longer control steps"
+    if message := shortage(what, at_once * record_bytes(agent, functions), advice):
         raise SceneError([Problem(agent.built.scene.where(path), path, message)])

@@ -53,7 +53,7 @@ def test_grids_and_codes_without_bound_are_refused_before_they_are_made(cells, s
     if option is None:
         require_memory(100, raster, size)
     else:
-        with pytest.raises(UsageError, match=rf"need .*iB; .* are free: give (fewer|a smaller) {option}"):
+        with pytest.raises(UsageError, match=rf"needs? .*iB; .* are free: give (fewer|a smaller) {option}"):
             require_memory(100, raster, size)
 
 
