@@ -135,7 +135,7 @@ def of_held_numbers(
     for path, (value, other) in held.items():
         try:
             changed = problem.with_number(path, other).residuals(x)
-        except TrialFailed:
+        except TrialFailed:  # what cannot be simulated says nothing about the fit
             continue
         there = follow(jacobian, changed, unknowns)
         moved = [
