@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar, Records
-from cqrun.engine.rollout import Rollout
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import falling_block, machine
 from cqrun.state import State
@@ -45,7 +45,7 @@ def main() -> None:
         v, C, F = (np.zeros_like(a) for a in (last.v, last.C, last.F))
         return LossBar(final=State(np.full_like(last.x, 1.0 / n), v, C, F, last.memory))
 
-    rollout = Rollout(model, inputs, threads=options.threads, adjoint=True)
+    rollout = make_rollout(model, inputs, threads=options.threads, adjoint=True)
     begin = time.perf_counter()
     _, bar = rollout.gradient(loss_bar)
     seconds = time.perf_counter() - begin

@@ -119,19 +119,19 @@ def test_imports_go_downward_and_in_no_circle_file_by_file(sources):
 
 
 MUTATIONS = {
-    "upward": ("cqrun.engine.step", "import cqrun.jobs.sysid\n", "floor 2 imports cqrun.jobs.sysid"),
-    "upward, relative": ("cqrun.engine.step", "from ..jobs import sysid\n", "floor 2 imports cqrun.jobs.sysid"),
+    "upward": ("cqrun.engine.updated.step", "import cqrun.jobs.sysid\n", "floor 2 imports cqrun.jobs.sysid"),
+    "upward, relative": ("cqrun.engine.updated.step", "from ..jobs import sysid\n", "floor 2 imports cqrun.jobs.sysid"),
     "upward, in a function": (
         "cqrun.store.run", "def f():\n    from cqrun.running import runs\n", "floor 3 imports cqrun.running.runs",
     ),
     "upward, through the package itself": (
-        "cqrun.engine.step", "from cqrun import load\n", "floor 2 imports the package itself",
+        "cqrun.engine.updated.step", "from cqrun import load\n", "floor 2 imports the package itself",
     ),
     "upward, through the command line": (
-        "cqrun.engine.step", "import cqrun.__main__\n", "floor 2 imports the package itself",
+        "cqrun.engine.updated.step", "import cqrun.__main__\n", "floor 2 imports the package itself",
     ),
     "a circle of files in one room": (
-        "cqrun.engine.setting", "from cqrun.engine import step\n", "circle: cqrun.engine.",
+        "cqrun.engine.updated.setting", "from cqrun.engine.updated import step\n", "circle: cqrun.engine.",
     ),
     "a circle for types alone": (
         "cqrun.scene.sections",

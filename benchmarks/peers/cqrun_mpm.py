@@ -7,9 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from benchmarks.peers.problem import SUBSTEPS, model_of
-from cqrun.engine.backward_run import BackwardRun
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar
-from cqrun.engine.rollout import Rollout
 from cqrun.state import State
 
 
@@ -17,7 +16,7 @@ class Cqrun:
     """The block of a size in one precision."""
 
     def __init__(self, size: str, precision: str) -> None:
-        self.rollout = Rollout(*model_of(size, np.dtype(precision)), threads=1, adjoint=True)
+        self.rollout = make_rollout(*model_of(size, np.dtype(precision)), threads=1, adjoint=True)
         self.states = np.empty((SUBSTEPS + 1, *self.rollout.start.shape), self.rollout.start.dtype)
         self.forward()
 
@@ -31,7 +30,7 @@ class Cqrun:
         """Run the adjoint of all substeps from the kept states."""
         x = self.last.x
         bar = State(x / len(x), np.zeros_like(x), np.zeros_like(self.last.C), np.zeros_like(self.last.F))
-        self.pass_back = BackwardRun(self.rollout, LossBar(final=bar))
+        self.pass_back = self.rollout.backward(LossBar(final=bar))
         self.pass_back.run(0, SUBSTEPS, self.states)
 
     def results(self) -> Mapping[str, float]:

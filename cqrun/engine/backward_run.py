@@ -1,24 +1,23 @@
-"""The backward run of a rollout: cotangents in the kernels' layout, from the last substep to the first."""
+"""The backward run of a rollout in any frame: cotangents in the kernels' layout, and those of the policy."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
 
 from cqrun.engine.forward_run import ForwardRun
 from cqrun.engine.model import Inputs, LossBar
-from cqrun.engine.probe import record_vjp
-from cqrun.engine.setting import Bars, Crew, Drive
-from cqrun.engine.step import reverse
+from cqrun.engine.setting import Drive
 from cqrun.forces.force import Levels
-from cqrun.numerics.packed import aligned, pack, unpack
+from cqrun.numerics.packed import aligned, unpack
 from cqrun.plugin.contract import Array
 from cqrun.state import DECAY, FORCE, MASS, VOLUME, State
 
 
-class BackwardRun:
-    """Run a rollout backward from the cotangents of its results.
+class BackwardRun(ABC):
+    """Run a rollout backward from the cotangents of its results. A subclass for each frame has the kernels.
 
     Attributes:
         parameters_bar: the cotangents of the policy's parameters in the policy's own form; None without a policy.
@@ -34,8 +33,6 @@ class BackwardRun:
         self.coefficient_bar = np.zeros(len(rollout.model.conditions))
         self.pairs = tuple(zip(rollout.groups, self.groups_bar, strict=True))
         self.stresses = tuple(zip(rollout.drive.stresses, self.drive_bar.stresses, strict=True))
-        push_bar = np.zeros_like(rollout.bundle.push)
-        self.bundle = Bars(self.q_bar, self.fields_bar, push_bar, rollout.model.no_push(rollout.drive.steady))
         self.size_before: dict[int, float] = {}
         self.size_after: dict[int, float] = {}
         self.total = aligned(self.q_bar.shape, self.q_bar.dtype)
@@ -62,9 +59,21 @@ class BackwardRun:
         if rollout.policy is not None:
             self.size_after[rollout.model.n_controls] = self._size(self.records_bar[-1])
 
+    @abstractmethod
     def _add_state(self, bar: State) -> None:
-        layout, real = self.rollout.model.layout, self.rollout.model.real
-        self.q_bar += pack(unpack(bar.pack_bar(layout, real)) * layout.real(), real)
+        """Add the cotangent of the current state."""
+
+    @abstractmethod
+    def _add_record(self, q_bar: Array, record_bar: Array) -> None:
+        """Add the cotangent of a record of the current state to `q_bar`."""
+
+    @abstractmethod
+    def _reverse(self, begin: int, end: int, states: Array) -> None:
+        """Run the adjoints of substeps end - 1 .. begin of a piece in which the policy decides nothing."""
+
+    @abstractmethod
+    def _state_bar(self) -> State:
+        """Return the cotangent of the state at the start, after all substeps; `fields_bar` is complete then."""
 
     def run(self, begin: int, end: int, states: Array) -> None:
         """Run the adjoints of substeps end - 1 .. begin, whose states are kept in `states`."""
@@ -76,7 +85,7 @@ class BackwardRun:
                 self._policy_vjp(start // substeps, states[start - begin])
             at = start
         if begin == 0:
-            record_vjp(r.probe, self.q_bar, self.records_bar[0])
+            self._add_record(self.q_bar, self.records_bar[0])
 
     @property
     def growth(self) -> tuple[float, int]:
@@ -108,27 +117,14 @@ class BackwardRun:
         if not record_bar.any():
             return float(np.linalg.norm(self.q_bar))
         self.total[...] = self.q_bar
-        record_vjp(self.rollout.probe, self.total, record_bar)
+        self._add_record(self.total, record_bar)
         return float(np.linalg.norm(self.total))
-
-    def _reverse(self, begin: int, end: int, states: Array) -> None:
-        r = self.rollout
-
-        def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
-            reverse(
-                r.groups, self.pairs, r.conditions, self.coefficient_bar, r.drive, self.stresses, self.drive_bar.levels,
-                r.bundle, self.bundle, states, from_, end, r.probe, self.records_bar, Crew(thread, n),
-            )  # fmt: skip
-
-        if r.threads > 1:
-            body(0, end, 1)
-        r.team.run(body)
 
     def inputs_bar(self) -> Inputs:
         """Return the cotangent of the inputs."""
         r, layout, levels = self.rollout, self.rollout.model.layout, self.drive_bar.levels
         bar, columns = Inputs.zeros_like(r.inputs), layout.columns()
-        bar.state = State.unpack(self.q_bar, layout, self.memory_bar)
+        bar.state = self._state_bar()
         f = unpack(self.fields_bar)[:, columns]
         bar.fields.mass[:], bar.fields.volume[:] = f[MASS], f[VOLUME]
         bar.fields.damping[:] = -r.model.dt * np.exp(-r.inputs.fields.damping * r.model.dt) * f[DECAY]

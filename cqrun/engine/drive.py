@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cqrun.engine.setting import Bars, Drive, Stresses
+from cqrun.engine.setting import Drive, Stresses
 from cqrun.forces.force import Levels
 from cqrun.forces.pulled import Pulled
 from cqrun.forces.steady import hold, hold_vjp
@@ -98,9 +98,11 @@ def activate(drive: Drive, fields: Array, push: Array, control: int) -> None:
 
 
 @kernel
-def activate_vjp(stresses: Any, drive: Drive, levels_bar: Levels, fields: Array, bars: Bars, control: int) -> None:
+def activate_vjp(
+    stresses: Any, drive: Drive, levels_bar: Levels, fields: Array, fields_bar: Array, steady_bar: Array, control: int
+) -> None:
     """Run the adjoint of `activate` for pairs of active stresses and their cotangents; clear the cotangents."""
-    levels, steady_bar = drive.levels, bars.steady_push
+    levels = drive.levels
     stress_vjp_of_each(stresses, levels.activation, levels.strength, control, levels_bar)
-    hold_vjp_of_each(drive.steady, levels, levels_bar, control, fields, bars.fields, steady_bar)
+    hold_vjp_of_each(drive.steady, levels, levels_bar, control, fields, fields_bar, steady_bar)
     clear_all_for_each(drive.steady, steady_bar)

@@ -1,22 +1,22 @@
-"""The forward run of a rollout: all substeps, from packed inputs to records."""
+"""The forward run of a rollout in any frame: control steps, the policy's decisions, and what is recorded."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numba import config
 
 from cqrun.engine.model import Inputs, Model, Records
 from cqrun.engine.policy import Policy
-from cqrun.engine.probe import record
-from cqrun.engine.setting import MARGIN, Crew, Drive, Group, Run, Setting, make_work, node_strides
-from cqrun.engine.step import advance
+from cqrun.engine.setting import Drive, Group, Probe
 from cqrun.engine.team import Team
 from cqrun.errors import RolloutError
 from cqrun.forces.pulled import pulled_lanes
 from cqrun.numerics.lanes import lane_width
-from cqrun.numerics.packed import pack, unpack
+from cqrun.numerics.packed import pack
 from cqrun.plugin.contract import Array
 from cqrun.state import DECAY, FORCE, MASS, VOLUME, ParticleFields, State
 
@@ -25,9 +25,6 @@ THREAD_WORTH = 1000
 
 CALL_WORTH = 2500
 """The same for particles times substeps of a control step, because threads are often woken at every control step."""
-
-CHAINED_FROM = 3 << 20
-"""Bytes of a state from which substeps are chained tile by tile: from about here a substep exceeds the last cache."""
 
 
 def useful_threads(model: Model, threads: int) -> int:
@@ -38,8 +35,8 @@ def useful_threads(model: Model, threads: int) -> int:
     return max(1, min(threads, n // THREAD_WORTH, n * substeps // CALL_WORTH))
 
 
-class ForwardRun:
-    """Run one model forward with one set of inputs.
+class ForwardRun(ABC):
+    """Run one model forward with one set of inputs. A subclass for each frame has the packed state and the kernels.
 
     Args:
         threads: number of threads at most; small models use fewer. The results do not depend on it.
@@ -47,12 +44,21 @@ class ForwardRun:
         policy: decides the activations at every control step; without it the activations are those of the inputs.
 
     Attributes:
+        start: the packed state at the start, in the frame's own form.
         memory: (T + 1, M) memory of the policy at every control step.
         decided: number of control steps whose activations are known.
 
     Raises:
         RolloutError: (from `run`) a particle left the grid or is not finite.
     """
+
+    start: Array
+    fields: Array
+    drive: Drive
+    groups: tuple[Group, ...]
+    conditions: tuple[Any, ...]
+    probe: Probe
+    final: Array
 
     def __init__(
         self, model: Model, inputs: Inputs, *, threads: int = 1, adjoint: bool = False, policy: Policy | None = None
@@ -62,7 +68,7 @@ class ForwardRun:
         self.team = Team(useful_threads(model, threads))
         self._pack()
         self.records: Array = np.zeros((model.n_controls + 1, model.layout.table.n_rows, len(self.probe.start) - 1))
-        record(self.probe, self.start, self.records[0])
+        self._record_start()
         self.memory = np.tile(inputs.state.memory, (model.n_controls + 1, 1))
         self.decided = model.n_controls if policy is None else 0
 
@@ -81,24 +87,21 @@ class ForwardRun:
         """Number of threads in use."""
         return self.team.size
 
+    @abstractmethod
     def _pack(self) -> None:
-        model, inputs = self.model, self.inputs
-        layout, real, shape = model.layout, model.real, model.grid_shape
-        self.start = inputs.state.pack(layout, real)
-        self.fields = self._pack_fields(inputs.fields)
-        self.drive = model.kernel_drive(inputs)
-        self.groups = self.kernel_groups(inputs.terms, self.drive)
-        self.conditions = tuple(c.kernel(inputs.coefficients[k]) for k, c in enumerate(model.conditions))
-        self.probe = model.kernel_probe()
-        self.setting = Setting(
-            (0,) * model.dim, node_strides(shape), tuple(float(n - 2) for n in shape), model.dx, model.dt,
-            model.substeps, self.start.nbytes >= CHAINED_FROM and model.substeps > 1,
-        )  # fmt: skip
-        bits = model.condition_bits()
-        self.work = make_work(shape, layout.n, bits, len(model.conditions), real, adjoint=self.adjoint, team=self.team)
-        push = model.no_push([*self.drive.steady, *self.drive.forces])
-        self.bundle = Run(self.setting, self.work, self.fields, push)
-        self._check_start()
+        """Set the kernels' arguments from the model and the inputs."""
+
+    @abstractmethod
+    def _record_start(self) -> None:
+        """Write the record of the start."""
+
+    @abstractmethod
+    def unpack(self, q: Array, control: int) -> State:
+        """Return a packed state of a control step as a State."""
+
+    @abstractmethod
+    def _advance(self, begin: int, end: int, states: Array, keep: bool) -> None:
+        """Run substeps whose activations are known; see `advance`."""
 
     def _pack_fields(self, fields: ParticleFields) -> Array:
         """Return the 3 + D packed rows of the fields; padding has no mass, no volume and no force."""
@@ -133,19 +136,11 @@ class ForwardRun:
         rows = self.model.layout.table.rows
         return tuple(row for name in names for row in range(rows[name].start, rows[name].stop))
 
-    def _check_start(self) -> None:
-        astray = self._astray(self.start)
-        if astray.any():
-            self._fail(int(np.flatnonzero(astray)[0]), 0, self.start)
+    def _check_masses(self) -> None:
         # a node whose mass is NaN counts as empty: its particles would stand still without an error
         infinite = np.flatnonzero(~np.isfinite(self.inputs.fields.mass))
         if len(infinite):
             self._report(int(infinite[0]), 0, "its mass is not finite", "check its density and attached masses")
-
-    def _astray(self, q: Array) -> Array:
-        """Return for each kernel column whether its particle is off the grid or not finite (n,)."""
-        x = unpack(q)[: self.model.dim] / self.model.dx + MARGIN
-        return ~np.all((x > 1.0) & (x < np.array(self.setting.upper)[:, None]), axis=0)
 
     def run(
         self, observe: Callable[[int, State], None] | None = None, should_stop: Callable[[], bool] | None = None
@@ -167,10 +162,6 @@ class ForwardRun:
         self.final = states[0]
         return Records.from_rows(self.records, self.model.layout.table)
 
-    def unpack(self, q: Array, control: int) -> State:
-        """Return a packed state of a control step as a State."""
-        return State.unpack(q, self.model.layout, self.memory[control])
-
     def advance(self, begin: int, end: int, states: Array, *, keep: bool) -> None:
         """Run substeps begin .. end from states[0]; with `keep`, states[k] becomes the state after k of them.
 
@@ -191,37 +182,6 @@ class ForwardRun:
             control, self.records[control], self.memory[control], lambda: self.unpack(q, control)
         )
         self.decided = control + 1
-
-    def _advance(self, begin: int, end: int, states: Array, keep: bool) -> None:
-        stray = self.work.stray
-        stray[:] = -1
-
-        def body(thread: int, to: int = end, n: int = self.threads) -> int:
-            reached: int = advance(
-                self.groups, self.conditions, self.drive, self.bundle, states, begin, to, keep, self.probe,
-                self.records, Crew(thread, n),
-            )  # fmt: skip
-            return reached
-
-        if self.threads > 1:
-            body(0, begin, 1)  # compile on one thread, so that the others do not wait for it at a barrier
-        reached = self.team.run(body)
-        if stray.max() >= 0:
-            q = states[reached - begin if keep else 0]
-            # a kernel writes the first column of the lane with the stray particle
-            lane = int(stray[stray >= 0].min())
-            astray = np.flatnonzero(self._astray(q)[lane:])
-            self._fail(lane + int(astray[0]) if len(astray) else lane, reached, q)
-
-    def _fail(self, column: int, step: int, q: Array) -> None:
-        x = unpack(q)[: self.model.dim, column]
-        if np.isfinite(x).all():
-            reason = f"left the grid at {np.array2string(x.astype(float), precision=4)} m"
-            advice = "enlarge the world, add a boundary at its faces, or reduce what drives the body out"
-        else:
-            reason = "its position is not finite"
-            advice = "the simulation blew up: use smaller substeps, a softer material or weaker actuation"
-        self._report(int(self.model.layout.sources()[column]), step, reason, advice)
 
     def _report(self, particle: int, step: int, reason: str, advice: str) -> None:
         slices, time = self.model.layout.slices(), step * self.model.dt

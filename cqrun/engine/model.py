@@ -87,6 +87,7 @@ class Model:
     real: Any = np.float64
     memory_budget: int = 2 * 2**30  # for the states that gradients keep [bytes]
     forces: tuple[ActuatorModel, ...] = ()  # parts of forces without an activation
+    frame: str = "updated"  # of the engine (`frames.py`)
     spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # free memory for states
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -36,6 +37,10 @@ class Rollout(ForwardRun):
         self.plan: Plan | None = None
         self.growth_at = -1
         self.parameters_bar: Any = None
+
+    @abstractmethod
+    def backward(self, loss_bar: LossBar) -> BackwardRun:
+        """Return the backward run from the cotangents of the results."""
 
     def gradient(self, loss_bar: Callable[[Records, State], LossBar]) -> tuple[Records, Inputs]:
         """Run forward and backward; return the records and the cotangent of the inputs.
@@ -89,7 +94,7 @@ class Rollout(ForwardRun):
             elif isinstance(action, EndForward):
                 final = chunk_states[n_steps - ends(plan.n_chunks - 1)]
                 records = Records.from_rows(self.records.copy(), model.layout.table)
-                sweeps += [BackwardRun(self, bar) for bar in loss_bars(records, self.unpack(final, model.n_controls))]
+                sweeps += [self.backward(bar) for bar in loss_bars(records, self.unpack(final, model.n_controls))]
             elif isinstance(action, Reverse):
                 for sweep in sweeps:
                     sweep.run(ends(action.n0), ends(action.n1), chunk_states)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from cqrun.build.model import Built
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Inputs, LossBar, Records
-from cqrun.engine.rollout import Rollout
 from cqrun.measurements.comparison import Comparison
 from cqrun.plugin.contract import Array
 from cqrun.running.side_by_side import Effort
@@ -55,7 +55,7 @@ class Case:
         self, values: Mapping[str, Array], threads: int = 1, observe: Callable[[int, State], None] | None = None
     ) -> Records:
         """Run forward and return the records; call `observe` with every control step and its state."""
-        return Rollout(self.built.model, self.inputs(values), threads=threads).run(observe)
+        return make_rollout(self.built.model, self.inputs(values), threads=threads).run(observe)
 
     def residuals(self, records: Records, values: Mapping[str, Array]) -> list[Array]:
         """Return the residuals of every comparison."""
@@ -85,7 +85,7 @@ class Case:
         """Return the sum of weights[k] * loss_k, its gradient by path, and the cost."""
         model = self.built.model if budget is None else replace(self.built.model, memory_budget=budget)
         start = self.start_of(values)
-        rollout = Rollout(model, self.inputs(values), threads=threads, adjoint=True)
+        rollout = make_rollout(model, self.inputs(values), threads=threads, adjoint=True)
         loss = start_gradient = 0.0
 
         def loss_bar(records: Records, final: Any) -> LossBar:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from cqrun.design.params import Block, Spread
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Records
-from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError
 from cqrun.fitting import assumptions
 from cqrun.fitting.case import Case
@@ -55,7 +55,7 @@ def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, ou
         _write_tables(run, cases, records, values)
         first = next(case for case in cases if not case.holdout)  # a held-out case may blow up
         problem.interrupt()
-        rollout = Rollout(first.built.model, first.inputs(values), threads=problem.threads)
+        rollout = make_rollout(first.built.model, first.inputs(values), threads=problem.threads)
         provenance = as_found(values) | first.comparisons[0].wanted()
         write_trajectory(run.path / "trajectory.h5", first.built, rollout, provenance=provenance)
     if outcome.status in ("iteration_limit", "stalled"):

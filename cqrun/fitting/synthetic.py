@@ -11,7 +11,7 @@ import numpy as np
 
 from cqrun.build.matter import matter_of
 from cqrun.build.model import Built
-from cqrun.engine.rollout import Rollout
+from cqrun.engine.frames import make_rollout
 from cqrun.fitting.case import Case
 from cqrun.measurements.markers import in_the_scenes_frame, observe_markers, over_body
 from cqrun.measurements.points import Points, particles
@@ -80,7 +80,7 @@ def _made(
     if all(file is not None and _is_whole(file) for file in files):
         return [read_recording(file) for file in files if file is not None]
     truth = {path: np.asarray(value, float) for path, value in truths(built.scene).items()}
-    records = Rollout(built.model, built.assembly.inputs(truth)).run()
+    records = make_rollout(built.model, built.assembly.inputs(truth)).run()
     steps, step = built.model.n_controls, built.scene.time.control_step
     if spec.every is not None:
         time = np.unique([*range(0, steps, spec.every), steps]) * step

@@ -31,6 +31,7 @@ import numpy as np
 from cqrun.build.model import Built, build, stable
 from cqrun.controllers.saved import read_controller
 from cqrun.design.params import Block
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import SceneError, UsageError
 from cqrun.explain import listed, shown, suggest
@@ -207,7 +208,7 @@ class Experiment:
             chosen[name] = goal
         if self._agent is not None:
             return self._agent.rollout(values, chosen, self.threads)
-        return Rollout(self.built.model, self.built.assembly.inputs(values), threads=self.threads)
+        return make_rollout(self.built.model, self.built.assembly.inputs(values), threads=self.threads)
 
     @cached_property
     def _problem(self) -> FitProblem:

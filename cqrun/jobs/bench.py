@@ -23,6 +23,7 @@ from scipy import sparse
 from cqrun.build.model import Built
 from cqrun.build.particles import block_order
 from cqrun.engine.blocks import SORT_EVERY
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel, Inputs, Model
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError, RunError
@@ -96,7 +97,7 @@ def excerpt_of_block(dim: int, edge: int, real: Any, threads: int) -> Excerpt:
     part = np.arange(n) * PARTS // n
     share = 1.0 / np.bincount(part)[part]
     centroids = sparse.csr_array((share, (part, np.arange(n))), shape=(PARTS, n))
-    rollout = Rollout(replace(model, probe=centroids), inputs, threads=threads, adjoint=True)
+    rollout = make_rollout(replace(model, probe=centroids), inputs, threads=threads, adjoint=True)
     return Excerpt(rollout, 0, SUBSTEPS)
 
 
@@ -108,7 +109,7 @@ def empty_world(edge: int, repeat: int) -> float:
     rollouts = []
     for world in (2.5, 5.0):
         model, inputs = falling_block(3, edge, np.float64, world=world, corners=True)
-        rollouts.append(Rollout(model, inputs))
+        rollouts.append(make_rollout(model, inputs))
 
     def run(rollout: Rollout) -> float:
         here = rollout.start[None].copy()
@@ -245,7 +246,7 @@ def excerpt_of(built: Built, threads: int, talk: Reporter) -> Excerpt:
     """Run a scene to the middle and return the next substeps."""
     agent, model = make_agent(built, None, talk), built.model
     if agent is None:
-        rollout = Rollout(model, built.assembly.inputs({}), threads=threads, adjoint=True)
+        rollout = make_rollout(model, built.assembly.inputs({}), threads=threads, adjoint=True)
     else:
         rollout = agent.rollout(agent.acting, agent.goals_in_the_middle, threads, adjoint=True)
     steps = min(-(-SCENE_SUBSTEPS // model.substeps), model.n_controls)

@@ -18,6 +18,7 @@ import numpy as np
 
 from cqrun.build.model import Built
 from cqrun.design.params import REGULARISER
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError
@@ -179,7 +180,7 @@ def _rollout(prepared: Simulation) -> tuple[Rollout, dict[str, Any]]:
     built, agent, threads = prepared.built, prepared.agent, prepared.threads
     if agent is None:
         inputs = built.assembly.inputs(prepared.values)
-        return Rollout(built.model, inputs, threads=threads), as_found(prepared.values)
+        return make_rollout(built.model, inputs, threads=threads), as_found(prepared.values)
     goals = agent.goals_in_the_middle
     return agent.rollout(agent.acting, goals, threads), agent.wanted(goals)
 

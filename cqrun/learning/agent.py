@@ -19,6 +19,7 @@ from cqrun.build.model import Built
 from cqrun.controllers.policy import ControlPolicy, Limits
 from cqrun.controllers.saved import load_controller, read_controller, save_controller
 from cqrun.design.params import Block, Params, Plain
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Inputs, LossBar, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.errors import Problem, SceneError, UsageError
@@ -246,7 +247,7 @@ class Agent:
         )
         inputs = self.built.assembly.inputs({p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
         inputs.state.memory = policy.memory.copy()
-        return Rollout(self.model, inputs, threads=threads, adjoint=adjoint, policy=policy)
+        return make_rollout(self.model, inputs, threads=threads, adjoint=adjoint, policy=policy)
 
     def track(
         self, records: Records, rollout: Rollout, goals: Goals, *, activation: Array | None = None,

@@ -9,14 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.blocks import SORT_EVERY
 from cqrun.engine.drive import activate, activate_vjp
 from cqrun.engine.model import LossBar
 from cqrun.engine.probe import record, record_vjp
 from cqrun.engine.rollout import Rollout
-from cqrun.engine.setting import Crew, Substep
-from cqrun.engine.step import BACKWARD, FORWARD, MEET
+from cqrun.engine.setting import Crew
+from cqrun.engine.updated.rollout import UpdatedRollout
+from cqrun.engine.updated.setting import Substep
+from cqrun.engine.updated.step import BACKWARD, FORWARD, MEET
 from cqrun.numerics.compile import Pass
 from cqrun.plugin.contract import Array
 from cqrun.state import State
@@ -41,7 +42,8 @@ class Excerpt:
     """
 
     def __init__(self, rollout: Rollout, begin: int, length: int, q: Array | None = None) -> None:
-        self.rollout, self.begin, self.end = rollout, begin, begin + length
+        self.rollout: Any = rollout
+        self.begin, self.end = begin, begin + length
         self.control, self.substeps = begin // rollout.model.substeps, rollout.model.substeps
         self.n = rollout.model.layout.n_particles
         self.q = rollout.start if q is None else q
@@ -49,7 +51,7 @@ class Excerpt:
         self.here = np.empty((1, *self.q.shape), self.q.dtype)
         x, memory = rollout.inputs.state.x, np.zeros_like(rollout.inputs.state.memory)
         last = replace(State.at_rest(x), memory=memory)
-        self.backward = BackwardRun(rollout, LossBar(final=last))
+        self.backward: Any = rollout.backward(LossBar(final=last))
 
     def forward(self) -> None:
         """Run all substeps like a rollout without gradient."""
@@ -83,6 +85,8 @@ class Excerpt:
             np.median(np.array(whole["backward"][1:]) / np.array(whole["forward"][1:]))
         )
         result["passes"] = {}
+        if not isinstance(self.rollout, UpdatedRollout):  # the reference frame has one sweep in place of passes
+            return result
         for each in (*self.forward_passes(), *self.backward_passes()):
             seconds = [timed(lambda: self.rollout.team.run(each.body)) for _ in range(repeat + 1)]  # noqa: B023
             self.backward.q_bar[...] = 0.0
@@ -151,7 +155,7 @@ class Excerpt:
             at = self._at(q_next, q_next, ahead=True)
             yield TimedPass("momentum_move_vjp", self._body(momentum_vjp, at), 1.0 - once)
         if r.drive.stresses or r.drive.steady:
-            bars = b.drive_bar.levels, r.fields, b.bundle
+            bars = b.drive_bar.levels, r.fields, b.fields_bar, b.bundle.steady_push
             yield TimedPass("activate_vjp", alone(lambda: activate_vjp(b.stresses, r.drive, *bars, control)), once)
         if r.policy is not None:
             yield TimedPass("policy_vjp", alone(self._policy_vjp), once)

@@ -16,8 +16,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from cqrun.build.model import Built
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar
-from cqrun.engine.rollout import Rollout
 from cqrun.errors import RolloutError
 from cqrun.fingerprint import set_kernel_cache
 from cqrun.numerics.compile import CACHE_PROBLEMS
@@ -94,7 +94,7 @@ def compile_kernels(scenes: Sequence[Built], reporter: Reporter, *, adjoint: boo
 def _one_substep(built: Built, adjoint: bool) -> None:
     inputs = built.assembly.inputs({})
     inputs.activation = inputs.activation[:1]
-    rollout = Rollout(replace(built.model, n_controls=1, substeps=1), inputs, adjoint=adjoint)
+    rollout = make_rollout(replace(built.model, n_controls=1, substeps=1), inputs, adjoint=adjoint)
     if adjoint:
         rollout.gradient(lambda records, state: LossBar())
     else:

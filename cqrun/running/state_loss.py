@@ -9,6 +9,7 @@ import numpy as np
 
 from cqrun.build.model import Built
 from cqrun.design.params import Block, Params
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.plugin.contract import Array
@@ -66,7 +67,7 @@ def state_loss(built: Built, threads: int) -> Loss:
 
     def final(x: Array, adjoint: bool) -> Rollout:
         values = params.unpack(x)
-        return Rollout(built.model, built.assembly.inputs(values), threads=threads, adjoint=adjoint)
+        return make_rollout(built.model, built.assembly.inputs(values), threads=threads, adjoint=adjoint)
 
     def last_state(x: Array) -> State:
         last: list[State] = []

@@ -12,8 +12,8 @@ from rich_scene import make_complex
 
 from cqrun.actuators.actuator import within_limits
 from cqrun.actuators.cable import Cable
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Inputs, LossBar, Model, Records
-from cqrun.engine.rollout import Rollout
 
 DOT_PRODUCT = 1e-9
 TINY, BESIDE = 1e-30, 1e-12
@@ -54,7 +54,7 @@ def of_cable(inputs: Inputs) -> dict[str, np.ndarray]:
 
 def gradient(model: Model, inputs: Inputs, records_bar: Records) -> dict[str, np.ndarray]:
     """Return the engine's gradient by what a cable's force depends on."""
-    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar))
+    _, bar = make_rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar))
     return of_cable(bar)
 
 
@@ -113,7 +113,7 @@ def test_just_taut_nothing_pulls(dim, rng):
     model, inputs = tied(dim, 1.0, rng)
     slack = copy.deepcopy(inputs)
     slack.strength[:] = 0.0
-    last = [Rollout(model, given) for given in (inputs, slack)]
+    last = [make_rollout(model, given) for given in (inputs, slack)]
     for rollout in last:
         rollout.run()
     np.testing.assert_array_equal(last[0].final, last[1].final)

@@ -13,7 +13,7 @@ from cqrun.actuators.body_force import BodyForce
 from cqrun.actuators.cable import Cable
 from cqrun.actuators.muscle import Muscle
 from cqrun.actuators.pneumatic import Pneumatic
-from cqrun.engine.rollout import Rollout
+from cqrun.engine.frames import make_rollout
 from cqrun.state import State
 
 DIM = pytest.mark.parametrize("dim", [2, 3], ids=["2D", "3D"])
@@ -34,7 +34,7 @@ def run(
     inputs.strength[[a.kernel is act.kind for a in model.parts]] = getattr(spec, spec.scale)
     inputs.state = start or inputs.state
     seen: dict[int, State] = {}
-    Rollout(model, inputs).run(observe=seen.__setitem__)
+    make_rollout(model, inputs).run(observe=seen.__setitem__)
     return seen[1]
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Inputs, Model
-from cqrun.engine.rollout import Rollout
 from cqrun.state import State
 
 
@@ -21,14 +21,14 @@ def lattice(corner: list[float], size: list[float], spacing: float) -> np.ndarra
 def history(model: Model, inputs: Inputs, measure: Callable[[State], Any]) -> tuple[np.ndarray, np.ndarray]:
     """Return the times of all control steps [s], and what `measure` finds at each."""
     found: list[Any] = []
-    Rollout(model, inputs).run(observe=lambda step, state: found.append(measure(state)))
+    make_rollout(model, inputs).run(observe=lambda step, state: found.append(measure(state)))
     return np.arange(len(found)) * model.substeps * model.dt, np.array(found)
 
 
 def final(model: Model, inputs: Inputs) -> State:
     """Return the last state."""
     seen: dict[int, State] = {}
-    Rollout(model, inputs).run(observe=seen.__setitem__)
+    make_rollout(model, inputs).run(observe=seen.__setitem__)
     return seen[model.n_controls]
 
 

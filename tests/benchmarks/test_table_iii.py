@@ -29,8 +29,8 @@ from cqrun.boundaries.friction import Friction
 from cqrun.boundaries.sticky import Sticky
 from cqrun.controllers.linear_tanh import LinearTanh
 from cqrun.controllers.policy import ControlPolicy, Limits
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Inputs, LossBar, Model, Records
-from cqrun.engine.rollout import Rollout
 from cqrun.observers.centroids import Centroids
 from cqrun.observers.goal import Goal
 from cqrun.observers.matter import Matter
@@ -88,7 +88,7 @@ def gradient_of_mean(model: Model, inputs: Inputs) -> tuple[np.ndarray, State]:
         bar.x[:, 0] = 1.0 / len(last.x)
         return LossBar(final=bar)
 
-    _, bar = Rollout(model, inputs, adjoint=True).gradient(loss_bar)
+    _, bar = make_rollout(model, inputs, adjoint=True).gradient(loss_bar)
     # a shift of all particles shifts the mean by as much
     np.testing.assert_allclose(bar.state.x.sum(0), [1.0, 0.0, 0.0], atol=EXACT if model.real is np.float64 else 1e-5)
     return bar.state.v.sum(0), seen[0]
@@ -156,7 +156,7 @@ def gradient_of_billiards(steps: int, real: type = np.float64) -> np.ndarray:
         bar.x[200:] = 2 * miss(last) / 200
         return LossBar(final=bar)
 
-    _, bar = Rollout(*billiards(steps, V, real), adjoint=True).gradient(loss_bar)
+    _, bar = make_rollout(*billiards(steps, V, real), adjoint=True).gradient(loss_bar)
     return bar.state.v[:200].sum(0)
 
 
@@ -250,7 +250,7 @@ class Finger:
 
     def loss(self, h: float) -> float:
         """Return |tip - goal|^2."""
-        return float((self.gap(Rollout(self.model, self.inputs, policy=self.policy(h)).run()) ** 2).sum())
+        return float((self.gap(make_rollout(self.model, self.inputs, policy=self.policy(h)).run()) ** 2).sum())
 
     def slope(self) -> float:
         """Return the derivative along the direction, by the gradient."""
@@ -261,7 +261,7 @@ class Finger:
             bar.x[-1, -1] = 2 * self.gap(records)
             return LossBar(bar)
 
-        rollout = Rollout(self.model, self.inputs, adjoint=True, policy=policy)
+        rollout = make_rollout(self.model, self.inputs, adjoint=True, policy=policy)
         rollout.gradient(loss_bar)
         return float(sum((rollout.parameters_bar[name] * self.way[name]).sum() for name in self.way))
 

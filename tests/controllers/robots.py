@@ -15,6 +15,7 @@ from scipy import sparse
 
 from cqrun.controllers.controller import Controller
 from cqrun.controllers.policy import ControlPolicy, Limits
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Inputs, LossBar, Model, Records
 from cqrun.engine.rollout import Rollout
 from cqrun.observers.centroids import Centroids
@@ -135,7 +136,7 @@ class Robot:
         model = self.model
         if states is not None:
             model = replace(model, memory_budget=states * 2 * model.dim * (1 + model.dim) * model.layout.n * 8)
-        return Rollout(model, self.inputs, threads=threads, adjoint=True, policy=self.policy())
+        return make_rollout(model, self.inputs, threads=threads, adjoint=True, policy=self.policy())
 
     def derivative(self, inputs: Inputs, parameters: Mapping[str, np.ndarray]) -> float:
         """Return the derivative along the imaginary parts of inputs or parameters, by complex step."""

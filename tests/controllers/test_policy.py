@@ -17,6 +17,7 @@ from cqrun.controllers.linear_tanh import LinearTanh
 from cqrun.controllers.mlp import Mlp
 from cqrun.controllers.open_loop import OpenLoop
 from cqrun.controllers.sinusoid import Sinusoid
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.rollout import Rollout
 from cqrun.plugin.registry import plugins
 
@@ -54,7 +55,7 @@ def test_rollout_agrees_with_the_reference(learner):
     records, _, _ = reference.rollout(robot.model, inputs, robot.policy())
     np.testing.assert_allclose(rollout.activation, inputs.activation, rtol=0, atol=1e-12)
     np.testing.assert_allclose(rollout.memory[-1], inputs.state.memory, rtol=0, atol=1e-12)
-    for got, want in zip(parts(Rollout(robot.model, robot.inputs, policy=robot.policy()).run()), parts(records),
+    for got, want in zip(parts(make_rollout(robot.model, robot.inputs, policy=robot.policy()).run()), parts(records),
                          strict=True):  # fmt: skip
         np.testing.assert_allclose(got, want, rtol=0, atol=1e-12 * np.abs(want).max())
     # some steps are as fast as the rate allows, others are slower
@@ -171,7 +172,7 @@ def test_results_do_not_depend_on_the_number_of_threads(name):
 
 def test_forward_run_without_a_gradient_is_identical():
     robot = make_robot(EXAMPLES["mlp"])
-    forward = Rollout(robot.model, robot.inputs, policy=robot.policy())
+    forward = make_rollout(robot.model, robot.inputs, policy=robot.policy())
     records = forward.run()
     rollout, again, _ = robot.gradient()
     np.testing.assert_array_equal(forward.activation, rollout.activation)

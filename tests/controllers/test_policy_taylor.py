@@ -24,8 +24,8 @@ from cqrun.actuators.pneumatic import Pneumatic
 from cqrun.boundaries.friction import Friction
 from cqrun.controllers.linear_tanh import LinearTanh
 from cqrun.controllers.policy import ControlPolicy, Limits
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Inputs, LossBar, Model, Records
-from cqrun.engine.rollout import Rollout
 from cqrun.observers.centroids import Centroids
 from cqrun.observers.clock import Clock
 from cqrun.observers.matter import Matter
@@ -102,12 +102,12 @@ class Shuffler:
 
     def loss(self, h: float) -> float:
         """Return the loss after a change of the parameters by h along the direction."""
-        rollout = Rollout(self.model, self.inputs, policy=self.policy(self.moved(h)))
+        rollout = make_rollout(self.model, self.inputs, policy=self.policy(self.moved(h)))
         return value(rollout.run(), rollout.activation)
 
     def slope(self) -> float:
         policy = self.policy(self.parameters)
-        rollout = Rollout(self.model, self.inputs, adjoint=True, policy=policy)
+        rollout = make_rollout(self.model, self.inputs, adjoint=True, policy=policy)
         rollout.gradient(lambda records, state: value_bar(records, rollout.activation))
         return float(sum((rollout.parameters_bar[name] * self.direction[name]).sum() for name in self.direction))
 

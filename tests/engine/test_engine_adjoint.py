@@ -22,8 +22,8 @@ from rich_scene import (
 )
 
 from cqrun.actuators import muscle
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel, LossBar, Records
-from cqrun.engine.rollout import Rollout
 from cqrun.plugin.registry import plugins
 
 DOT_PRODUCT = 1e-9
@@ -37,7 +37,7 @@ def adjoint(request):
     model, inputs = rich(request.param)
     records_bar = random_records(Records.zeros(model.n_controls, 3, model.dim, model.layout.history), rng)
     state_bar = random_state(inputs.state, rng)
-    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar, state_bar))
+    _, bar = make_rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar, state_bar))
     return model, inputs, records_bar, state_bar, bar
 
 
@@ -76,7 +76,7 @@ def test_coefficients_of_walls_without_friction_do_nothing(adjoint):
 def test_nothing_asked_nothing_answered(adjoint):
     """The adjoint is linear: cotangents of zero give gradients of zero."""
     model, inputs, *_ = adjoint
-    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar())
+    _, bar = make_rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar())
     assert all(not a.any() for a in arrays(bar))
 
 
@@ -93,7 +93,7 @@ def test_the_gradient_by_mass_is_not_the_printed_one(rng):
     inputs.state.v[:], inputs.state.C[:] = rng.normal(size=(12, 2)), rng.normal(size=(12, 2, 2))
     records_bar = Records.zeros(1, 12, 2)
     records_bar.v[1] = w
-    _, bar = Rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar))
+    _, bar = make_rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar))
 
     s = reference.Moving(inputs.state.x, inputs.state.v, inputs.state.C, inputs.state.F)
     mv, m = reference.to_grid(model, inputs, s, 0)
@@ -124,7 +124,7 @@ def test_dot_product_where_bodies_have_other_terms(rng):
     one[0][0, second], one[1][0, first], one[2][:, second], one[3][0] = 0.0, 0.0, 0.0, 0.0
     inputs.terms = [[fixed[:, first], viscous[:, first]], [neo[:, second]]]
     records_bar = random_records(Records.zeros(model.n_controls, 3, 2, model.layout.history), rng)
-    _, bar = Rollout(apart, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar))
+    _, bar = make_rollout(apart, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar))
     got = {
         "x": bar.state.x, "F": bar.state.F, "muscle.activation": bar.activation,
         "fixed_corotated.E": np.pad(bar.terms[0][0][0], (0, 30)), "viscosity.bulk": np.pad(bar.terms[0][1][1], (0, 30)),
@@ -165,7 +165,7 @@ def branches(model, inputs) -> int:
 def long_rollout(request):
     """Return a model, inputs, the loss, its gradient, and the branches taken."""
     model, inputs = rich(request.param, **LONG)
-    records, bar = Rollout(model, inputs, adjoint=True).gradient(loss_bar)
+    records, bar = make_rollout(model, inputs, adjoint=True).gradient(loss_bar)
     return model, inputs, loss(records), bar, branches(model, inputs)
 
 
@@ -179,7 +179,7 @@ def test_taylor_remainder_is_of_second_order(long_rollout, kind, rng):
     for h in STEPS:
         there = moved(inputs, kind, h * change)
         if branches(model, there) == taken:
-            remainders.append(abs(loss(Rollout(model, there).run()) - here - h * slope))
+            remainders.append(abs(loss(make_rollout(model, there).run()) - here - h * slope))
         else:
             remainders.clear()
         if len(remainders) == 4:

@@ -13,8 +13,8 @@ from rich_scene import KINDS, arrays, parts, random_records, rich
 
 from cqrun.engine.blocks import SORT_EVERY
 from cqrun.engine.checkpoint import borrowed, make_plan, repetitions
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar, Records
-from cqrun.engine.rollout import Rollout
 from cqrun.errors import RunError
 
 MODEL = {"substeps": 11, "controls": 9}
@@ -26,7 +26,7 @@ def everything_kept():
     """Return a model, its inputs, cotangents of records, and records and gradient with every state kept."""
     model, inputs = rich(2, **MODEL)
     records_bar = random_records(Records.zeros(model.n_controls, 3, 2, model.layout.history), np.random.default_rng(5))
-    rollout = Rollout(model, inputs, adjoint=True)
+    rollout = make_rollout(model, inputs, adjoint=True)
     records, bar = rollout.gradient(lambda records, state: LossBar(records_bar, state))
     assert rollout.plan.n_chunks == 1
     return model, inputs, records_bar, records, bar
@@ -41,7 +41,7 @@ def state_bytes(model) -> int:
 def test_a_gradient_in_little_memory_has_the_same_bits(everything_kept, states):
     model, inputs, records_bar, records, bar = everything_kept
     small = replace(model, memory_budget=states * state_bytes(model) + 8)
-    rollout = Rollout(small, inputs, adjoint=True)
+    rollout = make_rollout(small, inputs, adjoint=True)
     again, bar_again = rollout.gradient(lambda records, state: LossBar(records_bar, state))
     assert rollout.plan.n_chunks > 1
     assert rollout.plan.states <= states
@@ -63,7 +63,7 @@ def test_fast_particles_are_sorted_out_of_turn_and_repeat_their_bits_too(everyth
     found = []
     for states in (12, 100):
         small = replace(open_world, memory_budget=states * state_bytes(model))
-        _, bar = Rollout(small, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar, state))
+        _, bar = make_rollout(small, inputs, adjoint=True).gradient(lambda records, state: LossBar(records_bar, state))
         found.append(bar)
     for kind, a, b in zip(KINDS, *map(arrays, found), strict=True):
         np.testing.assert_array_equal(a, b, err_msg=kind)
@@ -77,7 +77,7 @@ def test_the_budget_is_what_is_used(rng):
     peaks, plans = [], []
     for states in (12, 12, 92):  # the first one compiles
         fresh = replace(model, memory_budget=states * state_bytes(model), spare=[])
-        rollout = Rollout(fresh, inputs, adjoint=True)
+        rollout = make_rollout(fresh, inputs, adjoint=True)
         tracemalloc.start()
         rollout.gradient(lambda records, state: LossBar(final=state))
         peaks.append(tracemalloc.get_traced_memory()[1])
@@ -140,7 +140,7 @@ def test_too_small_a_budget_is_refused_with_the_one_that_would_do():
     need = (SORT_EVERY + 2) * state_bytes(model)
     tight = replace(model, memory_budget=need - 1)
     with pytest.raises(RunError, match=r"set `memory: (\d+)MiB` or more, or use fewer particles") as caught:
-        Rollout(tight, inputs, adjoint=True).gradient(lambda records, state: LossBar(final=state))
+        make_rollout(tight, inputs, adjoint=True).gradient(lambda records, state: LossBar(final=state))
     advised = int(str(caught.value).split("memory: ")[1].split("MiB")[0]) * 2**20
     enough = replace(model, memory_budget=advised)
-    Rollout(enough, inputs, adjoint=True).gradient(lambda records, state: LossBar(final=state))
+    make_rollout(enough, inputs, adjoint=True).gradient(lambda records, state: LossBar(final=state))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from little_worlds import world
 
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar, Records
-from cqrun.engine.rollout import Rollout
 from cqrun.state import State
 
 T, STEEP = 7, 3
@@ -46,7 +46,7 @@ def test_growth_is_where_the_gradient_grows_and_not_where_the_loss_adds_to_it(ov
     model, inputs = world(
         x, size=[1.0, 1.0], dx=0.1, dt=1e-3, substeps=2, controls=T, volume=1e-3, probe=np.full((1, 12), 1 / 12)
     )
-    rollout = Rollout(model, inputs, adjoint=True, policy=Steep(kind))
+    rollout = make_rollout(model, inputs, adjoint=True, policy=Steep(kind))
     bar = Records.zeros(T, 1, 2)
     bar.x[T if over == "final" else slice(1, None)] = 1.0
     rollout.gradient(lambda records, state: LossBar(bar))

@@ -12,8 +12,8 @@ import pytest
 from little_worlds import needs_jit, world
 from rich_scene import ACTUATORS, KINDS, arrays, rich
 
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar
-from cqrun.engine.rollout import Rollout
 from cqrun.engine.setting import MARGIN
 from cqrun.errors import RolloutError
 from cqrun.state import State
@@ -62,7 +62,7 @@ def thrown(dim: int, direction: np.ndarray, speed: float = 20.0):
 def test_a_particle_that_leaves_is_named(dim, axis, towards, threads):
     way = np.eye(dim)[axis] * (1 if towards == "high" else -1)
     model, inputs = thrown(dim, way)
-    error = outcome(lambda: Rollout(model, inputs, threads=threads).run())
+    error = outcome(lambda: make_rollout(model, inputs, threads=threads).run())
     assert isinstance(error, RolloutError)
     assert (error.body, error.particle) == ("body 1", 37)
     # two cells of the margin beyond the world's face, at .02 m a substep
@@ -75,7 +75,9 @@ def test_a_particle_that_leaves_is_named(dim, axis, towards, threads):
 @needs_jit
 def test_a_gradient_of_such_a_rollout_stops_as_well():
     model, inputs = thrown(2, np.array([1.0, 0.0]))
-    error = outcome(lambda: Rollout(model, inputs, threads=2, adjoint=True).gradient(lambda r, s: LossBar(final=s)))
+    error = outcome(
+        lambda: make_rollout(model, inputs, threads=2, adjoint=True).gradient(lambda r, s: LossBar(final=s))
+    )
     assert isinstance(error, RolloutError)
     assert error.particle == 37
 
@@ -85,7 +87,7 @@ def test_a_gradient_of_such_a_rollout_stops_as_well():
 def test_at_any_speed_it_stops_before_the_particle_is_scattered_again(speed, threads):
     """A position is written to memory's addresses in the next substep only, and there is none."""
     model, inputs = thrown(3, np.array([1.0, -1.0, 1.0]), speed)
-    error = outcome(lambda: Rollout(model, inputs, threads=threads).run())
+    error = outcome(lambda: make_rollout(model, inputs, threads=threads).run())
     assert isinstance(error, RolloutError)
     assert error.particle == 37
     assert error.time == pytest.approx(1e-3)
@@ -100,13 +102,13 @@ def test_at_the_very_edge_of_the_grid_transfers_are_right(dim, rng):
     model, inputs = world(inside, size=[1.0] * dim, dx=0.1, dt=1e-9, substeps=1, controls=1)
     inputs.state.v[:] = np.sign(0.5 - inside) * rng.random(inside.shape)
     seen: dict[int, State] = {}
-    Rollout(model, inputs).run(observe=seen.__setitem__)
+    make_rollout(model, inputs).run(observe=seen.__setitem__)
     np.testing.assert_allclose(seen[1].v, inputs.state.v, rtol=0, atol=1e-14)
     for particle, axis in itertools.product(range(2**dim), range(dim)):
         inputs.state.x[:] = inside
         inputs.state.x[particle, axis] += 2e-9 * np.sign(inside[particle, axis] - 0.5)
         with pytest.raises(RolloutError, match=f"particle {particle}, t = 0 s: left the grid"):
-            Rollout(model, inputs)
+            make_rollout(model, inputs)
 
 
 def _corners(dim: int) -> list[tuple[int, ...]]:
@@ -121,7 +123,7 @@ def test_what_is_not_finite_is_found_in_the_first_substeps(kind, bad, threads):
     array = arrays(inputs)[KINDS.index(kind)]
     # the walls' first coefficient is of the floor; a muscle holds particle 18, the second of the second body
     array[0 if kind.split(".")[0] in ("friction", "spring", *ACTUATORS) else 18] = bad
-    error = outcome(lambda: Rollout(model, inputs, threads=threads).run())
+    error = outcome(lambda: make_rollout(model, inputs, threads=threads).run())
     assert isinstance(error, RolloutError)
     assert error.time <= 2 * model.dt + 1e-12
     assert error.particle < model.layout.counts[int(error.body[-1])]
@@ -134,7 +136,7 @@ def test_what_is_not_finite_is_found_in_the_first_substeps(kind, bad, threads):
 def test_nan_is_found_in_the_others(kind):
     model, inputs = rich(2)
     arrays(inputs)[KINDS.index(kind)][0 if kind.startswith("cable") else 18] = np.nan
-    error = outcome(lambda: Rollout(model, inputs).run())
+    error = outcome(lambda: make_rollout(model, inputs).run())
     assert "its position is not finite; the simulation blew up: use smaller substeps" in str(error)
 
 
@@ -143,15 +145,15 @@ def test_a_material_that_blows_up_is_reported_with_its_time(threads):
     """A substep of three times the wave's own blows up some time later, not at once."""
     model, inputs = rich(2, substeps=50, controls=20)
     inputs.terms[0][0][0] *= 3000.0
-    error = outcome(lambda: Rollout(model, inputs, threads=threads).run())
+    error = outcome(lambda: make_rollout(model, inputs, threads=threads).run())
     assert isinstance(error, RolloutError)
     assert model.dt < error.time < 50 * 20 * model.dt
-    same = outcome(lambda: Rollout(model, inputs).run())
+    same = outcome(lambda: make_rollout(model, inputs).run())
     assert str(error) == str(same)
 
 
 def test_a_rollout_that_is_told_to_stop_ends_between_control_steps():
     model, inputs = rich(2, controls=5)
     seen: list[int] = []
-    Rollout(model, inputs).run(observe=lambda k, state: seen.append(k), should_stop=lambda: len(seen) == 3)
+    make_rollout(model, inputs).run(observe=lambda k, state: seen.append(k), should_stop=lambda: len(seen) == 3)
     assert seen == [0, 1, 2]

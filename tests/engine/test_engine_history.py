@@ -23,8 +23,8 @@ from rich_scene import direction, make_complex, moved, parts, product, random_re
 from small_beam import assert_same, result_of
 
 from cqrun.build.model import build
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Inputs, LossBar, Records
-from cqrun.engine.rollout import Rollout
 from cqrun.plugin.registry import plugins
 from cqrun.scene.load import load_scene
 from cqrun.scene.plugin_files import plugins_allowed
@@ -101,7 +101,7 @@ def gradient(model: Any, inputs: Inputs, threads: int = 1) -> tuple[Any, Records
     rng = np.random.default_rng(7)
     records_bar = random_records(Records.zeros(model.n_controls, 3, model.dim, model.layout.history), rng)
     bars = LossBar(records_bar, random_state(inputs.state, rng))
-    records, bar = Rollout(model, inputs, threads=threads, adjoint=True).gradient(lambda records, state: bars)
+    records, bar = make_rollout(model, inputs, threads=threads, adjoint=True).gradient(lambda records, state: bars)
     return bars, records, bar, model
 
 
@@ -118,7 +118,7 @@ def adjoint(plane) -> tuple[Any, Records, Inputs, Any]:
 def test_a_rollout_is_that_of_the_equations(plane):
     model, inputs = plane
     seen = {}
-    records = Rollout(model, inputs).run(observe=seen.__setitem__)
+    records = make_rollout(model, inputs).run(observe=seen.__setitem__)
     expected, last, _ = reference.rollout(model, inputs)
     pairs = [*zip(parts(records), parts(expected), strict=True)]
     pairs += zip(parts(seen[model.n_controls]), parts(last), strict=True)
@@ -156,7 +156,7 @@ def test_taylor_remainder_through_a_whole_rollout_is_of_second_order(plane, adjo
 
     def loss(given: Inputs) -> float:
         seen = {}
-        records = Rollout(model, given).run(observe=seen.__setitem__)
+        records = make_rollout(model, given).run(observe=seen.__setitem__)
         return float(product(records, bars.records) + product(seen[model.n_controls], bars.final))
 
     change = rng.normal(size=arrays(inputs)[kind].shape) * arrays(inputs)[kind]
@@ -212,7 +212,7 @@ def test_the_trajectory_file_has_the_history(tmp_path):
     finish(cqrun("simulate", tmp_path / "scene.yaml", "--out", tmp_path))
     (path,) = tmp_path.glob("scene/*/trajectory.h5")
     built, seen = build(load_scene(SCENE)), {}
-    Rollout(built.model, built.assembly.inputs({})).run(observe=seen.__setitem__)
+    make_rollout(built.model, built.assembly.inputs({})).run(observe=seen.__setitem__)
     with h5py.File(path) as file:
         strain = file["particles"][STRAIN][:]
     assert strain.shape == (7, len(built.particles.x))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cqrun.build.model import build
-from cqrun.engine.rollout import Rollout
+from cqrun.engine.frames import make_rollout
 from cqrun.materials.term import _STRESS
 from cqrun.scene.load import load_scene
 from cqrun.state import State
@@ -26,7 +26,7 @@ time: {{duration: 0.2, control_step: 0.05, substeps: 20}}
 def stretches(one: str, two: str) -> dict[str, np.ndarray]:
     """Return the deformation of both bodies at the end."""
     built = build(load_scene(SCENE.format(one=one, two=two)))
-    rollout = Rollout(built.model, built.assembly.inputs({}))
+    rollout = make_rollout(built.model, built.assembly.inputs({}))
     rollout.run()
     final = State.unpack(rollout.final, built.model.layout, np.zeros(0))
     return {name: final.F[built.particles.of(name)] for name in ("one", "two")}

@@ -10,8 +10,8 @@ import reference
 from little_worlds import TERMS, world
 from rich_scene import parts, rich
 
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel
-from cqrun.engine.rollout import Rollout
 from cqrun.state import State
 
 TOLERANCE = 1e-12
@@ -21,7 +21,7 @@ TOLERANCE = 1e-12
 def test_a_rollout_is_that_of_the_equations(dim):
     model, inputs = rich(dim)
     seen: dict[int, State] = {}
-    records = Rollout(model, inputs).run(observe=seen.__setitem__)
+    records = make_rollout(model, inputs).run(observe=seen.__setitem__)
     expected, last, branches = reference.rollout(model, inputs)
     for got, want in zip(parts(records), parts(expected), strict=True):
         np.testing.assert_allclose(got, want, rtol=0, atol=TOLERANCE * np.abs(want).max())
@@ -47,7 +47,7 @@ def test_so_is_one_of_particles_that_cross_a_block_between_sortings(dim):
     model = replace(model, size=np.array([2.9] + [0.9] * (dim - 1)), conditions=planes)
     assert model.grid_shape == (36,) + (16,) * (dim - 1)
     inputs.state.v[:, 0] += 22.0
-    records = Rollout(model, inputs).run()
+    records = make_rollout(model, inputs).run()
     expected, last, _ = reference.rollout(model, inputs)
     assert (last.x[:, 0] - inputs.state.x[:, 0]).min() > 1.5
     for got, want in zip(parts(records), parts(expected), strict=True):
@@ -71,7 +71,7 @@ def test_bodies_with_other_terms_than_their_neighbours(dim, rng):
     inputs.terms = [[one[0][:, first], one[2][:, first]], [one[1][:, second], one[3][:, second]]]
     inputs.activation, inputs.strength, inputs.weights = np.zeros((model.n_controls, 0)), np.zeros(0), np.zeros(0)
     inputs.rest = np.zeros(0)
-    records = Rollout(apart, inputs).run()
+    records = make_rollout(apart, inputs).run()
     for got, want in zip(parts(records), parts(expected), strict=True):
         np.testing.assert_allclose(got, want, rtol=0, atol=TOLERANCE * np.abs(want).max())
 
@@ -84,7 +84,7 @@ def test_an_affine_field_survives_the_grid(dim, rng):
     a, B = rng.normal(size=dim), rng.normal(size=(dim, dim))
     inputs.state.v, inputs.state.C = a + x @ B.T, np.tile(B, (40, 1, 1))
     seen: dict[int, State] = {}
-    Rollout(model, inputs).run(observe=seen.__setitem__)
+    make_rollout(model, inputs).run(observe=seen.__setitem__)
     after = seen[1]
     np.testing.assert_allclose(after.v, inputs.state.v, rtol=0, atol=1e-14)
     np.testing.assert_allclose(after.C, inputs.state.C, rtol=0, atol=1e-12)
@@ -102,6 +102,6 @@ def test_forces_and_damping_act_on_the_particles_momentum(dim, rng):
     )
     inputs.state.v[:], inputs.fields.force[:] = rng.normal(size=(2, 40, dim))
     seen: dict[int, State] = {}
-    Rollout(model, inputs).run(observe=seen.__setitem__)
+    make_rollout(model, inputs).run(observe=seen.__setitem__)
     kept = (mass * np.exp(-damping * 1e-2)) @ inputs.state.v
     np.testing.assert_allclose(mass @ seen[1].v, kept + 1e-2 * inputs.fields.force.sum(0), rtol=0, atol=1e-13)

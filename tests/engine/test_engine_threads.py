@@ -14,8 +14,8 @@ from cqrun.actuators import body_force, cable
 from cqrun.boundaries.friction import Friction
 from cqrun.build.model import build
 from cqrun.engine import forward_run
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar, Records
-from cqrun.engine.rollout import Rollout
 from cqrun.forces import spring
 from cqrun.scene.load import load_scene
 from cqrun.state import Layout, State
@@ -31,7 +31,7 @@ def gradient(model, inputs, threads, records_bar):
         last.append(state)
         return LossBar(records_bar, state)
 
-    records, bar = Rollout(model, inputs, threads=threads, adjoint=True).gradient(loss_bar)
+    records, bar = make_rollout(model, inputs, threads=threads, adjoint=True).gradient(loss_bar)
     return last[0], records, bar
 
 
@@ -97,10 +97,10 @@ def test_large_bodies_are_chained_whether_or_not_forces_pull_them(monkeypatch):
     for name in ("simulate/oscillator", "control/biped_cable"):
         built = build(load_scene(SCENES / f"{name}.yaml", []))
         inputs = built.assembly.inputs({})
-        size = Rollout(built.model, inputs).start.nbytes
+        size = make_rollout(built.model, inputs).start.nbytes
         for least in (size, size + 1):
             monkeypatch.setattr(forward_run, "CHAINED_FROM", least)
-            found[name, least - size] = Rollout(built.model, inputs).setting.chained
+            found[name, least - size] = make_rollout(built.model, inputs).setting.chained
     assert list(found.values()) == [True, False, True, False]
 
 
@@ -172,5 +172,5 @@ def test_threads_with_too_little_to_do_stay_away(worth, call_worth, threads, rng
     model, inputs = crowd(2, rng)  # 600 particles, 10 substeps in a control step
     monkeypatch.setattr(forward_run, "THREAD_WORTH", worth)
     monkeypatch.setattr(forward_run, "CALL_WORTH", call_worth)
-    assert Rollout(model, inputs, threads=4).threads == threads
-    assert Rollout(model, inputs).threads == 1
+    assert make_rollout(model, inputs, threads=4).threads == threads
+    assert make_rollout(model, inputs).threads == 1

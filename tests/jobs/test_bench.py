@@ -11,7 +11,7 @@ from small_finger import FINGER, written
 
 from cqrun.build.model import build
 from cqrun.engine import forward_run
-from cqrun.engine.rollout import Rollout
+from cqrun.engine.frames import make_rollout
 from cqrun.errors import RunError, SceneError, Stopped, UsageError
 from cqrun.jobs import bench
 from cqrun.jobs.bench import excerpt_of, excerpt_of_block, run_bench, run_bench_scene, shares
@@ -84,7 +84,7 @@ def test_what_is_measured_is_the_scenes_own_rollout(text):
     excerpt.measure(1)
     agent, model = make_agent(built, None, Silent()), built.model
     if agent is None:
-        whole = Rollout(model, built.assembly.inputs({}))
+        whole = make_rollout(model, built.assembly.inputs({}))
     else:
         whole = agent.rollout(agent.acting, agent.goals_in_the_middle, 1)
     states = whole.start[None].copy()

@@ -19,8 +19,8 @@ from small_beam import BEAM, E_PATH, MARKERS, assert_same, changed, record, resu
 
 from cqrun.build.model import build
 from cqrun.cli.describe import _lines
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Records
-from cqrun.engine.rollout import Rollout
 from cqrun.errors import SceneError
 from cqrun.figures import draw
 from cqrun.figures.draw import draw_run
@@ -66,7 +66,7 @@ def strains(modulus: float) -> np.ndarray:
     built = build(load_scene(BEAM + DATA[DATA.index("regions:") : DATA.index("data:")]))
     seen: list[float] = []
     top = built.particles.inside("beam", "top")
-    rollout = Rollout(built.model, built.assembly.inputs({E_PATH: np.array(modulus)}))
+    rollout = make_rollout(built.model, built.assembly.inputs({E_PATH: np.array(modulus)}))
     rollout.run(lambda control, state: seen.append(state.F[top, 0, 0].mean() - 1.0))
     return np.array(seen)
 

@@ -46,8 +46,9 @@ from cqrun.engine.arrays import (
     store_x,
     within,
 )
-from cqrun.engine.setting import MARGIN, TILE, Bars, Crew, Group, Run, Substep
+from cqrun.engine.setting import MARGIN, Crew, Group
 from cqrun.engine.transfer import gather, gather_vjp
+from cqrun.engine.updated.setting import TILE, Bars, Run, Substep
 from cqrun.materials.history import sum_of, update_histories, update_histories_vjp
 from cqrun.materials.stress import total_kirchhoff, total_kirchhoff_vjp
 from cqrun.numerics.compile import for_each, kernel, one_body, share

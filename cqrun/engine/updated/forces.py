@@ -10,30 +10,15 @@ from __future__ import annotations
 from typing import Any
 
 from cqrun.engine.arrays import first_row_of_v
-from cqrun.engine.particles import begin_cotangent, write_momentum
-from cqrun.engine.setting import Bars, Crew, Drive, Group, Run, Substep
-from cqrun.forces.force import ACTIVATION, REST, STRENGTH, Levels, exert, exert_vjp
+from cqrun.engine.exert import add_level_bars_of_each, exert_of_each, exert_of_each_vjp
+from cqrun.engine.setting import Crew, Drive, Group
+from cqrun.engine.updated.particles import begin_cotangent, write_momentum
+from cqrun.engine.updated.setting import Bars, Run, Substep
+from cqrun.forces.force import Levels
 from cqrun.forces.pulled import Pulled
 from cqrun.numerics.compile import barrier, for_each, kernel, share
 from cqrun.numerics.lanes import LANE_BYTES
-from cqrun.plugin.contract import Array
 from cqrun.state import X
-
-
-@kernel
-def exert_items(force: Any, levels: Levels, at: Substep, crew: Crew) -> None:
-    """Write the shares of one kind of force."""
-    lo, hi = share(len(force.parts), crew.thread, crew.n_threads)
-    for item in range(lo, hi):
-        exert(force, item, levels, at.control, at.q)
-
-
-@kernel
-def exert_items_vjp(force: Any, levels: Levels, push_bar: Array, at: Substep, crew: Crew) -> None:
-    """Write the cotangents of the particles and parts of one kind of force."""
-    lo, hi = share(len(force.parts), crew.thread, crew.n_threads)
-    for item in range(lo, hi):
-        exert_vjp(force, item, levels, at.control, at.q, push_bar)
 
 
 @kernel
@@ -70,28 +55,14 @@ def push_lanes_vjp(groups: tuple[Group, Group], pulled: Pulled, run: Run, bars: 
             begin_cotangent(groups, run, at.q_before, at.q, q_bar, first, first + width, crew.thread)
 
 
-@kernel
-def add_level_bars(force: Any, levels_bar: Levels, control: int) -> None:
-    """Add the cotangents of activation, strength and rest length of one kind of force, item by item."""
-    level_bar = force.shares.level_bar
-    for item in range(len(force.parts)):
-        a = force.parts[item]
-        levels_bar.activation[control, a] += level_bar[item, ACTIVATION]
-        levels_bar.strength[a] += level_bar[item, STRENGTH]
-        levels_bar.rest[a] += level_bar[item, REST]
-
-
-exert_of_each = for_each(exert_items)
-exert_of_each_vjp = for_each(exert_items_vjp)
 push_lanes_of_each = for_each(push_lanes)
 push_lanes_of_each_vjp = for_each(push_lanes_vjp)
-add_level_bars_of_each = for_each(add_level_bars)
 
 
 @kernel
 def push(pulled: Pulled, groups: Any, drive: Drive, run: Run, at: Substep, crew: Crew) -> None:
     """Apply all forces at the state q."""
-    exert_of_each(drive.forces, drive.levels, at, crew)
+    exert_of_each(drive.forces, drive.levels, at.control, at.q, crew)
     barrier(run.work.arrivals, crew.n_threads)
     push_lanes_of_each(groups, pulled, run, at, crew)
 
@@ -102,7 +73,7 @@ def push_vjp(
 ) -> None:
     """Add to the cotangents of the state and of the levels from that of the forces (`bars.push`)."""
     barrier(run.work.arrivals, crew.n_threads)
-    exert_of_each_vjp(drive.forces, drive.levels, bars.push, at, crew)
+    exert_of_each_vjp(drive.forces, drive.levels, at.control, at.q, bars.push, crew)
     barrier(run.work.arrivals, crew.n_threads)
     push_lanes_of_each_vjp(pairs, pulled, run, bars, at, crew)
     if crew.thread == 0:

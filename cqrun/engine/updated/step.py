@@ -14,12 +14,13 @@ import numpy as np
 
 from cqrun.engine.blocks import SORT_EVERY, sort_particles
 from cqrun.engine.drive import activate, activate_vjp
-from cqrun.engine.forces import push_if_pulled, push_if_pulled_vjp
-from cqrun.engine.grid import add_friction_bar, clear, update_grid, update_grid_vjp
-from cqrun.engine.particles import momentum_of_each, momentum_of_each_vjp, move_each, move_each_vjp
 from cqrun.engine.probe import record, record_vjp
-from cqrun.engine.setting import Bars, Crew, Drive, Probe, Run, Setting, Substep
+from cqrun.engine.setting import Crew, Drive, Probe
 from cqrun.engine.transfer import scatter
+from cqrun.engine.updated.forces import push_if_pulled, push_if_pulled_vjp
+from cqrun.engine.updated.grid import add_friction_bar, clear, update_grid, update_grid_vjp
+from cqrun.engine.updated.particles import momentum_of_each, momentum_of_each_vjp, move_each, move_each_vjp
+from cqrun.engine.updated.setting import Bars, Run, Setting, Substep
 from cqrun.forces.force import Levels
 from cqrun.numerics.compile import Pass, barrier, in_order, kernel, share
 from cqrun.plugin.contract import Array
@@ -161,5 +162,5 @@ def reverse(
         substep_vjp(groups, pairs, conditions, coefficient_bar, drive, levels_bar, run, bars, at, crew)
         barrier(work.arrivals, crew.n_threads)
         if step % setting.substeps == 0 and crew.thread == 0:
-            activate_vjp(stresses, drive, levels_bar, run.fields, bars, control)
+            activate_vjp(stresses, drive, levels_bar, run.fields, bars.fields, bars.steady_push, control)
         barrier(work.arrivals, crew.n_threads)

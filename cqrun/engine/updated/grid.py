@@ -13,7 +13,8 @@ from typing import Any
 from cqrun.boundaries.condition import project_all, project_all_vjp
 from cqrun.engine.arrays import components, record_of
 from cqrun.engine.blocks import BLOCK, first_node
-from cqrun.engine.setting import Crew, Run
+from cqrun.engine.setting import Crew
+from cqrun.engine.updated.setting import Run
 from cqrun.numerics.compile import kernel, share
 from cqrun.numerics.lanes import lane, with_lane
 from cqrun.numerics.records import load4, store4

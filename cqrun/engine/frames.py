@@ -1,0 +1,17 @@
+"""The frames in which a model can move, and how to make a rollout of a model in its frame."""
+
+from __future__ import annotations
+
+from cqrun.engine.model import Inputs, Model
+from cqrun.engine.policy import Policy
+from cqrun.engine.rollout import Rollout
+from cqrun.engine.updated.rollout import UpdatedRollout
+
+FRAMES: dict[str, type[Rollout]] = {"updated": UpdatedRollout}
+
+
+def make_rollout(
+    model: Model, inputs: Inputs, *, threads: int = 1, adjoint: bool = False, policy: Policy | None = None
+) -> Rollout:
+    """Return a rollout of a model in its frame; see `ForwardRun` for the arguments."""
+    return FRAMES[model.frame](model, inputs, threads=threads, adjoint=adjoint, policy=policy)
