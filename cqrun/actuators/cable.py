@@ -139,4 +139,4 @@ def pull_vjp(cables: CableKernel, item: int, levels: Levels, control: int, q: Ar
         clear_item(shares.x_bar, shares, item)
 
 
-register_force(CableKernel, segments_of, pull, pull_vjp)
+register_force(CableKernel, segments_of, pull, pull_vjp, rate=False)

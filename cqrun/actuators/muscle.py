@@ -91,4 +91,4 @@ def _to_rows_vjp(S_bar):
     return _TO[len(S_bar)]
 
 
-register(MuscleKernel, stress, stress_vjp)
+register(MuscleKernel, stress, stress_vjp, rate=False)

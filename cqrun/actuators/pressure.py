@@ -30,4 +30,4 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
     return (pull * det(F),), scale(cofactor(F), pull * theta[0]), zeros_like_rows(F)
 
 
-register(PressureKernel, stress, stress_vjp)
+register(PressureKernel, stress, stress_vjp, rate=False)

@@ -110,6 +110,7 @@ def build(scene: Scene) -> Built:
         forces=tuple(part.model for part in assembly.actuation.passive),
         real=np.dtype(scene.precision).type,
         memory_budget=scene.memory,
+        frame=scene.world.frame,
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))
 

@@ -20,11 +20,12 @@ class BackwardRun(ABC):
     """Run a rollout backward from the cotangents of its results. A subclass for each frame has the kernels.
 
     Attributes:
+        here: the packed state whose cotangent the run has.
         parameters_bar: the cotangents of the policy's parameters in the policy's own form; None without a policy.
     """
 
     def __init__(self, rollout: ForwardRun, loss_bar: LossBar) -> None:
-        self.rollout = rollout
+        self.rollout, self.here = rollout, rollout.final
         self.q_bar = aligned(rollout.start.shape, rollout.start.dtype)
         self.fields_bar = aligned(rollout.fields.shape, rollout.fields.dtype)
         self.drive_bar = self._drive_bar()
@@ -37,6 +38,7 @@ class BackwardRun(ABC):
         self.size_after: dict[int, float] = {}
         self.total = aligned(self.q_bar.shape, self.q_bar.dtype)
         self.parameters_bar: Any = None if rollout.policy is None else rollout.policy.parameters_zero()
+        self._make_bars()
         self._begin(loss_bar)
 
     def _drive_bar(self) -> Drive:
@@ -60,6 +62,10 @@ class BackwardRun(ABC):
             self.size_after[rollout.model.n_controls] = self._size(self.records_bar[-1])
 
     @abstractmethod
+    def _make_bars(self) -> None:
+        """Make the arguments of the kernels that are cotangents."""
+
+    @abstractmethod
     def _add_state(self, bar: State) -> None:
         """Add the cotangent of the current state."""
 
@@ -80,12 +86,18 @@ class BackwardRun(ABC):
         r, at, substeps = self.rollout, end, self.rollout.model.substeps
         while at > begin:
             start = begin if r.policy is None else max(begin, (at - 1) // substeps * substeps)
-            self._reverse(start, at, states[start - begin :])
+            kept = self._from(states, start - begin)
+            self._reverse(start, at, kept)
+            self.here = kept[0]
             if r.policy is not None and start % substeps == 0:
-                self._policy_vjp(start // substeps, states[start - begin])
+                self._policy_vjp(start // substeps, self.here)
             at = start
         if begin == 0:
             self._add_record(self.q_bar, self.records_bar[0])
+
+    def _from(self, states: Array, k: int) -> Array:
+        """Return the kept states from the k-th on."""
+        return states[k:]
 
     @property
     def growth(self) -> tuple[float, int]:

@@ -45,6 +45,7 @@ class ForwardRun(ABC):
 
     Attributes:
         start: the packed state at the start, in the frame's own form.
+        final: the same at the end of the last run; the start before the first.
         memory: (T + 1, M) memory of the policy at every control step.
         decided: number of control steps whose activations are known.
 
@@ -67,6 +68,7 @@ class ForwardRun(ABC):
         self.adjoint, self.policy = adjoint, policy
         self.team = Team(useful_threads(model, threads))
         self._pack()
+        self.final = self.start
         self.records: Array = np.zeros((model.n_controls + 1, model.layout.table.n_rows, len(self.probe.start) - 1))
         self._record_start()
         self.memory = np.tile(inputs.state.memory, (model.n_controls + 1, 1))

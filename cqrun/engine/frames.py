@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from cqrun.engine.model import Inputs, Model
 from cqrun.engine.policy import Policy
+from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.rollout import Rollout
 from cqrun.engine.updated.rollout import UpdatedRollout
 
-FRAMES: dict[str, type[Rollout]] = {"updated": UpdatedRollout}
+FRAMES: dict[str, type[Rollout]] = {"updated": UpdatedRollout, "reference": ReferenceRollout}
 
 
 def make_rollout(

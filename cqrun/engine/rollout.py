@@ -92,9 +92,9 @@ class Rollout(ForwardRun):
                     chunk_states[0] = current[0]
                     self.advance(ends(last), ends(action.n1), chunk_states, keep=True)
             elif isinstance(action, EndForward):
-                final = chunk_states[n_steps - ends(plan.n_chunks - 1)]
+                self.final = chunk_states[n_steps - ends(plan.n_chunks - 1)].copy()
                 records = Records.from_rows(self.records.copy(), model.layout.table)
-                sweeps += [self.backward(bar) for bar in loss_bars(records, self.unpack(final, model.n_controls))]
+                sweeps += [self.backward(bar) for bar in loss_bars(records, self.unpack(self.final, model.n_controls))]
             elif isinstance(action, Reverse):
                 for sweep in sweeps:
                     sweep.run(ends(action.n0), ends(action.n1), chunk_states)

@@ -13,18 +13,19 @@ so that the last axis is entry 2 in both dimensions. A substep's adjoint scatter
 weights and nodes are the same: there each node has two records, one after the other (`Work.both`).
 
 Arrays of records: `value` (n, 4) has a_p - B_p f_p, `affine` (3 n, 4) the columns of B_p, axis by axis, and `place`
-(n, 4) the position in cells.
+(n, 4) the position in cells. Particles whose stencils do not change have `Stencils` in place of positions.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
+from numba.core import types
 from numba.extending import overload
 
-from cqrun.numerics.compile import kernel, written
+from cqrun.numerics.compile import kernel, own_symbols, written
 from cqrun.numerics.lanes import floor, lane
-from cqrun.numerics.records import load4
+from cqrun.numerics.records import load4, whole_lane
 from cqrun.numerics.wide_records import (
     filled,
     load_each,
@@ -43,6 +44,16 @@ from cqrun.plugin.contract import Array
 
 AHEAD = 16
 """How many particles ahead `scatter` prefetches: the particles of a colour's blocks are far apart in memory."""
+
+
+class Stencils(NamedTuple):
+    """The stencils of particles that never change: the first node of each (n,), and f as a record (n, 4)."""
+
+    first: Array
+    f: Array
+
+
+own_symbols(Stencils)
 
 
 @kernel
@@ -74,11 +85,28 @@ def _first_nodes(base, strides):
 
 
 @kernel
-def stencil(place: Array, p: int, strides: Any) -> Any:
-    """Return the first node of a particle's stencil, and f."""
+def stencil_at(place: Array, p: int, strides: Any) -> Any:
+    """Return the first node of the stencil at a position, and f."""
     x = load4(place, p)
     base = floor(x - 0.5)
     return first_nodes(base, strides)[0], x - base
+
+
+def stencil(place: Any, p: int, strides: Any) -> Any:
+    """Return the first node of a particle's stencil, and f."""
+    return (int(place.first[p]), place.f[p].copy()) if isinstance(place, Stencils) else stencil_at(place, p, strides)
+
+
+def _never_changes(place: Any) -> bool:
+    """Return whether a Numba type is that of `Stencils`."""
+    return isinstance(place, types.NamedTuple) and place.instance_class is Stencils
+
+
+@overload(stencil)
+def _stencil(place, p, strides):
+    if _never_changes(place):
+        return lambda place, p, strides: (place.first[p], load4(place.f, p))
+    return lambda place, p, strides: stencil_at(place, p, strides)
 
 
 @kernel
@@ -102,34 +130,71 @@ def scatter(
         grid: (nodes, 4), or (2 nodes, 4) for two fields: the records of a node one after the other.
         values, affines: tuples with one array per field.
     """
-    n, in_3d = place.shape[0], len(dims) == 3
+    n, in_3d = values[0].shape[0], len(dims) == 3
     for index in range(lo, hi):
         p = order[index]
         prefetch_fields(place, values, affines, order[min(index + AHEAD, n - 1)], n, in_3d)
         first, f = stencil(place, p, strides)
-        W = weights(f)
-        w0, w1, w2 = lane(W[0], 2), lane(W[1], 2), lane(W[2], 2)
-        a = load_each(values, p)
-        b0, b1, b2 = load_each(affines, p), load_each(affines, n + p), load_each(affines, 2 * n + p)
-        c1, c2 = b2 * w1, (b2 + b2) * w2
-        for i in range(3 if in_3d else 1):
-            w_i = lane(W[i], 0) if in_3d else 1.0
-            a_i = a + b0 * i if in_3d else a
-            for j in range(3):
-                w = w_i * lane(W[j], 1)
-                a_j = a_i + b1 * j
-                node = first + i * strides[0] + j * strides[1]
-                store_wide(grid, node, load_wide(grid, node, a) + a_j * w0 * w)
-                store_wide(grid, node + 1, load_wide(grid, node + 1, a) + (a_j * w1 + c1) * w)
-                store_wide(grid, node + 2, load_wide(grid, node + 2, a) + (a_j * w2 + c2) * w)
+        spread_out(grid, values, affines, p, n, first, f, strides, in_3d)
 
 
 @kernel
-def stencils(place: Array, p: int, strides: Any) -> Any:
-    """Return the first nodes of the stencils of particles p, p + 1, ... of a lane value, and their f's."""
+def scatter_tile(
+    grid: Array, values: Any, affines: Any, place: Stencils, lo: int, hi: int, strides: Any, dims: Any
+) -> None:
+    """Add the affine fields of particles lo:hi, which are in tile arrays, to the grid; see `scatter`."""
+    n, in_3d = values[0].shape[0], len(dims) == 3
+    for p in range(lo, hi):
+        first, f = stencil(place, p, strides)
+        spread_out(grid, values, affines, p - lo, n, first, f, strides, in_3d)
+
+
+@kernel
+def spread_out(
+    grid: Array, values: Any, affines: Any, p: int, n: int, first: int, f: Any, strides: Any, in_3d: bool
+) -> None:
+    """Add the affine fields in entry p of the arrays to the stencil at a node."""
+    W = weights(f)
+    w0, w1, w2 = lane(W[0], 2), lane(W[1], 2), lane(W[2], 2)
+    a = load_each(values, p)
+    b0, b1, b2 = load_each(affines, p), load_each(affines, n + p), load_each(affines, 2 * n + p)
+    c1, c2 = b2 * w1, (b2 + b2) * w2
+    for i in range(3 if in_3d else 1):
+        w_i = lane(W[i], 0) if in_3d else 1.0
+        a_i = a + b0 * i if in_3d else a
+        for j in range(3):
+            w = w_i * lane(W[j], 1)
+            a_j = a_i + b1 * j
+            node = first + i * strides[0] + j * strides[1]
+            store_wide(grid, node, load_wide(grid, node, a) + a_j * w0 * w)
+            store_wide(grid, node + 1, load_wide(grid, node + 1, a) + (a_j * w1 + c1) * w)
+            store_wide(grid, node + 2, load_wide(grid, node + 2, a) + (a_j * w2 + c2) * w)
+
+
+@kernel
+def stencils_at(place: Array, p: int, strides: Any) -> Any:
+    """Return the first nodes of the stencils at the positions of particles p, p + 1, ... of a lane value, and f's."""
     x = load_neighbours(place, p)
     base = floor(x - 0.5)
     return first_nodes(base, strides), x - base
+
+
+def stencils(place: Any, p: int, strides: Any) -> Any:
+    """Return the first nodes of the stencils of particles p, p + 1, ... of a lane value, and their f's."""
+    if not isinstance(place, Stencils):
+        return stencils_at(place, p, strides)
+    return tuple(place.first[p : p + records_in_lane(place.f)]), load_neighbours(place.f, p)
+
+
+@overload(stencils)
+def _stencils(place, p, strides):
+    if not _never_changes(place):
+        return lambda place, p, strides: stencils_at(place, p, strides)
+    per_value = whole_lane(place.types[place.fields.index("f")].dtype).width // 4
+    first = ", ".join(f"place.first[p + {k}]" for k in range(per_value))
+    return written(
+        f"lambda place, p, strides: (({first},), load_neighbours(place.f, p))", {"load_neighbours": load_neighbours}
+    )
 
 
 @kernel
@@ -165,6 +230,45 @@ def gather(grid: Array, place: Array, value: Array, moment: Array, lo: int, hi: 
         store_neighbours(moment, p - lo, m0 - v * spread(f, 0))
         store_neighbours(moment, n + p - lo, m1 - v * spread(f, 1))
         store_neighbours(moment, 2 * n + p - lo, m2 - v * spread(f, 2))
+
+
+@kernel
+def gather_both(
+    pairs: Array, place: Any, moment: Array, moment_2: Array, lo: int, hi: int, strides: Any, dims: Any
+) -> None:
+    """Gather the moments of two fields, whose records at a node follow each other in `pairs`; see `gather`."""
+    n, in_3d = moment.shape[0] // 3, len(dims) == 3
+    zero, one = filled(0.0, pairs), filled(1.0, pairs)
+    for p in range(lo, hi, records_in_lane(pairs)):
+        nodes, f = stencils(place, p, strides)
+        W = weights(f)
+        w0, w1, w2 = spread(W[0], 2), spread(W[1], 2), spread(W[2], 2)
+        v, m0, m1, m2, u, l0, l1, l2 = zero, zero, zero, zero, zero, zero, zero, zero
+        for i in range(3 if in_3d else 1):
+            w_i = spread(W[i], 0) if in_3d else one
+            s, s1, s2, t, t1, t2 = zero, zero, zero, zero, zero, zero
+            for j in range(3):
+                w_j = spread(W[j], 1)
+                node = i * strides[0] + j * strides[1]
+                g0, h0 = load_pairs(pairs, nodes, node)
+                g1, h1 = load_pairs(pairs, nodes, node + 1)
+                g2, h2 = load_pairs(pairs, nodes, node + 2)
+                g1, g2, h1, h2 = g1 * w1, g2 * w2, h1 * w1, h2 * w2
+                g, h = g0 * w0 + g1 + g2, h0 * w0 + h1 + h2
+                s, t = s + g * w_j, t + h * w_j
+                s1, t1 = s1 + g * (w_j * j), t1 + h * (w_j * j)
+                s2, t2 = s2 + (g1 + g2 * 2.0) * w_j, t2 + (h1 + h2 * 2.0) * w_j
+            v, u = v + s * w_i, u + t * w_i
+            m0, l0 = m0 + s * (w_i * i), l0 + t * (w_i * i)
+            m1, l1 = m1 + s1 * w_i, l1 + t1 * w_i
+            m2, l2 = m2 + s2 * w_i, l2 + t2 * w_i
+        f0, f1, f2 = spread(f, 0), spread(f, 1), spread(f, 2)
+        store_neighbours(moment, p - lo, m0 - v * f0)
+        store_neighbours(moment, n + p - lo, m1 - v * f1)
+        store_neighbours(moment, 2 * n + p - lo, m2 - v * f2)
+        store_neighbours(moment_2, p - lo, l0 - u * f0)
+        store_neighbours(moment_2, n + p - lo, l1 - u * f1)
+        store_neighbours(moment_2, 2 * n + p - lo, l2 - u * f2)
 
 
 @kernel

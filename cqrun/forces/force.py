@@ -37,6 +37,7 @@ _EXERT = ByClass("exert", "kernel, item, levels, control, q")
 _EXERT_VJP = ByClass("exert_vjp", "kernel, item, levels, control, q, push_bar")
 exert, exert_vjp = _EXERT.call, _EXERT_VJP.call
 
+_RATES: set[type] = set()
 _ITEMS: dict[type, Callable[[Array, Array], list[Array]]] = {}
 
 
@@ -117,7 +118,7 @@ class ParticleForce(Plugin):
 
 def register_force(
     kernel_class: type, items: Callable[[Array, Array], list[Array]], exert: Callable[..., None],
-    exert_vjp: Callable[..., None],
+    exert_vjp: Callable[..., None], *, rate: bool = True,
 ) -> None:  # fmt: skip
     """Register the functions of a kernel class.
 
@@ -125,10 +126,17 @@ def register_force(
         kernel_class: a NamedTuple of `shares`, `parts` and `constants` (I, ...), one row per item.
         items: returns the particles of each item of a part, for its particles (n,) and constants.
         exert, exert_vjp: see the top of this file.
+        rate: whether the force depends on velocities.
     """
+    _RATES.update([kernel_class] if rate else [])
     _EXERT.register(kernel_class, exert)
     _EXERT_VJP.register(kernel_class, exert_vjp)
     _ITEMS[kernel_class] = items
+
+
+def needs_velocity(kernel_class: type) -> bool:
+    """Return whether a force of a kernel class depends on velocities."""
+    return kernel_class in _RATES
 
 
 def is_force(kernel_class: type) -> bool:

@@ -99,4 +99,4 @@ def stretch_vjp(springs: SpringKernel, item: int, levels: Levels, control: int, 
     pull_along_vjp(shares, item, stiffness * longer, stiffness * T_bar, q, push_bar)
 
 
-register_force(SpringKernel, segments_of, stretch, stretch_vjp)
+register_force(SpringKernel, segments_of, stretch, stretch_vjp, rate=False)

@@ -80,4 +80,4 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
     return (E_bar, nu_bar), scale(cofactor(F), theta[0] * weight * slope * tr), zeros_like_rows(F)
 
 
-register(IncompressibilityKernel, stress, stress_vjp)
+register(IncompressibilityKernel, stress, stress_vjp, rate=False)

@@ -38,6 +38,7 @@ _STRESS = ByClass("kirchhoff", "term, theta, F, C, h")
 _STRESS_VJP = ByClass("kirchhoff_vjp", "term, theta, F, C, h, tau_bar")
 _UPDATE = ByClass("update", "term, theta, F, F_next, h, dt")
 _UPDATE_VJP = ByClass("update_vjp", "term, theta, F, F_next, h, dt, h_next_bar")
+_RATES: set[type] = set()
 kirchhoff, kirchhoff_vjp, update, update_vjp = (f.call for f in (_STRESS, _STRESS_VJP, _UPDATE, _UPDATE_VJP))
 
 
@@ -70,10 +71,13 @@ class MaterialTerm(Plugin):
         return np.zeros(theta.shape[1])
 
 
-def register(kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any]) -> None:
-    """Register the functions of a kernel class without history."""
+def register(
+    kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any], *, rate: bool = True
+) -> None:
+    """Register the functions of a kernel class without history; `rate`: whether its stress depends on C."""
     _STRESS.register(kernel_class, stress, "term, theta, F, C")
     _STRESS_VJP.register(kernel_class, stress_vjp, "term, theta, F, C, tau_bar")
+    _RATES.update([kernel_class] if rate else [])
 
 
 def register_with_history(
@@ -83,6 +87,12 @@ def register_with_history(
     """Register the functions of a kernel class with history."""
     for table, body in ((_STRESS, stress), (_STRESS_VJP, stress_vjp), (_UPDATE, update), (_UPDATE_VJP, update_vjp)):
         table.register(kernel_class, body)
+    _RATES.add(kernel_class)
+
+
+def needs_rate(kernel_class: type) -> bool:
+    """Return whether the stress of a kernel class depends on the velocity gradient C."""
+    return kernel_class in _RATES
 
 
 def is_stress(kernel_class: type) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -20,6 +20,11 @@ class World(Spec):
 
     size: list[Annotated[float, Field(gt=0)]] = vector("m", "Edge lengths; their number is the dimension of the world")
     dx: float = quantity("m", "Edge of a grid cell", gt=0)
+    frame: Literal["updated", "reference"] = Field(
+        description="Frame of the engine: `reference` follows the rest shape and keeps elastic bodies exact; `updated` "
+        "is that of the papers, in which bodies may tear, merge and meet",
+        default="updated",
+    )
     gravity: Annotated[list[float], FilledIn("zero vector")] = vector(
         "m/s^2", "Gravity; zero if absent", differentiable=True
     )

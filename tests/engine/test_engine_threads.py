@@ -82,7 +82,7 @@ def test_substeps_one_by_one_and_tile_by_tile_give_the_same_bits(dim, real, rng,
     records_bar = random_records(Records.zeros(model.n_controls, 2, dim, model.layout.history), rng)
     short = replace(model, memory_budget=20 * 2 * dim * (1 + dim) * model.layout.n * np.dtype(real).itemsize)
     state, records, bar = gradient(model, inputs, 1, records_bar)
-    monkeypatch.setattr(forward_run, "CHAINED_FROM", 0)
+    monkeypatch.setattr("cqrun.engine.updated.rollout.CHAINED_FROM", 0)
     for other, threads in ((model, 1), (model, 2), (short, 1)):
         again, records_again, bar_again = gradient(other, inputs, threads, records_bar)
         for a, b in zip((*parts(again), *parts(records_again)), (*parts(state), *parts(records)), strict=True):
@@ -99,7 +99,7 @@ def test_large_bodies_are_chained_whether_or_not_forces_pull_them(monkeypatch):
         inputs = built.assembly.inputs({})
         size = make_rollout(built.model, inputs).start.nbytes
         for least in (size, size + 1):
-            monkeypatch.setattr(forward_run, "CHAINED_FROM", least)
+            monkeypatch.setattr("cqrun.engine.updated.rollout.CHAINED_FROM", least)
             found[name, least - size] = make_rollout(built.model, inputs).setting.chained
     assert list(found.values()) == [True, False, True, False]
 

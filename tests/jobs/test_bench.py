@@ -48,7 +48,7 @@ def few(monkeypatch):
 )
 def test_every_pass_has_a_line_and_a_share(tmp_path, text, passes, monkeypatch):
     if passes is CHAINED:
-        monkeypatch.setattr(forward_run, "CHAINED_FROM", 0)
+        monkeypatch.setattr("cqrun.engine.updated.rollout.CHAINED_FROM", 0)
     file = tmp_path / "scene.yaml"
     file.write_text(text)
     output = tmp_path / "new" / "bench.json"

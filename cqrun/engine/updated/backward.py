@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from cqrun.engine.backward_run import BackwardRun
-from cqrun.engine.model import LossBar
 from cqrun.engine.probe import record_vjp
 from cqrun.engine.setting import Crew
 from cqrun.engine.updated.setting import Bars
@@ -20,10 +19,12 @@ from cqrun.state import State
 class UpdatedBackward(BackwardRun):
     """Run a rollout of the updated frame backward; see `BackwardRun`."""
 
-    def __init__(self, rollout: Any, loss_bar: LossBar) -> None:
-        super().__init__(rollout, loss_bar)
-        push_bar = np.zeros_like(rollout.bundle.push)
-        self.bundle = Bars(self.q_bar, self.fields_bar, push_bar, rollout.model.no_push(rollout.drive.steady))
+    rollout: Any
+
+    def _make_bars(self) -> None:
+        run, model = self.rollout.bundle, self.rollout.model
+        push_bar = np.zeros_like(run.push)
+        self.bundle = Bars(self.q_bar, self.fields_bar, push_bar, model.no_push(self.rollout.drive.steady))
 
     def _add_state(self, bar: State) -> None:
         layout, real = self.rollout.model.layout, self.rollout.model.real

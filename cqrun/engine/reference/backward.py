@@ -1,0 +1,112 @@
+"""The backward run in the reference frame: cotangents of the nodes' motion, from the last substep to the first."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cqrun.boundaries.condition import project_all_vjp
+from cqrun.engine.backward_run import BackwardRun
+from cqrun.engine.model import LossBar
+from cqrun.engine.probe import record_vjp
+from cqrun.engine.reference.setting import NodeBars
+from cqrun.engine.reference.step import reverse, see_vjp
+from cqrun.engine.setting import Crew
+from cqrun.numerics.packed import aligned, pack, unpack
+from cqrun.plugin.contract import Array
+from cqrun.state import DECAY, MASS, State
+
+
+class ReferenceBackward(BackwardRun):
+    """Run a rollout of the reference frame backward; see `BackwardRun`.
+
+    Args:
+        reverses: whether it finds each state from the next one; `run` then gets one state, that at its end, and
+            turns it into the one at its beginning.
+    """
+
+    rollout: Any
+
+    def __init__(self, rollout: Any, loss_bar: LossBar, *, reverses: bool) -> None:
+        self.reverses = reverses
+        super().__init__(rollout, loss_bar)
+
+    def _make_bars(self) -> None:
+        r, run = self.rollout, self.rollout.bundle
+        n_nodes, real = len(run.nodes.mass), run.force.dtype
+        u_bar, v_bar = self.q_bar
+        pairs, sums, outside = (aligned((count * n_nodes, 4), real) for count in (2, 2, 1))
+        mass_bar, kept_bar = np.zeros(n_nodes), np.zeros(n_nodes)
+        self.bundle = NodeBars(
+            u_bar, v_bar, pairs, sums, mass_bar, kept_bar, outside, self.fields_bar, aligned(run.q.shape, real),
+            np.zeros_like(run.push), r.model.no_push(r.drive.steady), self.coefficient_bar,
+        )  # fmt: skip
+        self.parts = tuple((pair, first, last) for pair, (_, first, last) in zip(self.pairs, r.parts, strict=True))
+        self.finished = False
+
+    def _from(self, states: Array, k: int) -> Array:
+        """Return the kept states from the k-th on; a run that reverses has one state."""
+        return states if self.reverses else states[k:]
+
+    def _see(self, q_bar: Array) -> None:
+        """Add the adjoint of what is seen of the state `here`, at bundle.q, to the cotangent of the nodes' motion."""
+        crew, colours = Crew(0, 1), self.rollout.rest.patches.colours
+        see_vjp(self.rollout.bundle, self.bundle, colours, self.here[0], self.here[1], q_bar[0], q_bar[1], crew)
+
+    def _add_state(self, bar: State) -> None:
+        layout, real = self.rollout.model.layout, self.rollout.model.real
+        self.bundle.q[...] = pack(unpack(bar.pack_bar(layout, real)) * layout.real(), real)
+        self._see(self.q_bar)
+
+    def _add_record(self, q_bar: Array, record_bar: Array) -> None:
+        if record_bar.any():
+            record_vjp(self.rollout.probe, self.bundle.q, record_bar)
+            self._see(q_bar)
+
+    def _reverse(self, begin: int, end: int, states: Array) -> None:
+        r = self.rollout
+
+        def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
+            reverse(
+                self.parts, r.conditions, r.loads, r.drive, self.stresses, self.drive_bar.levels, r.bundle,
+                self.bundle, r.rest.patches.colours, states, from_, end, self.reverses, r.probe, self.records_bar,
+                Crew(thread, n),
+            )  # fmt: skip
+
+        if r.threads > 1:
+            body(0, end, 1)
+        r.team.run(body)
+
+    def _state_bar(self) -> State:
+        """Return the cotangent of the start; that of the rest positions is not known in this frame, and is zero."""
+        start, run, model = self.rollout.inputs.state, self.rollout.bundle, self.rollout.model
+        bar, dim, active = start.zeros_like(), model.dim, run.nodes.active
+        bar.memory[:] = self.memory_bar
+        v_bar = np.zeros((len(run.nodes.mass), dim))
+        v_bar[active] = self.q_bar[1][active, :dim]
+        mass_bar = self.bundle.mass.copy()
+        mass_bar[active] -= (
+            np.einsum("nd,nd->n", v_bar, self.rollout.start[1][:, :dim])[active] / run.nodes.mass[active]
+        )
+        for n in active[run.nodes.bits[active] != 0]:
+            free, bits = tuple(self.rollout.free_start[n]), int(run.nodes.bits[n])
+            v_bar[n] = project_all_vjp(self.rollout.conditions, n, bits, free, tuple(v_bar[n]), self.coefficient_bar, 0)
+        v_bar[active] /= run.nodes.mass[active, None]
+        value, moment = self.rollout.rest.to_particles(v_bar)
+        m = self.rollout.inputs.fields.mass
+        bar.v[:], bar.C[:] = m[:, None] * value, m[:, None, None] * moment * model.dx
+        momentum = np.einsum("nd,nd->n", value, start.v) + model.dx * np.einsum("nde,nde->n", moment, start.C)
+        if not self.finished:
+            self._finish_masses(mass_bar, momentum)
+        return bar
+
+    def _finish_masses(self, mass_bar: Array, momentum: Array) -> None:
+        """Add the cotangents of the nodes' masses, and of the momentum at the start, to those of the particles."""
+        inputs, model, self.finished = self.rollout.inputs, self.rollout.model, True
+        bars = self.rollout.rest.to_particles(np.stack([mass_bar, self.bundle.kept], axis=1))[0]
+        columns = model.layout.columns()
+        f = unpack(self.fields_bar)
+        f[MASS, columns] += bars[:, 0] + np.exp(-inputs.fields.damping * model.dt) * bars[:, 1] + momentum
+        f[DECAY, columns] += inputs.fields.mass * bars[:, 1]
+        self.fields_bar[...] = pack(f, self.fields_bar.dtype)

@@ -1,0 +1,143 @@
+"""What the rest positions of the particles determine: nodes, stencils, and which boundaries hold them.
+
+A model keeps it for its last rest positions, because every rollout of a fit needs it again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cqrun.boundaries.condition import NodeNormals
+from cqrun.engine.model import Model
+from cqrun.engine.reference.patches import Patches, make_patches
+from cqrun.engine.reference.setting import Points
+from cqrun.engine.setting import MARGIN
+from cqrun.engine.transfer import Stencils, gather, scatter_tile
+from cqrun.numerics.compile import kernel
+from cqrun.numerics.packed import aligned, pack
+from cqrun.plugin.contract import Array
+
+
+@dataclass(frozen=True)
+class RestGeometry:
+    """The rest state of a model.
+
+    Attributes:
+        x: rest positions in user order (N, D) [m].
+        patches: nodes, and the order of the particles.
+        stencils: the stencils of all columns.
+        rest: rest positions of all columns, packed (D, n) [m].
+        world: number of each node in the world's grid (M,); nodes beyond it have that of its nearest node.
+    """
+
+    x: Array
+    patches: Patches
+    stencils: Stencils
+    rest: Array
+    world: Array
+
+    def to_nodes(self, value: Array, gradient: Array | None = None) -> Array:
+        """Return sum_p w (value_p + gradient_p d) at every node (M, K), d = X_n - X_p in cells.
+
+        Args:
+            value: (N, K), at most 3 numbers of each particle.
+            gradient: (N, K, D).
+        """
+        n, k, dim = len(self.stencils.first), value.shape[1], self.patches.f.shape[1]
+        a, affine = aligned((n, 4), np.float64), aligned((3 * n, 4), np.float64)
+        column = self.patches.layout.columns()
+        a[column, :k] = value
+        if gradient is not None:
+            a[column, :k] -= np.einsum("nkd,nd->nk", gradient, self.patches.f[column])
+            for axis in range(dim):
+                affine[(axis + 3 - dim) * n + column, :k] = gradient[:, :, axis]
+        out = aligned((self.patches.n_nodes, 4), np.float64)
+        _scatter_all(out, a, affine, self.exact, self.patches.strides, (0,) * dim)
+        return out[:, :k]
+
+    def to_particles(self, nodes: Array) -> tuple[Array, Array]:
+        """Return sum_n w g_n (N, K), and sum_n w g_n d^T (N, K, D) with d in cells, of numbers of nodes (M, K)."""
+        n, k, dim = len(self.stencils.first), nodes.shape[1], self.patches.f.shape[1]
+        grid = aligned((len(nodes), 4), np.float64)
+        grid[:, :k] = nodes
+        value, moment = aligned((n, 4), np.float64), aligned((3 * n, 4), np.float64)
+        _gather_all(grid, self.exact, value, moment, self.patches.strides, (0,) * dim)
+        column = self.patches.layout.columns()
+        columns = [moment[(axis + 3 - dim) * n + column, :k] for axis in range(dim)]
+        return value[column, :k], np.stack(columns, axis=2)
+
+    @property
+    def exact(self) -> Stencils:
+        """The stencils in float64."""
+        return self.stencils if self.stencils.f.dtype == np.float64 else _stencils(self.patches, np.float64)
+
+    def conditions(self, model: Model, coefficients: Array) -> tuple[Any, ...]:
+        """Return the kernels' views of the boundary conditions on these nodes."""
+        views = []
+        for k, condition in enumerate(model.conditions):
+            view = condition.kernel(coefficients[k])
+            if isinstance(view.normal, NodeNormals):
+                table = np.ascontiguousarray(view.normal.table[self.world])
+                view = view._replace(normal=NodeNormals(table, view.normal.dims))
+            views.append(view)
+        return tuple(views)
+
+    def points(self, columns: Array) -> Points:
+        """Return the points at the particles in these kernel columns (P,)."""
+        node, weight = self.weights(columns)
+        flat, shares = node.reshape(-1), weight.reshape(-1)
+        order = np.lexsort((np.arange(len(flat)), flat))
+        nodes, begin = np.unique(flat[order], return_index=True)
+        return Points(
+            columns.astype(np.int64), node, weight, nodes.astype(np.int64),
+            np.append(begin, len(flat)).astype(np.int64), (order // node.shape[1]).astype(np.int64), shares[order],
+        )  # fmt: skip
+
+    def weights(self, columns: Array) -> tuple[Array, Array]:
+        """Return the nodes of the stencils of kernel columns, and their weights, (P, 3^D) each."""
+        f, strides, dim = self.patches.f[columns], self.patches.strides, self.patches.f.shape[1]
+        each = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)  # (P, D, 3)
+        node, weight = self.patches.first[columns][:, None], np.ones((len(columns), 1))
+        for axis in range(dim):
+            steps = np.arange(3) * strides[axis + 3 - dim]
+            node = (node[:, :, None] + steps).reshape(len(columns), -1)
+            weight = (weight[:, :, None] * each[:, axis, None, :]).reshape(len(columns), -1)
+        return node.astype(np.int64), weight
+
+
+def rest_geometry(model: Model, x: Array) -> RestGeometry:
+    """Return the rest state of a model for rest positions x (N, D) [m] in user order."""
+    kind = f"reference {model.dx} {model.real} {model.size}"
+    known = model.at_rest.get(kind)
+    if known is None or not np.array_equal(known.x, x):
+        known = model.at_rest[kind] = _make(model, x)
+    return known
+
+
+def _make(model: Model, x: Array) -> RestGeometry:
+    patches = make_patches(model.layout, x, model.dx)
+    rest = pack(x[patches.layout.source].T, model.real)
+    shape = np.array(model.grid_shape)
+    place = np.clip(np.rint(patches.positions(model.dx) / model.dx).astype(int) + MARGIN, 0, shape - 1)
+    return RestGeometry(x.copy(), patches, _stencils(patches, model.real), rest, np.ravel_multi_index(place.T, shape))
+
+
+def _stencils(patches: Patches, real: Any) -> Stencils:
+    f = aligned((len(patches.first), 4), real)
+    dim = patches.f.shape[1]
+    f[:, :3] = 1.0
+    f[:, 3 - dim : 3] = patches.f
+    return Stencils(patches.first.astype(np.int64), f)
+
+
+@kernel
+def _scatter_all(grid: Array, value: Array, affine: Array, stencils: Stencils, strides: Any, dims: Any) -> None:
+    scatter_tile(grid, (value,), (affine,), stencils, 0, value.shape[0], strides, dims)
+
+
+@kernel
+def _gather_all(grid: Array, stencils: Stencils, value: Array, moment: Array, strides: Any, dims: Any) -> None:
+    gather(grid, stencils, value, moment, 0, value.shape[0], strides, dims)

@@ -1,0 +1,183 @@
+"""Rollouts in the reference frame: the state is the motion of the nodes, u and v; the weights never change.
+
+A gradient runs the substeps backwards where that is exact, and keeps only a few states to start again from. It keeps
+checkpoints as the other frame does where the motion loses what a reversed run would need: with stresses or forces that
+depend on velocities, and with strong damping.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from cqrun.boundaries.condition import project_all
+from cqrun.engine.backward_run import BackwardRun
+from cqrun.engine.checkpoint import Plan
+from cqrun.engine.model import LossBar, Records
+from cqrun.engine.reference.backward import ReferenceBackward
+from cqrun.engine.reference.look import look
+from cqrun.engine.reference.rest import rest_geometry
+from cqrun.engine.reference.setting import TILE, NodeRun, Nodes, NodeSetting, Tiles
+from cqrun.engine.reference.step import advance, note
+from cqrun.engine.rollout import Rollout
+from cqrun.engine.setting import Crew
+from cqrun.forces.force import needs_velocity
+from cqrun.materials.term import needs_rate
+from cqrun.numerics.packed import aligned
+from cqrun.plugin.contract import Array
+from cqrun.state import State
+
+MOST_GROWTH = 15.0
+"""exp of this is how much a reversed run may magnify rounding: damping that runs backwards grows."""
+
+SNAPSHOTS = 64 << 20
+"""Bytes of the states that a reversed run keeps to start again from; without a bound it would keep every state."""
+
+FLOAT32_STEPS = 64
+"""Substeps after which a reversed run in float32 starts again, because its rounding is coarse."""
+
+
+class ReferenceRollout(Rollout):
+    """Run one model in the reference frame; see `Rollout`.
+
+    Attributes:
+        reversible: whether gradients run the substeps backwards.
+    """
+
+    def _pack(self) -> None:
+        model, inputs = self.model, self.inputs
+        if not np.array_equal(inputs.state.F, np.broadcast_to(np.eye(model.dim), inputs.state.F.shape)):
+            raise ValueError("a rollout in the reference frame starts from the rest shape, F = I")
+        self.rest = rest_geometry(model, inputs.state.x)
+        patches = self.rest.patches
+        self.model = model = replace(model, layout=patches.layout)
+        self._check_masses()
+        self.fields = self._pack_fields(inputs.fields)
+        self.drive = model.kernel_drive(inputs)
+        self.groups = self.kernel_groups(inputs.terms, self.drive)
+        self.conditions = self.rest.conditions(model, inputs.coefficients)
+        self.probe = model.kernel_probe()
+        self.loads = tuple((self.rest.points(pulled.columns), pulled) for pulled in self.drive.pulled)
+        self.parts = tuple(
+            (kernel, group.bodies[0], group.bodies[-1] + 1)
+            for kernel, group in zip(self.groups, model.groups, strict=True)
+        )
+        self.bundle = self._make_run()
+        self.start = self._make_start()
+        self.reversible = self._runs_backwards()
+
+    def _make_run(self) -> NodeRun:
+        model, patches, real = self.model, self.rest.patches, self.model.real
+        m, kappa = self.inputs.fields.mass, np.exp(-self.inputs.fields.damping * model.dt)
+        mass, kept = self.rest.to_nodes(np.stack([m, kappa * m], axis=1)).T
+        bits = model.condition_bits()[self.rest.world] * (mass > 0)
+        nodes = Nodes(mass.astype(real), kept.astype(real), bits, np.flatnonzero(mass > 0))
+        threads, n_nodes = self.threads, patches.n_nodes
+        rates = any(needs_rate(type(term)) for group in self.groups for term in group.terms)
+        rates = rates or any(needs_velocity(type(force)) for force in self.drive.forces)
+        setting = NodeSetting((0,) * model.dim, patches.strides, model.dx, model.dt, model.substeps, (0,) * rates)
+        tiles = Tiles(*(aligned((threads, rows * TILE, 4), real) for rows in (1, 3, 1, 3, 3)))
+        push = model.no_push([*self.drive.steady, *self.drive.forces])
+        q = State.at_rest(self.inputs.state.x, model.layout.history).pack(model.layout, real)
+        force, outside = aligned((n_nodes, 4), real), aligned((n_nodes, 4), real)
+        return NodeRun(
+            setting, nodes, self.rest.stencils, patches.units, self.rest.rest, self.fields, push, force, outside, q,
+            tiles, np.full(1, -1), self.team.arrivals,
+        )  # fmt: skip
+
+    def _make_start(self) -> Array:
+        """Return the state (2, M, 4) at the start: no displacement, and the particles' momentum on the nodes."""
+        state, m, dim = self.inputs.state, self.inputs.fields.mass, self.model.dim
+        start = aligned((2, self.rest.patches.n_nodes, 4), self.model.real)
+        momentum = self.rest.to_nodes(m[:, None] * state.v, m[:, None, None] * state.C * self.model.dx)
+        active = self.bundle.nodes.active
+        v = np.zeros_like(momentum)
+        v[active] = momentum[active] / self.bundle.nodes.mass[active, None]
+        self.free_start = v.copy()
+        for n in active[self.bundle.nodes.bits[active] != 0]:
+            v[n] = project_all(self.conditions, n, int(self.bundle.nodes.bits[n]), tuple(v[n]))
+        start[1, :, :dim] = v
+        return start
+
+    def _runs_backwards(self) -> bool:
+        """Return whether the state before a substep follows from the one after it."""
+        if self.bundle.setting.rates or self._refresh() < 1:
+            return False
+        for bits, n in zip(*np.unique(self.bundle.nodes.bits, return_index=True), strict=True):
+            # several planes at a node that do not stand at right angles: the last one undoes the first
+            axes = [project_all(self.conditions, n, int(bits), tuple(axis)) for axis in np.eye(self.model.dim)]
+            P = np.array(axes)
+            if np.abs(P @ P - P).max() > 1e-12 or np.abs(P - P.T).max() > 1e-12:
+                return False
+        return True
+
+    def _refresh(self) -> int:
+        """Return after how many substeps a reversed run starts again from a kept state; 0 if memory does not allow."""
+        model, damping = self.model, float(self.inputs.fields.damping.max(initial=0.0))
+        longest = model.n_steps if damping <= 0 else int(MOST_GROWTH / (damping * model.dt))
+        if model.real is np.float32:
+            longest = min(longest, FLOAT32_STEPS)
+        count = max(1, min(SNAPSHOTS, model.memory_budget) // self.start.nbytes - 2)
+        every = -(-model.n_steps // count)
+        return 0 if every > longest else max(1, min(every, model.n_steps))
+
+    def gradients(self, loss_bars: Callable[[Records, State], Iterable[LossBar]]) -> tuple[Records, list[BackwardRun]]:
+        """Run forward once, and backward once for each of several functions; see `Rollout.gradients`."""
+        if not self.reversible:
+            return super().gradients(loss_bars)
+        n_steps, every = self.model.n_steps, self._refresh()
+        current, snapshots = self.start[None].copy(), []
+        for begin in range(0, n_steps, every):
+            snapshots.append(current[0].copy())
+            self.advance(begin, min(begin + every, n_steps), current, keep=False)
+        self.plan = Plan(every, len(snapshots), len(snapshots), len(snapshots) + 1, 1.0)
+        self.final = current[0]
+        records = Records.from_rows(self.records.copy(), self.model.layout.table)
+        final = self.unpack(self.final, self.model.n_controls)
+        sweeps: list[BackwardRun] = [ReferenceBackward(self, bar, reverses=True) for bar in loss_bars(records, final)]
+        for sweep in sweeps:
+            state = self.final[None].copy()
+            for k in reversed(range(len(snapshots))):
+                sweep.run(k * every, min((k + 1) * every, n_steps), state)
+                state = snapshots[k][None].copy()
+        self.growth_at = max((sweep.growth for sweep in sweeps), default=(0.0, -1))[1]
+        return records, sweeps
+
+    def backward(self, loss_bar: LossBar) -> BackwardRun:
+        """Return the backward run, from kept states, of the cotangents of the results."""
+        return ReferenceBackward(self, loss_bar, reverses=False)
+
+    def _record_start(self) -> None:
+        crew = Crew(0, 1)
+        note(self.bundle, self.start[0], self.start[1], self.probe, self.records[0], crew)
+
+    def unpack(self, q: Array, control: int) -> State:
+        """Return the state of the particles for the motion of the nodes (2, M, 4)."""
+        look(self.bundle, q[0], q[1], Crew(0, 1))
+        return State.unpack(self.bundle.q, self.model.layout, self.memory[control])
+
+    def _advance(self, begin: int, end: int, states: Array, keep: bool) -> None:
+        self.bundle.stray[0] = -1
+        colours = self.rest.patches.colours
+
+        def body(thread: int, to: int = end, n: int = self.threads) -> int:
+            reached: int = advance(
+                self.parts, self.conditions, self.loads, self.drive, self.bundle, colours, states, begin, to, keep,
+                self.probe, self.records, Crew(thread, n),
+            )  # fmt: skip
+            return reached
+
+        if self.threads > 1:
+            body(0, begin, 1)  # compile on one thread, so that the others do not wait for it at a barrier
+        reached = self.team.run(body)
+        if self.bundle.stray[0] >= 0:
+            self._fail(reached, states[reached - begin if keep else 0])
+
+    def _fail(self, step: int, q: Array) -> None:
+        look(self.bundle, q[0], q[1], Crew(0, 1))
+        x = State.unpack(self.bundle.q, self.model.layout, np.zeros(0)).x
+        particle = int(np.flatnonzero(~np.isfinite(x).all(axis=1))[0])
+        advice = "the simulation blew up: use smaller substeps, a softer material or weaker actuation"
+        self._report(particle, step, "its position is not finite", advice)

@@ -1,0 +1,85 @@
+"""The reference frame's substep in plain NumPy: slow, complex, and sharing no code with the engine.
+
+Weights and arms d = X_n - X_p are those of the rest positions, and every body has nodes of its own:
+
+    F_p = I + A sum_n w u_n d^T,  f_n = -sum_p w A vol0 P d + sum_p w f_p,  v' = kept v / m + dt f / m,  u' = u + dt v'
+
+with A = 4 / dx^2. Stresses and forces are those of `reference.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import reference
+from reference import Array, Moving, t
+
+from cqrun.engine.model import Inputs, Model, Records
+
+
+def stencil(model: Model, X: Array) -> Iterator[tuple[Array, Array, Array]]:
+    """Yield (node, weight, arm) of every particle; the nodes of a body have numbers of their own."""
+    n_grid, body = int(np.prod(model.grid_shape)), np.repeat(np.arange(len(model.layout.counts)), model.layout.counts)
+    for node, weight, arm in reference.stencil(model, X):
+        yield node + n_grid * body, weight, arm
+
+
+def held(model: Model, v: Array, present: Array) -> Array:
+    """Return the nodes' velocities after the boundaries."""
+    n_grid = int(np.prod(model.grid_shape))
+    for condition in model.conditions:
+        for n in np.flatnonzero(condition.nodes[np.arange(len(v)) % n_grid] & present):
+            v[n], _ = reference.after(condition.spec.name, np.array(condition.normal), 0.0, v[n])
+    return v
+
+
+def gathered(stencils: list[tuple[Array, Array, Array]], g: Array) -> tuple[Array, Array]:
+    """Return sum_n w g_n and sum_n w g_n d^T of every particle."""
+    value = sum(weight[:, None] * g[node] for node, weight, _ in stencils)
+    return value, sum(weight[:, None, None] * g[node][:, :, None] * arm[:, None, :] for node, weight, arm in stencils)
+
+
+def scattered(stencils: list[tuple[Array, Array, Array]], n_nodes: int, p: Array, G: Array | None = None) -> Array:
+    """Return sum_p w (p + G d) of every node."""
+    out = np.zeros((n_nodes, *p.shape[1:]), np.result_type(p, float if G is None else G))
+    for node, weight, arm in stencils:
+        field = p if G is None else p + np.einsum("pij,pj->pi", G, arm)
+        np.add.at(out, node, (weight * field.T).T)
+    return out
+
+
+def motion(model: Model, X: Array, stencils: list[tuple[Array, Array, Array]], u: Array, v: Array) -> Moving:
+    """Return what particles do if nodes have these displacements and velocities."""
+    A = 4 / model.dx**2
+    moved, gradient = gathered(stencils, u)
+    speed, rate = gathered(stencils, v)
+    F = np.eye(model.dim) + A * gradient
+    return Moving(X + moved, speed, A * rate @ np.linalg.inv(F), F)
+
+
+def rollout(model: Model, inputs: Inputs) -> tuple[Records, Moving]:
+    """Return the probe's records and the last state."""
+    X, fields, dt, A = inputs.state.x.real, inputs.fields, model.dt, 4 / model.dx**2
+    stencils = list(stencil(model, X))
+    n_nodes = len(model.layout.counts) * int(np.prod(model.grid_shape))
+    m, kept = (scattered(stencils, n_nodes, a * fields.mass) for a in (1.0, np.exp(-fields.damping * dt)))
+    present = m.real > 0
+    v = scattered(stencils, n_nodes, fields.mass[:, None] * inputs.state.v, fields.mass[:, None, None] * inputs.state.C)
+    v[present] /= m[present, None]
+    v, u = held(model, v, present), np.zeros_like(v)
+    W, rows = model.probe.toarray(), []
+    for step in range(model.n_steps):
+        s = motion(model, X, stencils, u, v)
+        if step % model.substeps == 0:
+            rows.append(reference.seen(W, s))
+        pushed, _ = reference.active_force(model, inputs, s, step)
+        P = reference.kirchhoff(model, inputs, s, step) @ t(np.linalg.inv(s.F))
+        f = scattered(stencils, n_nodes, fields.force + pushed, -A * fields.volume[:, None, None] * P)
+        after = np.zeros_like(f)
+        after[present] = ((kept[:, None] * v + dt * f)[present]) / m[present, None]
+        v = held(model, after, present)
+        u = u + dt * v
+    last = motion(model, X, stencils, u, v)
+    rows.append(reference.seen(W, last))
+    return Records(*(np.array([r[name] for r in rows]) for name in "xvCF")), last
