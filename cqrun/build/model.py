@@ -12,6 +12,7 @@ import numpy as np
 from cqrun.build.actuation import Actuation
 from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
+from cqrun.build.check_frame import frame_problems
 from cqrun.build.check_grid import grid_warnings
 from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.history import fields_of
@@ -29,6 +30,7 @@ from cqrun.build.limits import (
 from cqrun.build.particles import Particles, sample, stress_key
 from cqrun.build.regions import boundary
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
+from cqrun.engine.reference.patches import count_nodes
 from cqrun.errors import Problem, SceneError
 from cqrun.materials.term import is_stress
 from cqrun.plugin.contract import Array
@@ -95,6 +97,8 @@ def build(scene: Scene) -> Built:
     require_possible_plan(scene, bounds)
     warnings += _too_slow(scene, assembly)
     conditions = _conditions(scene)
+    if problems := frame_problems(scene, particles, conditions):
+        raise SceneError(problems)
     warnings += grid_warnings(scene, particles, conditions)
     model = Model(
         size=np.array(scene.world.size),
@@ -111,6 +115,7 @@ def build(scene: Scene) -> Built:
         real=np.dtype(scene.precision).type,
         memory_budget=scene.memory,
         frame=scene.world.frame,
+        n_nodes=count_nodes(particles.layout, particles.x, scene.world.dx) if scene.world.frame == "reference" else 0,
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))
 

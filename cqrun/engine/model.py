@@ -88,6 +88,7 @@ class Model:
     memory_budget: int = 2 * 2**30  # for the states that gradients keep [bytes]
     forces: tuple[ActuatorModel, ...] = ()  # parts of forces without an activation
     frame: str = "updated"  # of the engine (`frames.py`)
+    n_nodes: int = 0  # of all bodies, in the reference frame
     spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # free memory for states
     at_rest: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)  # what a frame knows of the rest
 
@@ -95,6 +96,12 @@ class Model:
     def dim(self) -> int:
         """Dimension of the world."""
         return len(self.size)
+
+    @property
+    def state_bytes(self) -> int:
+        """Bytes of one kept state: of the particles, or in the reference frame u and v of the nodes, 4 numbers each."""
+        numbers = 8 * self.n_nodes if self.frame == "reference" else self.layout.table.n_rows * self.layout.n
+        return int(numbers * np.dtype(self.real).itemsize)
 
     @property
     def n_steps(self) -> int:

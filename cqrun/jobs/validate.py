@@ -22,7 +22,7 @@ from cqrun.learning.description import control_lines, line, objective_lines
 from cqrun.learning.episodes import EpisodeProblem, differentiated, has_episodes
 from cqrun.running.bodies import lies, made_of, rounding_of
 from cqrun.running.cost import NANOSECONDS, duration, forward_seconds, gradient_seconds
-from cqrun.running.gradient_memory import GRADIENT, gradient_plan, state_bytes
+from cqrun.running.gradient_memory import GRADIENT, gradient_plan
 from cqrun.running.reporter import Silent
 from cqrun.running.runs import optimizer_of
 from cqrun.running.tables import number
@@ -180,7 +180,7 @@ def _recording(case: Case) -> Iterator[str]:
 
 def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     model = built.model
-    size, budget = state_bytes(model), format_bytes(model.memory_budget)
+    size, budget = model.state_bytes, format_bytes(model.memory_budget)
     forward = forward_seconds(model)
     try:
         plan = gradient_plan(built)

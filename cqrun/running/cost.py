@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cqrun.engine.checkpoint import make_plan
 from cqrun.engine.model import Model
-from cqrun.running.gradient_memory import GRADIENT, state_bytes
+from cqrun.running.gradient_memory import GRADIENT
 
 NANOSECONDS = {2: 30.0, 3: 95.0}
 """What a particle and substep typically take forward on one core, by the dimension (`cqrun bench` measures it)."""
@@ -25,7 +25,7 @@ def gradient_seconds(model: Model) -> float:
     Raises:
         RunError: a gradient needs more memory than the scene allows.
     """
-    plan = make_plan(model.n_steps, state_bytes(model), model.memory_budget)
+    plan = make_plan(model.n_steps, model.state_bytes, model.memory_budget)
     return forward_seconds(model) * (GRADIENT + plan.recompute - 1.0)
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf, isfinite
 
-import numpy as np
-
 from cqrun.build.model import Built
 from cqrun.engine.checkpoint import Plan, make_plan
 from cqrun.engine.forward_run import useful_threads
@@ -20,11 +18,6 @@ THREAD_GAIN = 0.5
 """Speed-up of a rollout by each thread after the first, at least (decision 002)."""
 
 
-def state_bytes(model: Model) -> int:
-    """Return the bytes of one kept state."""
-    return int(model.layout.table.n_rows * model.layout.n * np.dtype(model.real).itemsize)
-
-
 def gradient_plan(built: Built) -> Plan:
     """Return the plan by which a gradient of a scene fits its memory.
 
@@ -33,7 +26,7 @@ def gradient_plan(built: Built) -> Plan:
     """
     model = built.model
     try:
-        return make_plan(model.n_steps, state_bytes(model), model.memory_budget)
+        return make_plan(model.n_steps, model.state_bytes, model.memory_budget)
     except RunError as error:
         raise SceneError([Problem(built.scene.where("memory"), "memory", str(error))]) from None
 
@@ -58,7 +51,7 @@ def gradients_at_once(models: Sequence[Model], threads: int) -> int:
 def gradient_time(model: Model, at_once: int, threads: int) -> float:
     """Return the time of one of `at_once` gradients, in forward runs on one thread; infinity if it does not fit."""
     try:
-        plan = make_plan(model.n_steps, state_bytes(model), model.memory_budget // at_once)
+        plan = make_plan(model.n_steps, model.state_bytes, model.memory_budget // at_once)
     except RunError:
         return inf
     threads_each = useful_threads(model, threads // at_once)

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import total_lagrangian
-from little_worlds import STRESSES, TERMS
-from rich_scene import KINDS, arrays, direction, moved, parts, product, random_records, random_state, rich
+from little_worlds import STRESSES, TERMS, needs_jit, world
+from rich_scene import KINDS, arrays, direction, moved, parts, product, random_records, random_state, rebuilt, rich
 
 from cqrun.boundaries.slip import Slip
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel, LossBar, Records
+from cqrun.errors import RolloutError
 
 DOT_PRODUCT = 1e-9
 TINY = 1e-30
@@ -89,3 +90,171 @@ def test_dot_product(case, kind, rng):
     backward = (arrays(bar)[KINDS.index(kind)] * change).sum()
     assert abs(forward) > 0
     assert backward == pytest.approx(forward, rel=DOT_PRODUCT)
+
+
+@needs_jit
+@pytest.mark.parametrize("precision", [np.float64, np.float32])
+@pytest.mark.parametrize("viscous", [True, False], ids=["viscous", "elastic"])
+def test_any_number_of_threads_gives_the_same_bits(viscous, precision):
+    model, inputs = held(2, viscous=viscous, real=precision)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, 2), np.random.default_rng(1))
+    found = []
+    for threads in (1, 2, 3):
+        rollout = make_rollout(*compiled(model, inputs, viscous), threads=threads, adjoint=True)
+        records, bar = rollout.gradient(lambda records, state: LossBar(records_bar))
+        assert rollout.threads == threads
+        found.append([a.tobytes() for a in (*parts(records), *arrays(completed(bar, viscous)))])
+    assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_reversed_gradient_is_that_of_kept_states(dim):
+    model, inputs = compiled(*held(dim, viscous=False, substeps=8, controls=3), viscous=False)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, dim), np.random.default_rng(2))
+    gradients = []
+    for reversible in (True, False):
+        rollout = make_rollout(model, inputs, adjoint=True)
+        assert rollout.reversible
+        rollout.reversible = reversible
+        _, bar = rollout.gradient(lambda records, state: LossBar(records_bar))
+        gradients.append(arrays(completed(bar, viscous=False)))
+        assert rollout.plan is not None
+    for got, want in zip(*gradients, strict=True):
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-9 * np.abs(want).max())
+
+
+def test_a_reversed_run_starts_again_from_kept_states(monkeypatch):
+    """Strong damping grows backwards, so states are kept; without memory for them, a gradient keeps checkpoints."""
+    model, inputs = compiled(*held(2, viscous=False, substeps=8, controls=4), viscous=False)
+    inputs.fields.damping[:] = 15.0 / (10 * model.dt)
+    rollout = make_rollout(model, inputs, adjoint=True)
+    few = 5 * rollout.start.nbytes
+    monkeypatch.setattr("cqrun.engine.reference.rollout.SNAPSHOTS", few)
+    assert not make_rollout(model, inputs, adjoint=True).reversible
+    monkeypatch.setattr("cqrun.engine.reference.rollout.SNAPSHOTS", 2 * few)
+    fresh = make_rollout(model, inputs, adjoint=True)
+    assert fresh.reversible
+    records_bar = random_records(Records.zeros(model.n_controls, 3, 2), np.random.default_rng(2))
+    _, bar = fresh.gradient(lambda records, state: LossBar(records_bar))
+    assert fresh.plan.n_chunks > 1
+    assert fresh.plan.chunk <= 10
+    rollout.reversible = False
+    _, kept = rollout.gradient(lambda records, state: LossBar(records_bar))
+    for got, want in zip(*(arrays(completed(b, viscous=False)) for b in (bar, kept)), strict=True):
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-9 * np.abs(want).max())
+
+
+def test_planes_at_an_acute_angle_keep_a_run_from_being_reversed():
+    model, inputs = compiled(*held(2, viscous=False), viscous=False)
+    slips = [k for k, c in enumerate(model.conditions) if isinstance(c.spec, Slip)]
+    oblique = tuple(np.array([1.0, 1.0]) / np.sqrt(2))
+    nodes = model.conditions[slips[0]].nodes
+    changed = [replace(c, nodes=nodes, normal=oblique) if k == slips[1] else c for k, c in enumerate(model.conditions)]
+    assert not make_rollout(replace(model, conditions=tuple(changed)), inputs, adjoint=True).reversible
+
+
+STEPS = 2.0 ** -np.arange(2, 20)
+
+
+def loss(records):
+    """Return a loss that is curved in all that is recorded."""
+    return float(sum(np.sin(a).sum() + 0.5 * (a**2).sum() for a in parts(records)))
+
+
+@pytest.mark.parametrize("kind", ["v", "mass", "fixed_corotated.E", "neo_hookean.nu", "muscle.activation", "force"])
+@pytest.mark.parametrize("viscous", [True, False], ids=["viscous", "elastic"])
+def test_taylor_remainder_is_of_second_order(viscous, kind, rng):
+    model, inputs = held(2, viscous=viscous, substeps=8, controls=3, seed=4)
+
+    def loss_bar(records, _):
+        return LossBar(rebuilt(records, [np.cos(a) + a for a in parts(records)]))
+
+    records, bar = make_rollout(*compiled(model, inputs, viscous), adjoint=True).gradient(loss_bar)
+    change, here = direction(inputs, kind, rng), loss(records)
+    slope = (arrays(completed(bar, viscous))[KINDS.index(kind)] * change).sum()
+    remainders = [
+        abs(loss(make_rollout(*compiled(model, moved(inputs, kind, h * change), viscous)).run()) - here - h * slope)
+        for h in STEPS[:8]
+    ]
+    assert max(np.log2(np.array(remainders[:-1]) / remainders[1:])[-4:]) >= 1.9, remainders
+    assert np.log2(remainders[-5] / remainders[-1]) / 4 >= 1.9, remainders
+
+
+# --- what it conserves ----------------------------------------------------------------------------------------------
+
+
+def free_block(dim, *, turn=5.0, seconds=1.0, dt=1e-4, controls=5):
+    """Return a free elastic block of 4 x 3 (x 2) cells that turns, in the reference frame, and its inputs."""
+    dx, counts = 0.1, (8, 6, 4)[:dim]
+    axes = [0.525 + 0.05 * np.arange(count) for count in counts]
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, dim)
+    n = len(x)
+    substeps = round(seconds / (controls * dt))
+    model, inputs = world(x, size=[2.0] * dim, dx=dx, dt=dt, substeps=substeps, controls=controls,
+                          mass=1000 * 0.05**dim, volume=0.05**dim, E=1e5, nu=0.3, probe=np.eye(n))  # fmt: skip
+    A = np.zeros((dim, dim))
+    A[0, 1], A[1, 0] = -turn, turn
+    inputs.state.v[:] = (x - x.mean(axis=0)) @ A.T
+    inputs.state.C[:] = A
+    model = replace(model, frame="reference", groups=(GroupModel((0,), (TERMS[0],)),))
+    inputs.terms = [[inputs.terms[0][0]]]
+    return model, inputs
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_free_block_keeps_its_angular_momentum_to_rounding(dim):
+    """Sum over nodes of (X + u) x m v: P F^T is symmetric and the weights reproduce X, so no moment arises."""
+    model, inputs = free_block(dim, seconds=0.2)
+    rollout = make_rollout(model, inputs)
+    X, m = rollout.rest.patches.positions(model.dx), rollout.bundle.nodes.mass[:, None]
+
+    def momenta(q):
+        y, p = X + q[0][:, :dim], m * q[1][:, :dim]
+        return p.sum(axis=0), y[:, :1].T @ p[:, 1:] - p[:, :1].T @ y[:, 1:]
+
+    before = momenta(rollout.start)
+    rollout.run()
+    after = momenta(rollout.final)
+    size = np.abs(before[1]).max()
+    np.testing.assert_allclose(after[1], before[1], rtol=0, atol=1e-12 * size)
+    np.testing.assert_allclose(after[0], before[0], rtol=0, atol=1e-12 * size)
+
+
+def test_a_bar_that_turns_keeps_its_length():
+    """In the other frame, positions creep away from F: the same bar grows by 16 % in one turn."""
+    model, inputs = free_block(2, turn=2 * np.pi, seconds=2.0)
+    records = make_rollout(model, inputs).run()
+    pairs = np.abs(inputs.state.x[:, 0] - inputs.state.x[:, 0].min()) < 1e-9
+    ends = np.flatnonzero(pairs), np.flatnonzero(inputs.state.x[:, 0] == inputs.state.x[:, 0].max())
+    length = [np.linalg.norm(x[ends[1]].mean(axis=0) - x[ends[0]].mean(axis=0)) for x in records.x]
+    theory = 1 + 1000 * (2 * np.pi) ** 2 * (0.35 / 2) ** 2 / (2 * 1e5)  # rho w^2 L^2 / (8 E), and it swings about that
+    assert max(length) / length[0] - 1 < 4 * (theory - 1) + 0.005
+    stretch = np.linalg.norm(records.F[:, :, :, 0], axis=2).mean(axis=1)
+    np.testing.assert_allclose(np.array(length) / length[0], stretch, rtol=3e-3)
+
+
+def test_energy_does_not_drift():
+    """Energy of a symplectic step, with the velocity at the time of the displacement, in a lively motion."""
+    model, inputs = free_block(2, turn=1.0, seconds=1.0, controls=40)
+    inputs.state.v[:, 0] += 2.0 * (inputs.state.x[:, 0] - inputs.state.x[:, 0].mean())
+    inputs.state.C[:, 0, 0] += 2.0
+    rollout = make_rollout(model, inputs)
+    states, totals = rollout.start[None].copy(), []
+    m, mu, lam = rollout.bundle.nodes.mass[:, None], 1e5 / 2.6, 1e5 * 0.3 / (1.3 * 0.4)
+    for k in range(model.n_controls):
+        rollout.advance(k * model.substeps, (k + 1) * model.substeps - 1, states, keep=False)
+        F, before = rollout.unpack(states[0], k).F, states[0, 1].copy()
+        rollout.advance((k + 1) * model.substeps - 1, (k + 1) * model.substeps, states, keep=False)
+        v = 0.5 * (before + states[0, 1])  # a step's velocity belongs to the middle between two displacements
+        values, J = np.linalg.svd(F)[1], np.linalg.det(F)
+        W = mu * ((values - 1) ** 2).sum(axis=1) + lam / 2 * (J - 1) ** 2
+        totals.append(0.5 * (m * v**2).sum() + 0.05**2 * W.sum())
+    assert np.ptp(totals) < 1e-4 * np.mean(totals)
+    assert abs(np.mean(totals[20:]) / np.mean(totals[:20]) - 1) < 1e-5
+
+
+def test_a_motion_that_blows_up_is_reported():
+    model, inputs = free_block(2, turn=1.0, seconds=0.5, dt=5e-2)
+    with pytest.raises(RolloutError, match="not finite") as raised, np.errstate(all="ignore"):
+        make_rollout(model, inputs).run()
+    assert raised.value.body == "body 0"

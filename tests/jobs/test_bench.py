@@ -10,7 +10,6 @@ from small_beam import BEAM, Listener
 from small_finger import FINGER, written
 
 from cqrun.build.model import build
-from cqrun.engine import forward_run
 from cqrun.engine.frames import make_rollout
 from cqrun.errors import RunError, SceneError, Stopped, UsageError
 from cqrun.jobs import bench

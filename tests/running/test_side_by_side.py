@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cqrun.running.gradient_memory import gradient_time, gradients_at_once, state_bytes
+from cqrun.running.gradient_memory import gradient_time, gradients_at_once
 from cqrun.running.side_by_side import side_by_side
 from cqrun.state import state_table
 
@@ -23,7 +23,7 @@ def model(states: int, *, steps: int = 800, particles: int = 84384):
     """Return the parts of a model that a gradient plan needs; its memory budget is a number of states."""
     layout = SimpleNamespace(n=particles, n_particles=particles, table=state_table(3))
     made = SimpleNamespace(n_steps=steps, dim=3, layout=layout, real=np.float64, substeps=4, memory_budget=0)
-    made.memory_budget = states * state_bytes(made)
+    made.memory_budget = states * made.state_bytes
     return made
 
 

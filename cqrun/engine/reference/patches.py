@@ -92,14 +92,26 @@ class Patches(NamedTuple):
         return np.concatenate(pieces)
 
 
+def count_nodes(layout: Layout, x: Array, dx: float) -> int:
+    """Return the number of nodes of all bodies at rest at x (N, D) [m], in user order."""
+    _, extent = _boxes(layout, np.floor(x / dx + MARGIN - 0.5).astype(np.int64))
+    return int(extent[:, 0].sum() * np.prod(extent.max(axis=0)[1:]))
+
+
+def _boxes(layout: Layout, base: Array) -> tuple[Array, Array]:
+    """Return the first node of each body's box, and its nodes along each axis, (B, D) each."""
+    parts = layout.slices()
+    origin = np.array([base[part].min(axis=0) for part in parts])
+    return origin, np.array([base[part].max(axis=0) for part in parts]) - origin + REACH
+
+
 def make_patches(layout: Layout, x: Array, dx: float) -> Patches:
     """Return the nodes and the order of particles at rest at x (N, D) [m], in user order."""
     dim = layout.dim
     cells = x / dx + MARGIN
     base = np.floor(cells - 0.5).astype(np.int64)
     parts = layout.slices()
-    origin = np.array([base[part].min(axis=0) for part in parts])
-    extent = np.array([base[part].max(axis=0) for part in parts]) - origin + REACH
+    origin, extent = _boxes(layout, base)
     box = extent.max(axis=0)
     inner = np.append(np.cumprod(box[:0:-1])[::-1], 1)  # strides of row-major nodes
     strides = (0, *(int(s) for s in inner)) if dim == 2 else tuple(int(s) for s in inner)

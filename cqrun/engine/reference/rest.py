@@ -103,8 +103,8 @@ class RestGeometry:
         node, weight = self.patches.first[columns][:, None], np.ones((len(columns), 1))
         for axis in range(dim):
             steps = np.arange(3) * strides[axis + 3 - dim]
-            node = (node[:, :, None] + steps).reshape(len(columns), -1)
-            weight = (weight[:, :, None] * each[:, axis, None, :]).reshape(len(columns), -1)
+            node = (node[:, :, None] + steps).reshape(len(columns), 3 ** (axis + 1))
+            weight = (weight[:, :, None] * each[:, axis, None, :]).reshape(len(columns), 3 ** (axis + 1))
         return node.astype(np.int64), weight
 
 

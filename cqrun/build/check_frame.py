@@ -1,0 +1,93 @@
+"""Check what the reference frame cannot do: such a scene is refused, with the other frame as the way out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from cqrun.build.particles import Particles
+from cqrun.engine.model import ConditionModel
+from cqrun.engine.setting import MARGIN, grid_shape
+from cqrun.errors import Problem
+from cqrun.explain import listed
+from cqrun.scene.paths import shapes_a_body
+from cqrun.scene.schema import Scene
+
+PER_AXIS = 2
+"""Particles in a cell along each axis, at least: with one, nodes can move in ways that no particle feels."""
+
+ROUNDING = 1e-6
+
+HOLDS = ("sticky", "slip")
+"""The boundaries that hold a body's own nodes."""
+
+WAY_OUT = "use `world.frame: updated`"
+
+
+def frame_problems(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> list[Problem]:
+    """Return what a scene asks of the reference frame that this frame cannot do."""
+    if scene.world.frame != "reference":
+        return []
+    found = [*_contact(scene), *_holds(scene, particles, conditions), *_thin(scene, particles), *_shapes(scene)]
+    return [Problem(scene.where(path), path, message) for path, message in found]
+
+
+def _contact(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield bodies and boundaries that would have to meet."""
+    if len(scene.bodies) > 1:
+        yield "bodies", f"{listed(scene.bodies)} pass through each other in the reference frame: {WAY_OUT}"
+    for name, chosen in scene.boundaries.items():
+        if chosen.name not in HOLDS:
+            path = f"boundaries.{name}.{chosen.name}"
+            yield path, f"bodies do not meet boundaries in the reference frame, which only clamps them: {WAY_OUT}"
+
+
+def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[tuple[str, str]]:
+    """Yield clamps that hold no particle: a body that reaches them later would not feel them."""
+    rest = particles.x
+    for name, chosen in scene.boundaries.items():
+        planes = [plane for plane in conditions if plane.name == name]
+        if chosen.name in HOLDS and not any(_near(scene, plane, rest) for plane in planes):
+            path = f"boundaries.{name}.{chosen.name}"
+            yield (
+                path,
+                (
+                    "holds no particle at rest, and in the reference frame it holds only what it holds at rest: "
+                    f"move it onto the body, remove it, or {WAY_OUT}"
+                ),
+            )
+
+
+def _near(scene: Scene, plane: ConditionModel, x: np.ndarray) -> bool:
+    """Return whether a node of a plane moves a particle."""
+    shape = grid_shape(np.array(scene.world.size), scene.world.dx)
+    held = plane.nodes.reshape(shape)
+    base = np.floor(x / scene.world.dx + MARGIN - 0.5).astype(int)
+    corners = np.stack(np.meshgrid(*[np.arange(3)] * x.shape[1], indexing="ij"), -1).reshape(-1, x.shape[1])
+    return any(bool(held[tuple((base + corner).T)].any()) for corner in corners)
+
+
+def _thin(scene: Scene, particles: Particles) -> Iterator[tuple[str, str]]:
+    """Yield bodies with too few particles, and stresses that remember."""
+    for name, spacing in particles.spacing.items():
+        per_axis = scene.world.dx / spacing
+        if per_axis < PER_AXIS * (1 - ROUNDING):
+            need = PER_AXIS**scene.dim
+            yield (
+                f"bodies.{name}.particles_per_cell",
+                (
+                    f"has {per_axis**scene.dim:.3g} particles in a cell, too few for the reference frame: nodes would "
+                    f"move without resistance; use {need} or more, or {WAY_OUT}"
+                ),
+            )
+    for field in particles.layout.history:
+        term = field.name.partition(".")[0]
+        yield "world.frame", f"the reference frame does not yet follow the history of the term `{term}`: {WAY_OUT}"
+
+
+def _shapes(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield unknowns that change a shape."""
+    for path in scene.unknowns:
+        if shapes_a_body(path):
+            yield f"unknowns.{path}", f"the reference frame has no gradient by the shape of a body yet: {WAY_OUT}"

@@ -1,0 +1,81 @@
+"""What the reference frame cannot do is refused by name before a run, with the other frame as the way out."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from cqrun.build.check_frame import _shapes, _thin
+from cqrun.build.model import build
+from cqrun.errors import SceneError
+from cqrun.scene.load import load_scene
+from cqrun.state import StateField
+
+MATERIAL = {"density": 1000, "elastic": {"fixed_corotated": {"youngs_modulus": 1e4, "poissons_ratio": 0.3}}}
+BODY = {"shape": {"box": {"corner": [0.2, 0.4], "size": [0.4, 0.1]}}, "particles_per_cell": 4, "material": MATERIAL}
+CLAMP = {"sticky": {"region": {"box": {"corner": [0.1, 0.3], "size": [0.12, 0.3]}}}}
+
+
+def scene(**changes: Any) -> dict[str, Any]:
+    """Return a clamped beam in the reference frame."""
+    return {
+        "cqrun": 1,
+        "world": {"size": [1, 1], "dx": 0.02, "frame": "reference"},
+        "bodies": {"a": BODY},
+        "boundaries": {"clamp": CLAMP},
+        "time": {"duration": 0.1, "control_step": 0.1},
+        **changes,
+    }
+
+
+def test_a_clamped_body_is_accepted():
+    built = build(load_scene(scene()))
+    assert built.model.frame == "reference"
+    assert built.model.n_nodes == 23 * 8
+    assert built.model.state_bytes == built.model.n_nodes * 8 * 8
+
+
+FLOOR = {"face": "y_min", "thickness": 0.06}
+REFUSED = {
+    "two bodies": (
+        {"bodies": {"a": BODY, "b": BODY | {"place": {"offset": [0, 0.3]}}}}, "pass through each other",
+    ),
+    "a floor with friction": (
+        {"boundaries": {"clamp": CLAMP, "floor": {"friction": FLOOR | {"coefficient": 0.3}}}},
+        "boundaries.floor.friction: bodies do not meet boundaries",
+    ),
+    "a floor that slips, which the body would fall on": (
+        {"boundaries": {"clamp": CLAMP, "floor": {"slip": FLOOR}}}, "boundaries.floor.slip: holds no particle at rest",
+    ),
+    "one particle in a cell": (
+        {"bodies": {"a": BODY | {"particles_per_cell": 1}}},
+        "bodies.a.particles_per_cell: has 1 particles in a cell, too few for the reference frame",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_it_cannot_do_is_refused(name):
+    changes, message = REFUSED[name]
+    with pytest.raises(SceneError) as raised:
+        build(load_scene(scene(**changes)))
+    assert message in str(raised.value)
+    assert "world.frame: updated" in str(raised.value)
+
+
+def test_a_shape_as_unknown_is_refused():
+    path = "bodies.a.shape.box.size.0"
+    found = list(_shapes(SimpleNamespace(unknowns={path: None, "bodies.a.material.density": None})))
+    assert found == [(f"unknowns.{path}", "the reference frame has no gradient by the shape of a body yet: use "
+                      "`world.frame: updated`")]  # fmt: skip
+
+
+def test_a_history_is_refused():
+    """A term that remembers: the message names it."""
+    layout = SimpleNamespace(history=(StateField("prony.H", (2, 2), (1.0, 0.0, 0.0, 1.0)),))
+    particles = SimpleNamespace(spacing={}, layout=layout)
+    found = list(_thin(load_scene(scene()), particles))
+    assert found == [("world.frame", "the reference frame does not yet follow the history of the term `prony`: use "
+                      "`world.frame: updated`")]  # fmt: skip

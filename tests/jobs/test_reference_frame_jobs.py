@@ -1,0 +1,52 @@
+"""Whole jobs in the reference frame: a fit, its gradients, a run forward."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from small_beam import BEAM, E_PATH, FIT, SHEAR_PATH, Listener, result_of
+
+from cqrun.jobs.gradcheck import run_gradcheck
+from cqrun.jobs.simulate import run_simulate
+from cqrun.jobs.sysid import run_sysid
+from cqrun.store.trajectory import read_trajectory
+
+REFERENCE = BEAM.replace("dx: 0.01,", "dx: 0.01, frame: reference,")
+ELASTIC = REFERENCE.replace("      viscosity: {shear: 3}\n", "")
+
+
+@pytest.fixture
+def scenes(tmp_path):
+    """Return a folder with a viscous beam, its fit, and an elastic beam."""
+    (tmp_path / "beam.yaml").write_text(REFERENCE)
+    (tmp_path / "fit.yaml").write_text(REFERENCE + FIT)
+    viscous = [line for line in FIT.splitlines() if "viscosity" not in line]
+    (tmp_path / "elastic.yaml").write_text(ELASTIC + "\n".join(viscous) + "\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize(("scene", "paths"), [("fit", (E_PATH, SHEAR_PATH)), ("elastic", (E_PATH,))])
+def test_a_fit_finds_the_truth(scenes, scene, paths):
+    run = run_sysid(scenes / f"{scene}.yaml", (), scenes / "out", reporter=Listener())
+    result = result_of(run)
+    truth = {E_PATH: 4.0e4, SHEAR_PATH: 6.0}
+    for path in paths:
+        low, high = result["unknowns"][path]["interval"]
+        assert low < truth[path] < high
+    assert result["unknowns"][E_PATH]["value"] == pytest.approx(4.0e4, rel=0.01)
+
+
+@pytest.mark.parametrize("scene", ["fit", "elastic"])
+def test_gradcheck_agrees(scenes, scene):
+    run, agrees = run_gradcheck(scenes / f"{scene}.yaml", (), scenes / "out", reporter=Listener())
+    assert agrees
+    assert (run / "gradcheck.json").is_file()
+
+
+def test_a_run_forward_writes_its_trajectory(scenes):
+    run = run_simulate(scenes / "beam.yaml", (), scenes / "out", reporter=Listener())
+    x = read_trajectory(run / "trajectory.h5").fields["x"]
+    assert len(x) == 11
+    assert x[-1, :, 1].mean() < x[0, :, 1].mean() - 1e-4
+    assert json.loads((run / "result.json").read_text())["status"] == "done"
