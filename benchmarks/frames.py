@@ -60,7 +60,7 @@ def main() -> None:
         for name, rollout in rollouts.items():
             for what, run in (("forward", rollout.run), ("gradient", lambda r=rollout: r.gradient(loss_bar))):
                 begin = time.perf_counter()
-                run()  # type: ignore[operator]
+                run()
                 seconds[name, what].append(time.perf_counter() - begin)
     per = 1e9 / (len(inputs.state.x) * options.substeps)
     result: dict[str, Any] = {"machine": machine(), "engine": engine_hash()}

@@ -19,10 +19,10 @@ VERSIONS = {"numba": "1", "numpy": "2", "scipy": "3"}
 
 @pytest.fixture
 def package(tmp_path):
-    (tmp_path / "engine").mkdir()
+    (tmp_path / "engine" / "updated").mkdir(parents=True)
     (tmp_path / "cli").mkdir()
     (tmp_path / "state.py").write_text("a = 1\n")
-    (tmp_path / "engine" / "step.py").write_text("b = 1\n")
+    (tmp_path / "engine" / "updated" / "step.py").write_text("b = 1\n")
     (tmp_path / "cli" / "app.py").write_text("c = 1\n")
     return tmp_path
 
