@@ -62,3 +62,23 @@ def _total_kirchhoff_vjp(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
 
     one_of = register_jitable(one)
     return several if len(terms) > 1 else one
+
+
+def stress_slope(terms: Any, q: Array, i: int, F: Any, C: Any, tau_bar: Any) -> Any:
+    """Return the F_bar of `total_kirchhoff_vjp`, without the cotangents of the parameters."""
+    theta = load_rows(terms[0].theta, terms[0].rows, i)
+    F_bar = kirchhoff_vjp(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)[1]
+    return add(F_bar, stress_slope(terms[1:], q, i, F, C, tau_bar)) if len(terms) > 1 else F_bar
+
+
+@overload(stress_slope)
+def _stress_slope(terms, q, i, F, C, tau_bar):
+    def one(terms, q, i, F, C, tau_bar):
+        theta = load_rows(terms[0].theta, terms[0].rows, i)
+        return kirchhoff_vjp(terms[0], theta, F, C, load_history(terms[0], q, i), tau_bar)[1]
+
+    def several(terms, q, i, F, C, tau_bar):
+        return add(one_of(terms, q, i, F, C, tau_bar), stress_slope(terms[1:], q, i, F, C, tau_bar))
+
+    one_of = register_jitable(one)
+    return several if len(terms) > 1 else one

@@ -1,0 +1,190 @@
+"""Equilibrium of a model in the reference frame, and its adjoint: one more linear solve, and no time.
+
+The net force on the free nodes vanishes, f(u, theta) = 0, so K du = (df/dtheta) dtheta with K = -df/du, which is
+symmetric for every law with an energy. For a loss L(u) the adjoint solves K lambda = dL/du, and then
+
+    dL/dtheta = lambda . df/dtheta,
+
+which is the adjoint of one substep's forces at lambda. Velocities are zero, so viscosity and damping have no part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cqrun.boundaries.condition import project_all
+from cqrun.engine.model import Inputs, LossBar, Model
+from cqrun.engine.probe import record
+from cqrun.engine.reference.backward import ReferenceBackward
+from cqrun.engine.reference.look import look
+from cqrun.engine.reference.rollout import ReferenceRollout
+from cqrun.engine.reference.step import begin_control
+from cqrun.engine.setting import Crew
+from cqrun.engine.statics.krylov import conjugate_gradients
+from cqrun.engine.statics.newton import MOST_PRODUCTS, Rest, find_rest
+from cqrun.engine.statics.passes import find_bars, find_change, find_net, find_slopes
+from cqrun.engine.statics.tangent import add_blocks, rows_of
+from cqrun.numerics.lanes import lane_width
+from cqrun.numerics.packed import aligned
+from cqrun.plugin.contract import Array
+from cqrun.state import State
+
+LEAST_BLOCK = 1e-3
+"""Least eigenvalue of a node's block of the preconditioner, as a part of the block's largest."""
+
+
+@dataclass(frozen=True)
+class AdjointSolve:
+    """How well the linear system of an adjoint was solved."""
+
+    products: int
+    converged: bool
+
+
+class Equilibrium:
+    """Find where one model rests under the loads and activations of one control step.
+
+    Args:
+        threads: number of threads at most. The results do not depend on it.
+        control: the control step whose activations act.
+    """
+
+    def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0) -> None:
+        self.rollout = ReferenceRollout(model, inputs, threads=threads, adjoint=True)
+        self.control, self.run = control, self.rollout.bundle
+        self.dim, self.n_nodes = model.dim, len(self.run.nodes.mass)
+        patches, real = self.rollout.rest.patches, model.real
+        self.colours = patches.colours
+        width = lane_width(real)
+        self.A = aligned((patches.layout.n // width, rows_of(self.dim), width), real)
+        self.push = np.zeros_like(self.run.push)
+        self.still = aligned((self.n_nodes, 4), real)
+        self.held, self.free = self._projections()
+        self._each(lambda crew: begin_control(self.rollout.drive, self.run, self.colours, control, crew))
+        self.outside = self.run.outside.copy()
+        self.inverse = np.zeros((0, self.dim, self.dim))
+
+    # --- the system (`newton.System`) -----------------------------------------------------------------------------
+
+    def net(self, u: Array) -> Array:
+        """Return the net force on every node (M, 4) [N], zero where nodes are held."""
+        r = self.rollout
+        self._each(
+            lambda crew: find_net(
+                r.parts, r.loads, r.ghosts, r.drive, self.run, self.colours, u, self.still, self.control, crew
+            )
+        )
+        return self._freed(self.run.force + self.outside)
+
+    def linearise(self, u: Array) -> None:
+        """Prepare the tangent and its preconditioner at a displacement."""
+        self._each(lambda crew: find_slopes(self.rollout.parts, self.run, self.A, u, self.still, crew))
+        self._invert_blocks()
+
+    def product(self, p: Array) -> Array:
+        """Return the stiffness matrix times a displacement (M, 4)."""
+        r = self.rollout
+        self._each(
+            lambda crew: find_change(
+                r.loads, r.ghosts, r.drive, self.run, self.A, self.push, self.colours, p, self.control, crew
+            )
+        )
+        return self._freed(-self.run.force)
+
+    def precondition(self, r: Array) -> Array:
+        """Return the forces (M, 4) times the inverse of each node's block."""
+        z, active = np.zeros_like(r), self.run.nodes.active
+        z[active, : self.dim] = np.einsum("nij,nj->ni", self.inverse, r[active, : self.dim])
+        return self._freed(z)
+
+    # --- what a user asks ---------------------------------------------------------------------------------------------
+
+    def solve(self, u: Array | None = None, *, tolerance: float = 1e-8) -> Rest:
+        """Return where the model rests, from a first guess of the displacements (M, 4), or from the rest shape."""
+        start = aligned((self.n_nodes, 4), self.run.force.dtype)
+        if u is not None:
+            start[...] = self._freed(u)
+        return find_rest(self, start, self.load(), tolerance)
+
+    def load(self) -> float:
+        """Return the size of all loads [N]: external forces, and those of active stresses and cables at the rest."""
+        inner = self.net(np.zeros_like(self.outside)) - self._freed(self.outside)
+        return float(np.sqrt((self._freed(self.outside) ** 2).sum() + (inner**2).sum()))
+
+    def state(self, u: Array) -> State:
+        """Return the state of the particles at a displacement, at rest."""
+        return self.rollout.unpack(np.stack([u, self.still]), 0)
+
+    def record(self, u: Array) -> Array:
+        """Return the probe's sums (rows, K) at a displacement."""
+        look(self.run, u, self.still, Crew(0, 1))
+        out = np.zeros_like(self.rollout.records[0])
+        record(self.rollout.probe, self.run.q, out)
+        return out
+
+    def reactions(self, u: Array) -> Array:
+        """Return the forces (M, D) [N] with which boundaries hold the nodes."""
+        r = self.rollout
+        self.net(u)
+        force = (self.run.force + self.outside)[:, : self.dim]
+        return -(force - self._freed(self.run.force + self.outside)[:, : self.dim]) if r.conditions else 0.0 * force
+
+    def gradient(self, u: Array, *, record_bar: Array | None = None, state_bar: State | None = None,
+                 tolerance: float = 1e-10) -> tuple[Inputs, AdjointSolve]:  # fmt: skip
+        """Return the cotangent of the inputs at an equilibrium u, from that of its record (rows, K) or state."""
+        self.rollout.final = np.stack([u, self.still])
+        back = ReferenceBackward(self.rollout, LossBar(final=state_bar), reverses=False)
+        if record_bar is not None:
+            back._add_record(back.q_bar, record_bar)
+        loss_bar = self._freed(back.q_bar[0])
+        back.q_bar[...] = 0.0
+        self.linearise(u)
+        found = conjugate_gradients(self.product, loss_bar, self.precondition, tolerance, 10 * MOST_PRODUCTS)
+        r = self.rollout
+        self._each(
+            lambda crew: find_bars(
+                back.parts, r.loads, r.ghosts, r.drive, back.stresses, back.drive_bar.levels, self.run, back.bundle,
+                self.colours, u, self.still, found.x, self.control, crew,
+            )
+        )  # fmt: skip
+        return back.inputs_bar(), AdjointSolve(found.iterations, found.converged)
+
+    # --- inside -------------------------------------------------------------------------------------------------------
+
+    def _each(self, body: Callable[[Crew], None]) -> None:
+        """Run a pass on all threads."""
+        n = self.rollout.threads
+        self.rollout.team.run(lambda thread: body(Crew(thread, n)))
+
+    def _projections(self) -> tuple[Array, Array]:
+        """Return the nodes that boundaries hold (H,), and the projection of each on its free directions (H, D, D)."""
+        bits = self.run.nodes.bits
+        held = np.flatnonzero(bits)
+        free = np.zeros((len(held), self.dim, self.dim))
+        for k, n in enumerate(held):
+            for axis in range(self.dim):
+                unit = tuple(np.eye(self.dim)[axis])
+                free[k, :, axis] = project_all(self.rollout.conditions, n, int(bits[n]), unit)
+        return held, free
+
+    def _freed(self, a: Array) -> Array:
+        """Return a vector of the nodes (M, 4) without what boundaries hold."""
+        out = a.copy()
+        out[self.held, : self.dim] = np.einsum("hij,hj->hi", self.free, a[self.held, : self.dim])
+        return out
+
+    def _invert_blocks(self) -> None:
+        """Invert the diagonal block of every node, with negative and small eigenvalues raised."""
+        dim, active = self.dim, self.run.nodes.active
+        blocks = np.zeros((self.n_nodes, dim, dim))
+        add_blocks(self.run, self.A, blocks, 0, self.rollout.rest.patches.layout.n)
+        for ghost in self.rollout.ghosts:
+            scale = np.add.reduceat(ghost.factor**2 * ghost.scale[ghost.runs], ghost.begin[:-1])
+            blocks[ghost.nodes[:, None], np.arange(dim), np.arange(dim)] += scale[:, None]
+        lower = np.tril(blocks[active], -1)
+        values, vectors = np.linalg.eigh(blocks[active] + lower.transpose(0, 2, 1))
+        values = np.maximum(np.abs(values), LEAST_BLOCK * np.abs(values).max(axis=1, keepdims=True))
+        self.inverse = np.einsum("nij,nj,nkj->nik", vectors, 1.0 / values, vectors)

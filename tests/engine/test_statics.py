@@ -1,0 +1,182 @@
+"""Equilibrium: where beams rest, the tangent, and gradients by the implicit function theorem against differences."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from little_worlds import STRESSES, Acting, Wall, below, needs_jit, world
+from test_reference_frame import ELASTIC, SHEAR
+
+from cqrun.actuators import cable
+from cqrun.boundaries.sticky import Sticky
+from cqrun.engine.model import GroupModel
+from cqrun.engine.reference.rollout import ReferenceRollout
+from cqrun.engine.statics.equilibrium import Equilibrium
+from cqrun.engine.statics.krylov import conjugate_gradients, dot
+from cqrun.state import State
+
+DX = 0.1
+
+
+def cantilever(dim, *, gravity=-4.0, real=np.float64):
+    """Return a clamped beam of two laws with a muscle and a taut cable under gravity, and its inputs."""
+    rng = np.random.default_rng(3)
+    counts = (14, 4, 4)[:dim]
+    axes = [0.225 + 0.05 * np.arange(count) for count in counts]
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, dim)
+    n, volume = len(x), 0.05**dim
+    top = np.flatnonzero(np.all(x[:, 1:] > x[:, 1:].max(axis=0) - 1e-9, axis=1))
+    route = top[[4, 8, 13]]
+    length = float(np.linalg.norm(np.diff(x[route], axis=0), axis=1).sum())
+    up = np.zeros(dim)
+    up[-1] = gravity
+    model, inputs = world(
+        x, size=[1.4] * dim, dx=DX, dt=1e-3, substeps=1, controls=1, mass=1000 * volume, volume=volume,
+        E=rng.uniform(3e4, 5e4, n), nu=rng.uniform(0.2, 0.4, n), neo_hookean=rng.uniform(3e4, 5e4, n),
+        incompressible=rng.uniform(1e3, 2e3, n), gravity=up, probe=rng.random((2, n)) / n,
+        walls=[Wall(Sticky, (0.0,) * dim, below(0, 0.3))],
+        muscles=((np.flatnonzero(x[:, 1] > 0.3), np.diag(np.eye(dim)[0])),),
+        actuators=(Acting(cable.CableKernel, route, np.zeros(0), length),),
+        activation=np.array([[0.7, 0.97]]), real=real,
+    )  # fmt: skip
+    inputs.terms = [[inputs.terms[0][k] for k in (0, 1, 3)]]
+    group = GroupModel((0,), ELASTIC, STRESSES, shear=(SHEAR[0], SHEAR[1], SHEAR[3]))
+    kinds = [a.kernel for a in model.actuators]
+    inputs.strength[kinds.index(STRESSES[0])] = 2e3
+    inputs.strength[kinds.index(cable.CableKernel)] = 100.0 * 0.05 ** (dim - 2)
+    return replace(model, frame="reference", groups=(group,)), inputs
+
+
+@pytest.fixture(scope="module", params=[2, 3], ids=["2D", "3D"])
+def rested(request):
+    """Return a cantilever's model, inputs, equilibrium and rest."""
+    model, inputs = cantilever(request.param)
+    equilibrium = Equilibrium(model, inputs)
+    return model, inputs, equilibrium, equilibrium.solve(tolerance=1e-12)
+
+
+def test_it_rests_where_its_motion_dies_out(rested):
+    """The same forces in motion, with damping."""
+    model, inputs, _, rest = rested
+    assert rest.converged
+    moving = copy.deepcopy(inputs)
+    moving.fields.damping[:] = 6.0
+    rollout = ReferenceRollout(replace(model, substeps=6000, dt=1e-3), moving)
+    rollout.run()
+    u, v = rollout.final
+    assert np.abs(v).max() < 1e-7
+    assert np.abs(rest.u).max() > 0.02
+    np.testing.assert_allclose(u, rest.u, rtol=0, atol=1e-7 * np.abs(rest.u).max())
+
+
+def test_the_tangent_is_the_slope_of_the_forces_and_symmetric(rested, rng):
+    _, _, equilibrium, rest = rested
+    active = equilibrium.run.nodes.active
+
+    def direction():
+        p = np.zeros_like(rest.u)
+        p[active, : equilibrium.dim] = rng.normal(size=(len(active), equilibrium.dim))
+        return equilibrium._freed(p) * 1e-2
+
+    p, q, h = direction(), direction(), 1e-4
+    equilibrium.linearise(rest.u)
+    Kp, Kq = equilibrium.product(p).copy(), equilibrium.product(q).copy()
+    assert dot(q, Kp) == pytest.approx(dot(p, Kq), rel=1e-12)
+    ends = [equilibrium.net(rest.u + k * h * p).copy() for k in (-2, -1, 1, 2)]
+    slope = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / (12 * h)
+    np.testing.assert_allclose(-slope, Kp, rtol=0, atol=2e-8 * np.abs(Kp).max())
+
+
+def loss_of(equilibrium, u):
+    """Return a curved loss of the record at u, and its cotangent."""
+    record = equilibrium.record(u)
+    return float(np.sin(3 * record).sum()), 3 * np.cos(3 * record)
+
+
+KINDS = {
+    "E": lambda inputs: inputs.terms[0][0][0],
+    "nu": lambda inputs: inputs.terms[0][0][1],
+    "nu of neo-Hookean": lambda inputs: inputs.terms[0][1][1],
+    "force": lambda inputs: inputs.fields.force,
+    "activation": lambda inputs: inputs.activation,
+    "strength": lambda inputs: inputs.strength,
+    "cable rest": lambda inputs: inputs.rest,
+    "volume": lambda inputs: inputs.fields.volume,
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_gradient_is_that_of_differences(rested, kind, rng):
+    model, inputs, equilibrium, rest = rested
+    _, bar = loss_of(equilibrium, rest.u)
+    gradient, _ = equilibrium.gradient(rest.u, record_bar=bar, tolerance=1e-13)
+    value = KINDS[kind](inputs)
+    # a lattice has many nodes of equal fill, and the ghost penalty takes the least of four: a kink
+    change = 0.5 * value if kind == "volume" else rng.normal(size=value.shape) * np.abs(value)
+    slope = (KINDS[kind](gradient) * change).sum()
+    losses = []
+    for k in (-2, -1, 1, 2):
+        there = copy.deepcopy(inputs)
+        KINDS[kind](there)[...] += k * 1e-4 * change
+        moved = Equilibrium(model, there)
+        losses.append(loss_of(moved, moved.solve(rest.u, tolerance=1e-13).u)[0])
+    difference = (losses[0] - 8 * losses[1] + 8 * losses[2] - losses[3]) / 12e-4
+    assert abs(difference) > 0
+    assert slope == pytest.approx(difference, rel=1e-7)
+
+
+def test_the_gradient_of_a_state_is_that_of_its_record(rested):
+    """A record is a weighted sum of particles, so a state's cotangent can say the same."""
+    model, _, equilibrium, rest = rested
+    _, bar = loss_of(equilibrium, rest.u)
+    by_record, _ = equilibrium.gradient(rest.u, record_bar=bar)
+    W, dim = model.probe.toarray(), model.dim
+    spread = bar @ W
+    x_bar, v_bar, C_bar, F_bar = np.split(spread, np.cumsum([dim, dim, dim**2]))
+    state_bar = State(x_bar.T, v_bar.T, C_bar.T.reshape(-1, dim, dim), F_bar.T.reshape(-1, dim, dim))
+    by_state, _ = equilibrium.gradient(rest.u, state_bar=state_bar)
+    np.testing.assert_allclose(by_state.fields.force, by_record.fields.force, rtol=0,
+                               atol=1e-8 * np.abs(by_record.fields.force).max())  # fmt: skip
+
+
+def test_reactions_carry_all_loads(rested):
+    _, inputs, equilibrium, rest = rested
+    total = equilibrium.reactions(rest.u).sum(axis=0)
+    np.testing.assert_allclose(total, -inputs.fields.force.sum(axis=0), rtol=0, atol=1e-9 * np.abs(total).max())
+
+
+@needs_jit
+def test_any_number_of_threads_gives_the_same_bits():
+    model, inputs = cantilever(2)
+    found = []
+    for threads in (1, 2, 3):
+        equilibrium = Equilibrium(model, inputs, threads=threads)
+        assert equilibrium.rollout.threads == threads
+        rest = equilibrium.solve()
+        bar, _ = equilibrium.gradient(rest.u, record_bar=loss_of(equilibrium, rest.u)[1])
+        found.append((rest.u.tobytes(), bar.terms[0][0].tobytes(), bar.activation.tobytes()))
+    assert found[0] == found[1] == found[2]
+
+
+def test_a_large_load_is_found_in_one_step():
+    """Ten times the weight that bends it by a tenth: Newton's steps are shortened, not refused."""
+    model, inputs = cantilever(2, gravity=-60.0)
+    rest = Equilibrium(model, inputs).solve()
+    assert rest.converged
+    assert not rest.negative
+    assert np.abs(rest.u).max() > 0.3
+
+
+def test_conjugate_gradients_find_the_smallest_eigenvalue_and_negative_curvature(rng):
+    Q, _ = np.linalg.qr(rng.normal(size=(30, 30)))
+    values = np.linspace(0.01, 1.0, 30)
+    K, b = (Q * values) @ Q.T, rng.normal(size=30)
+    found = conjugate_gradients(lambda p: K @ p, b, lambda r: r, 1e-12, 200)
+    np.testing.assert_allclose(found.x, np.linalg.solve(K, b), rtol=1e-8)
+    assert found.smallest == pytest.approx(0.01, rel=1e-6)
+    values[0] = -0.01
+    K = (Q * values) @ Q.T
+    assert conjugate_gradients(lambda p: K @ p, b, lambda r: r, 1e-12, 200).negative
