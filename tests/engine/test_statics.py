@@ -12,10 +12,11 @@ from test_reference_frame import ELASTIC, SHEAR
 
 from cqrun.actuators import cable
 from cqrun.boundaries.sticky import Sticky
-from cqrun.engine.model import GroupModel
+from cqrun.engine.model import GroupModel, Records
 from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.krylov import conjugate_gradients, dot
+from cqrun.engine.statics.path import RestPath
 from cqrun.state import State
 
 DX = 0.1
@@ -64,7 +65,7 @@ def test_it_rests_where_its_motion_dies_out(rested):
     assert rest.converged
     moving = copy.deepcopy(inputs)
     moving.fields.damping[:] = 6.0
-    rollout = ReferenceRollout(replace(model, substeps=6000, dt=1e-3), moving)
+    rollout = ReferenceRollout(replace(model, substeps=9000, dt=1e-3), moving)
     rollout.run()
     u, v = rollout.final
     assert np.abs(v).max() < 1e-7
@@ -180,3 +181,55 @@ def test_conjugate_gradients_find_the_smallest_eigenvalue_and_negative_curvature
     values[0] = -0.01
     K = (Q * values) @ Q.T
     assert conjugate_gradients(lambda p: K @ p, b, lambda r: r, 1e-12, 200).negative
+
+
+# --- paths ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_path_goes_from_point_to_point():
+    model, inputs = cantilever(2)
+    points = []
+    for factor in (0.0, 0.5, 1.0):
+        there = copy.deepcopy(inputs)
+        there.fields.force *= factor
+        points.append(there)
+    path = RestPath(model, points, tolerance=1e-10)
+    records = path.run()
+    assert path.loose == {}
+    assert [point.rest.converged for point in path.points] == [True] * 3
+    assert len(records.x) == 4
+    alone = Equilibrium(model, inputs)
+    np.testing.assert_allclose(records.x[-1].T, alone.record(alone.solve(tolerance=1e-10).u)[:2], rtol=1e-7)
+    bar = Records.zeros(3, 2, 2)
+    bar.x[:] = 1.0
+    gradients = path.gradients(bar)
+    rest_shape_bar, _ = alone.gradient(alone.solve(tolerance=1e-10).u, record_bar=bar.to_rows(model.layout.table)[3])
+    np.testing.assert_allclose(gradients[2].terms[0][0], rest_shape_bar.terms[0][0], rtol=0, atol=1e-6 * np.abs(
+        rest_shape_bar.terms[0][0]).max())  # fmt: skip
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_body_that_nothing_holds_is_found(dim):
+    model, inputs = cantilever(dim)
+    free = [replace(c, nodes=np.zeros_like(c.nodes)) for c in model.conditions]
+    assert RestPath(replace(model, conditions=tuple(free)), [inputs]).loose == {"body 0": 3 if dim == 2 else 6}
+    # one node that is held leaves the turns about it
+    one = [replace(c, nodes=c.nodes & (np.cumsum(c.nodes) == c.nodes.sum() // 2)) for c in model.conditions]
+    loose = RestPath(replace(model, conditions=tuple(one)), [inputs]).loose
+    assert loose in ({"body 0": 1 if dim == 2 else 3}, {"body 0": 3 if dim == 2 else 6})
+
+
+def test_a_load_without_an_equilibrium_says_how_far_it_got():
+    """A muscle that pushes adds the energy -S |F|^2 / 2: beyond the stiffness of the body, it has no least value."""
+    model, inputs = cantilever(2, gravity=0.0)
+    kinds = [a.kernel for a in model.actuators]
+    inputs.strength[:] = 0.0
+    inputs.strength[kinds.index(STRESSES[0])] = 1e6
+    inputs.activation[0, kinds.index(STRESSES[0])] = -1.0
+    path = RestPath(model, [inputs])
+    with np.errstate(all="ignore"):
+        path.run()
+    (point,) = path.points
+    assert not point.rest.converged
+    assert point.halvings == 6
+    assert 0.0 < point.reached < 0.5

@@ -152,6 +152,23 @@ class Equilibrium:
         )  # fmt: skip
         return back.inputs_bar(), AdjointSolve(found.iterations, found.converged)
 
+    def loose_bodies(self) -> dict[str, int]:
+        """Return the bodies that nothing holds, by name: in how many ways each can move as a rigid body."""
+        patches, model, loose = self.rollout.rest.patches, self.rollout.model, {}
+        X, body = patches.positions(model.dx), patches.body_of_nodes()
+        for k, name in enumerate(model.body_names):
+            own = body[self.held] == k
+            arms = X[self.held[own]] - X[self.run.nodes.active].mean(axis=0)
+            modes = np.concatenate([np.broadcast_to(np.eye(self.dim), (own.sum(), self.dim, self.dim)),
+                                    _turns(arms)], axis=2)  # fmt: skip
+            kept = np.eye(self.dim) - self.free[own]
+            felt = np.einsum("nij,njr->nir", kept, modes).reshape(-1, modes.shape[2])
+            size = np.linalg.norm(modes.reshape(-1, modes.shape[2]), axis=0) if own.any() else np.ones(modes.shape[2])
+            rank = np.linalg.matrix_rank(felt / np.maximum(size, 1e-300), tol=1e-8) if own.any() else 0
+            if rank < modes.shape[2]:
+                loose[name] = int(modes.shape[2] - rank)
+        return loose
+
     # --- inside -------------------------------------------------------------------------------------------------------
 
     def _each(self, body: Callable[[Crew], None]) -> None:
@@ -188,3 +205,12 @@ class Equilibrium:
         values, vectors = np.linalg.eigh(blocks[active] + lower.transpose(0, 2, 1))
         values = np.maximum(np.abs(values), LEAST_BLOCK * np.abs(values).max(axis=1, keepdims=True))
         self.inverse = np.einsum("nij,nj,nkj->nik", vectors, 1.0 / values, vectors)
+
+
+def _turns(arms: Array) -> Array:
+    """Return the displacements of small turns about each axis, for arms (n, D): (n, D, 1) in 2D and (n, 3, 3) in 3D."""
+    if arms.shape[1] == 2:
+        return np.stack([-arms[:, 1], arms[:, 0]], axis=1)[:, :, None]
+    x, y, z = arms.T
+    o = np.zeros_like(x)
+    return np.stack([np.stack(v, axis=1) for v in ((o, -z, y), (z, o, -x), (-y, x, o))], axis=2)
