@@ -54,6 +54,7 @@ NUMERIC = (
     "learning",
     "jobs/control.py",
     "jobs/gradcheck.py",
+    "jobs/rest.py",
     "jobs/simulate.py",
     "jobs/sysid.py",
 )

@@ -21,6 +21,8 @@ def with_defaults(scene: Any) -> Any:
         return scene
     defaults = _defaults(scene)
     filled = _filled(Sections, scene, defaults)
+    if scene.get("job") == "rest" and "time" not in scene:  # rest has none, but the same scene may move
+        filled["time"] = {"duration": 1.0, "control_step": 1.0}
     target = _mapping(_mapping(scene.get("data")).get("target"))
     if target and "only body" in defaults:  # is refused, and the advice names the body
         filled["data"] = {**filled["data"], "target": {"body": defaults["only body"], **target}}

@@ -15,12 +15,13 @@ from cqrun.scene.constraint import Constraint
 from cqrun.scene.control import Episodes, Goal
 from cqrun.scene.data import Data, Recording, Synthetic, Unknown
 from cqrun.scene.fields import Memory, Name, Seed
+from cqrun.scene.load_path import PathValues
 from cqrun.scene.world_and_time import Time, World
 
 if TYPE_CHECKING:
     from cqrun.measurements.measurement import Measurement
 
-JobName = Literal["simulate", "sysid", "control", "codesign", "gradcheck"]
+JobName = Literal["simulate", "rest", "sysid", "control", "codesign", "gradcheck"]
 """The jobs of a scene; jobs/table.py defines what each does."""
 
 
@@ -59,6 +60,10 @@ class Sections(Spec):
         description="Name -> actuator", default_factory=dict
     )
     activation: Activation | None = Field(description="Open-loop signals", default=None)
+    path: dict[str, PathValues] = Field(
+        description="Key path, or activation.NAME -> values that `cqrun rest` goes through", default_factory=dict,
+        exclude_if=lambda path: not path,
+    )  # fmt: skip
     observers: dict[Name, Annotated[Chosen[Plugin], Choice("observer")]] = Field(
         description="Name -> observer: what a controller sees", default_factory=dict
     )

@@ -224,6 +224,45 @@ class SimulateResult(Part):
     constraints: dict[str, ConstraintValue] | None = optional()
 
 
+# --- rest ------------------------------------------------------------------------------------------------------------
+
+
+class RestPoint(Part):
+    """A point of a path of equilibria.
+
+    Attributes:
+        values: values of the path by key path.
+        converged: whether an equilibrium was found.
+        residual: net force divided by the loads.
+        steps, products: steps of Newton's method, and products with the stiffness matrix.
+        negative: whether the stiffness matrix has a negative eigenvalue.
+        smallest: smallest eigenvalue of the preconditioned matrix; it vanishes at a limit point. None if unknown.
+        halvings: how often the way from the last point was halved.
+        reached: part of that way that was covered.
+    """
+
+    values: dict[str, float]
+    converged: bool
+    residual: float
+    steps: int
+    products: int
+    negative: bool
+    smallest: float | None = None
+    halvings: int
+    reached: float
+
+
+class RestResult(Part):
+    """The equilibria along a path: its points, and sentences about what is notable."""
+
+    file: ClassVar[str] = RESULT
+    job: Literal["rest"] = "rest"
+    status: str
+    message: str
+    points: list[RestPoint]
+    findings: list[str]
+
+
 # --- gradcheck ------------------------------------------------------------------------------------------------------
 
 
@@ -274,7 +313,7 @@ class GradcheckResult(Part):
 
 # --- files ----------------------------------------------------------------------------------------------------------
 
-Result = SysidResult | LearnedResult | SimulateResult | GradcheckResult
+Result = SysidResult | LearnedResult | SimulateResult | RestResult | GradcheckResult
 _RESULT: TypeAdapter[Result] = TypeAdapter(Annotated[Result, Field(discriminator="job")])
 
 

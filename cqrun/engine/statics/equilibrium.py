@@ -127,10 +127,28 @@ class Equilibrium:
 
     def reactions(self, u: Array) -> Array:
         """Return the forces (M, D) [N] with which boundaries hold the nodes."""
-        r = self.rollout
         self.net(u)
-        force = (self.run.force + self.outside)[:, : self.dim]
-        return -(force - self._freed(self.run.force + self.outside)[:, : self.dim]) if r.conditions else 0.0 * force
+        force = self.run.force + self.outside
+        return np.asarray((self._freed(force) - force)[:, : self.dim])
+
+    def held_by(self, u: Array) -> dict[str, tuple[Array, Array]]:
+        """Return the force (D,) [N] and the moment (1,) or (3,) [N m] of every boundary, by its name.
+
+        A node that several boundaries hold counts for the first. A moment is about the centre of the boundary's nodes
+        at rest, and acts where the nodes are now.
+        """
+        model, force = self.rollout.model, self.reactions(u)
+        X = self.rollout.rest.patches.positions(model.dx)
+        bits, out = self.run.nodes.bits, {}
+        for name in dict.fromkeys(condition.name for condition in model.conditions):
+            own = sum(1 << k for k, condition in enumerate(model.conditions) if condition.name == name)
+            lowest = bits & -bits
+            nodes = np.flatnonzero(lowest & own)
+            if len(nodes):
+                arms = X[nodes] - X[nodes].mean(axis=0) + u[nodes, : self.dim]
+                moment = _turns(arms).transpose(0, 2, 1) @ force[nodes][:, :, None]
+                out[name] = force[nodes].sum(axis=0), moment[:, :, 0].sum(axis=0)
+        return out
 
     def gradient(self, u: Array, *, record_bar: Array | None = None, state_bar: State | None = None,
                  tolerance: float = 1e-10) -> tuple[Inputs, AdjointSolve]:  # fmt: skip
