@@ -73,7 +73,7 @@ def _loss(problem: FitProblem, records: Mapping[str, Records | None], values: Ma
     for case, weights in zip(problem.cases, problem.weights, strict=True):
         record = records[case.name]
         assert record is not None
-        total += float(np.dot(weights, case.losses(record, case.start_of(values))))
+        total += float(np.dot(weights, case.losses(record, values)))
     return total
 
 
@@ -218,7 +218,7 @@ def _errors(
         for comparison in case.comparisons:
             entry |= comparison.facts()
         if record is not None:
-            misfits = [o.misfit(record, case.start_of(values)) for o in case.comparisons]
+            misfits = [o.misfit(record, case.start_of(values)) for o in case.compared(values)]
             entry[rmse] = factor * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
             if len(misfits) == 1:
                 entry[measured.error_key(f"{measured.channel}s")] = {
@@ -237,7 +237,7 @@ def _write_tables(
         data = case.built.scene.data
         if record is None or data is None:
             continue
-        head, *rows = case.comparisons[0].table(record, case.start_of(values))
+        head, *rows = case.compared(values)[0].table(record, case.start_of(values))
         table = tables.setdefault(data.measurement(case.name).table_file(), [["recording", *head]])
         table += [[case.name, *row] for row in rows]
     for name, table in tables.items():
