@@ -44,7 +44,7 @@ from cqrun.running.runs import scene_in
 from cqrun.running.threads import checked_threads, cores
 from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
-from cqrun.scene.paths import canonical, leaf, leaves, with_values
+from cqrun.scene.paths import canonical, leaf, leaves, require_possible
 from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import body_of, groups_of
@@ -163,6 +163,8 @@ class Experiment:
             raise UsageError(
                 "this scene has neither `data` nor an `objective`, so there is no loss: add one, or use simulate()"
             )
+        if self.scene.predicts_only:
+            raise UsageError("every recording is held out, so there is no loss: fit one of them, or use simulate()")
         problem, values = self._problem, self._stable(params)
         problem.require_reached(values)
         losses, gradient = problem.losses_and_gradient(values)
@@ -234,7 +236,7 @@ class Experiment:
         of_scene = {path: value for path, value in given.items() if not path.startswith(CONTROLLER)}
         for end in (np.min, np.max) if any(value.ndim for value in of_scene.values()) else (np.min,):
             try:
-                with_values(self.scene, {path: float(end(value)) for path, value in of_scene.items()})
+                require_possible(self.scene, {path: float(end(value)) for path, value in of_scene.items()})
             except SceneError as error:
                 raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
 

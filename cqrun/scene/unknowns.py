@@ -70,9 +70,16 @@ def scene_of_recording(scene: Scene, recording: str, values: Mapping[str, Any] |
 
 
 def has_own_values(scene: Scene, recording: str) -> bool:
-    """Return whether a recording has overrides, or unknowns that no other recording has."""
-    named = [path for unknown, spec in scene.unknowns.items() for path in (unknown, *spec.also)]
-    return bool(scene.recordings[recording].overrides) or any(split_own(path)[0] == recording for path in named)
+    """Return whether the scene of a recording differs from that of the others, or has unknowns of its own."""
+    named = [split_own(path)[0] for _, path in _named(scene)]
+    return bool(scene.recordings[recording].overrides) or recording in named
+
+
+def own_unknowns(scene: Scene, recording: str) -> list[str]:
+    """Return what is fitted for one recording alone: `start`, `offset.0`, or a path in the scene of the recording."""
+    begin = f"data.recordings.{recording}."
+    own = [path.removeprefix(begin) for _, path in _named(scene) if path.startswith(begin)]
+    return [path.removeprefix("overrides.") for path in own]
 
 
 def _unknowns_in(scene: Scene, recording: str) -> dict[str, Unknown]:
