@@ -101,7 +101,9 @@ def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -
             entry.reason = "; ".join(dict.fromkeys(reasons.values()))
     at_optimum = problem, outcome.x, jacobian, unknowns, uncertainty
     result.findings += uncertainty.findings
-    result.findings += [*assumptions.of_the_substep(*at_optimum), *assumptions.of_held_numbers(*at_optimum, held)]
+    result.findings += assumptions.of_the_substep(*at_optimum)
+    result.held = assumptions.effects_of_held(*at_optimum, held)
+    result.findings += assumptions.of_held_numbers(result.held, unknowns, uncertainty)
 
 
 def _no_intervals(result: SysidResult, reason: str) -> None:

@@ -131,6 +131,7 @@ class Sysid(Job[Identification, SysidResult]):
             else:
                 yield from (f"no interval for {path}: {reason}" for path, reason in reasons.items())
         yield from [f"predicted with time.substeps={result.substeps}"] if predicts else result.how_found()
+        yield from _held(result)
         yield ""
         yield from _errors(scene, result)
         yield from (f"note: {sentence}" for sentence in result.findings)
@@ -253,12 +254,32 @@ def _unknown(scene: Scene, path: str, unknown: Identified) -> Iterator[tuple[str
         yield path, ends, f"{len(values)} numbers", unit, number(initials[0])
         return
     for k, (value, interval, initial) in enumerate(zip(values, intervals, initials, strict=True)):
-        name = f"{path}[{k}]" if isinstance(unknown.value, list) else path
-        yield name, number(value), _interval(interval), unit, number(initial)
+        yield unknown.names(path)[k], number(value), _interval(interval), unit, number(initial)
 
 
 def _interval(pair: Interval | None) -> str:
     return "none" if pair is None else f"{number(pair[0])} to {number(pair[1])}"
+
+
+def _held(result: SysidResult) -> Iterator[str]:
+    """Yield what the intervals hold fixed, and what the fit would find with another value."""
+    intervals: dict[str, Interval | None] = {}
+    for path, unknown in result.unknowns.items():
+        intervals |= dict(zip(unknown.names(path), unknown.numbers()[1], strict=True))
+    rows: list[tuple[str, ...]] = []
+    for path, held in result.held.items():
+        shown = []
+        for name, value in held.found.items():
+            low, high = intervals[name] or (value, value)
+            if not low <= value <= high or len(held.found) <= MANY:
+                shown.append((name, number(value), "inside" if low <= value <= high else "outside its interval"))
+        shown = shown or [("all of them", "", "inside their intervals")]
+        heads = [(path, number(held.value), number(held.other)), *[("", "", "")] * (len(shown) - 1)]
+        rows += [(*head, *cells) for head, cells in zip(heads, shown, strict=True) if held.found]
+    if rows:
+        yield ""
+        yield "The intervals hold these numbers fixed. With the value under `if`, the fit would find about:"
+        yield from table(("held fixed", "is", "if", "unknown", "would be", ""), rows)
 
 
 def _errors(scene: Scene, result: SysidResult) -> Iterator[str]:
