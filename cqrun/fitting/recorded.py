@@ -26,12 +26,19 @@ def recorded_cases(built: Built, specs: Mapping[str, Recording]) -> list[Case]:
     for name, spec in specs.items():
         try:
             cases.append(_recorded(built, name, spec))
+        except SceneError as error:
+            messages = [f"in its scene, {problem.path}: {problem.message}" for problem in error.problems]
+            problems += [_problem(built, name, message) for message in messages]
         except UsageError as error:
-            path = f"data.recordings.{name}"
-            problems.append(Problem(built.scene.where(path), path, str(error)))
+            problems.append(_problem(built, name, str(error)))
     if problems:
         raise SceneError(problems)
     return cases
+
+
+def _problem(built: Built, name: str, message: str) -> Problem:
+    path = f"data.recordings.{name}"
+    return Problem(built.scene.where(path), path, message)
 
 
 def _recorded(built: Built, name: str, spec: Recording) -> Case:

@@ -21,7 +21,7 @@ from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Plugin, Spec, field_unit, is_differentiable, is_geometric
 from cqrun.plugin.registry import plugins
 from cqrun.scene.data import Recording
-from cqrun.scene.defaults import with_defaults
+from cqrun.scene.defaults import with_vector
 from cqrun.scene.keypath import first_key, joined, locate, own_path, replaced, split_own, value_at
 from cqrun.scene.material import TERMS, Terms
 from cqrun.scene.schema import Scene
@@ -111,10 +111,11 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
         SceneError: a path does not exist, or its field refuses the value. What a recording overrides is checked only in
             its own scene (`as_recorded`).
     """
-    data: Any = with_defaults(scene.model_dump(exclude_none=True))
+    data: Any = scene.model_dump(exclude_none=True)
     problems = []
     for path, value in values.items():
         try:
+            data = with_vector(data, path)
             data = replaced(data, _place(data, path), plain(value))
         except KeyError as error:
             problems.append(Problem(scene.where(path), path, str(error.args[0])))
