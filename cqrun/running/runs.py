@@ -194,6 +194,9 @@ def raise_if_failed(run: Path) -> Path:
 
 def require_extension(run: RunDirectory, overrides: Sequence[str]) -> None:
     """Raise UsageError for overrides that do not extend a run, or that ask for fewer iterations than it has done."""
+    if overrides and run.record["job"] == "sysid" and saved_scene(run).predicts_only:
+        why = "nothing is fitted, so it has no iterations: every recording is held out"
+        raise UsageError(f"-o {overrides[0]}: {why}")
     for override in overrides:
         key, _, value = override.partition("=")
         if not (key.startswith("optimizer.") and key.endswith(".max_iterations")):
