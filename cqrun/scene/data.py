@@ -189,7 +189,11 @@ def _ties(value: Any) -> Any:
 
 
 class Unknown(Spec):
-    """A number of the scene that an optimizer may change."""
+    """A number of the scene that an optimizer may change, under its key path.
+
+    `data.recordings.NAME.overrides.PATH` is the value that one recording alone has at PATH: the fit changes it there,
+    and nowhere else (cqrun describe recordings).
+    """
 
     bounds: Interval = Field(description="Smallest and largest value, in the number's unit")
     scale: Literal["linear", "log"] = Field(description="Scale on which the optimizer searches", default="linear")
@@ -212,6 +216,14 @@ class Unknown(Spec):
     regulariser: float = Field(
         description="Loss weight of the mean squared change from the start, relative to the bounds", ge=0, default=0.0
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _not_per_recording(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("per") == "recording":
+            message = "name the value of each recording: `data.recordings.NAME.overrides.` before the key path"
+            raise complaint("Unknown", [finding(message, ("per",))])
+        return data
 
     @model_validator(mode="after")
     def _bounds_are_ordered(self) -> Self:

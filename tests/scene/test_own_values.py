@@ -198,6 +198,11 @@ def test_what_an_own_value_cannot_be() -> None:
     assert f"is the same value as the unknown '{GRAVITY}': name it once" in refusal(twice)
 
 
+def test_one_value_for_each_recording_is_named_by_key_paths() -> None:
+    message = refusal({"world.gravity.0": {**BOUNDS, "per": "recording"}})
+    assert "per: name the value of each recording: `data.recordings.NAME.overrides.` before the key path" in message
+
+
 def test_overrides_that_are_wrong_are_named_once_and_where_they_are() -> None:
     message = refusal({GRAVITY: BOUNDS}, overrides={"world.gravity": "down"})
     assert "data.recordings.swing.overrides.world.gravity: must be a list" in message
