@@ -166,6 +166,8 @@ class Experiment:
         if self.scene.predicts_only:
             raise UsageError("every recording is held out, so there is no loss: fit one of them, or use simulate()")
         problem, values = self._problem, self._stable(params)
+        for case in problem.cases if params and self._auto else ():
+            _require_stable(case.built, case.own_values(values))
         problem.require_reached(values)
         losses, gradient = problem.losses_and_gradient(values)
         effort = {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak}
@@ -246,18 +248,8 @@ class Experiment:
         A number of substeps that the scene gives is not checked: unsuitable values blow up.
         """
         values = self._values(params)
-        if not (params and self._auto):
-            return values
-        try:
-            least, needed = stable(self.built, {p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
-        except SceneError as error:
-            raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
-        if self.built.model.dt > least.dt:
-            raise UsageError(
-                f"{least.part}: with these values the largest stable substep is {least.dt:.3g} s, but `auto` has "
-                f"chosen {self.built.model.dt:.3g} s for the scene: load it with time.substeps={needed}, or make what "
-                "changes an unknown with bounds that contain these values"
-            )
+        if params and self._auto:
+            _require_stable(self.built, {p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
         return values
 
     def _with_followers(self, gradient: dict[str, Array], params: Values | None) -> dict[str, Any]:
@@ -300,6 +292,20 @@ class Experiment:
         if not np.isfinite(value).all():
             raise UsageError(f"{path}: must be finite, is {value}")
         return value
+
+
+def _require_stable(built: Built, values: dict[str, Array]) -> None:
+    """Raise UsageError if values by path are not stable with the substep of a scene."""
+    try:
+        least, needed = stable(built, values)
+    except SceneError as error:
+        raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
+    if built.model.dt > least.dt:
+        raise UsageError(
+            f"{least.part}: with these values the largest stable substep is {least.dt:.3g} s, but `auto` has "
+            f"chosen {built.model.dt:.3g} s for the scene: load it with time.substeps={needed}, or make what "
+            "changes an unknown with bounds that contain these values"
+        )
 
 
 def _of_episodes(problem: EpisodeProblem, values: dict[str, Array]) -> tuple[float, dict[str, Array], dict[str, Any]]:

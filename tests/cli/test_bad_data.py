@@ -300,6 +300,13 @@ def test_a_recording_that_changes_under_a_run(cqrun, tmp_path):
     assert f"there is no file '{file}'" in err
 
 
+def test_a_name_that_no_file_can_have(cqrun, tmp_path):
+    scene = recorded(tmp_path / "fit.yaml", {"one": "a" * 5000})
+    code, _, err = cqrun("sysid", scene, "--out", tmp_path)
+    assert code == 2
+    assert "data.recordings.one.file: there is no file" in err
+
+
 def test_all_missing_recordings_are_reported_at_once(cqrun, tmp_path):
     scene = recorded(tmp_path / "fit.yaml", {"one": tmp_path / "1.c3d", "two": tmp_path / "2.c3d"})
     code, _, err = cqrun("sysid", scene, "--out", tmp_path)

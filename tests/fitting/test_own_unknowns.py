@@ -360,6 +360,12 @@ def test_python_takes_the_values_of_a_recording(session: Path) -> None:
         problem.value_and_grad({own("left", "bodies.beam.material.density"): -1.0})
 
 
+def test_python_refuses_a_value_of_a_recording_that_needs_more_substeps(session: Path) -> None:
+    problem = cqrun.load(session, ["time.substeps=auto"])
+    with pytest.raises(UsageError, match=r"bodies.beam.material: with these values the largest stable substep is"):
+        problem.value_and_grad({own("left", E_PATH): 1.0e7})
+
+
 def test_a_recording_that_blows_up_with_its_own_values_is_named(session: Path, tmp_path: Path) -> None:
     mad = [f"unknowns.{TILT['left']}={{bounds: [4000, 5000], initial: 5000}}"]
     with pytest.raises(RunError, match=rf"left the grid .*; trial values: .*{TILT['left']} = 4990"):
