@@ -37,7 +37,7 @@ from cqrun.plugin.contract import Array
 from cqrun.plugin.reference import body_of
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import bounds_of, start, tied, truths
+from cqrun.scene.unknowns import bounds_of, has_own_values, scene_of_recording, start, tied, truths
 
 WASTEFUL = 1e-3
 """A substep smaller than this part of the largest stable one is probably a mistake."""
@@ -323,9 +323,9 @@ def _limits_of_data(scene: Scene, particles: Particles, assembly: Assembly) -> l
     limits: list[Limit] = []
     if truth := _truth(scene):
         limits += _limits(scene, particles, assembly, truth)
-    for recording in scene.recordings.values():
-        if recording.overrides:
-            variant = with_values(scene, recording.overrides)
+    for recording in scene.recordings:
+        if has_own_values(scene, recording):
+            variant = scene_of_recording(scene, recording)
             particles = sample(variant)
             limits += _stiffest(variant, particles, Assembly(variant, particles))
     return limits

@@ -68,9 +68,10 @@ def require_files(run: RunData) -> None:
         drawn = f"{', '.join(most)} and {last}"
         raise UsageError(f"{run.path}: a run of '{run.job}' has no pictures; runs of {drawn} have them")
     if run.job not in ("simulate", "rest"):
-        run.require(HISTORY, "so there is no convergence to draw")
-        if not run.history:
-            raise UsageError(f"{run.path}: {HISTORY} has no rows yet: nothing to draw before the first iteration")
+        if not run.scene.predicts_only:
+            run.require(HISTORY, "so there is no convergence to draw")
+            if not run.history:
+                raise UsageError(f"{run.path}: {HISTORY} has no rows yet: nothing to draw before the first iteration")
         if run.succeeded:
             run.require(RESULT, INCOMPLETE)
         if run.succeeded and run.job == "sysid":
@@ -117,7 +118,7 @@ def _path(run: RunData) -> Iterator[tuple[str, Figure]]:
 
 
 def _overview(run: RunData) -> Iterator[tuple[str, Figure]]:
-    if run.history and run.succeeded:
+    if run.succeeded and (run.history or run.scene.predicts_only):
         yield "overview", draw_overview(run)
 
 

@@ -29,7 +29,7 @@ from cqrun.running.tables import number
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import start
+from cqrun.scene.unknowns import own_unknowns, start
 from cqrun.store.result import LEARNED
 from cqrun.units import format_bytes
 
@@ -148,7 +148,7 @@ def _unknowns(built: Built) -> Iterator[str]:
         per += "" if unknown.mirror is None else f", mirrored across {unknown.mirror}"
         text = f"{path}: {number(low)} to {number(high)}{unit}, from {number(start(scene, path))}"
         yield line("unknown", f"{text}, {unknown.scale} scale{per}")
-    if scene.data is not None or _fits(scene):
+    if not scene.predicts_only and (scene.data is not None or _fits(scene)):
         chosen = with_optimizer(scene).optimizer
         assert chosen is not None
         yield line("optimizer", f"{chosen.name}, at most {chosen.value.max_iterations} iterations")  # type: ignore[attr-defined]
@@ -163,16 +163,24 @@ def _data(built: Built, cases: list[Case] | None) -> Iterator[str]:
             f"synthetic: {built.scene.sequences} x {made.copies} recordings of {points} on '{made.body}', "
             f"noise {number(MILLI * made.noise)} mm",
         )
+    if cases and built.scene.predicts_only:
+        kept = ", also for the unknowns" if built.scene.unknowns else ""
+        yield line("fit", f"none: every recording is held out, so sysid predicts them with the scene's values{kept}")
     for case in cases or []:
-        yield from _recording(case) if built.scene.data is not None else objective_lines(built.scene)
+        yield from _recording(built.scene, case) if built.scene.data is not None else objective_lines(built.scene)
 
 
-def _recording(case: Case) -> Iterator[str]:
+def _recording(scene: Scene, case: Case) -> Iterator[str]:
     use = "held out" if case.holdout else "fitted"
     for comparison in case.comparisons:
         yield line("recording", f"{case.name} ({use}): {comparison.summary()}")
         if comparison.remark:
             yield line("", comparison.remark)
+    if fitted := own_unknowns(scene, case.name):
+        yield line("", f"fitted for this recording alone: {listed(fitted)}")
+    recording = scene.recordings.get(case.name)
+    if recording is not None and (given := [*recording.overrides, *["offset"] * any(recording.offset)]):
+        yield line("", f"given for this recording alone: {listed(given)}")
 
 
 # --- cost ---------------------------------------------------------------------------------------------------

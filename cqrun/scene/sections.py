@@ -98,6 +98,11 @@ class Sections(Spec):
         return (self.data.recordings if self.data is not None else None) or {}
 
     @property
+    def predicts_only(self) -> bool:
+        """Whether all data are held out, so that nothing is fitted."""
+        return bool(self.recordings) and all(recording.holdout for recording in self.recordings.values())
+
+    @property
     def synthetic(self) -> Synthetic | None:
         """The synthetic data of the scene, if any."""
         return self.data.synthetic if self.data is not None else None
