@@ -11,7 +11,7 @@ from small_beam import BEAM, MARKERS
 
 from cqrun.build.matter import matter_of
 from cqrun.build.model import build
-from cqrun.engine.rollout import Rollout
+from cqrun.engine.frames import make_rollout
 from cqrun.measurements.markers import observe_markers, over_body
 from cqrun.objectives.hermite import interpolant
 from cqrun.scene.load import load_scene
@@ -42,7 +42,7 @@ def write_twin(
     matter = matter_of(built, {})
     observer = observe_markers(matter, "beam", {name: np.array(x) for name, x in MARKERS.items()})
     model = replace(built.model, probe=over_body(observer.rows, "beam", matter))
-    records = Rollout(model, built.assembly.inputs({})).run()
+    records = make_rollout(model, built.assembly.inputs({})).run()
     time = 0.002 * np.arange(round((start + built.scene.time.duration) / 0.002))
     clean = interpolant(time - start, built.scene.time.control_step, model.n_controls)(*observer.observe(records))
     (made,) = make_synthetic(
