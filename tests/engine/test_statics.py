@@ -233,3 +233,48 @@ def test_a_load_without_an_equilibrium_says_how_far_it_got():
     assert not point.rest.converged
     assert point.halvings == 6
     assert 0.0 < point.reached < 0.5
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_clamp_that_moves_has_a_gradient_at_rest(dim, rng):
+    model, inputs = cantilever(dim)
+    turns = 1 if dim == 2 else 3
+    spec = Sticky(face="x_min", displacement=[0.0] * dim, rotation=[0.0] * turns, center=[0.2] * dim)
+    k = next(k for k, c in enumerate(model.conditions) if c.nodes.any())
+    model = replace(
+        model, conditions=tuple(replace(c, spec=spec) if j == k else c for j, c in enumerate(model.conditions))
+    )
+    inputs.moves = np.zeros((len(model.conditions), dim + turns))
+    inputs.moves[k] = 0.03 * rng.normal(size=dim + turns)
+    equilibrium = Equilibrium(model, inputs)
+    rest = equilibrium.solve(tolerance=1e-12)
+    assert rest.converged
+    bar, _ = equilibrium.gradient(rest.u, record_bar=loss_of(equilibrium, rest.u)[1], tolerance=1e-13)
+    for axis in range(dim + turns):
+        losses = []
+        for sign in (-2, -1, 1, 2):
+            there = copy.copy(inputs)
+            there.moves = inputs.moves.copy()
+            there.moves[k, axis] += sign * 1e-4
+            moved = Equilibrium(model, there)
+            losses.append(loss_of(moved, moved.solve(rest.u, tolerance=1e-13).u)[0])
+        assert bar.moves[k, axis] == pytest.approx(
+            (losses[0] - 8 * losses[1] + 8 * losses[2] - losses[3]) / 12e-4, rel=1e-7
+        )
+
+
+def test_a_clamp_that_turns_far_is_followed():
+    """By a quarter turn in one step: the free nodes follow to first order, and the way is halved where that fails."""
+    model, inputs = cantilever(2, gravity=0.0)
+    spec = Sticky(face="x_min", displacement=[0.0, 0.0], rotation=[0.0])
+    model = replace(model, conditions=tuple(replace(c, spec=spec) if c.nodes.any() else c for c in model.conditions))
+    inputs.strength[:] = 0.0
+    inputs.fields.force[:] = 0.0
+    inputs.moves = np.zeros((len(model.conditions), 3))
+    inputs.moves[:, 2] = np.pi / 2
+    path = RestPath(model, [inputs])
+    with np.errstate(all="ignore"):
+        records = path.run()
+    assert path.points[0].rest.converged
+    np.testing.assert_allclose(records.F[1], np.broadcast_to([[0.0, -1.0], [1.0, 0.0]], (2, 2, 2)) * np.trace(
+        records.F[0][0]) / 2, rtol=0, atol=1e-6)  # fmt: skip

@@ -19,6 +19,7 @@ from cqrun.engine.model import LossBar, Records
 from cqrun.engine.reference.backward import ReferenceBackward
 from cqrun.engine.reference.ghost import GAMMA, Ghost, kernel_ghost, mean_modulus
 from cqrun.engine.reference.look import look
+from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, progress
 from cqrun.engine.reference.rest import rest_geometry
 from cqrun.engine.reference.setting import TILE, NodeRun, Nodes, NodeSetting, Tiles
 from cqrun.engine.reference.step import advance, note
@@ -67,6 +68,7 @@ class ReferenceRollout(Rollout):
         )
         self.ghosts = self._make_ghosts()
         self.bundle = self._make_run()
+        self.moves = self._make_moves()
         self.start = self._make_start()
         self.reversible = self._runs_backwards()
 
@@ -101,6 +103,15 @@ class ReferenceRollout(Rollout):
             setting, nodes, self.rest.stencils, patches.units, self.rest.rest, self.fields, push, force, outside, q,
             tiles, np.full(1, -1), self.team.arrivals,
         )  # fmt: skip
+
+    def _make_moves(self) -> tuple[Moves, ...]:
+        """Return the nodes of boundaries that move, or none."""
+        model, patches = self.model, self.rest.patches
+        self.shares = [progress(model, over) for _, over in parts_of(model)]
+        if not self.shares:
+            return ()
+        nodes, plane, arm = moving_nodes(model, self.bundle.nodes.bits, patches.positions(model.dx))
+        return (Moves(nodes, plane, arm, poses(model, self.inputs.moves, self.shares)),)
 
     def _make_start(self) -> Array:
         """Return the state (2, M, 4) at the start: no displacement, and the particles' momentum on the nodes."""
@@ -179,8 +190,8 @@ class ReferenceRollout(Rollout):
 
         def body(thread: int, to: int = end, n: int = self.threads) -> int:
             reached: int = advance(
-                self.parts, self.conditions, self.loads, self.ghosts, self.drive, self.bundle, colours, states, begin,
-                to, keep, self.probe, self.records, Crew(thread, n),
+                self.parts, self.conditions, self.loads, self.ghosts, self.moves, self.drive, self.bundle, colours,
+                states, begin, to, keep, self.probe, self.records, Crew(thread, n),
             )  # fmt: skip
             return reached
 

@@ -16,6 +16,7 @@ from cqrun.engine.probe import record, record_vjp
 from cqrun.engine.reference.forces import pull_each, pull_each_vjp
 from cqrun.engine.reference.ghost import haunt_each, haunt_each_vjp
 from cqrun.engine.reference.look import look, look_vjp
+from cqrun.engine.reference.moves import bring_back_pairs, carry_each, carry_each_vjp
 from cqrun.engine.reference.nodes import begin_vjp, end_vjp, kick
 from cqrun.engine.reference.outside import spread_forces, spread_forces_vjp
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
@@ -48,7 +49,8 @@ def find_stray(run: NodeRun, u: Array, crew: Crew) -> None:
 
 @kernel
 def advance(
-    parts: Any, conditions: Any, loads: Any, ghosts: Any, drive: Drive, run: NodeRun, colours: Array, states: Array,
+    parts: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, drive: Drive, run: NodeRun, colours: Array,
+    states: Array,
     begin: int, end: int, keep: bool, probe: Probe, records: Array, crew: Crew,
 ) -> int:  # fmt: skip
     """Run substeps begin .. end from states[0]; return the substep reached.
@@ -61,6 +63,7 @@ def advance(
         parts: groups with their first and last bodies.
         loads: forces on points, as in `forces.py`.
         ghosts: the ghost penalty, or none.
+        moves: the nodes of boundaries that move, or none.
     """
     substeps = run.setting.substeps
     for step in range(begin, end):
@@ -76,6 +79,7 @@ def advance(
         haunt_each(ghosts, run, u, crew)
         kick(conditions, run, at, states[after, 0], crew)
         barrier(run.arrivals, crew.n_threads)
+        carry_each(moves, run, u, states[after, 0], states[after, 1], step, crew)
         if (step + 1) % substeps == 0:
             find_stray(run, states[after, 0], crew)
             if run.stray[0] >= 0:
@@ -138,8 +142,8 @@ def see_vjp(
 
 @kernel
 def reverse(
-    pairs: Any, conditions: Any, loads: Any, ghosts: Any, drive: Drive, stresses: Any, levels_bar: Levels, run: NodeRun,
-    bars: NodeBars, colours: Array, states: Array, begin: int, end: int, reversed_: bool, probe: Probe,
+    pairs: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, drive: Drive, stresses: Any, levels_bar: Levels,
+    run: NodeRun, bars: NodeBars, colours: Array, states: Array, begin: int, end: int, reversed_: bool, probe: Probe,
     records_bar: Array, crew: Crew,
 ) -> None:  # fmt: skip
     """Run the adjoints of substeps end - 1 .. begin.
@@ -158,6 +162,7 @@ def reverse(
         if (step + 1) % substeps == 0 or step == end - 1:
             begin_control(drive, run, colours, control, crew)
         at = NodeStep(control, states[here, 0], states[here, 1], states[after, 1])
+        carry_each_vjp(moves, run, bars, step, crew)
         begin_vjp(conditions, run, bars, at, states[after, 0], reversed_, crew)
         barrier(run.arrivals, crew.n_threads)
         press_each_vjp(pairs, run, bars, at.v, colours, crew)
@@ -165,6 +170,8 @@ def reverse(
         haunt_each_vjp(ghosts, run, bars, crew)
         end_vjp(conditions, run, bars, at, reversed_, crew)
         barrier(run.arrivals, crew.n_threads)
+        if reversed_:
+            bring_back_pairs(moves, run, at.v, step, crew)
         if step % substeps == 0 or step == begin:
             spread_forces_vjp(run, bars, crew)
             if crew.thread == 0:

@@ -20,6 +20,7 @@ from cqrun.engine.model import Inputs, LossBar, Model
 from cqrun.engine.probe import record
 from cqrun.engine.reference.backward import ReferenceBackward
 from cqrun.engine.reference.look import look
+from cqrun.engine.reference.moves import poses, poses_vjp
 from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.reference.step import begin_control
 from cqrun.engine.setting import Crew
@@ -63,6 +64,8 @@ class Equilibrium:
         self.push = np.zeros_like(self.run.push)
         self.still = aligned((self.n_nodes, 4), real)
         self.held, self.free = self._projections()
+        self.one = [np.ones(1) for _ in self.rollout.shares]
+        self.carried = self._carried()
         self._each(lambda crew: begin_control(self.rollout.drive, self.run, self.colours, control, crew))
         self.outside = self.run.outside.copy()
         self.inverse = np.zeros((0, self.dim, self.dim))
@@ -106,7 +109,10 @@ class Equilibrium:
         """Return where the model rests, from a first guess of the displacements (M, 4), or from the rest shape."""
         start = aligned((self.n_nodes, 4), self.run.force.dtype)
         if u is not None:
-            start[...] = self._freed(u)
+            start[...] = u
+        change = self.carried - (start - self._freed(start))
+        if change.any():
+            start += change + self._follow(start, change)
         return find_rest(self, start, self.load(), tolerance)
 
     def load(self) -> float:
@@ -157,7 +163,8 @@ class Equilibrium:
         back = ReferenceBackward(self.rollout, LossBar(final=state_bar), reverses=False)
         if record_bar is not None:
             back._add_record(back.q_bar, record_bar)
-        loss_bar = self._freed(back.q_bar[0])
+        given_bar = back.q_bar[0].copy()
+        loss_bar = self._freed(given_bar)
         back.q_bar[...] = 0.0
         self.linearise(u)
         found = conjugate_gradients(self.product, loss_bar, self.precondition, tolerance, 10 * MOST_PRODUCTS)
@@ -168,7 +175,19 @@ class Equilibrium:
                 self.colours, u, self.still, found.x, self.control, crew,
             )
         )  # fmt: skip
-        return back.inputs_bar(), AdjointSolve(found.iterations, found.converged)
+        bar = back.inputs_bar()
+        held_bar = (given_bar + back.bundle.sums[::2])[
+            :, : self.dim
+        ]  # dL/du of held nodes, directly and through forces
+        for moves in r.moves:
+            there_bar = held_bar[moves.nodes]
+            pose_bar = np.zeros((len(self.one), 1, self.dim + self.dim**2))
+            rows = np.concatenate(
+                [there_bar, np.einsum("hi,hj->hij", there_bar, moves.arm).reshape(len(there_bar), -1)], axis=1
+            )
+            np.add.at(pose_bar[:, 0], moves.plane, rows)
+            bar.moves[...] = poses_vjp(r.model, r.inputs.moves, self.one, pose_bar)
+        return bar, AdjointSolve(found.iterations, found.converged)
 
     def loose_bodies(self) -> dict[str, int]:
         """Return the bodies that nothing holds, by name: in how many ways each can move as a rigid body."""
@@ -193,6 +212,21 @@ class Equilibrium:
         """Run a pass on all threads."""
         n = self.rollout.threads
         self.rollout.team.run(lambda thread: body(Crew(thread, n)))
+
+    def _carried(self) -> Array:
+        """Return where boundaries carry their nodes: the displacement of held nodes (M, 4), zero elsewhere."""
+        out = np.zeros((self.n_nodes, 4))
+        for moves in self.rollout.moves:
+            pose = poses(self.rollout.model, self.rollout.inputs.moves, self.one)[moves.plane, 0]
+            R = pose[:, self.dim :].reshape(-1, self.dim, self.dim)
+            out[moves.nodes, : self.dim] = pose[:, : self.dim] + np.einsum("hij,hj->hi", R, moves.arm)
+        return out
+
+    def _follow(self, u: Array, change: Array) -> Array:
+        """Return how the free nodes follow a change of the held ones, to first order: a good guess for the search."""
+        self.linearise(u)
+        pull = -self.product(change)
+        return conjugate_gradients(self.product, pull, self.precondition, 1e-2, MOST_PRODUCTS).x
 
     def _projections(self) -> tuple[Array, Array]:
         """Return the nodes that boundaries hold (H,), and the projection of each on its free directions (H, D, D)."""
