@@ -33,6 +33,9 @@ from cqrun.numerics.packed import aligned
 from cqrun.plugin.contract import Array
 from cqrun.state import State
 
+TINY_STRAIN = 1e-4
+"""Strain whose forces are the measure of the residual of a body without loads."""
+
 LEAST_BLOCK = 1e-3
 """Least eigenvalue of a node's block of the preconditioner, as a part of the block's largest."""
 
@@ -113,12 +116,24 @@ class Equilibrium:
         change = self.carried - (start - self._freed(start))
         if change.any():
             start += change + self._follow(start, change)
-        return find_rest(self, start, self.load(), tolerance)
+        load = self.load()
+        if change.any():
+            load = max(load, float(np.linalg.norm(self.net(start))))
+        return find_rest(self, start, load, tolerance)
 
     def load(self) -> float:
-        """Return the size of all loads [N]: external forces, and those of active stresses and cables at the rest."""
+        """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
+
+        A body without any load has its residual measured by the forces of a strain of TINY_STRAIN. (Boundaries that carry
+        their nodes load a body, too: `solve` adds what the first guess lacks.)
+        """
         inner = self.net(np.zeros_like(self.outside)) - self._freed(self.outside)
-        return float(np.sqrt((self._freed(self.outside) ** 2).sum() + (inner**2).sum()))
+        load = float(np.sqrt((self._freed(self.outside) ** 2).sum() + (inner**2).sum()))
+        if load > 0.0:
+            return load
+        self.linearise(np.zeros_like(self.outside))
+        stiffness = 1.0 / np.linalg.norm(self.inverse, axis=(1, 2))
+        return float(TINY_STRAIN * self.rollout.model.dx * np.linalg.norm(stiffness))
 
     def state(self, u: Array) -> State:
         """Return the state of the particles at a displacement, at rest."""
