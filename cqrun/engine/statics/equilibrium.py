@@ -124,8 +124,8 @@ class Equilibrium:
     def load(self) -> float:
         """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
 
-        A body without any load has its residual measured by the forces of a strain of TINY_STRAIN. (Boundaries that carry
-        their nodes load a body, too: `solve` adds what the first guess lacks.)
+        A body without any load has its residual measured by the forces of a strain of TINY_STRAIN. (Boundaries that
+        carry their nodes load a body, too: `solve` adds what the first guess lacks.)
         """
         inner = self.net(np.zeros_like(self.outside)) - self._freed(self.outside)
         load = float(np.sqrt((self._freed(self.outside) ** 2).sum() + (inner**2).sum()))
