@@ -28,9 +28,37 @@ WAY_OUT = "use `world.frame: updated`"
 def frame_problems(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> list[Problem]:
     """Return what a scene asks of the reference frame that this frame cannot do."""
     if scene.world.frame != "reference":
-        return []
-    found = [*_contact(scene), *_holds(scene, particles, conditions), *_thin(scene, particles), *_shapes(scene)]
+        found = list(_elsewhere(scene))
+        return [Problem(scene.where(path), path, message) for path, message in found]
+    found = [
+        *_contact(scene),
+        *_holds(scene, particles, conditions),
+        *_thin(scene, particles),
+        *_shapes(scene),
+        *_at_rest(scene),
+    ]
     return [Problem(scene.where(path), path, message) for path, message in found]
+
+
+def _elsewhere(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield what only the reference frame can do."""
+    for name, chosen in scene.boundaries.items():
+        if getattr(chosen.value, "moves", False):
+            yield f"boundaries.{name}.{chosen.name}", "moves in the reference frame alone: set `world.frame: reference`"
+    if scene.start == "equilibrium":
+        yield "start", "is found in the reference frame alone: set `world.frame: reference`"
+
+
+def _at_rest(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield bodies that cannot both start at rest and move."""
+    if scene.start == "equilibrium":
+        for name, body in scene.bodies.items():
+            for key in ("velocity", "spin"):
+                if any(getattr(body, key)):
+                    yield (
+                        f"bodies.{name}.{key}",
+                        "has no effect with `start: equilibrium`, where all bodies start at rest",
+                    )
 
 
 def _contact(scene: Scene) -> Iterator[tuple[str, str]]:

@@ -115,6 +115,7 @@ def build(scene: Scene) -> Built:
         real=np.dtype(scene.precision).type,
         memory_budget=scene.memory,
         frame=scene.world.frame,
+        settled=scene.start == "equilibrium",
         n_nodes=count_nodes(particles.layout, particles.x, scene.world.dx) if scene.world.frame == "reference" else 0,
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))

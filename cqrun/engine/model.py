@@ -91,6 +91,7 @@ class Model:
     forces: tuple[ActuatorModel, ...] = ()  # parts of forces without an activation
     frame: str = "updated"  # of the engine (`frames.py`)
     n_nodes: int = 0  # of all bodies, in the reference frame
+    settled: bool = False  # whether the motion starts at equilibrium
     spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # free memory for states
     at_rest: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)  # what a frame knows of the rest
 

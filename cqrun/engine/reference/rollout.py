@@ -162,7 +162,7 @@ class ReferenceRollout(Rollout):
         self.final = current[0]
         records = Records.from_rows(self.records.copy(), self.model.layout.table)
         final = self.unpack(self.final, self.model.n_controls)
-        sweeps: list[BackwardRun] = [ReferenceBackward(self, bar, reverses=True) for bar in loss_bars(records, final)]
+        sweeps = [self._reversed_backward(bar) for bar in loss_bars(records, final)]
         for sweep in sweeps:
             state = self.final[None].copy()
             for k in reversed(range(len(snapshots))):
@@ -174,6 +174,10 @@ class ReferenceRollout(Rollout):
     def backward(self, loss_bar: LossBar) -> BackwardRun:
         """Return the backward run, from kept states, of the cotangents of the results."""
         return ReferenceBackward(self, loss_bar, reverses=False)
+
+    def _reversed_backward(self, loss_bar: LossBar) -> BackwardRun:
+        """Return the backward run that finds each state from the next."""
+        return ReferenceBackward(self, loss_bar, reverses=True)
 
     def _record_start(self) -> None:
         crew = Crew(0, 1)

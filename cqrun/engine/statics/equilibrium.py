@@ -178,9 +178,14 @@ class Equilibrium:
         back = ReferenceBackward(self.rollout, LossBar(final=state_bar), reverses=False)
         if record_bar is not None:
             back._add_record(back.q_bar, record_bar)
-        given_bar = back.q_bar[0].copy()
+        return self.gradient_of_nodes(u, back.q_bar[0], tolerance)
+
+    def gradient_of_nodes(self, u: Array, u_bar: Array, tolerance: float = 1e-10) -> tuple[Inputs, AdjointSolve]:
+        """Return the cotangent of the inputs at an equilibrium u, from that of its displacements (M, 4)."""
+        self.rollout.final = np.stack([u, self.still])
+        back = ReferenceBackward(self.rollout, LossBar(), reverses=False)
+        given_bar = u_bar.copy()
         loss_bar = self._freed(given_bar)
-        back.q_bar[...] = 0.0
         self.linearise(u)
         found = conjugate_gradients(self.product, loss_bar, self.precondition, tolerance, 10 * MOST_PRODUCTS)
         r = self.rollout
