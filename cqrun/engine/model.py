@@ -31,7 +31,8 @@ class GroupModel:
 
     `kernel_terms` make each term's kernel view from its packed parameters theta. `active` are the kinds of active
     stress, terms whose parameters the activations fill. `history` has each term's fields of the state, or is empty.
-    `shear` returns each term's part of the shear modulus (n,) [Pa] from theta (rows, n), or is empty.
+    `shear` and `wave` return each term's part of the shear modulus and of the stiffness of a pressure wave (n,) [Pa]
+    from theta (rows, n), or are empty.
     """
 
     bodies: tuple[int, ...]
@@ -39,6 +40,7 @@ class GroupModel:
     active: tuple[type, ...] = ()
     history: tuple[tuple[str, ...], ...] = ()
     shear: tuple[Callable[[Array], Array], ...] = ()
+    wave: tuple[Callable[[Array], Array], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,10 @@ class Rollout(ForwardRun):
     def backward(self, loss_bar: LossBar) -> BackwardRun:
         """Return the backward run from the cotangents of the results."""
 
+    def remarks(self) -> list[str]:
+        """Return sentences about what a user should know of the motion so far."""
+        return []
+
     def gradient(self, loss_bar: Callable[[Records, State], LossBar]) -> tuple[Records, Inputs]:
         """Run forward and backward; return the records and the cotangent of the inputs.
 

@@ -53,6 +53,7 @@ def write_predictions(
         rollout = make_rollout(first.built.model, first.inputs(values), threads=threads)
         provenance = as_found(values) | first.comparisons[0].wanted()
         write_trajectory(run.path / "trajectory.h5", first.built, rollout, provenance=provenance)
+        result.findings += rollout.remarks()
     return records
 
 

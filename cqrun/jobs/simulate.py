@@ -119,6 +119,7 @@ class Simulate(Job[Simulation, SimulateResult]):
             result.findings.append(UNTRAINED)
         if agent is not None:
             _add_episode(result, run, agent, rollout, records)
+        result.findings += rollout.remarks()
         for sentence in result.findings:
             talk.warn(sentence)
             run.log(sentence)

@@ -20,6 +20,7 @@ from cqrun.engine.reference.moves import bring_back_pairs, carry_each, carry_eac
 from cqrun.engine.reference.nodes import begin_vjp, end_vjp, kick
 from cqrun.engine.reference.outside import spread_forces, spread_forces_vjp
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
+from cqrun.engine.reference.stretch import watch_stretch
 from cqrun.engine.reference.sweep import press_each, press_each_vjp
 from cqrun.engine.setting import Crew, Drive, Probe
 from cqrun.forces.force import Levels
@@ -85,17 +86,18 @@ def advance(
             if run.stray[0] >= 0:
                 return step + 1
             note(run, states[after, 0], states[after, 1], probe, records[control + 1], crew)
+            if crew.thread == 0:
+                watch_stretch(run, 0, run.stencils.f.shape[0], step + 1)
     return end
 
 
 @kernel
 def note(run: NodeRun, u: Array, v: Array, probe: Probe, row: Array, crew: Crew) -> None:
     """Record a state of the nodes."""
-    if row.shape[1] > 0:
-        look(run, u, v, crew)
-        if crew.thread == 0:
-            record(probe, run.q, row)
-        barrier(run.arrivals, crew.n_threads)
+    look(run, u, v, crew)
+    if crew.thread == 0:
+        record(probe, run.q, row)
+    barrier(run.arrivals, crew.n_threads)
 
 
 @kernel
