@@ -57,6 +57,10 @@ class Held:
         out[self._order] = values
         return out.reshape(self.elements.X.shape)
 
+    def solved(self, solve: Solve, forces: Array) -> Array:
+        """Return the displacement (n, D) [m] that a solver gives for nodal forces (n, D) [N]."""
+        return self.spread(solve(forces.ravel()[self._order]))
+
     def vibration(self, about: Array | None = None) -> tuple[float, Array]:
         """Return the lowest frequency [Hz] of small vibrations about rest, or about a displacement, and its mode (n, D)."""
         K = self._stiffness_at_rest if about is None else self.reduced(self.elements.stiffness(self.material, about))
