@@ -62,9 +62,9 @@ class Elements:
         self.nodes_of = np.asarray(basis.element_dofs.T)
         self.weight = np.asarray(basis.dx)
         shape = self.weight.shape
-        self.N = np.stack([np.broadcast_to(b[0].value, shape) for b in basis.basis], -1)
+        self.N = np.stack([np.broadcast_to(np.asarray(b[0]), shape) for b in basis.basis], -1)
         self.dN = np.stack([np.moveaxis(np.broadcast_to(b[0].grad, (D, *shape)), 0, -1) for b in basis.basis], 2)
-        at = np.moveaxis(np.asarray(basis.global_coordinates().value), 0, -1)
+        at = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         centre, size = at.mean(1, keepdims=True), np.ptp(at, axis=1)[:, None]
         self.q = np.concatenate([np.ones((*shape, 1)), (at - centre) / size], -1)  # pressure functions (e, points, D+1)
         self.q_mass = np.einsum("eq,eqa,eqb->eab", self.weight, self.q, self.q)
