@@ -116,9 +116,9 @@ BOUNCE = Test(
     name="bounce",
     summary=f"block of 3 cm dropped from {100 * DROP:g} cm",
     columns={
-        "rebound": "speed of the centre after the bounce over that before it",
-        "energy_after": "energy after the bounce over that before it",
-        "gap_at_contact": "height of the rest shape's lower face where the floor begins to push, in cells",
+        "rebound": "speed after the bounce over speed before",
+        "energy_after": "energy after the bounce over energy before",
+        "gap_at_contact": "height of the lower face at first contact [cells]",
     },
     ideal={"energy_after": 1.0, "gap_at_contact": 0.0},
     variants=tuple((*LAW, "", factor) for factor in (1, 4, 16)),
@@ -128,7 +128,7 @@ BOUNCE = Test(
 REST = Test(
     name="rest",
     summary="block of 3 cm at rest on a floor",
-    columns={"gap": "height of the lower face above the floor, in cells", "speed": "speed at the end [m/s]"},
+    columns={"gap": "height of the lower face above the floor [cells]", "speed": "speed at the end [m/s]"},
     ideal={"gap": 0.0, "speed": 0.0},
     variants=((*LAW, "", 1),),
     measure=rest,
@@ -138,8 +138,8 @@ INCLINE = Test(
     name="incline",
     summary=f"block of 3 cm on an incline of {ANGLE:g} rad; friction 0.2 (slides) and 0.5 (sticks)",
     columns={
-        "acceleration": "acceleration over g (sin a - mu cos a); sliding alone",
-        "creep": "speed along the incline [m/s]; sticking alone",
+        "acceleration": "over g (sin a - mu cos a), where it slides",
+        "creep": "speed along the incline where it sticks [m/s]",
     },
     ideal={"acceleration": 1.0, "creep": 0.0},
     variants=((*LAW, "slides", 1), (*LAW, "sticks", 1)),

@@ -13,7 +13,12 @@ from cqrun.figures.style import COLOURS, GREY, INK, new_figure, note, save, styl
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MARKS = {"updated": ("o", "-"), "reference": ("s", "--")}
+STYLES = {"updated": "-", "reference": "--"}
+MARKERS = {"1": "o", "4": "^", "16": "v"}
+"""Style of a line by its frame, marker by its factor on the substeps; its colour is that of its law, nu and case."""
+
+BODY = ("law", "poissons_ratio", "case")
+
 MOST_COLUMNS = 3
 """Largest number of axes side by side."""
 
@@ -50,16 +55,18 @@ def _column(ax: Axes, test: Test, name: str, rows: Sequence[Mapping[str, str]]) 
     lines: dict[tuple[str, ...], list[tuple[int, float]]] = {}
     for row in rows:
         if row.get(name):
-            variant = tuple(row[key] for key in ("frame", "law", "poissons_ratio", "case", "substeps"))
+            variant = tuple(row[key] for key in ("frame", *BODY, "substeps"))
             lines.setdefault(variant, []).append((int(row["cells"]), float(row[name])))
-    colours = {variant: COLOURS[k % len(COLOURS)] for k, variant in enumerate(dict.fromkeys(v[1:] for v in lines))}
-    for variant, points in sorted(lines.items(), reverse=True):
+    bodies = list(dict.fromkeys(tuple(row[key] for key in BODY) for row in rows))
+    for variant, points in lines.items():
         frame, law, nu, case, substeps = variant
-        marker, style = MARKS.get(frame, ("^", ":"))
         what = " ".join([frame, law.replace("_", " "), f"nu {nu}", case]).strip()
         cells, values = zip(*sorted(points), strict=True)
-        label = what + (f", substeps x {substeps}" if substeps != "1" else "")
-        ax.plot(cells, values, style, marker=marker, markersize=3.5, color=colours[variant[1:]], label=label)
+        ax.plot(
+            cells, values, STYLES.get(frame, ":"), marker=MARKERS.get(substeps, "D"), markersize=4,
+            color=COLOURS[bodies.index((law, nu, case)) % len(COLOURS)],
+            label=what + (f", substeps x {substeps}" if substeps != "1" else ""),
+        )  # fmt: skip
     if name in test.ideal:
         ax.axhline(test.ideal[name], color=GREY, linewidth=0.8, linestyle=":")
     ax.set_xscale("log", base=2)
@@ -67,4 +74,4 @@ def _column(ax: Axes, test: Test, name: str, rows: Sequence[Mapping[str, str]]) 
     ax.set_xticks(ticks, [str(tick) for tick in ticks])
     ax.set_xlabel("cells across")
     ax.set_title(name.replace("_", " "), pad=15)
-    note(ax, test.columns[name] if len(test.columns[name]) < 58 else test.columns[name][:55] + " ...")
+    note(ax, test.columns[name])

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
+from functools import cache
+from pathlib import Path
 from typing import Any
+
+REFERENCES = Path(__file__).with_name("references.json")
+
+
+@cache
+def references() -> dict[str, Any]:
+    """Return what references.json contains."""
+    contents: dict[str, Any] = json.loads(REFERENCES.read_text())
+    return contents
 
 
 @dataclass(frozen=True, order=True)

@@ -13,7 +13,6 @@ import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,10 +20,14 @@ import numpy as np
 from benchmarks.convergence.cantilever import HEIGHT, LENGTH, STANDARD_GRAVITY, WIDTH, Cantilever
 from benchmarks.convergence.elements import Material
 from benchmarks.convergence.laws import LAWS
+from benchmarks.convergence.points import REFERENCES
 from benchmarks.convergence.swing_fem import swing
+from benchmarks.convergence.turning_bar import HEIGHT as THICK
+from benchmarks.convergence.turning_bar import LENGTH as LONG
+from benchmarks.convergence.turning_bar import SPIN
+from benchmarks.convergence.turning_fem import turning_bar
 from cqrun.store.atomic import write_json
 
-OUT = Path(__file__).with_name("references.json")
 COMMAND = "python -m benchmarks.convergence.references"
 YOUNGS_MODULUS, DENSITY = 3.0e5, 1070.0
 POISSONS_RATIOS = (0.3, 0.45, 0.49, 0.499)
@@ -37,6 +40,7 @@ DEFINITIONS = {
     "sag_10g": "the same under 10 g [m]",
     "swing_1g": f"let go undeformed under 1 g: frequency over that of small vibrations, and mean height of the end face "
     f"over its height at rest, of a damped sine fitted to {SWUNG_PERIODS:g} periods",
+    "turning_bar": "free bar that starts undeformed at 60 rad/s and turns steadily: stretch of its positions and of F",
     "error": "relative difference of the value (finest mesh) from the one or two meshes before",
 }
 
@@ -44,14 +48,17 @@ Mesh = tuple[int, ...]
 MESHES: dict[tuple[int, str], tuple[Mesh, ...]] = {
     (2, "frequency"): ((16, 8), (24, 12), (32, 16), (48, 24)),
     (2, "sag_1g"): ((16, 8), (24, 12), (32, 16), (48, 24)),
-    (2, "sag_10g"): ((24, 12), (32, 16), (40, 20)),
+    (2, "sag_10g"): ((24, 12), (32, 16), (40, 20), (48, 24)),
     (2, "swing_1g"): ((6, 4), (9, 6)),
     (3, "frequency"): ((12, 8, 2), (18, 10, 3), (24, 12, 3)),
     (3, "sag_1g"): ((12, 8, 2), (18, 10, 3), (24, 12, 3)),
     (3, "sag_10g"): ((9, 6, 2), (12, 8, 2), (12, 8, 3)),
     (3, "swing_1g"): ((4, 2, 1), (6, 4, 1)),
+    (2, "turning_bar"): ((8, 2), (16, 4)),
+    (3, "turning_bar"): ((4, 1, 1), (8, 2, 2)),
 }
-"""Elements along the length, through the height and through half the width, from coarse to fine."""
+"""Elements along the length, through the height and through half the width, from coarse to fine; for the turning
+bar, along half of each edge."""
 
 CREASED = {"sag_10g"}
 """Quantities whose error compares three meshes: creases at the clamp's edges change from mesh to mesh."""
@@ -90,6 +97,9 @@ def points() -> Iterator[Point]:
 def measure(point: Point) -> dict[str, Any]:
     """Return the row of a point: `value`, its components by name."""
     material = Material(LAWS[point.law], YOUNGS_MODULUS, point.poissons_ratio, DENSITY)
+    if point.quantity == "turning_bar":
+        steady = turning_bar(material, [LONG, *[THICK] * (point.dim - 1)], SPIN, point.mesh)
+        return {"value": {"stretch": steady.stretch, "stretch_of_F": steady.stretch_of_F}}
     beam = Cantilever(point.dim, point.mesh, material, grading=GRADING)
     return {"value": MEASURES[point.quantity](beam), "unknowns": int(beam.held.free.sum())}
 
@@ -144,7 +154,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=float("inf"), help="start no row after this time")
     parser.add_argument("--only", default="", help="rows whose name contains this text, such as 2D or sag_1g")
     options = parser.parse_args()
-    rows = json.loads(OUT.read_text())["rows"] if OUT.exists() else {}
+    rows = json.loads(REFERENCES.read_text())["rows"] if REFERENCES.exists() else {}
     start = time.monotonic()
     for point in points():
         if point.name in rows or options.only not in point.name:
@@ -157,7 +167,7 @@ def main() -> None:
         except RuntimeError as error:
             rows[point.name] = {"failed": str(error)}
         print(point.name, rows[point.name], flush=True)
-        write_json(OUT, contents(rows))
+        write_json(REFERENCES, contents(rows))
 
 
 def contents(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
