@@ -25,8 +25,8 @@ REST_DAMPING = 20.0
 
 
 def _block_on_floor(
-    point: Point, gap: float, floor: dict[str, Any], seconds: float, frames: int, run_out: float = 0.0, angle: float = 0.0,
-    **sections: Any,
+    point: Point, gap: float, floor: dict[str, Any], seconds: float, frames: int, run_out: float = 0.0,
+    angle: float = 0.0, **sections: Any,
 ) -> Built:  # fmt: skip
     """Build a block above the floor of the world, which is the plane of its lowest nodes.
 
@@ -72,7 +72,7 @@ def bounce(point: Point) -> Measured:
 
 
 def rest(point: Point) -> Measured:
-    """Let the block come to rest on the floor; the gap is that of its lower face, half a spacing under its particles."""
+    """Let the block come to rest on the floor; the gap is that of its lower face, half a spacing below particles."""
     dx = SIDE / point.cells
     loads = {"air": {"damping": {"rate": REST_DAMPING}}}
     built = _block_on_floor(point, 2.0 * dx, {"separate": {"face": _face(point.dim)}}, 1.5, 150, loads=loads)

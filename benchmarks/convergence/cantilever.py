@@ -1,7 +1,7 @@
 """The clamped beam of the convergence tables as a finite-element problem: its first frequency, and its sag.
 
-The beam occupies 0 <= x <= L, 0 <= z <= H and, in 3D, |y| <= W/2. It is clamped at x = 0, and gravity acts along -z. In 2D
-(axes x, z) it is in plane strain. In 3D the half y >= 0 is solved, with u_y = 0 on the plane y = 0.
+The beam occupies 0 <= x <= L, 0 <= z <= H and, in 3D, |y| <= W/2. It is clamped at x = 0, and gravity acts along -z.
+In 2D (axes x, z) it is in plane strain. In 3D the half y >= 0 is solved, with u_y = 0 on the plane y = 0.
 """
 
 from __future__ import annotations

@@ -12,7 +12,6 @@ quadrature and numbering.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix

@@ -62,7 +62,11 @@ class Held:
         return self.spread(solve(forces.ravel()[self._order]))
 
     def vibration(self, about: Array | None = None) -> tuple[float, Array]:
-        """Return the lowest frequency [Hz] of small vibrations about rest, or about a displacement, and its mode (n, D)."""
+        """Return the lowest frequency [Hz] of small vibrations, and its mode (n, D).
+
+        Args:
+            about: displacement (n, D) [m] in equilibrium; the undeformed body if None.
+        """
         K = self._stiffness_at_rest if about is None else self.reduced(self.elements.stiffness(self.material, about))
         M = self.reduced(self.elements.mass(self.material.density))
         inverse = LinearOperator(K.shape, matvec=factorised(K), dtype=float)
@@ -90,7 +94,7 @@ class Held:
         return u
 
     def _minimum(self, u: Array, load: Array) -> Array | None:
-        """Return the minimum of energy - load . u that a descent from u reaches; None after `MOST_STEPS` without one."""
+        """Return the minimum of energy - load . u that a descent from u reaches; None if `MOST_STEPS` find none."""
         for _ in range(MOST_STEPS):
             downhill = (load - self.elements.forces(self.material, u)).ravel()[self._order]
             solve, exact = self._solver(u)

@@ -5,8 +5,8 @@ Each energy is a part in the shear modulus mu and a part in lam that depends on 
     fixed corotated    W = mu |F - R|^2                    + lam/2 (J - 1)^2      (Stomakhin et al. 2012)
     neo-Hookean        W = mu/2 (tr F F^T - D - 2 log J)   + lam/2 (log J)^2      (CQ2 eq 13)
 
-The two parts are kept apart, because the mixed elements project g(J) = J - 1 or log J before they square it. In 2D, F is
-the 2 x 2 block of a plane strain. `...` in a shape is any batch of points.
+The two parts are kept apart, because the mixed elements project g(J) = J - 1 or log J before they square it. In 2D, F
+is the 2 x 2 block of a plane strain. `...` in a shape is any batch of points.
 """
 
 from __future__ import annotations

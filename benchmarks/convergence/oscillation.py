@@ -54,7 +54,8 @@ def fit_oscillation(time: Array, signal: Array, frequency: float) -> Oscillation
     def rest(p: Array) -> Array:
         return np.asarray((basis(p) @ amplitudes(p) - signal) / np.std(signal))
 
-    found = least_squares(rest, [1.0, 0.0], x_scale=[1.0, 0.1], bounds=([0.2, -0.9], [5.0, 0.9]), xtol=1e-14, ftol=1e-14)
+    bounds = ([0.2, -0.9], [5.0, 0.9])
+    found = least_squares(rest, [1.0, 0.0], x_scale=[1.0, 0.1], bounds=bounds, xtol=1e-14, ftol=1e-14)
     mean, a, b = amplitudes(found.x)
     size = float(np.hypot(a, b))
     error = float(np.sqrt(np.mean(found.fun**2)) * np.std(signal) / size)

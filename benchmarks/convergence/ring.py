@@ -1,4 +1,4 @@
-"""A thick ring under inner pressure, in plane strain and at small strains (Lame 1852; Timoshenko and Goodier 1970, 28)."""
+"""A thick ring under inner pressure: plane strain, small strains (Lame 1852; Timoshenko and Goodier 1970, art. 28)."""
 
 from __future__ import annotations
 

@@ -97,6 +97,24 @@ def test_the_surface_under_a_contact_is_flat():
     assert drop == pytest.approx((0.6 * a) ** 2 / (2 * line.radius), rel=1e-3)
 
 
+def test_the_approach_of_a_disc_is_the_sum_of_its_strains():
+    """Johnson 1985, eqs 5.54 and 5.55: stresses under the contact, along the line to the disc's centre.
+
+    The disc is loaded by the same force on its far side. The formula drops terms of order (a / R)^2.
+    """
+    line = LineContact(0.02, 3e5, 0.3, 2.0)
+    a, R, P, nu = line.half_width, line.radius, line.force, line.poissons_ratio
+
+    def strain(z: float) -> float:
+        root = np.sqrt(a**2 + z**2)
+        across = P / np.pi * (1 / R - 2 * (a**2 + 2 * z**2) / (a**2 * root) + 4 * z / a**2)
+        along = P / np.pi * (1 / R - 2 / (2 * R - z) - 2 / root)
+        return float((1 - nu**2) / line.youngs_modulus * (along - nu / (1 - nu) * across))
+
+    assert a / R < 0.03
+    assert -quad(strain, 0.0, R, points=[a], epsrel=1e-10)[0] == pytest.approx(line.approach, rel=2e-3)
+
+
 def test_contacts_grow_with_the_force_as_hertz_says():
     line, ball = LineContact(0.02, 3e5, 0.45, 20.0), BallContact(0.02, 3e5, 0.45, 0.2)
     assert replace(line, force=80.0).half_width == pytest.approx(2.0 * line.half_width)

@@ -11,7 +11,10 @@ from benchmarks.convergence.cantilever import LENGTH, STANDARD_GRAVITY, Cantilev
 from benchmarks.convergence.elastica import elastica, plate_stiffness
 from benchmarks.convergence.elements import Elements, Material, graded, graded_to_both_ends
 from benchmarks.convergence.laws import LAWS, cofactor, cofactor_derivative, lame
+from benchmarks.convergence.points import references
+from benchmarks.convergence.references import Point, measure
 from benchmarks.convergence.swing_fem import swing
+from benchmarks.convergence.turning_fem import turning_bar
 from cqrun.materials import fixed_corotated, neo_hookean
 
 E, RHO = 3.0e5, 1070.0
@@ -60,10 +63,9 @@ def test_derivatives_of_the_laws(dim, law, rng):
     change = (cofactor(F + h * dF) - cofactor(F - h * dF)) / (2 * h)
     np.testing.assert_allclose(np.einsum("eijkl,ekl->eij", cofactor_derivative(F), dF), change, atol=1e-7)
     J = np.linalg.det(F)
-    value, slope, curve = LAWS[law].volume(J)
-    up, down = LAWS[law].volume(J + h), LAWS[law].volume(J - h)
-    np.testing.assert_allclose([slope, curve], [(u - d) / (2 * h) for u, d in zip(up[:2], down[:2], strict=True)], atol=1e-7)
-    assert value.shape == J.shape
+    (_, slope, curve), up, down = (LAWS[law].volume(at) for at in (J, J + h, J - h))
+    np.testing.assert_allclose(slope, (up[0] - down[0]) / (2 * h), rtol=1e-7)
+    np.testing.assert_allclose(curve, (up[1] - down[1]) / (2 * h), rtol=1e-6, atol=1e-9)
 
 
 @DIM
@@ -87,7 +89,7 @@ def test_a_uniform_strain_needs_no_force_inside(dim, law, rng):
     """The patch test, at finite strain."""
     body, material = little(dim), Material(LAWS[law], 1.0, 0.45, 1.0)
     forces = body.forces(material, body.X @ (0.2 * rng.normal(size=(dim, dim))))
-    inside = np.all((body.X > 1e-9) & (body.X < body.X.max(0) - 1e-9), axis=1)
+    inside = np.all(np.abs(body.X / body.X.max(0) - 0.5) < 0.499, axis=1)
     assert inside.sum() > 5
     assert np.abs(forces[inside]).max() < 1e-13 * np.abs(forces).max()
 
@@ -164,10 +166,33 @@ def test_a_load_that_creases_the_clamped_edge_still_finds_a_minimum():
 
 
 def test_a_small_swing_is_the_linear_vibration_about_the_sag():
-    """0.01 g: frequency and mean to 2e-4 and 3e-3 (the second mode is in the signal), no damping."""
+    """0.01 g: frequency to 2e-4, mean to 3e-3, damping ratio to 3e-4.
+
+    The second mode, 1.6 % of the signal, is not in the fit. Over three periods it can feign a ratio of
+    0.016 / (2 pi 3) = 8e-4.
+    """
     beam = Cantilever(2, (4, 2), Material(LAWS["neo_hookean"], E, 0.3, RHO), grading=1.5)
     found = swing(beam, 0.01 * STANDARD_GRAVITY, 3.0)
     rest = beam.tip(beam.sag(0.01 * STANDARD_GRAVITY)).mean[-1]
     assert found.frequency == pytest.approx(beam.frequency(), rel=2e-4)
     assert found.mean == pytest.approx(rest, rel=3e-3)
-    assert abs(found.damping_ratio) < 5e-5
+    assert abs(found.damping_ratio) < 3e-4
+
+
+@DIM
+def test_a_thin_bar_that_turns_slowly_stretches_as_the_theory_says(dim):
+    """1 + rho w^2 L^2 / (10 E), in plane strain with E / (1 - nu^2); 0.5 % of the strain for a bar 20 times as long."""
+    spin, nu = 6.0, 0.3
+    size, counts = [LENGTH, *[LENGTH / 20] * (dim - 1)], [16, *[1] * (dim - 1)]
+    found = turning_bar(Material(LAWS["neo_hookean"], E, nu, RHO), size, spin, counts)
+    strain = RHO * spin**2 * LENGTH**2 / (10 * E) * (1 - nu**2 if dim == 2 else 1)
+    assert found.stretch - 1 == pytest.approx(strain, rel=5e-3)
+    assert found.stretch_of_F - 1 == pytest.approx(strain * 5 / 6, rel=5e-3)
+    assert spin / found.spin == pytest.approx(1 + 2 * strain, abs=2 * strain * 5e-3)
+
+
+@pytest.mark.parametrize(("quantity", "mesh"), [("frequency", (16, 8)), ("sag_1g", (16, 8)), ("turning_bar", (8, 2))])
+def test_rows_of_the_references_are_what_the_command_computes(quantity, mesh):
+    point = Point(2, "fixed_corotated", 0.3, quantity, mesh)
+    row = references()["rows"][point.name]["value"]
+    assert measure(point)["value"] == pytest.approx(row, rel=1e-6)

@@ -93,6 +93,11 @@ def test_points_are_distinct_and_columns_explained():
         assert max(map(len, test.columns.values())) <= 52
 
 
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def never(point: Point) -> dict[str, float]:
     raise AssertionError("measured again")
 
@@ -108,11 +113,11 @@ def little(measure) -> Test:
 def test_the_table_keeps_its_rows(tmp_path, monkeypatch, capsys):
     """The command writes a row for each point, and a second command measures only what is missing."""
     out = tmp_path / "table.csv"
-    command = ["convergence", "--frames", "updated", "--out", str(out), "--pictures", str(tmp_path), "--tests", "little"]
+    command = ["convergence", "--frames", "updated", "--out", str(out), "--pictures", str(tmp_path)]
     monkeypatch.setattr(harness, "TESTS", (little(told(2.0)),))
     monkeypatch.setattr(sys, "argv", [*command, "--cells", "4", "2"])
     harness.main()
-    rows = list(csv.DictReader(out.open()))
+    rows = read(out)
     assert [(row["cells"], row["a"], row["b"], row["note"]) for row in rows] == [("2", "4", "", ""), ("4", "8", "", "")]
     assert (tmp_path / "little_2d.png").stat().st_size > 1000
     monkeypatch.setattr(harness, "TESTS", (little(never),))
@@ -120,7 +125,7 @@ def test_the_table_keeps_its_rows(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(harness, "TESTS", (little(told(3.0)),))
     monkeypatch.setattr(sys, "argv", [*command, "--cells", "8", "2"])
     harness.main()
-    assert [row["a"] for row in csv.DictReader(out.open())] == ["4", "8", "24"]
+    assert [row["a"] for row in read(out)] == ["4", "8", "24"]
     assert "little updated 2 neo_hookean 0.3  8 1: a 24" in capsys.readouterr().out
 
 
@@ -134,10 +139,10 @@ def test_again_replaces_rows_of_another_engine(tmp_path, monkeypatch):
     command = ["convergence", "--frames", "updated", "--cells", "2", "--out", str(out), "--pictures", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", command)
     harness.main()
-    assert [row["a"] for row in csv.DictReader(out.open())] == ["1"]
+    assert [row["a"] for row in read(out)] == ["1"]
     monkeypatch.setattr(sys, "argv", [*command, "--again"])
     harness.main()
-    assert [row["a"] for row in csv.DictReader(out.open())] == ["4"]
+    assert [row["a"] for row in read(out)] == ["4"]
 
 
 def test_a_table_of_another_kind_is_refused(tmp_path):
@@ -163,27 +168,22 @@ def test_a_block_at_rest_is_measured(tmp_path, monkeypatch):
     command = ["convergence", "--frames", "updated", "--tests", "rest", "incline", "--cells", "2", "--out", str(out)]
     monkeypatch.setattr(sys, "argv", [*command, "--pictures", str(tmp_path)])
     harness.main()
-    rest, slides, sticks = csv.DictReader(out.open())
+    rest, slides, sticks = read(out)
     assert 0.9 < float(rest["gap"]) < 1.05
     assert float(slides["acceleration"]) == pytest.approx(1.0, abs=2e-3)
     assert slides["creep"] == sticks["acceleration"] == ""
 
 
-def committed() -> list[dict[str, str]]:
-    with Path(harness.OUT).open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def test_the_committed_table_has_the_updated_frame():
     rows = {tuple(row[key] for key in ("test", "frame", "dim", "law", "poissons_ratio", "case", "cells", "substeps"))
-            for row in committed()}  # fmt: skip
+            for row in read(harness.OUT)}  # fmt: skip
     wanted = {p.key for test in harness.TESTS for cells in (2, 4, 8) for p in test.points("updated", 2, cells)}
     assert wanted <= rows
 
 
 def test_the_committed_table_says_what_the_updated_frame_does():
     """Numerical damping grows as the substep shrinks; F follows the reference and positions creep; a gap of a cell."""
-    rows = [row for row in committed() if (row["frame"], row["dim"]) == ("updated", "2")]
+    rows = [row for row in read(harness.OUT) if (row["frame"], row["dim"]) == ("updated", "2")]
     damping = {
         (row["poissons_ratio"], row["cells"], row["substeps"]): float(row["damping_ratio"])
         for row in rows if row["test"] == "swing" and row["law"] == "fixed_corotated"
