@@ -19,7 +19,7 @@ from benchmarks.convergence import block_tests, cantilever_swing, turning_bar
 from benchmarks.convergence.plots import draw
 from benchmarks.convergence.points import Point, Test
 from benchmarks.convergence.table import Table
-from benchmarks.convergence.worlds import knows_frames
+from benchmarks.convergence.worlds import frames_of_this_version
 from cqrun.errors import RolloutError, SceneError
 from cqrun.fingerprint import engine_hash
 from cqrun.optimizers.base import one_blas_thread
@@ -34,11 +34,12 @@ FRAMES = ("updated", "reference")
 
 def known_frames(wanted: list[str]) -> Iterator[str]:
     """Yield the wanted frames that scenes of this version can have; say which are skipped."""
+    known = frames_of_this_version()
     for frame in wanted:
-        if frame == "updated" or knows_frames():
+        if frame in known:
             yield frame
         else:
-            print(f"frame {frame}: skipped, because scenes of this version have no `world.frame`")
+            print(f"frame {frame}: skipped, because this version has only {', '.join(known)}")
 
 
 def measure(test: Test, point: Point, table: Table) -> None:

@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -32,9 +32,10 @@ class Block:
     size: tuple[float, ...]
 
 
-def knows_frames() -> bool:
-    """Return whether scenes of this version have the key `world.frame`."""
-    return "frame" in World.model_fields
+def frames_of_this_version() -> tuple[str, ...]:
+    """Return the values that `world.frame` can have; `updated` is the only frame of a version without this key."""
+    field = World.model_fields.get("frame")
+    return ("updated",) if field is None else get_args(field.annotation)
 
 
 def scene(point: Point, block: Block, world: Mapping[str, Any], **sections: Any) -> dict[str, Any]:
@@ -44,7 +45,7 @@ def scene(point: Point, block: Block, world: Mapping[str, Any], **sections: Any)
         world: section `world`, without the frame.
         sections: further sections; `body` holds further keys of the body.
     """
-    frame = {"frame": point.frame} if knows_frames() else {}
+    frame = {"frame": point.frame} if "frame" in World.model_fields else {}
     elastic = {point.law: {"youngs_modulus": YOUNGS_MODULUS, "poissons_ratio": point.poissons_ratio}}
     body = {
         "shape": {"box": {"corner": list(block.corner), "size": list(block.size)}},
