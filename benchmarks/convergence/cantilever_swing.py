@@ -89,4 +89,5 @@ TEST = Test(
         ("neo_hookean", 0.45, "", 1),
     ),
     measure=measure,
+    decades=("damping_ratio",),
 )

@@ -69,6 +69,8 @@ def _column(ax: Axes, test: Test, name: str, rows: Sequence[Mapping[str, str]]) 
         )  # fmt: skip
     if name in test.ideal:
         ax.axhline(test.ideal[name], color=GREY, linewidth=0.8, linestyle=":")
+    if name in test.decades:
+        ax.set_yscale("symlog", linthresh=1e-5)
     ax.set_xscale("log", base=2)
     ticks = sorted({int(row["cells"]) for row in rows})
     ax.set_xticks(ticks, [str(tick) for tick in ticks])

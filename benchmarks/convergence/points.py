@@ -66,6 +66,7 @@ class Test:
         ideal: values of columns that an exact simulation has.
         variants: (law, nu, case, factor on the substeps), for each number of cells.
         measure: runs the scene of a point and returns its columns.
+        decades: columns that are drawn over decades, with zero.
     """
 
     __test__ = False  # pytest must not take the class for a test
@@ -76,6 +77,7 @@ class Test:
     ideal: Mapping[str, float]
     variants: tuple[tuple[str, float, str, int], ...]
     measure: Callable[[Point], Measured]
+    decades: tuple[str, ...] = ()
 
     def points(self, frame: str, dim: int, cells: int) -> Iterator[Point]:
         """Yield the points of a frame, a dimension and a number of cells."""
