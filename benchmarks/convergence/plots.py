@@ -19,6 +19,9 @@ MARKERS = {"1": "o", "4": "^", "16": "v"}
 
 BODY = ("law", "poissons_ratio", "case")
 
+LINEAR = 1e-5
+"""Size below which an axis over decades is linear, so that it can show zero."""
+
 MOST_COLUMNS = 3
 """Largest number of axes side by side."""
 
@@ -70,7 +73,11 @@ def _column(ax: Axes, test: Test, name: str, rows: Sequence[Mapping[str, str]]) 
     if name in test.ideal:
         ax.axhline(test.ideal[name], color=GREY, linewidth=0.8, linestyle=":")
     if name in test.decades:
-        ax.set_yscale("symlog", linthresh=1e-5)
+        ax.set_yscale("symlog", linthresh=LINEAR)
+        ax.set_ylim(bottom=min(-LINEAR, *(value for points in lines.values() for _, value in points)))
+        ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    else:
+        ax.ticklabel_format(axis="y", useOffset=False)
     ax.set_xscale("log", base=2)
     ticks = sorted({int(row["cells"]) for row in rows})
     ax.set_xticks(ticks, [str(tick) for tick in ticks])
