@@ -87,14 +87,7 @@ class RestGeometry:
 
     def points(self, columns: Array) -> Points:
         """Return the points at the particles in these kernel columns (P,)."""
-        node, weight = self.weights(columns)
-        flat, shares = node.reshape(-1), weight.reshape(-1)
-        order = np.lexsort((np.arange(len(flat)), flat))
-        nodes, begin = np.unique(flat[order], return_index=True)
-        return Points(
-            columns.astype(np.int64), node, weight, nodes.astype(np.int64),
-            np.append(begin, len(flat)).astype(np.int64), (order // node.shape[1]).astype(np.int64), shares[order],
-        )  # fmt: skip
+        return make_points(columns, *self.weights(columns))
 
     def weights(self, columns: Array) -> tuple[Array, Array]:
         """Return the nodes of the stencils of kernel columns, and their weights, (P, 3^D) each."""
@@ -106,6 +99,17 @@ class RestGeometry:
             node = (node[:, :, None] + steps).reshape(len(columns), 3 ** (axis + 1))
             weight = (weight[:, :, None] * each[:, axis, None, :]).reshape(len(columns), 3 ** (axis + 1))
         return node.astype(np.int64), weight
+
+
+def make_points(columns: Array, node: Array, weight: Array) -> Points:
+    """Return points from the particles' columns (P,), and the nodes and weights (P, 3^D) of the points."""
+    flat, shares = node.reshape(-1), weight.reshape(-1)
+    order = np.lexsort((np.arange(len(flat)), flat))
+    nodes, begin = np.unique(flat[order], return_index=True)
+    return Points(
+        columns.astype(np.int64), node, weight, nodes.astype(np.int64),
+        np.append(begin, len(flat)).astype(np.int64), (order // node.shape[1]).astype(np.int64), shares[order],
+    )  # fmt: skip
 
 
 def rest_geometry(model: Model, x: Array) -> RestGeometry:
