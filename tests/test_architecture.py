@@ -120,7 +120,9 @@ def test_imports_go_downward_and_in_no_circle_file_by_file(sources):
 
 MUTATIONS = {
     "upward": ("cqrun.engine.updated.step", "import cqrun.jobs.sysid\n", "floor 2 imports cqrun.jobs.sysid"),
-    "upward, relative": ("cqrun.engine.updated.step", "from ...jobs import sysid\n", "floor 2 imports cqrun.jobs.sysid"),
+    "upward, relative": (
+        "cqrun.engine.updated.step", "from ...jobs import sysid\n", "floor 2 imports cqrun.jobs.sysid",
+    ),
     "upward, in a function": (
         "cqrun.store.run", "def f():\n    from cqrun.running import runs\n", "floor 3 imports cqrun.running.runs",
     ),

@@ -86,7 +86,7 @@ def test_a_source_of_fitting_changes_the_hash_of_the_engine_but_not_of_its_kerne
 
 def test_a_new_and_a_renamed_source_change_the_hash(package):
     before = fingerprint.source_hash(package, VERSIONS)
-    (package / "engine" / "step.py").rename(package / "engine" / "stride.py")
+    (package / "engine" / "updated" / "step.py").rename(package / "engine" / "updated" / "stride.py")
     renamed = fingerprint.source_hash(package, VERSIONS)
     (package / "engine" / "more.py").write_text("")
     assert len({before, renamed, fingerprint.source_hash(package, VERSIONS)}) == 3

@@ -182,7 +182,8 @@ def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[Gro
         makers = tuple(spec.kernel_term for spec in specs)
         active = dict.fromkeys(part.model.kernel for part in parts if part.spec.body in names)
         history = tuple(tuple(field.name for field in fields_of(spec, scene.dim)) for spec in specs)
-        groups.append(GroupModel(tuple(indices), makers, tuple(active), history))
+        shear = tuple(spec.shear_modulus for spec in specs)
+        groups.append(GroupModel(tuple(indices), makers, tuple(active), history, shear))
     return tuple(groups)
 
 

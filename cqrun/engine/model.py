@@ -32,12 +32,14 @@ class GroupModel:
 
     `kernel_terms` make each term's kernel view from its packed parameters theta. `active` are the kinds of active
     stress, terms whose parameters the activations fill. `history` has each term's fields of the state, or is empty.
+    `shear` returns each term's part of the shear modulus (n,) [Pa] from theta (rows, n), or is empty.
     """
 
     bodies: tuple[int, ...]
     kernel_terms: tuple[Callable[[Array], Any], ...]
     active: tuple[type, ...] = ()
     history: tuple[tuple[str, ...], ...] = ()
+    shear: tuple[Callable[[Array], Array], ...] = ()
 
 
 @dataclass(frozen=True)

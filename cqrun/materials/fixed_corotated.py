@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, NamedTuple
 
-from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus
+from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus, shear_modulus
 from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
 from cqrun.numerics.polar import polar, polar_vjp
 from cqrun.numerics.tensor import (
@@ -51,6 +51,7 @@ class FixedCorotated(MaterialTerm):
         return FixedCorotatedKernel(theta, (0, 0))
 
     wave_modulus = staticmethod(p_wave_modulus)
+    shear_modulus = staticmethod(shear_modulus)
 
 
 def stress(term: Any, theta: Any, F: Any, C: Any) -> Any:

@@ -28,3 +28,8 @@ def p_wave_modulus(theta: Array) -> Array:
     """Return lam + 2 mu [Pa] for rows E, nu of theta (2, n)."""
     mu, lam = lame(theta[0], theta[1])
     return lam + 2.0 * mu
+
+
+def shear_modulus(theta: Array) -> Array:
+    """Return mu [Pa] for rows E, nu of theta (2, n)."""
+    return lame(theta[0], theta[1])[0]

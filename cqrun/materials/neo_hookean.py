@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, NamedTuple
 
-from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus
+from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus, shear_modulus
 from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
 from cqrun.numerics.lanes import log
 from cqrun.numerics.tensor import add, cofactor, det, inner, mul, mul_at, mul_bt, plus_diagonal, scale, trace
@@ -40,6 +40,7 @@ class NeoHookean(MaterialTerm):
         return NeoHookeanKernel(theta, (0, 0))
 
     wave_modulus = staticmethod(p_wave_modulus)
+    shear_modulus = staticmethod(shear_modulus)
 
 
 def stress(term: Any, theta: Any, F: Any, C: Any) -> Any:

@@ -66,6 +66,11 @@ class MaterialTerm(Plugin):
         return np.zeros(theta.shape[1])
 
     @staticmethod
+    def shear_modulus(theta: Array) -> Array:
+        """Return the term's part of the shear modulus mu at rest [Pa], shape (n,); theta may be complex."""
+        return theta[0] * 0.0
+
+    @staticmethod
     def wave_viscosity(theta: Array) -> Array:
         """Return the term's part of 4/3 eta + zeta [Pa s], shape (n,)."""
         return np.zeros(theta.shape[1])

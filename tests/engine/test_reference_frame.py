@@ -15,12 +15,18 @@ from cqrun.boundaries.slip import Slip
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel, LossBar, Records
+from cqrun.engine.reference.ghost import THIRD
 from cqrun.errors import RolloutError
+from cqrun.materials.lame import shear_modulus
+from cqrun.materials.term import MaterialTerm
 
 DOT_PRODUCT = 1e-9
 TINY = 1e-30
 ELASTIC = (TERMS[0], TERMS[1], TERMS[3])
 """The terms that do not depend on rates."""
+
+SHEAR = (shear_modulus, shear_modulus, MaterialTerm.shear_modulus, MaterialTerm.shear_modulus)
+"""The shear modulus of each of TERMS."""
 
 SLOW = {"viscosity.shear", "viscosity.bulk"}
 UNKNOWN = {"x", "F", "friction"}
@@ -35,7 +41,8 @@ def held(dim, *, viscous=True, seed=0, **options):
     inputs.state.F[...] = np.eye(dim)
     if not viscous:
         inputs.terms[0][2][...] = 0.0
-    return replace(model, conditions=tuple(walls), frame="reference"), inputs
+    groups = (replace(model.groups[0], shear=SHEAR),)
+    return replace(model, conditions=tuple(walls), groups=groups, frame="reference"), inputs
 
 
 def compiled(model, inputs, viscous):
@@ -44,7 +51,8 @@ def compiled(model, inputs, viscous):
         return model, inputs
     given = copy.copy(inputs)
     given.terms = [[inputs.terms[0][k] for k in (0, 1, 3)]]
-    return replace(model, groups=(GroupModel((0, 1), ELASTIC, STRESSES),)), given
+    shear = (SHEAR[0], SHEAR[1], SHEAR[3])
+    return replace(model, groups=(GroupModel((0, 1), ELASTIC, STRESSES, shear=shear),)), given
 
 
 def completed(bar, viscous):
@@ -196,7 +204,7 @@ def free_block(dim, *, turn=5.0, seconds=1.0, dt=1e-4, controls=5):
     A[0, 1], A[1, 0] = -turn, turn
     inputs.state.v[:] = (x - x.mean(axis=0)) @ A.T
     inputs.state.C[:] = A
-    model = replace(model, frame="reference", groups=(GroupModel((0,), (TERMS[0],)),))
+    model = replace(model, frame="reference", groups=(GroupModel((0,), (TERMS[0],), shear=SHEAR[:1]),))
     inputs.terms = [[inputs.terms[0][0]]]
     return model, inputs
 
@@ -243,12 +251,14 @@ def test_energy_does_not_drift():
     m, mu, lam = rollout.bundle.nodes.mass[:, None], 1e5 / 2.6, 1e5 * 0.3 / (1.3 * 0.4)
     for k in range(model.n_controls):
         rollout.advance(k * model.substeps, (k + 1) * model.substeps - 1, states, keep=False)
-        F, before = rollout.unpack(states[0], k).F, states[0, 1].copy()
+        F, u, before = rollout.unpack(states[0], k).F, states[0, 0].copy(), states[0, 1].copy()
         rollout.advance((k + 1) * model.substeps - 1, (k + 1) * model.substeps, states, keep=False)
         v = 0.5 * (before + states[0, 1])  # a step's velocity belongs to the middle between two displacements
         values, J = np.linalg.svd(F)[1], np.linalg.det(F)
         W = mu * ((values - 1) ** 2).sum(axis=1) + lam / 2 * (J - 1) ** 2
-        totals.append(0.5 * (m * v**2).sum() + 0.05**2 * W.sum())
+        difference = np.einsum("k,rkd->rd", THIRD, u[rollout.runs.run])
+        penalty = 0.5 * rollout.ghosts[0].scale @ (difference**2).sum(axis=1)
+        totals.append(0.5 * (m * v**2).sum() + 0.05**2 * W.sum() + penalty)
     assert np.ptp(totals) < 1e-4 * np.mean(totals)
     assert abs(np.mean(totals[20:]) / np.mean(totals[:20]) - 1) < 1e-5
 

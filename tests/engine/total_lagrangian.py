@@ -59,6 +59,42 @@ def motion(model: Model, X: Array, stencils: list[tuple[Array, Array, Array]], u
     return Moving(X + moved, speed, A * rate @ np.linalg.inv(F), F)
 
 
+def ghost_runs(
+    model: Model, stencils: list[tuple[Array, Array, Array]], volume: Array
+) -> list[tuple[list[int], Array]]:
+    """Return the runs of four nodes along an axis of which one is nearly empty, with their least fill."""
+    n_grid = int(np.prod(model.grid_shape))
+    fill = scattered(stencils, len(model.layout.counts) * n_grid, volume) / model.dx**model.dim
+    found = []
+    for n in np.flatnonzero(fill.real > 0):
+        place = np.array(np.unravel_index(n % n_grid, model.grid_shape))
+        for axis in range(model.dim):
+            steps = place + np.outer(np.arange(4), np.eye(model.dim, dtype=int)[axis])
+            if steps[-1][axis] < model.grid_shape[axis]:
+                run = [n - n % n_grid + int(np.ravel_multi_index(step, model.grid_shape)) for step in steps]
+                lightest = run[int(np.argmin(fill[run].real))]
+                if 0 < fill[lightest].real < 0.6:
+                    found.append((run, fill[lightest]))
+    return found
+
+
+def ghost_force(model: Model, runs: list[tuple[list[int], Array]], mu: Array, u: Array) -> Array:
+    """Return -dE/du of E = 1e-3 mu dx^(D-2) / 2 sum fill |u_3 - 3 u_2 + 3 u_1 - u_0|^2."""
+    n_grid, third = int(np.prod(model.grid_shape)), (-1, 3, -3, 1)
+    f = np.zeros(u.shape, np.result_type(u, mu, *(fill for _, fill in runs)))
+    for run, fill in runs:
+        difference = np.dot(third, u[run])
+        for node, factor in zip(run, third, strict=True):
+            f[node] -= 1e-3 * mu[node // n_grid] * model.dx ** (model.dim - 2) * fill * factor * difference
+    return f
+
+
+def mean_shear_modulus(model: Model, inputs: Inputs) -> Array:
+    """Return the mean of mu of the two elastic laws over the volume of each body."""
+    mu, V = sum(E / (2 * (1 + nu)) for E, nu in inputs.terms[0][:2]), inputs.fields.volume
+    return np.array([(mu[part] * V[part]).sum() / V[part].sum() for part in model.layout.slices()])
+
+
 def rollout(
     model: Model, inputs: Inputs, watch: Callable[[Touching], None] = lambda touching: None
 ) -> tuple[Records, Moving]:
@@ -74,6 +110,7 @@ def rollout(
     touching = Touching(model, inputs.coefficients, stencils, X) if model.obstacles else None
     if touching is not None:
         watch(touching)
+    runs, mu = ghost_runs(model, stencils, fields.volume), mean_shear_modulus(model, inputs)
     W, rows = model.probe.toarray(), []
     for step in range(model.n_steps):
         s = motion(model, X, stencils, u, v)
@@ -84,6 +121,7 @@ def rollout(
         f = scattered(stencils, n_nodes, fields.force + pushed, -A * fields.volume[:, None, None] * P)
         if touching is not None:
             f = f + touching.forces(u, v)
+        f = f + ghost_force(model, runs, mu, u)
         after = np.zeros_like(f)
         after[present] = ((kept[:, None] * v + dt * f)[present]) / m[present, None]
         v = held(model, after, present)

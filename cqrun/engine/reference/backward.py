@@ -8,8 +8,9 @@ import numpy as np
 
 from cqrun.boundaries.condition import project_all_vjp
 from cqrun.engine.backward_run import BackwardRun
-from cqrun.engine.model import LossBar
+from cqrun.engine.model import Inputs, LossBar
 from cqrun.engine.probe import record_vjp
+from cqrun.engine.reference.ghost import GAMMA, mean_modulus, mean_modulus_vjp
 from cqrun.engine.reference.setting import NodeBars
 from cqrun.engine.reference.step import reverse, see_vjp
 from cqrun.engine.setting import Crew
@@ -38,9 +39,10 @@ class ReferenceBackward(BackwardRun):
         u_bar, v_bar = self.q_bar
         pairs, sums, outside = (aligned((count * n_nodes, 4), real) for count in (2, 2, 1))
         mass_bar, kept_bar = np.zeros(n_nodes), np.zeros(n_nodes)
+        ghost_bar = np.zeros(sum(len(ghost.scale) for ghost in r.ghosts))
         self.bundle = NodeBars(
-            u_bar, v_bar, pairs, sums, mass_bar, kept_bar, outside, self.fields_bar, aligned(run.q.shape, real),
-            np.zeros_like(run.push), r.model.no_push(r.drive.steady), self.coefficient_bar,
+            u_bar, v_bar, pairs, sums, mass_bar, kept_bar, ghost_bar, outside, self.fields_bar,
+            aligned(run.q.shape, real), np.zeros_like(run.push), r.model.no_push(r.drive.steady), self.coefficient_bar,
         )  # fmt: skip
         self.parts = tuple((pair, first, last) for pair, (_, first, last) in zip(self.pairs, r.parts, strict=True))
         self.contacts = tuple(c._replace(friction_bar=np.zeros_like(c.friction_bar)) for c in r.contacts)
@@ -70,14 +72,30 @@ class ReferenceBackward(BackwardRun):
 
         def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
             reverse(
-                self.parts, r.conditions, r.loads, self.contacts, r.drive, self.stresses, self.drive_bar.levels,
-                r.bundle, self.bundle, r.rest.patches.colours, states, from_, end, self.reverses, r.probe,
-                self.records_bar, Crew(thread, n),
+                self.parts, r.conditions, r.loads, r.ghosts, self.contacts, r.drive, self.stresses,
+                self.drive_bar.levels, r.bundle, self.bundle, r.rest.patches.colours, states, from_, end,
+                self.reverses, r.probe, self.records_bar, Crew(thread, n),
             )  # fmt: skip
 
         if r.threads > 1:
             body(0, end, 1)
         r.team.run(body)
+
+    def inputs_bar(self) -> Inputs:
+        """Return the cotangent of the inputs."""
+        bar, r = super().inputs_bar(), self.rollout
+        if r.ghosts:
+            self._add_ghost_bar(bar)
+        return bar
+
+    def _add_ghost_bar(self, bar: Inputs) -> None:
+        """Add what the ghost penalty's scale, gamma mu fill dx^(D-2), gives to parameters and volumes."""
+        r, runs, dx, dim = self.rollout, self.rollout.runs, self.rollout.model.dx, self.rollout.model.dim
+        body, modulus = r.rest.patches.body_of_nodes()[runs.lightest], mean_modulus(r.model, r.inputs)
+        scale_bar = GAMMA * dx ** (dim - 2) * self.bundle.ghost
+        mean_modulus_vjp(r.model, r.inputs, np.bincount(body, scale_bar * runs.fill, len(modulus)), bar)
+        volume_bar = np.bincount(runs.lightest, scale_bar * modulus[body] / dx**dim, len(r.bundle.nodes.mass))
+        bar.fields.volume += r.rest.to_particles(volume_bar[:, None])[0][:, 0]
 
     def _state_bar(self) -> State:
         """Return the cotangent of the start; that of the rest positions is not known in this frame, and is zero."""

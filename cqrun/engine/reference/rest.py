@@ -5,13 +5,14 @@ A model keeps it for its last rest positions, because every rollout of a fit nee
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from cqrun.boundaries.condition import NodeNormals
 from cqrun.engine.model import Model
+from cqrun.engine.reference.ghost import Runs, find_runs
 from cqrun.engine.reference.patches import Patches, make_patches
 from cqrun.engine.reference.setting import Points
 from cqrun.engine.setting import MARGIN
@@ -30,6 +31,7 @@ class RestGeometry:
         patches: nodes, and the order of the particles.
         stencils: the stencils of all columns.
         rest: rest positions of all columns, packed (D, n) [m].
+        kept: what is made when it is first needed.
         world: number of each node in the world's grid (M,); nodes beyond it have that of its nearest node.
     """
 
@@ -38,6 +40,7 @@ class RestGeometry:
     stencils: Stencils
     rest: Array
     world: Array
+    kept: dict[str, Any] = field(default_factory=dict)
 
     def to_nodes(self, value: Array, gradient: Array | None = None) -> Array:
         """Return sum_p w (value_p + gradient_p d) at every node (M, K), d = X_n - X_p in cells.
@@ -68,6 +71,14 @@ class RestGeometry:
         column = self.patches.layout.columns()
         columns = [moment[(axis + 3 - dim) * n + column, :k] for axis in range(dim)]
         return value[column, :k], np.stack(columns, axis=2)
+
+    def runs(self, volume: Array, dx: float) -> Runs:
+        """Return the runs of the ghost penalty for the particles' volumes (N,) [m^D]."""
+        known = self.kept.get("runs")
+        if known is None or not np.array_equal(known[0], volume):
+            found = find_runs(self.patches, self.to_nodes(volume[:, None])[:, 0], dx)
+            known = self.kept["runs"] = volume.copy(), found
+        return known[1]
 
     @property
     def exact(self) -> Stencils:

@@ -18,6 +18,7 @@ from cqrun.engine.checkpoint import Plan
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.reference.backward import ReferenceBackward
 from cqrun.engine.reference.contact import clear_slid, has_slid, make_contact
+from cqrun.engine.reference.ghost import GAMMA, Ghost, kernel_ghost, mean_modulus
 from cqrun.engine.reference.look import look
 from cqrun.engine.reference.rest import rest_geometry
 from cqrun.engine.reference.setting import TILE, NodeRun, Nodes, NodeSetting, Tiles
@@ -66,9 +67,23 @@ class ReferenceRollout(Rollout):
             (kernel, group.bodies[0], group.bodies[-1] + 1)
             for kernel, group in zip(self.groups, model.groups, strict=True)
         )
+        self.ghosts = self._make_ghosts()
         self.bundle = self._make_run()
         self.start = self._make_start()
         self.reversible = self._runs_backwards()
+
+    def _make_ghosts(self) -> tuple[Ghost, ...]:
+        """Return the ghost penalty, with the mean shear modulus of each body, or none."""
+        modulus = mean_modulus(self.model, self.inputs)
+        if not modulus.any():
+            return ()
+        self.runs = self.rest.runs(self.inputs.fields.volume, self.model.dx)
+        return (kernel_ghost(self.runs, self._ghost_scale(modulus), self.model.real),)
+
+    def _ghost_scale(self, modulus: Array) -> Array:
+        """Return the scale of each run of the ghost penalty (R,) for the mean shear modulus of each body (B,)."""
+        body = self.rest.patches.body_of_nodes()[self.runs.lightest]
+        return GAMMA * self.model.dx ** (self.model.dim - 2) * modulus[body] * self.runs.fill
 
     def _make_run(self) -> NodeRun:
         model, patches, real = self.model, self.rest.patches, self.model.real
@@ -173,8 +188,8 @@ class ReferenceRollout(Rollout):
 
         def body(thread: int, to: int = end, n: int = self.threads) -> int:
             reached: int = advance(
-                self.parts, self.conditions, self.loads, self.contacts, self.drive, self.bundle, colours, states, begin,
-                to, keep, self.probe, self.records, Crew(thread, n),
+                self.parts, self.conditions, self.loads, self.ghosts, self.contacts, self.drive, self.bundle, colours,
+                states, begin, to, keep, self.probe, self.records, Crew(thread, n),
             )  # fmt: skip
             return reached
 

@@ -84,6 +84,7 @@ class NodeBars(NamedTuple):
     sums: Array  # (2 M, 4) what the sweep adds: to the cotangent of u, and the force, or to the cotangent of v
     mass: Array  # (M,) of `Nodes.mass` and `Nodes.kept`
     kept: Array
+    ghost: Array  # (R,) of `Ghost.scale`
     outside: Array  # (M, 4) of the external forces, summed over a control step
     fields: Array  # of the particles, packed
     q: Array  # (rows, n) of the particles' state, packed

@@ -14,6 +14,7 @@ import numpy as np
 from cqrun.engine.drive import activate, activate_vjp
 from cqrun.engine.probe import record, record_vjp
 from cqrun.engine.reference.forces import pull_each, pull_each_vjp
+from cqrun.engine.reference.ghost import haunt_each, haunt_each_vjp
 from cqrun.engine.reference.look import look, look_vjp
 from cqrun.engine.reference.nodes import begin_vjp, end_vjp, kick
 from cqrun.engine.reference.outside import spread_forces, spread_forces_vjp
@@ -48,8 +49,8 @@ def find_stray(run: NodeRun, u: Array, crew: Crew) -> None:
 
 @kernel
 def advance(
-    parts: Any, conditions: Any, loads: Any, contacts: Any, drive: Drive, run: NodeRun, colours: Array, states: Array,
-    begin: int, end: int, keep: bool, probe: Probe, records: Array, crew: Crew,
+    parts: Any, conditions: Any, loads: Any, ghosts: Any, contacts: Any, drive: Drive, run: NodeRun, colours: Array,
+    states: Array, begin: int, end: int, keep: bool, probe: Probe, records: Array, crew: Crew,
 ) -> int:  # fmt: skip
     """Run substeps begin .. end from states[0]; return the substep reached.
 
@@ -60,6 +61,7 @@ def advance(
     Args:
         parts: groups with their first and last bodies.
         loads: forces on points, as in `forces.py`.
+        ghosts: the ghost penalty, or none.
         contacts: one entry (`touch.py`), or none.
     """
     substeps = run.setting.substeps
@@ -73,6 +75,7 @@ def advance(
         at = NodeStep(control, u, v, states[after, 1])
         press_each(parts, run, u, v, colours, crew)
         pull_each(loads, drive, run, at, crew)
+        haunt_each(ghosts, run, u, crew)
         touch_each(contacts, run, at, states[after, 0], keep, crew)
         kick(conditions, run, at, states[after, 0], crew)
         barrier(run.arrivals, crew.n_threads)
@@ -138,9 +141,9 @@ def see_vjp(
 
 @kernel
 def reverse(
-    pairs: Any, conditions: Any, loads: Any, contacts: Any, drive: Drive, stresses: Any, levels_bar: Levels,
-    run: NodeRun, bars: NodeBars, colours: Array, states: Array, begin: int, end: int, reversed_: bool, probe: Probe,
-    records_bar: Array, crew: Crew,
+    pairs: Any, conditions: Any, loads: Any, ghosts: Any, contacts: Any, drive: Drive, stresses: Any,
+    levels_bar: Levels, run: NodeRun, bars: NodeBars, colours: Array, states: Array, begin: int, end: int,
+    reversed_: bool, probe: Probe, records_bar: Array, crew: Crew,
 ) -> None:  # fmt: skip
     """Run the adjoints of substeps end - 1 .. begin.
 
@@ -162,6 +165,7 @@ def reverse(
         barrier(run.arrivals, crew.n_threads)
         press_each_vjp(pairs, run, bars, at.v, colours, crew)
         pull_each_vjp(loads, drive, levels_bar, run, bars, at, crew)
+        haunt_each_vjp(ghosts, run, bars, crew)
         touch_each_vjp(contacts, run, bars, at, crew)
         end_vjp(conditions, run, bars, at, reversed_, crew)
         barrier(run.arrivals, crew.n_threads)
