@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from cqrun.build.contact import unknown_surfaces
 from cqrun.build.particles import Particles
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.setting import MARGIN, grid_shape
@@ -37,10 +38,7 @@ def _contact(scene: Scene) -> Iterator[tuple[str, str]]:
     """Yield bodies and boundaries that would have to meet."""
     if len(scene.bodies) > 1:
         yield "bodies", f"{listed(scene.bodies)} pass through each other in the reference frame: {WAY_OUT}"
-    for name, chosen in scene.boundaries.items():
-        if chosen.name not in HOLDS:
-            path = f"boundaries.{name}.{chosen.name}"
-            yield path, f"bodies do not meet boundaries in the reference frame, which only clamps them: {WAY_OUT}"
+    yield from unknown_surfaces(scene)
 
 
 def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[tuple[str, str]]:

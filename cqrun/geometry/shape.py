@@ -8,7 +8,6 @@ from typing import Annotated, Self
 
 import numpy as np
 
-from cqrun.boundaries.solid import Solid
 from cqrun.errors import UsageError
 from cqrun.geometry.region import Points, Region
 from cqrun.plugin.choice import Choice, Chosen
@@ -64,14 +63,6 @@ class Shape(Region):
     def has_colours(self) -> bool:
         """Whether it has colours from an image."""
         return type(self).coloured is not Shape.coloured
-
-    def solids(self) -> list[Solid]:
-        """Return the solids with a signed distance whose union is the shape: what a body meets.
-
-        Raises:
-            UsageError: a signed distance is not known.
-        """
-        raise UsageError(f"the distance from the surface of '{self.name}' is not known")
 
     def volume(self) -> float:
         """Return the volume [m^3] (2D: area [m^2]), counted on a fine lattice if there is no formula."""

@@ -9,8 +9,8 @@ import pytest
 import total_lagrangian
 import touching
 from little_worlds import needs_jit
-from rich_scene import DX, KINDS, arrays, direction, moved, parts, product, random_records, random_state
-from test_reference_frame import DOT_PRODUCT, SLOW, TINY, compiled, completed, held
+from rich_scene import DX, KINDS, arrays, direction, moved, parts, product, random_records, random_state, rebuilt
+from test_reference_frame import DOT_PRODUCT, SLOW, STEPS, TINY, compiled, completed, held, loss
 
 from cqrun.boundaries.solid import CAPSULE, PLANE, Solid
 from cqrun.engine.frames import make_rollout
@@ -115,3 +115,74 @@ def test_any_number_of_threads_gives_the_same_bits(precision):
         assert rollout.threads == threads
         found.append([a.tobytes() for a in (*parts(records), *arrays(bar))])
     assert found[0] == found[1] == found[2]
+
+
+def smooth(model, dashpots=False):
+    """Return a model without friction, and without dashpots: its contact depends on positions alone."""
+    return replace(model, obstacles=tuple(
+        replace(o, rubs=False, dashpot=o.dashpot * dashpots) for o in model.obstacles
+    ))  # fmt: skip
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_contact_without_friction_and_dashpots_is_reversed(dim):
+    """Its gradient is that of kept states, and so is the plan that of a reversed run."""
+    model, inputs = touched(dim, viscous=False, substeps=8)
+    model, inputs = compiled(smooth(model), inputs, viscous=False)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, dim), np.random.default_rng(2))
+    gradients = []
+    for reversible in (True, False):
+        rollout = make_rollout(model, inputs, adjoint=True)
+        assert rollout.reversible
+        rollout.reversible = reversible
+        _, bar = rollout.gradient(lambda records, state: LossBar(records_bar))
+        gradients.append(arrays(completed(bar, viscous=False)))
+    for got, want in zip(*gradients, strict=True):
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-9 * np.abs(want).max())
+
+
+@pytest.mark.parametrize("dashpots", [True, False], ids=["dashpots", "friction"])
+def test_a_gradient_after_contact_that_loses_energy_keeps_states(dashpots):
+    """It is that of a rollout that kept states from the start."""
+    model, inputs = touched(2, viscous=False, substeps=8)
+    model, inputs = compiled(smooth(model, dashpots) if dashpots else model, inputs, viscous=False)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, 2), np.random.default_rng(2))
+    gradients = []
+    for reversible in (True, False):
+        rollout = make_rollout(model, inputs, adjoint=True)
+        rollout.reversible = reversible
+        _, bar = rollout.gradient(lambda records, state: LossBar(records_bar))
+        gradients.append([a.tobytes() for a in arrays(completed(bar, viscous=False))])
+    assert gradients[0] == gradients[1]
+
+
+def test_checkpoints_carry_the_springs():
+    """Memory for few states gives the gradient that memory for all of them gives."""
+    model, inputs = touched(2, viscous=False, substeps=60)
+    model, inputs = compiled(replace(model, dt=model.dt / 10), inputs, viscous=False)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, 2), np.random.default_rng(2))
+    gradients = []
+    for budget in (2**30, 40 * make_rollout(model, inputs).start.nbytes):
+        rollout = make_rollout(replace(model, memory_budget=budget, spare=[]), inputs, adjoint=True)
+        _, bar = rollout.gradient(lambda records, state: LossBar(records_bar))
+        gradients.append(arrays(completed(bar, viscous=False)))
+    assert rollout.plan.n_chunks > 1
+    for got, want in zip(*gradients, strict=True):
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-12 * np.abs(want).max())
+
+
+@pytest.mark.parametrize("kind", ["v", "mass", "fixed_corotated.E", "friction", "force"])
+def test_taylor_remainder_is_of_second_order(kind, rng):
+    model, inputs = touched(2, viscous=False, substeps=8, seed=4)
+
+    def loss_bar(records, _):
+        return LossBar(rebuilt(records, [np.cos(a) + a for a in parts(records)]))
+
+    records, bar = make_rollout(*compiled(model, inputs, viscous=False), adjoint=True).gradient(loss_bar)
+    change, here = direction(inputs, kind, rng), loss(records)
+    slope = (arrays(completed(bar, viscous=False))[KINDS.index(kind)] * change).sum()
+    remainders = [
+        abs(loss(make_rollout(*compiled(model, moved(inputs, kind, h * change), False)).run()) - here - h * slope)
+        for h in STEPS[4:14]
+    ]
+    assert np.log2(remainders[-6] / remainders[-1]) / 5 >= 1.9, remainders

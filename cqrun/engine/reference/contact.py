@@ -5,18 +5,26 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import svds
 
 from cqrun.boundaries.solid import Solids, make_solids
 from cqrun.engine.model import Model
-from cqrun.engine.reference.rest import RestGeometry, make_points
+from cqrun.engine.reference.patches import Patches, make_patches
+from cqrun.engine.reference.rest import RestGeometry, make_points, stencil_weights
 from cqrun.engine.reference.rub import ONSET
 from cqrun.engine.reference.setting import Points
 from cqrun.numerics.compile import own_symbols
 from cqrun.numerics.packed import aligned
 from cqrun.plugin.contract import Array
+from cqrun.state import Layout
 
 MARGIN = 0.5
 """How far nodes may move until points near obstacles are looked for again [cells]."""
+
+
+CHUNK = 100_000
+"""Number of particles whose stencils are in memory at a time."""
 
 
 class Surface(NamedTuple):
@@ -75,18 +83,18 @@ def in_3d(x: Array) -> Array:
     return np.ascontiguousarray(np.pad(np.asarray(x, np.float64), ((0, 0), (0, 3 - x.shape[1]))))
 
 
-def surface_points(rest: RestGeometry, particle: Array, x: Array, dx: float) -> Points:
+def surface_points(patches: Patches, X: Array, particle: Array, x: Array, dx: float) -> Points:
     """Return points at rest at x (S, D) [m], each of which moves with the affine motion of its particle.
 
     w_sn = w_pn + grad w_pn . (X_s - X_p) = w_pn (1 + 4 / dx^2 d_pn . (X_s - X_p)), so that no other nodes are reached
-    than those of the particle, which have mass.
+    than those of the particle, which have mass. X (N, D) are the rest positions of particles.
     """
-    columns = rest.patches.layout.columns()[particle]
-    node, weight = rest.weights(columns)
-    f = rest.patches.f[columns]
+    columns = patches.layout.columns()[particle]
+    node, weight = stencil_weights(patches, columns)
+    f = patches.f[columns]
     offsets = np.stack(np.meshgrid(*[np.arange(3)] * f.shape[1], indexing="ij"), axis=-1).reshape(-1, f.shape[1])
     arm = offsets[None] - f[:, None]  # [cells]
-    return make_points(columns, node, weight * (1.0 + 4.0 * np.einsum("skd,sd->sk", arm, x - rest.x[particle]) / dx))
+    return make_points(columns, node, weight * (1.0 + 4.0 * np.einsum("skd,sd->sk", arm, x - X[particle]) / dx))
 
 
 def make_contact(model: Model, rest: RestGeometry, coefficients: Array, n_threads: int) -> tuple[Contact, ...]:
@@ -94,7 +102,7 @@ def make_contact(model: Model, rest: RestGeometry, coefficients: Array, n_thread
     if model.surface is None or not model.obstacles:
         return ()
     surface = model.surface
-    points = surface_points(rest, surface.particle, surface.x, model.dx)
+    points = surface_points(rest.patches, rest.x, surface.particle, surface.x, model.dx)
     n, k = len(surface.x), len(points.nodes)
     solids = [solid for obstacle in model.obstacles for solid in obstacle.solids]
     begin = np.cumsum([0, *(len(obstacle.solids) for obstacle in model.obstacles)]).astype(np.int64)
@@ -115,6 +123,30 @@ def make_contact(model: Model, rest: RestGeometry, coefficients: Array, n_thread
             near, force, u_bar, v_bar, np.zeros((n, len(model.obstacles))),
         ),
     )  # fmt: skip
+
+
+def contact_square(
+    layout: Layout, X: Array, mass: Array, particle: Array, x: Array, stiffness: Array, dx: float
+) -> float:
+    """Return the largest squared frequency that nodes have on the springs of their points alone [1/s^2].
+
+    Args:
+        layout: of the particles at rest at X (N, D) [m], with their masses (N,) [kg].
+        particle, x, stiffness: of the points (S,), as in `SurfaceModel`.
+    """
+    patches = make_patches(layout, X, dx)
+    columns, node_mass = patches.layout.columns(), np.zeros(patches.n_nodes)
+    for begin in range(0, len(X), CHUNK):
+        node, weight = stencil_weights(patches, columns[begin : begin + CHUNK])
+        share = weight * mass[begin : begin + CHUNK, None]
+        node_mass += np.bincount(node.ravel(), share.ravel(), patches.n_nodes)
+    points = surface_points(patches, X, particle, x, dx)
+    place, root = np.searchsorted(points.nodes, points.node), np.sqrt(stiffness)
+    value = root[:, None] * points.weight / np.sqrt(node_mass[points.node])
+    row = np.repeat(np.arange(len(x)), points.node.shape[1])
+    matrix = sparse.csr_array((value.ravel(), (row, place.ravel())), (len(x), len(points.nodes)))
+    start = np.ones(min(matrix.shape))
+    return float(svds(matrix, k=1, v0=start, tol=1e-4, return_singular_vectors=False)[0] ** 2)
 
 
 def clear_slid(contacts: Any) -> None:

@@ -102,14 +102,19 @@ class RestGeometry:
 
     def weights(self, columns: Array) -> tuple[Array, Array]:
         """Return the nodes of the stencils of kernel columns, and their weights, (P, 3^D) each."""
-        f, strides, dim = self.patches.f[columns], self.patches.strides, self.patches.f.shape[1]
-        each = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)  # (P, D, 3)
-        node, weight = self.patches.first[columns][:, None], np.ones((len(columns), 1))
-        for axis in range(dim):
-            steps = np.arange(3) * strides[axis + 3 - dim]
-            node = (node[:, :, None] + steps).reshape(len(columns), 3 ** (axis + 1))
-            weight = (weight[:, :, None] * each[:, axis, None, :]).reshape(len(columns), 3 ** (axis + 1))
-        return node.astype(np.int64), weight
+        return stencil_weights(self.patches, columns)
+
+
+def stencil_weights(patches: Patches, columns: Array) -> tuple[Array, Array]:
+    """Return the nodes of the stencils of kernel columns, and their weights, (P, 3^D) each."""
+    f, strides, dim = patches.f[columns], patches.strides, patches.f.shape[1]
+    each = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)  # (P, D, 3)
+    node, weight = patches.first[columns][:, None], np.ones((len(columns), 1))
+    for axis in range(dim):
+        steps = np.arange(3) * strides[axis + 3 - dim]
+        node = (node[:, :, None] + steps).reshape(len(columns), 3 ** (axis + 1))
+        weight = (weight[:, :, None] * each[:, axis, None, :]).reshape(len(columns), 3 ** (axis + 1))
+    return node.astype(np.int64), weight
 
 
 def make_points(columns: Array, node: Array, weight: Array) -> Points:
