@@ -52,7 +52,7 @@ def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionMod
                 path,
                 (
                     "holds no particle at rest, and in the reference frame it holds only what it holds at rest: "
-                    f"move it onto the body, remove it, or {WAY_OUT}"
+                    f"move it onto the body, make it `friction` or `separate`, which bodies touch, or {WAY_OUT}"
                 ),
             )
 
