@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import Any, get_args
 
 import numpy as np
@@ -13,6 +11,7 @@ import numpy as np
 from benchmarks.convergence.laws import LAWS, lame
 from benchmarks.convergence.points import Point
 from cqrun.build.model import Built, build
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.rollout import Rollout
 from cqrun.plugin.contract import Array
 from cqrun.scene.load import load_scene
@@ -83,12 +82,8 @@ def observe(built: Built, see: Callable[[State], Any]) -> Array:
 
 
 def _rollout(built: Built) -> Rollout:
-    """Return a rollout in the scene's frame; a version with several frames chooses in engine/frames.py."""
-    inputs = built.assembly.inputs({})
-    if find_spec("cqrun.engine.frames") is not None:
-        rollout: Rollout = importlib.import_module("cqrun.engine.frames").make_rollout(built.model, inputs)
-        return rollout
-    return Rollout(built.model, inputs)
+    """Return a rollout in the scene's frame."""
+    return make_rollout(built.model, built.assembly.inputs({}))
 
 
 @dataclass(frozen=True)

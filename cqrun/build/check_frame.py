@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from cqrun.build.contact import unknown_surfaces
 from cqrun.build.particles import Particles
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.setting import MARGIN, grid_shape
@@ -52,6 +53,8 @@ def _elsewhere(scene: Scene) -> Iterator[tuple[str, str]]:
 def _at_rest(scene: Scene) -> Iterator[tuple[str, str]]:
     """Yield bodies that cannot both start at rest and move."""
     if scene.start == "equilibrium":
+        for path, kind in touched(scene):
+            yield "start", f"an equilibrium does not feel `{kind}` boundaries yet ({path}): remove them, or `start`"
         for name, body in scene.bodies.items():
             for key in ("velocity", "spin"):
                 if any(getattr(body, key)):
@@ -61,14 +64,18 @@ def _at_rest(scene: Scene) -> Iterator[tuple[str, str]]:
                     )
 
 
+def touched(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield the key path and the kind of every boundary that bodies touch, in place of being held by it."""
+    for name, chosen in scene.boundaries.items():
+        if chosen.name not in HOLDS:
+            yield f"boundaries.{name}.{chosen.name}", chosen.name
+
+
 def _contact(scene: Scene) -> Iterator[tuple[str, str]]:
     """Yield bodies and boundaries that would have to meet."""
     if len(scene.bodies) > 1:
         yield "bodies", f"{listed(scene.bodies)} pass through each other in the reference frame: {WAY_OUT}"
-    for name, chosen in scene.boundaries.items():
-        if chosen.name not in HOLDS:
-            path = f"boundaries.{name}.{chosen.name}"
-            yield path, f"bodies do not meet boundaries in the reference frame, which only clamps them: {WAY_OUT}"
+    yield from unknown_surfaces(scene)
 
 
 def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[tuple[str, str]]:
@@ -82,7 +89,7 @@ def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionMod
                 path,
                 (
                     "holds no particle at rest, and in the reference frame it holds only what it holds at rest: "
-                    f"move it onto the body, remove it, or {WAY_OUT}"
+                    f"move it onto the body, make it `friction` or `separate`, which bodies touch, or {WAY_OUT}"
                 ),
             )
 

@@ -17,6 +17,7 @@ from scipy import sparse
 from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
 from cqrun.engine.probe import make_probe
 from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
+from cqrun.engine.surface import ObstacleModel, SurfaceModel, count_springs
 from cqrun.forces.force import Kind, Levels, is_force, make_forces
 from cqrun.forces.pulled import make_pulled
 from cqrun.forces.steady import is_steady, make_steady, starts_of
@@ -94,6 +95,8 @@ class Model:
     frame: str = "updated"  # of the engine (`frames.py`)
     n_nodes: int = 0  # of all bodies, in the reference frame
     settled: bool = False  # whether the motion starts at equilibrium
+    surface: SurfaceModel | None = None  # of the bodies, in the reference frame
+    obstacles: tuple[ObstacleModel, ...] = ()  # in the reference frame
     spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # free memory for states
     at_rest: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)  # what a frame knows of the rest
 
@@ -104,9 +107,15 @@ class Model:
 
     @property
     def state_bytes(self) -> int:
-        """Bytes of one kept state: of the particles, or in the reference frame u and v of the nodes, 4 numbers each."""
-        numbers = 8 * self.n_nodes if self.frame == "reference" else self.layout.table.n_rows * self.layout.n
+        """Bytes of one kept state: of the particles, or in the reference frame 4 numbers of each node and spring."""
+        rows = self.n_nodes + -(-self.n_springs // 2)
+        numbers = 8 * rows if self.frame == "reference" else self.layout.table.n_rows * self.layout.n
         return int(numbers * np.dtype(self.real).itemsize)
+
+    @property
+    def n_springs(self) -> int:
+        """Number of tangential springs of contact, which are part of the state."""
+        return count_springs(self.surface, self.obstacles)
 
     @property
     def n_steps(self) -> int:

@@ -93,7 +93,12 @@ def _world(built: Built) -> Iterator[str]:
 
 
 def _held(built: Built, condition: ConditionModel) -> str:
-    """Return the number of nodes of a boundary, and of particles with one of them as their nearest node, as text."""
+    """Return the number of nodes of a boundary, and of particles with one of them as their nearest node, as text.
+
+    In the reference frame, an obstacle holds no nodes: points of the bodies' surfaces touch it.
+    """
+    if built.model.surface is not None and condition.spec.is_obstacle:
+        return f"touched by {len(built.model.surface.x):,} points of surfaces"
     nearest = nearest_nodes(built.particles.x, built.model.grid_shape, built.model.dx)
     nodes, particles = int(condition.nodes.sum()), int(condition.nodes[nearest].sum())
     return f"{nodes:,} nodes" + (f", {particles:,} particle{'s' * (particles != 1)}" if particles else "")

@@ -37,14 +37,16 @@ def test_a_clamped_body_is_accepted():
     assert built.model.state_bytes == built.model.n_nodes * 8 * 8
 
 
+SLAB = {"box": {"corner": [0, 0], "size": [1, 0.1]}}
+HOLE = {"ball": {"center": [0.5, 0.1], "radius": 0.05}}
 FLOOR = {"face": "y_min", "thickness": 0.06}
 REFUSED = {
     "two bodies": (
         {"bodies": {"a": BODY, "b": BODY | {"place": {"offset": [0, 0.3]}}}}, "pass through each other",
     ),
-    "a floor with friction": (
-        {"boundaries": {"clamp": CLAMP, "floor": {"friction": FLOOR | {"coefficient": 0.3}}}},
-        "boundaries.floor.friction: bodies do not meet boundaries",
+    "a floor whose distance is not known": (
+        {"boundaries": {"floor": {"separate": {"region": {"difference": [SLAB, HOLE]}, "normal": [0, 1]}}}},
+        "boundaries.floor.separate.region: the distance from the surface of 'difference' is not known",
     ),
     "a floor that slips, which the body would fall on": (
         {"boundaries": {"clamp": CLAMP, "floor": {"slip": FLOOR}}}, "boundaries.floor.slip: holds no particle at rest",

@@ -47,6 +47,7 @@ class ReferenceBackward(BackwardRun):
         )  # fmt: skip
         self.parts = tuple((pair, first, last) for pair, (_, first, last) in zip(self.pairs, r.parts, strict=True))
         self.moves = tuple((moves, np.zeros_like(moves.pose)) for moves in r.moves)
+        self.contacts = tuple(c._replace(friction_bar=np.zeros_like(c.friction_bar)) for c in r.contacts)
         self.finished = False
 
     def _from(self, states: Array, k: int) -> Array:
@@ -73,9 +74,9 @@ class ReferenceBackward(BackwardRun):
 
         def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
             reverse(
-                self.parts, r.conditions, r.loads, r.ghosts, self.moves, r.drive, self.stresses, self.drive_bar.levels,
-                r.bundle, self.bundle, r.rest.patches.colours, states, from_, end, self.reverses, r.probe,
-                self.records_bar, Crew(thread, n),
+                self.parts, r.conditions, r.loads, r.ghosts, self.moves, self.contacts, r.drive, self.stresses,
+                self.drive_bar.levels, r.bundle, self.bundle, r.rest.patches.colours, states, from_, end,
+                self.reverses, r.probe, self.records_bar, Crew(thread, n),
             )  # fmt: skip
 
         if r.threads > 1:
@@ -109,7 +110,7 @@ class ReferenceBackward(BackwardRun):
         v_bar[active] = self.q_bar[1][active, :dim]
         mass_bar = self.bundle.mass.copy()
         mass_bar[active] -= (
-            np.einsum("nd,nd->n", v_bar, self.rollout.start[1][:, :dim])[active] / run.nodes.mass[active]
+            np.einsum("nd,nd->n", v_bar, self.rollout.start[1][: len(v_bar), :dim])[active] / run.nodes.mass[active]
         )
         for n in active[run.nodes.bits[active] != 0]:
             free, bits = tuple(self.rollout.free_start[n]), int(run.nodes.bits[n])
@@ -120,8 +121,15 @@ class ReferenceBackward(BackwardRun):
         bar.v[:], bar.C[:] = m[:, None] * value, m[:, None, None] * moment * model.dx
         momentum = np.einsum("nd,nd->n", value, start.v) + model.dx * np.einsum("nde,nde->n", moment, start.C)
         if not self.finished:
+            self._finish_friction()
             self._finish_masses(mass_bar, momentum)
         return bar
+
+    def _finish_friction(self) -> None:
+        """Add the cotangents of obstacles' coefficients of friction, which are summed point by point."""
+        for contact in self.contacts:
+            for k, obstacle in enumerate(self.rollout.model.obstacles):
+                self.coefficient_bar[obstacle.condition] += contact.friction_bar[:, k].sum()
 
     def _finish_masses(self, mass_bar: Array, momentum: Array) -> None:
         """Add the cotangents of the nodes' masses, and of the momentum at the start, to those of the particles."""

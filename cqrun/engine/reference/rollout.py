@@ -17,6 +17,7 @@ from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.checkpoint import Plan
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.reference.backward import ReferenceBackward
+from cqrun.engine.reference.contact import clear_slid, has_slid, make_contact
 from cqrun.engine.reference.ghost import GAMMA, Ghost, kernel_ghost, mean_modulus
 from cqrun.engine.reference.look import look
 from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, progress
@@ -63,6 +64,7 @@ class ReferenceRollout(Rollout):
         self.conditions = self.rest.conditions(model, inputs.coefficients)
         self.probe = model.kernel_probe()
         self.loads = tuple((self.rest.points(pulled.columns), pulled) for pulled in self.drive.pulled)
+        self.contacts = make_contact(model, self.rest, inputs.coefficients, self.threads)
         self.parts = tuple(
             (kernel, group.bodies[0], group.bodies[-1] + 1)
             for kernel, group in zip(self.groups, model.groups, strict=True)
@@ -115,9 +117,13 @@ class ReferenceRollout(Rollout):
         return (Moves(nodes, plane, arm, poses(model, self.inputs.moves, self.shares)),)
 
     def _make_start(self) -> Array:
-        """Return the state (2, M, 4) at the start: no displacement, and the particles' momentum on the nodes."""
+        """Return the state at the start: no displacement, the particles' momentum on the nodes, and relaxed springs.
+
+        It is (2, M + E, 4); M nodes are followed by E rows of springs.
+        """
         state, m, dim = self.inputs.state, self.inputs.fields.mass, self.model.dim
-        start = aligned((2, self.rest.patches.n_nodes, 4), self.model.real)
+        n_nodes = self.rest.patches.n_nodes
+        start = aligned((2, n_nodes + -(-self.model.n_springs // 2), 4), self.model.real)
         momentum = self.rest.to_nodes(m[:, None] * state.v, m[:, None, None] * state.C * self.model.dx)
         active = self.bundle.nodes.active
         v = np.zeros_like(momentum)
@@ -125,7 +131,7 @@ class ReferenceRollout(Rollout):
         self.free_start = v.copy()
         for n in active[self.bundle.nodes.bits[active] != 0]:
             v[n] = project_all(self.conditions, n, int(self.bundle.nodes.bits[n]), tuple(v[n]))
-        start[1, :, :dim] = v
+        start[1, :n_nodes, :dim] = v
         return start
 
     def _runs_backwards(self) -> bool:
@@ -156,9 +162,12 @@ class ReferenceRollout(Rollout):
             return super().gradients(loss_bars)
         n_steps, every = self.model.n_steps, self._refresh()
         current, snapshots = self.start[None].copy(), []
+        clear_slid(self.contacts)
         for begin in range(0, n_steps, every):
             snapshots.append(current[0].copy())
             self.advance(begin, min(begin + every, n_steps), current, keep=False)
+            if has_slid(self.contacts):
+                return super().gradients(loss_bars)
         self.plan = Plan(every, len(snapshots), len(snapshots), len(snapshots) + 1, 1.0)
         self.final = current[0]
         records = Records.from_rows(self.records.copy(), self.model.layout.table)
@@ -195,8 +204,8 @@ class ReferenceRollout(Rollout):
 
         def body(thread: int, to: int = end, n: int = self.threads) -> int:
             reached: int = advance(
-                self.parts, self.conditions, self.loads, self.ghosts, self.moves, self.drive, self.bundle, colours,
-                states, begin, to, keep, self.probe, self.records, Crew(thread, n),
+                self.parts, self.conditions, self.loads, self.ghosts, self.moves, self.contacts, self.drive,
+                self.bundle, colours, states, begin, to, keep, self.probe, self.records, Crew(thread, n),
             )  # fmt: skip
             return reached
 

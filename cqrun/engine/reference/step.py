@@ -22,6 +22,7 @@ from cqrun.engine.reference.outside import spread_forces, spread_forces_vjp
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
 from cqrun.engine.reference.stretch import watch_stretch
 from cqrun.engine.reference.sweep import press_each, press_each_vjp
+from cqrun.engine.reference.touch import touch_each, touch_each_vjp, touch_rates_each_vjp
 from cqrun.engine.setting import Crew, Drive, Probe
 from cqrun.forces.force import Levels
 from cqrun.numerics.compile import barrier, kernel, share
@@ -50,21 +51,21 @@ def find_stray(run: NodeRun, u: Array, crew: Crew) -> None:
 
 @kernel
 def advance(
-    parts: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, drive: Drive, run: NodeRun, colours: Array,
-    states: Array,
-    begin: int, end: int, keep: bool, probe: Probe, records: Array, crew: Crew,
+    parts: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Any, drive: Drive, run: NodeRun,
+    colours: Array, states: Array, begin: int, end: int, keep: bool, probe: Probe, records: Array, crew: Crew,
 ) -> int:  # fmt: skip
     """Run substeps begin .. end from states[0]; return the substep reached.
 
-    With `keep`, states[k] becomes the state after k substeps; otherwise states[0] is overwritten. A state (2, M, 4) has
-    the displacements and the velocities of the nodes. Record at the end of every control step, and stop there if a node
-    is not finite (`run.stray`).
+    With `keep`, states[k] becomes the state after k substeps; otherwise states[0] is overwritten. A state has the
+    displacements and the velocities of the nodes, and after them the springs of contact, (2, M + E, 4). Record at the
+    end of every control step, and stop there if a node is not finite (`run.stray`).
 
     Args:
         parts: groups with their first and last bodies.
         loads: forces on points, as in `forces.py`.
         ghosts: the ghost penalty, or none.
         moves: the nodes of boundaries that move, or none.
+        contacts: one entry (`touch.py`), or none.
     """
     substeps = run.setting.substeps
     for step in range(begin, end):
@@ -78,6 +79,7 @@ def advance(
         press_each(parts, run, u, v, colours, crew)
         pull_each(loads, drive, run, at, crew)
         haunt_each(ghosts, run, u, crew)
+        touch_each(contacts, run, at, states[after, 0], keep, crew)
         kick(conditions, run, at, states[after, 0], crew)
         barrier(run.arrivals, crew.n_threads)
         carry_each(moves, run, u, states[after, 0], states[after, 1], step, crew)
@@ -144,9 +146,9 @@ def see_vjp(
 
 @kernel
 def reverse(
-    pairs: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, drive: Drive, stresses: Any, levels_bar: Levels,
-    run: NodeRun, bars: NodeBars, colours: Array, states: Array, begin: int, end: int, reversed_: bool, probe: Probe,
-    records_bar: Array, crew: Crew,
+    pairs: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Any, drive: Drive, stresses: Any,
+    levels_bar: Levels, run: NodeRun, bars: NodeBars, colours: Array, states: Array, begin: int, end: int,
+    reversed_: bool, probe: Probe, records_bar: Array, crew: Crew,
 ) -> None:  # fmt: skip
     """Run the adjoints of substeps end - 1 .. begin.
 
@@ -170,10 +172,12 @@ def reverse(
         press_each_vjp(pairs, run, bars, at.v, colours, crew)
         pull_each_vjp(loads, drive, levels_bar, run, bars, at, crew)
         haunt_each_vjp(ghosts, run, bars, crew)
+        touch_each_vjp(contacts, run, bars, at, crew)
         end_vjp(conditions, run, bars, at, reversed_, crew)
         barrier(run.arrivals, crew.n_threads)
         if reversed_:
             bring_back_pairs(moves, run, at.v, step, crew)
+        touch_rates_each_vjp(contacts, run, bars, crew)
         if step % substeps == 0 or step == begin:
             spread_forces_vjp(run, bars, crew)
             if crew.thread == 0:

@@ -11,7 +11,7 @@ which is the adjoint of one substep's forces at lambda. Velocities are zero, so 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,7 +57,8 @@ class Equilibrium:
     """
 
     def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0) -> None:
-        self.rollout = ReferenceRollout(model, inputs, threads=threads, adjoint=True)
+        alone = replace(model, surface=None, obstacles=())  # contact is not felt at rest
+        self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
         self.control, self.run = control, self.rollout.bundle
         self.dim, self.n_nodes = model.dim, len(self.run.nodes.mass)
         patches, real = self.rollout.rest.patches, model.real
