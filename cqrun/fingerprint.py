@@ -47,6 +47,7 @@ NUMERIC = (
     "store/synthetic.py",
     "running/finite_differences.py",
     "running/gradient_memory.py",
+    "running/rest_table.py",
     "running/side_by_side.py",
     "running/state_loss.py",
     "running/unknowns.py",
