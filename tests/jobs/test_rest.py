@@ -70,7 +70,7 @@ class StopsAt(Listener):
 
 def rows_of(run):
     with (run / "rest.csv").open(newline="") as file:
-        return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+        return [{key: float(value or "nan") for key, value in row.items()} for row in csv.DictReader(file)]
 
 
 def test_a_path_gives_a_curve(scene, tmp_path):
@@ -99,6 +99,30 @@ def test_the_moment_of_a_clamp_is_that_of_its_loads(scene, tmp_path):
     (row,) = rows_of(run)
     # nodes at x = 0.01 .. 0.04 hold the beam, and the load acts on particles at 0.1325 and 0.1375
     assert row["clamp.moment"] == pytest.approx(1e-4 * (0.135 - 0.025), rel=0.02)
+
+
+def test_a_clamp_that_moves_along_the_path(scene, tmp_path):
+    """A beam between two clamps, of which one goes up: the reactions balance, and grow in proportion for small ways."""
+    second = "boundaries.far={sticky: {region: {box: {corner: [0.12, 0], size: [0.05, 0.2]}}, displacement: [0, 0]}}"
+    run = rest(scene, tmp_path / "out", second, "world.gravity=[0, 0]",
+               "path={boundaries.far.sticky.displacement.1: {first: 0, last: 2.0e-4, points: 3}}")  # fmt: skip
+    rows = rows_of(run)
+    assert [row["boundaries.far.sticky.displacement.1"] for row in rows] == pytest.approx([0, 1e-4, 2e-4])
+    for row in rows:
+        assert row["far.force_y"] == pytest.approx(-row["clamp.force_y"], abs=1e-9)
+    assert rows[1]["far.force_y"] > 0
+    assert rows[2]["far.force_y"] == pytest.approx(2 * rows[1]["far.force_y"], rel=1e-3)
+    # clamped at both ends, EI' = E h^3 / (12 (1 - nu^2)): F = 12 EI' d / L^3, less the shear of a short beam
+    slender = 12 * 1e5 / (1 - 0.3**2) * 0.02**3 / 12 * 1e-4 / 0.08**3
+    assert 0.7 * slender < rows[1]["far.force_y"] < 1.1 * slender
+
+
+def test_a_motion_can_start_at_rest(scene, tmp_path):
+    """Under its weight, the beam stays where it is."""
+    overrides = ("path={}", "start=equilibrium", "time={duration: 0.1, control_step: 0.05}", "job=simulate")
+    x = read_trajectory(run_simulate(scene, overrides, tmp_path / "out", threads=1) / "trajectory.h5").fields["x"]
+    assert x[0, :, 1].min() < 0.1025 - 1e-3
+    np.testing.assert_allclose(x[-1], x[0], rtol=0, atol=1e-7)
 
 
 def test_without_a_path_there_is_one_point(scene, tmp_path):
