@@ -45,6 +45,7 @@ NUMERIC = (
     "store/recorded_trajectory.py",
     "store/recordings.py",
     "store/synthetic.py",
+    "running/drift.py",
     "running/finite_differences.py",
     "running/gradient_memory.py",
     "running/rest_table.py",

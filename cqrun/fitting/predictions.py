@@ -18,6 +18,7 @@ from cqrun.errors import RolloutError
 from cqrun.fitting.case import Case
 from cqrun.observers.fracture import Fracture
 from cqrun.plugin.contract import Array
+from cqrun.running.drift import drift_findings
 from cqrun.running.observables import fracture_of
 from cqrun.running.trajectories import as_found, write_trajectory
 from cqrun.state import State
@@ -52,8 +53,12 @@ def write_predictions(
         interrupt()
         rollout = make_rollout(first.built.model, first.inputs(values), threads=threads)
         provenance = as_found(values) | first.comparisons[0].wanted()
-        write_trajectory(run.path / "trajectory.h5", first.built, rollout, provenance=provenance)
-        result.findings += rollout.remarks()
+        last: list[State] = []
+        write_trajectory(
+            run.path / "trajectory.h5", first.built, rollout, provenance=provenance,
+            progress=lambda _, state: last.__setitem__(slice(None), [state]),
+        )  # fmt: skip
+        result.findings += [*rollout.remarks(), *drift_findings(first.built, last[-1])]
     return records
 
 
