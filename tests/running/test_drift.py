@@ -16,10 +16,10 @@ MATERIAL = {"density": 1000, "elastic": {"fixed_corotated": {"youngs_modulus": 1
 
 
 def bar(frame):
-    """Return a free bar of 8 x 2 cells that turns three times in a second."""
+    """Return a free bar of 8 x 2 cells that turns nine times."""
     shape = {"box": {"corner": [0.3, 0.45], "size": [0.4, 0.1]}}
     body = {"shape": shape, "particles_per_cell": 4, "material": MATERIAL, "spin": [6 * np.pi]}
-    world, time = {"size": [1, 1], "dx": 0.05, "frame": frame}, {"duration": 1.0, "control_step": 0.5}
+    world, time = {"size": [1, 1], "dx": 0.05, "frame": frame}, {"duration": 3.0, "control_step": 0.5}
     return build(load_scene({"cqrun": 1, "world": world, "bodies": {"bar": body}, "time": time}))
 
 
@@ -34,14 +34,14 @@ def test_a_bar_that_turns_drifts_in_the_updated_frame_alone():
     built = bar("updated")
     last = end_of(built)
     (finding,) = drift_findings(built, last)
-    assert finding.startswith("bar: at the end, the distances of neighbours differ by ")
+    assert finding.startswith("bar: at the end, neighbours are ")
     size = drift(fracture_of(built).pairs["bar"], built.particles.x, last)
     assert 0.01 < size < 0.1
-    assert f"{100 * size:.1f} %" in finding
+    assert f"{100 * size:.1f} % farther apart" in finding
     reference = bar("reference")
     there = end_of(reference)
     assert list(drift_findings(reference, there)) == []
-    assert drift(fracture_of(reference).pairs["bar"], reference.particles.x, there) < 0.1 * size
+    assert drift(fracture_of(reference).pairs["bar"], reference.particles.x, there) < 0.4 * size
 
 
 def test_an_affine_motion_has_no_drift(rng):
