@@ -9,6 +9,7 @@ from typing import Any
 
 from cqrun.build.check_grid import nearest_nodes
 from cqrun.build.model import Built, build
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import ConditionModel
 from cqrun.errors import SceneError
 from cqrun.explain import listed
@@ -196,7 +197,10 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     size, budget = model.state_bytes, format_bytes(model.memory_budget)
     forward = forward_seconds(model)
     try:
-        plan = gradient_plan(built)
+        plan, because = gradient_plan(built), ""
+        if model.frame == "reference":
+            rollout = make_rollout(model, built.assembly.inputs({}), adjoint=True)
+            plan, because = rollout.expected_plan(), rollout.kept_because
     except SceneError as error:  # the scene can still be run forward
         yield f"warning: no gradients: {error}"
         yield line("cost", f"an estimate, for one core: {duration(forward)} forward")
@@ -204,8 +208,9 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     again = "no substep runs twice" if plan.recompute == 1 else f"{plan.recompute:.2f} forward substeps for each"
     yield line(
         "memory",
-        f"a gradient keeps {plan.states:,} states of {format_bytes(size)}, {format_bytes(plan.states * size)} "
-        f"of a budget of {budget}: {again}",
+        f"a gradient {'runs the motion backwards and ' if plan.backwards else ''}keeps {plan.states:,} states of "
+        f"{format_bytes(size)}, {format_bytes(plan.states * size)} of a budget of {budget}"
+        f"{f', because {because}' if because else ''}: {again}",
     )
     backward = gradient_seconds(model)
     yield line(

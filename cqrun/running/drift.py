@@ -3,8 +3,8 @@
 There, a particle's position and its F are integrated apart: x by the velocity, F by the velocity's gradient. Their
 errors differ, so after a while neighbours are not where F says. In the reference frame both come from the same
 displacements.
-For neighbours i and j at rest, F predicts the distance |(F_i + F_j) / 2 (X_j - X_i)|. Where the deformation changes over
-a cell, single pairs differ in both frames, because F is an average; so the mean over all pairs of a body counts.
+For neighbours i and j at rest, F predicts the distance |(F_i + F_j) / 2 (X_j - X_i)|. Where the deformation changes
+over a cell, single pairs differ in both frames, because F is an average; so the mean over all pairs of a body counts.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ def drift_findings(built: Built, last: State) -> Iterator[str]:
         with np.errstate(all="ignore"):
             size = drift(pairs, built.particles.x, last)
         if abs(size) > NOTABLE:
+            apart = f"{100 * abs(size):.1f} % {'farther apart' if size > 0 else 'closer'}"
             yield (
-                f"{name}: at the end, neighbours are {100 * abs(size):.1f} % {'farther apart' if size > 0 else 'closer'} "
-                "than its deformation gradient says, because the updated frame integrates both apart: a shorter run "
-                "drifts less, and `world.frame: reference` does not drift"
+                f"{name}: at the end, neighbours are {apart} than its deformation gradient says, because the updated"
+                " frame integrates both apart: a shorter run drifts less, and `world.frame: reference` does not drift"
             )

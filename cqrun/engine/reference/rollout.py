@@ -39,6 +39,9 @@ MOST_GROWTH = 15.0
 SNAPSHOTS = 64 << 20
 """Bytes of the states that a reversed run keeps to start again from; without a bound it would keep every state."""
 
+FEWEST_STEPS = 200
+"""Substeps that a reversed run covers from one kept state, even if there is memory for more states."""
+
 FLOAT32_STEPS = 64
 """Substeps after which a reversed run in float32 starts again, because its rounding is coarse."""
 
@@ -73,7 +76,8 @@ class ReferenceRollout(Rollout):
         self.bundle = self._make_run()
         self.moves = self._make_moves()
         self.start = self._make_start()
-        self.reversible = self._runs_backwards()
+        self.kept_because = self._why_kept()
+        self.reversible = not self.kept_because
 
     def _make_ghosts(self) -> tuple[Ghost, ...]:
         """Return the ghost penalty, with the mean shear modulus of each body, or none."""
@@ -134,17 +138,19 @@ class ReferenceRollout(Rollout):
         start[1, :n_nodes, :dim] = v
         return start
 
-    def _runs_backwards(self) -> bool:
-        """Return whether the state before a substep follows from the one after it."""
-        if self.bundle.setting.rates or self._refresh() < 1:
-            return False
+    def _why_kept(self) -> str:
+        """Return why the state before a substep does not follow from the one after it; empty if it does."""
+        if self.bundle.setting.rates:
+            return "stresses or forces depend on velocities"
+        if self._refresh() < 1:
+            return "its damping is too strong to run backwards in this memory"
         for bits, n in zip(*np.unique(self.bundle.nodes.bits, return_index=True), strict=True):
             # several planes at a node that do not stand at right angles: the last one undoes the first
             axes = [project_all(self.conditions, n, int(bits), tuple(axis)) for axis in np.eye(self.model.dim)]
             P = np.array(axes)
             if np.abs(P @ P - P).max() > 1e-12 or np.abs(P - P.T).max() > 1e-12:
-                return False
-        return True
+                return "planes of slip stand at acute angles"
+        return ""
 
     def _refresh(self) -> int:
         """Return after how many substeps a reversed run starts again from a kept state; 0 if memory does not allow."""
@@ -154,21 +160,22 @@ class ReferenceRollout(Rollout):
             longest = min(longest, FLOAT32_STEPS)
         count = max(1, min(SNAPSHOTS, model.memory_budget) // self.start.nbytes - 2)
         every = -(-model.n_steps // count)
-        return 0 if every > longest else max(1, min(every, model.n_steps))
+        return 0 if every > longest else max(1, min(max(every, FEWEST_STEPS), longest, model.n_steps))
 
     def gradients(self, loss_bars: Callable[[Records, State], Iterable[LossBar]]) -> tuple[Records, list[BackwardRun]]:
         """Run forward once, and backward once for each of several functions; see `Rollout.gradients`."""
         if not self.reversible:
             return super().gradients(loss_bars)
-        n_steps, every = self.model.n_steps, self._refresh()
+        n_steps, every, self.kept_because = self.model.n_steps, self._refresh(), ""
         current, snapshots = self.start[None].copy(), []
         clear_slid(self.contacts)
         for begin in range(0, n_steps, every):
             snapshots.append(current[0].copy())
             self.advance(begin, min(begin + every, n_steps), current, keep=False)
             if has_slid(self.contacts):
+                self.kept_because = "bodies slide on obstacles"
                 return super().gradients(loss_bars)
-        self.plan = Plan(every, len(snapshots), len(snapshots), len(snapshots) + 1, 1.0)
+        self.plan = self._backwards_plan()
         self.final = current[0]
         records = Records.from_rows(self.records.copy(), self.model.layout.table)
         final = self.unpack(self.final, self.model.n_controls)
@@ -180,6 +187,15 @@ class ReferenceRollout(Rollout):
                 state = snapshots[k][None].copy()
         self.growth_at = max((sweep.growth for sweep in sweeps), default=(0.0, -1))[1]
         return records, sweeps
+
+    def _backwards_plan(self) -> Plan:
+        every = self._refresh()
+        snapshots = -(-self.model.n_steps // every)
+        return Plan(every, snapshots, snapshots, snapshots + 1, 1.0, backwards=True)
+
+    def expected_plan(self) -> Plan:
+        """Return how a gradient would keep its states; raise RunError if it does not fit the memory."""
+        return self._backwards_plan() if self.reversible and not self.kept_because else super().expected_plan()
 
     def backward(self, loss_bar: LossBar) -> BackwardRun:
         """Return the backward run, from kept states, of the cotangents of the results."""
