@@ -127,7 +127,7 @@ def surface_model(scene: Scene, particles: Particles, assembly: Assembly) -> Sur
     """Return the surfaces with the constants of their contact."""
     surface = surface_of(scene, particles)
     stiffness, impedance = _constants(particles, assembly, surface, scene.world.dx)
-    return SurfaceModel(surface.x, surface.particle, stiffness, impedance, surface.facets)
+    return SurfaceModel(surface.x, surface.particle, stiffness, impedance, surface.area, surface.facets)
 
 
 def _constants(particles: Particles, assembly: Assembly, surface: BodySurface, dx: float) -> tuple[Array, Array]:

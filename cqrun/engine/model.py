@@ -17,7 +17,7 @@ from scipy import sparse
 from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
 from cqrun.engine.probe import make_probe
 from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
-from cqrun.engine.surface import ObstacleModel, SurfaceModel, count_springs
+from cqrun.engine.surface import MeetingModel, ObstacleModel, SurfaceModel, count_springs
 from cqrun.forces.force import Kind, Levels, is_force, make_forces
 from cqrun.forces.pulled import make_pulled
 from cqrun.forces.steady import is_steady, make_steady, starts_of
@@ -97,6 +97,7 @@ class Model:
     settled: bool = False  # whether the motion starts at equilibrium
     surface: SurfaceModel | None = None  # of the bodies, in the reference frame
     obstacles: tuple[ObstacleModel, ...] = ()  # in the reference frame
+    meeting: MeetingModel | None = None  # of bodies with each other, in the reference frame
     spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # free memory for states
     at_rest: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)  # what a frame knows of the rest
 
@@ -113,9 +114,14 @@ class Model:
         return int(numbers * np.dtype(self.real).itemsize)
 
     @property
+    def n_coefficients(self) -> int:
+        """Number of coefficients of friction: of the planes of boundaries, and of bodies that meet."""
+        return len(self.conditions) + (self.meeting is not None)
+
+    @property
     def n_springs(self) -> int:
         """Number of tangential springs of contact, which are part of the state."""
-        return count_springs(self.surface, self.obstacles)
+        return count_springs(self.surface, self.obstacles, self.meeting)
 
     @property
     def n_steps(self) -> int:
@@ -203,7 +209,7 @@ class Inputs:
     terms: list[list[Array]]  # [g][k]: parameters (rows, N_g) of term k of group g
     activation: Array  # (T, A) one row per control step
     strength: Array  # of each of `Model.parts`, in its own unit
-    coefficients: Array = field(default_factory=lambda: np.zeros(0))  # of each plane of a boundary condition
+    coefficients: Array = field(default_factory=lambda: np.zeros(0))  # of planes of boundaries, then between bodies
     weights: Array = field(default_factory=lambda: np.zeros(0))  # of each particle of each actuator; all 1 if empty
     rest: Array = field(default_factory=lambda: np.zeros(0))  # length at rest of each part [m]; all 0 if empty
     moves: Array = field(default_factory=lambda: np.zeros(0))  # (planes, D + 1 or 6) displacement and rotation

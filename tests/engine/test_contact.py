@@ -9,19 +9,32 @@ import pytest
 import total_lagrangian
 import touching
 from little_worlds import needs_jit
-from rich_scene import DX, KINDS, arrays, direction, moved, parts, product, random_records, random_state, rebuilt
+from rich_scene import (
+    COUNTS,
+    DX,
+    KINDS,
+    arrays,
+    direction,
+    moved,
+    parts,
+    product,
+    random_records,
+    random_state,
+    rebuilt,
+)
 from test_reference_frame import DOT_PRODUCT, SLOW, STEPS, TINY, compiled, completed, held, loss
 
 from cqrun.boundaries.solid import CAPSULE, PLANE, Solid
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar, Records
-from cqrun.engine.surface import ObstacleModel, SurfaceModel
+from cqrun.engine.surface import MeetingModel, ObstacleModel, SurfaceModel
 
 UNKNOWN = {"x", "F"}
 FRICTION = [0.4, 1.5, 0.3, 0.7]
 """Coefficients of the obstacles with friction."""
 
-POINTS = 40
+POINTS, FACETS, MIDDLE = 60, 40, 0.41
+"""Half of the points are where bodies meet, in the middle between them."""
 STIFFNESS = {2: 20.0, 3: 1.0}
 """Of a point, by the dimension [N/m]: it stops a particle within some substeps."""
 
@@ -53,13 +66,32 @@ def obstacles(dim):
 def touched(dim, *, viscous=True, seed=0, **options):
     """Return a rich model whose surface touches obstacles, and its inputs."""
     model, inputs = held(dim, viscous=viscous, seed=seed, **options)
+    inputs.state.v[:, 0] += np.where(np.arange(len(inputs.state.x)) < COUNTS[0], 1.5, -1.0)  # towards each other
     rng = np.random.default_rng(seed + 5)
     particle = rng.integers(0, len(inputs.state.x), POINTS)
+    between = np.argsort(np.abs(inputs.state.x[:, 0] - MIDDLE))[:12]
+    particle[: POINTS // 2] = rng.choice(between, POINTS // 2)
     x = inputs.state.x[particle] + 0.25 * DX * rng.uniform(-1, 1, (POINTS, dim))
+    x[: POINTS // 2, 0] = MIDDLE + 0.2 * DX * rng.uniform(-1, 1, POINTS // 2)
+    order = np.argsort(particle >= COUNTS[0], kind="stable")
+    x, particle = x[order], particle[order]
     K = STIFFNESS[dim] * rng.uniform(0.8, 1.2, POINTS)
     inputs.coefficients[:4] = FRICTION
-    surface = SurfaceModel(x, particle, K, 2 * K * model.dt)
-    return replace(model, surface=surface, obstacles=obstacles(dim)), inputs
+    inputs.coefficients = np.append(inputs.coefficients, 0.3)
+    area = rng.uniform(0.5, 2.0, POINTS)
+    surface = SurfaceModel(x, particle, K, 2 * K * model.dt, area, random_facets(x, particle, rng))
+    return replace(model, surface=surface, obstacles=obstacles(dim), meeting=MeetingModel(True, 0.5)), inputs
+
+
+def random_facets(x, particle, rng):
+    """Return segments or triangles of points of one body that are near each other (T, D), no two of the same points."""
+    first, facets = particle < COUNTS[0], {}
+    for s in rng.integers(0, len(x), FACETS):
+        own = np.flatnonzero((first == first[s]) & (np.arange(len(x)) != s))
+        near = own[np.argsort(np.linalg.norm(x[own] - x[s], axis=1))[:6]]
+        corner = [s, *rng.choice(near, x.shape[1] - 1, replace=False)]
+        facets[tuple(sorted(corner))] = corner
+    return np.array(list(facets.values()))
 
 
 @pytest.fixture(scope="module", params=[(2, True), (2, False), (3, True), (3, False)],
@@ -68,7 +100,7 @@ def case(request):
     """Return a model, its inputs, cotangents, the rollout and its gradient."""
     dim, viscous = request.param
     rng = np.random.default_rng(7)
-    model, inputs = touched(dim, viscous=viscous)
+    model, inputs = touched(dim, viscous=viscous, seed={2: 0, 3: 2}[dim])  # in which everything happens
     records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
     state_bar = random_state(inputs.state, rng)
     rollout = make_rollout(*compiled(model, inputs, viscous), adjoint=True)
@@ -79,15 +111,18 @@ def case(request):
 def test_the_motion_is_that_of_the_equations(case):
     """Every obstacle is met, and everything happens that a point can do."""
     model, inputs, _, _, rollout, records, _, _ = case
-    seen: list[touching.Touching] = []
-    expected, last = total_lagrangian.rollout(model, inputs, watch=seen.append)
+    seen: list[tuple[touching.Touching, touching.Meeting]] = []
+    expected, last = total_lagrangian.rollout(model, inputs, watch=lambda *contact: seen.append(contact))
     for got, want in zip(parts(records), parts(expected), strict=True):
         np.testing.assert_allclose(got, want, rtol=0, atol=1e-11 * np.abs(want).max())
     for got, want in zip(parts(rollout.unpack(rollout.final, 0)), parts(last), strict=True):
         np.testing.assert_allclose(got, want, rtol=0, atol=1e-10 * np.abs(want).max())
-    branches = set.union(*seen[0].branches)
+    touched_, met = seen[0]
+    branches = set.union(*touched_.branches)
     assert {o for o, what in branches if what == "presses"} == {0, 1, 2, 3}
     assert {what for _, what in branches} == {"presses", "leaves", "sticks", "slides"}
+    assert min(met.branches[what] for what in ("leaves", "sticks", "slides", "2 corners")) > 0, met.branches
+    assert met.branches["1 corners"] + met.branches["3 corners"] > 0, met.branches
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in UNKNOWN])

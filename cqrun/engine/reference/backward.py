@@ -10,6 +10,7 @@ from cqrun.boundaries.condition import project_all_vjp
 from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.model import Inputs, LossBar
 from cqrun.engine.probe import record_vjp
+from cqrun.engine.reference.contacts import add_friction_bars, with_own_bars
 from cqrun.engine.reference.ghost import GAMMA, mean_modulus, mean_modulus_vjp
 from cqrun.engine.reference.moves import poses_vjp
 from cqrun.engine.reference.setting import NodeBars
@@ -47,7 +48,7 @@ class ReferenceBackward(BackwardRun):
         )  # fmt: skip
         self.parts = tuple((pair, first, last) for pair, (_, first, last) in zip(self.pairs, r.parts, strict=True))
         self.moves = tuple((moves, np.zeros_like(moves.pose)) for moves in r.moves)
-        self.contacts = tuple(c._replace(friction_bar=np.zeros_like(c.friction_bar)) for c in r.contacts)
+        self.contacts = with_own_bars(r.contacts)
         self.finished = False
 
     def _from(self, states: Array, k: int) -> Array:
@@ -121,15 +122,9 @@ class ReferenceBackward(BackwardRun):
         bar.v[:], bar.C[:] = m[:, None] * value, m[:, None, None] * moment * model.dx
         momentum = np.einsum("nd,nd->n", value, start.v) + model.dx * np.einsum("nde,nde->n", moment, start.C)
         if not self.finished:
-            self._finish_friction()
+            add_friction_bars(self.contacts, self.rollout.model, self.coefficient_bar)
             self._finish_masses(mass_bar, momentum)
         return bar
-
-    def _finish_friction(self) -> None:
-        """Add the cotangents of obstacles' coefficients of friction, which are summed point by point."""
-        for contact in self.contacts:
-            for k, obstacle in enumerate(self.rollout.model.obstacles):
-                self.coefficient_bar[obstacle.condition] += contact.friction_bar[:, k].sum()
 
     def _finish_masses(self, mass_bar: Array, momentum: Array) -> None:
         """Add the cotangents of the nodes' masses, and of the momentum at the start, to those of the particles."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -35,7 +35,6 @@ class Surface(NamedTuple):
     stiffness: Array  # (S,) [N/m]
     impedance: Array  # (S,) [N s/m]
     onset: float  # depth at which half of a dashpot acts [m]
-    springs: int  # 1 if each point has a tangential spring, else 0
 
 
 class Obstacles(NamedTuple):
@@ -46,6 +45,7 @@ class Obstacles(NamedTuple):
     coefficient: Array  # (O,) of friction
     dashpot: Array  # (O,)
     rubs: Array  # (O,) whether it has friction
+    springs: int  # 1 if one of them has, and so each point a tangential spring, else 0
 
 
 class Near(NamedTuple):
@@ -59,7 +59,6 @@ class Near(NamedTuple):
     moved: Array  # (threads,) largest square of a node's way since
     margin: float  # of the distance of points [m]
     reach: float  # way of nodes that may move a point by the margin [m]
-    slid: Array  # (threads,) whether a force depended on a velocity or a spring, since it was last cleared
 
 
 class Contact(NamedTuple):
@@ -68,6 +67,7 @@ class Contact(NamedTuple):
     surface: Surface
     obstacles: Obstacles
     near: Near
+    slid: Array  # (threads,) whether a force depended on a velocity or a spring, since it was last cleared
     force: Array  # (S, 3) on each point; in the adjoint, too [N]
     u_bar: Array  # (S, 3) cotangents of a point's position and velocity
     v_bar: Array
@@ -97,13 +97,20 @@ def surface_points(patches: Patches, X: Array, particle: Array, x: Array, dx: fl
     return make_points(columns, node, weight * (1.0 + 4.0 * np.einsum("skd,sd->sk", arm, x - X[particle]) / dx))
 
 
-def make_contact(model: Model, rest: RestGeometry, coefficients: Array, n_threads: int) -> tuple[Contact, ...]:
-    """Return one entry, or none if there is nothing to touch."""
-    if model.surface is None or not model.obstacles:
-        return ()
+def make_surface(model: Model, rest: RestGeometry) -> Surface:
+    """Return the kernels' view of a model's surface."""
     surface = model.surface
+    assert surface is not None
+    constants = np.array(surface.stiffness, np.float64), np.array(surface.impedance, np.float64)
     points = surface_points(rest.patches, rest.x, surface.particle, surface.x, model.dx)
-    n, k = len(surface.x), len(points.nodes)
+    return Surface(points, in_3d(surface.x), *constants, ONSET * model.dx)
+
+
+def make_contact(model: Model, surface: Surface, coefficients: Array, n_threads: int) -> tuple[Contact, ...]:
+    """Return one entry, or none if there are no obstacles."""
+    if not model.obstacles:
+        return ()
+    n, k = len(surface.rest), len(surface.points.nodes)
     solids = [solid for obstacle in model.obstacles for solid in obstacle.solids]
     begin = np.cumsum([0, *(len(obstacle.solids) for obstacle in model.obstacles)]).astype(np.int64)
     friction = np.array([coefficients[obstacle.condition] for obstacle in model.obstacles], np.float64)
@@ -111,18 +118,20 @@ def make_contact(model: Model, rest: RestGeometry, coefficients: Array, n_thread
     rubs, margin = np.array([obstacle.rubs for obstacle in model.obstacles], np.bool_), MARGIN * model.dx
     near = Near(
         np.zeros(n, np.int64), np.zeros(k, np.int64), np.zeros(2, np.int64), np.zeros(n, np.bool_),
-        np.full((k, 3), np.inf), np.zeros(n_threads), margin,
-        margin / float(np.abs(points.weight).sum(axis=1).max(initial=1.0)), np.zeros(n_threads, np.int64),
+        np.full((k, 3), np.inf), np.zeros(n_threads), margin, margin / growth_of(surface.points),
     )  # fmt: skip
-    constants = np.array(surface.stiffness, np.float64), np.array(surface.impedance, np.float64)
     force, u_bar, v_bar = (aligned((n, 3), np.float64) for _ in range(3))
     return (
         Contact(
-            Surface(points, in_3d(surface.x), *constants, ONSET * model.dx, int(model.n_springs > 0)),
-            Obstacles(make_solids(solids), begin, friction, dashpot, rubs),
-            near, force, u_bar, v_bar, np.zeros((n, len(model.obstacles))),
+            surface, Obstacles(make_solids(solids), begin, friction, dashpot, rubs, int(rubs.any())), near,
+            np.zeros(n_threads, np.int64), force, u_bar, v_bar, np.zeros((n, len(model.obstacles))),
         ),
     )  # fmt: skip
+
+
+def growth_of(points: Points) -> float:
+    """Return the largest sum of |w| of a point: how much farther than its nodes it may move."""
+    return float(np.abs(points.weight).sum(axis=1).max(initial=1.0))
 
 
 def contact_square(
@@ -147,14 +156,3 @@ def contact_square(
     matrix = sparse.csr_array((value.ravel(), (row, place.ravel())), (len(x), len(points.nodes)))
     start = np.ones(min(matrix.shape))
     return float(svds(matrix, k=1, v0=start, tol=1e-4, return_singular_vectors=False)[0] ** 2)
-
-
-def clear_slid(contacts: Any) -> None:
-    """Forget whether forces depended on velocities or springs."""
-    for contact in contacts:
-        contact.near.slid[:] = 0
-
-
-def has_slid(contacts: Any) -> bool:
-    """Return whether a force depended on a velocity or a spring, so that a run cannot be reversed."""
-    return any(contact.near.slid.any() for contact in contacts)

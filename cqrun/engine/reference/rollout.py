@@ -17,7 +17,7 @@ from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.checkpoint import Plan
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.reference.backward import ReferenceBackward
-from cqrun.engine.reference.contact import clear_slid, has_slid, make_contact
+from cqrun.engine.reference.contacts import clear_slid, has_slid, make_contacts
 from cqrun.engine.reference.ghost import GAMMA, Ghost, kernel_ghost, mean_modulus
 from cqrun.engine.reference.look import look
 from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, progress
@@ -67,7 +67,7 @@ class ReferenceRollout(Rollout):
         self.conditions = self.rest.conditions(model, inputs.coefficients)
         self.probe = model.kernel_probe()
         self.loads = tuple((self.rest.points(pulled.columns), pulled) for pulled in self.drive.pulled)
-        self.contacts = make_contact(model, self.rest, inputs.coefficients, self.threads)
+        self.contacts = make_contacts(model, self.rest, inputs.coefficients, self.threads)
         self.parts = tuple(
             (kernel, group.bodies[0], group.bodies[-1] + 1)
             for kernel, group in zip(self.groups, model.groups, strict=True)

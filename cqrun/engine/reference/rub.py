@@ -67,3 +67,31 @@ def rub_vjp(K: float, mu: float, N: float, dt: float, n: Any, v: Any, spring: An
     n_bar = add(scale(s_bar, -dot(n, a)), scale(a, -dot(n, s_bar)))
     a_bar = tangential(s_bar, n)
     return mu_bar, N_bar, n_bar, scale(a_bar, dt), a_bar
+
+
+@kernel
+def meet(K: float, C: float, h0: float, mu: float, dt: float, h: float, n: Any, v: Any, spring: Any) -> Any:
+    """Return the force and s' of one contact at a depth h > 0; both are zero if N is."""
+    N = push(K, C, h0, h, -dot(n, v))
+    if not N > 0.0:
+        return ZERO, ZERO
+    after = rub(K, mu, N, dt, n, v, spring)
+    return sub(scale(n, N), scale(after, K)), after
+
+
+@kernel
+def meet_vjp(
+    K: float, C: float, h0: float, mu: float, dt: float, h: float, n: Any, v: Any, spring: Any, force_bar: Any,
+    after_bar: Any,
+) -> Any:  # fmt: skip
+    """Return (mu_bar, h_bar, n_bar, v_bar, spring_bar)."""
+    rate = -dot(n, v)
+    N = push(K, C, h0, h, rate)
+    if not N > 0.0:
+        return 0.0, 0.0, ZERO, ZERO, ZERO
+    out_bar = sub(after_bar, scale(force_bar, K))
+    mu_bar, N_bar, n_bar, v_bar, spring_bar = rub_vjp(K, mu, N, dt, n, v, spring, out_bar)
+    N_bar, n_bar = N_bar + dot(n, force_bar), add(n_bar, scale(force_bar, N))
+    h_bar, rate_bar = push_vjp(K, C, h0, h, rate, N_bar)
+    n_bar, v_bar = sub(n_bar, scale(v, rate_bar)), sub(v_bar, scale(n, rate_bar))
+    return mu_bar, h_bar, n_bar, v_bar, spring_bar

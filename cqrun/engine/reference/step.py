@@ -13,6 +13,7 @@ import numpy as np
 
 from cqrun.engine.drive import activate, activate_vjp
 from cqrun.engine.probe import record, record_vjp
+from cqrun.engine.reference.contacts import Contacts, touch_all, touch_all_vjp, touch_rates_all_vjp
 from cqrun.engine.reference.forces import pull_each, pull_each_vjp
 from cqrun.engine.reference.ghost import haunt_each, haunt_each_vjp
 from cqrun.engine.reference.look import look, look_vjp
@@ -22,7 +23,6 @@ from cqrun.engine.reference.outside import spread_forces, spread_forces_vjp
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
 from cqrun.engine.reference.stretch import watch_stretch
 from cqrun.engine.reference.sweep import press_each, press_each_vjp
-from cqrun.engine.reference.touch import touch_each, touch_each_vjp, touch_rates_each_vjp
 from cqrun.engine.setting import Crew, Drive, Probe
 from cqrun.forces.force import Levels
 from cqrun.numerics.compile import barrier, kernel, share
@@ -51,7 +51,7 @@ def find_stray(run: NodeRun, u: Array, crew: Crew) -> None:
 
 @kernel
 def advance(
-    parts: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Any, drive: Drive, run: NodeRun,
+    parts: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Contacts, drive: Drive, run: NodeRun,
     colours: Array, states: Array, begin: int, end: int, keep: bool, probe: Probe, records: Array, crew: Crew,
 ) -> int:  # fmt: skip
     """Run substeps begin .. end from states[0]; return the substep reached.
@@ -65,7 +65,7 @@ def advance(
         loads: forces on points, as in `forces.py`.
         ghosts: the ghost penalty, or none.
         moves: the nodes of boundaries that move, or none.
-        contacts: one entry (`touch.py`), or none.
+        contacts: what bodies touch.
     """
     substeps = run.setting.substeps
     for step in range(begin, end):
@@ -79,7 +79,7 @@ def advance(
         press_each(parts, run, u, v, colours, crew)
         pull_each(loads, drive, run, at, crew)
         haunt_each(ghosts, run, u, crew)
-        touch_each(contacts, run, at, states[after, 0], keep, crew)
+        touch_all(contacts, run, at, states[after, 0], keep, crew)
         kick(conditions, run, at, states[after, 0], crew)
         barrier(run.arrivals, crew.n_threads)
         carry_each(moves, run, u, states[after, 0], states[after, 1], step, crew)
@@ -146,7 +146,7 @@ def see_vjp(
 
 @kernel
 def reverse(
-    pairs: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Any, drive: Drive, stresses: Any,
+    pairs: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Contacts, drive: Drive, stresses: Any,
     levels_bar: Levels, run: NodeRun, bars: NodeBars, colours: Array, states: Array, begin: int, end: int,
     reversed_: bool, probe: Probe, records_bar: Array, crew: Crew,
 ) -> None:  # fmt: skip
@@ -172,12 +172,12 @@ def reverse(
         press_each_vjp(pairs, run, bars, at.v, colours, crew)
         pull_each_vjp(loads, drive, levels_bar, run, bars, at, crew)
         haunt_each_vjp(ghosts, run, bars, crew)
-        touch_each_vjp(contacts, run, bars, at, crew)
+        touch_all_vjp(contacts, run, bars, at, crew)
         end_vjp(conditions, run, bars, at, reversed_, crew)
         barrier(run.arrivals, crew.n_threads)
         if reversed_:
             bring_back_pairs(moves, run, at.v, step, crew)
-        touch_rates_each_vjp(contacts, run, bars, crew)
+        touch_rates_all_vjp(contacts, run, bars, crew)
         if step % substeps == 0 or step == begin:
             spread_forces_vjp(run, bars, crew)
             if crew.thread == 0:

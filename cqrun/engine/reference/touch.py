@@ -150,7 +150,7 @@ def press_point(contact: Contact, s: int, x: Any, v: Any, spring: Any, dt: float
 @kernel
 def touch(contact: Contact, run: NodeRun, at: NodeStep, u_next: Array, keep: bool, crew: Crew) -> None:
     """Add the forces of obstacles to `run.force`, and write the springs after the substep."""
-    surface, near, row = contact.surface, contact.near, len(run.nodes.mass)
+    surface, obstacles, near, row = contact.surface, contact.obstacles, contact.near, len(run.nodes.mass)
     changed = watch(contact, run, at.u, crew)
     if keep or changed:
         relax_others(contact, row, u_next, at.v_next, crew)
@@ -160,14 +160,14 @@ def touch(contact: Contact, run: NodeRun, at: NodeStep, u_next: Array, keep: boo
     for index in range(lo, hi):
         s, spring = near.points[index], ZERO
         x, v = add(at_rest(surface, s), place(surface, s, at.u, 1, 0)), place(surface, s, at.v, 1, 0)
-        if surface.springs > 0:
+        if obstacles.springs > 0:
             spring = load_spring(at.u, at.v, row, s)
         force, after, slid = press_point(contact, s, x, v, spring, run.setting.dt)
         put(contact.force, s, force)
-        if surface.springs > 0:
+        if obstacles.springs > 0:
             store_spring(u_next, at.v_next, row, s, after)
         if slid:
-            near.slid[crew.thread] = 1
+            contact.slid[crew.thread] = 1
     barrier(run.arrivals, crew.n_threads)
     share_out(contact, contact.force, run.force, 1, 0, crew)
     barrier(run.arrivals, crew.n_threads)
@@ -176,7 +176,7 @@ def touch(contact: Contact, run: NodeRun, at: NodeStep, u_next: Array, keep: boo
 @kernel
 def relax_others(contact: Contact, row: int, u: Array, v: Array, crew: Crew) -> None:
     """Set the springs of all points that are not near to zero."""
-    if contact.surface.springs > 0:
+    if contact.obstacles.springs > 0:
         lo, hi = share(len(contact.near.flag), crew.thread, crew.n_threads)
         for s in range(lo, hi):
             if not contact.near.flag[s]:
@@ -247,7 +247,7 @@ def touch_vjp(contact: Contact, run: NodeRun, bars: NodeBars, at: NodeStep, crew
     As in `press_unit_vjp`, the forces are added to the second record of a node if nothing depends on rates. The
     cotangents of velocities wait for `touch_rates_vjp`.
     """
-    surface, near, row = contact.surface, contact.near, len(run.nodes.mass)
+    surface, obstacles, near, row = contact.surface, contact.obstacles, contact.near, len(run.nodes.mass)
     if watch(contact, run, at.u, crew):
         relax_others(contact, row, bars.u, bars.v, crew)
     if near.count[0] == 0:
@@ -257,14 +257,14 @@ def touch_vjp(contact: Contact, run: NodeRun, bars: NodeBars, at: NodeStep, crew
         s, spring, after_bar = near.points[index], ZERO, ZERO
         x, v = add(at_rest(surface, s), place(surface, s, at.u, 1, 0)), place(surface, s, at.v, 1, 0)
         force_bar = place(surface, s, bars.pairs, 2, 1)
-        if surface.springs > 0:
+        if obstacles.springs > 0:
             spring, after_bar = load_spring(at.u, at.v, row, s), load_spring(bars.u, bars.v, row, s)
         force, _, _ = press_point(contact, s, x, v, spring, run.setting.dt)
         x_bar, v_bar, spring_bar = press_point_vjp(contact, s, x, v, spring, run.setting.dt, force_bar, after_bar)
         put(contact.force, s, force)
         put(contact.u_bar, s, x_bar)
         put(contact.v_bar, s, v_bar)
-        if surface.springs > 0:
+        if obstacles.springs > 0:
             store_spring(bars.u, bars.v, row, s, spring_bar)
     barrier(run.arrivals, crew.n_threads)
     share_out(contact, contact.u_bar, bars.sums, 2, 0, crew)
