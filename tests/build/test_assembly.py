@@ -57,8 +57,15 @@ def everything(dim: int) -> dict[str, Any]:
             "tendon": {"cable": {"body": "a", "route": [[0.27] * dim, [0.43] * dim], "tension": 3.0}},
             "magnet": {"body_force": {"body": "a", "direction": [0.0, *[1.0] * (dim - 1)], "acceleration": 3.0}},
         },
-        "activation": {"signals": {"muscle": [0.2, -0.4], "air": [0.5, 0.3], "cord": [0.9, 0.8], "magnet": [0.1, 0.7],
-                                   "tendon": [0.4, 0.6]}},
+        "activation": {
+            "signals": {
+                "muscle": [0.2, -0.4],
+                "air": [0.5, 0.3],
+                "cord": [0.9, 0.8],
+                "magnet": [0.1, 0.7],
+                "tendon": [0.4, 0.6],
+            }
+        },
         "time": {"duration": 0.04, "control_step": 0.01},
     }
 

@@ -23,7 +23,7 @@ DX = 0.1
 
 
 def cantilever(dim, *, gravity=-4.0, real=np.float64):
-    """Return a clamped beam of two laws with a muscle, a taut cable and one with a tension under gravity, and inputs."""
+    """Return a clamped beam of two laws with a muscle, a taut cable and one with a tension, and its inputs."""
     rng = np.random.default_rng(3)
     counts = (14, 4, 4)[:dim]
     axes = [0.225 + 0.05 * np.arange(count) for count in counts]
