@@ -61,7 +61,7 @@ MESHES: dict[tuple[int, str], tuple[Mesh, ...]] = {
 bar, along half of each edge."""
 
 NEARLY_INCOMPRESSIBLE = {
-    (2, "sag_10g"): ((24, 12), (28, 14), (32, 16)),
+    (2, "sag_10g"): ((24, 12), (28, 14), (32, 16), (36, 18)),
     (3, "sag_10g"): ((8, 4, 2), (9, 6, 3), (12, 8, 3)),
 }
 """The same at nu .499, where the creases at the clamp's edges take the most steps of Newton's method."""
