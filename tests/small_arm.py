@@ -105,9 +105,8 @@ def markers_text() -> str:
 def scene_of(folder: Path, recordings: str, unknowns: str = "", name: str = "arm.yaml") -> Path:
     """Write a scene that is fitted to recordings, which are lines of YAML, and return its file."""
     file, bounds = folder / name, unknowns or f"  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}\n"
-    file.write_text(
-        f"{ARM}data:\n  recordings:\n{recordings}unknowns:\n{bounds}optimizer: {{least_squares: {{max_iterations: 15}}}}\n"
-    )
+    optimizer = "optimizer: {least_squares: {max_iterations: 15}}\n"
+    file.write_text(f"{ARM}data:\n  recordings:\n{recordings}unknowns:\n{bounds}{optimizer}")
     return file
 
 
