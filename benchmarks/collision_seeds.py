@@ -50,7 +50,8 @@ def by_scan(seed: int, substeps: int) -> float:
     case = problem.cases[0]
 
     def loss(density: float) -> float:
-        return float(case.losses(case.run({UNKNOWN: np.array(density)}), case.start)[0])
+        values = {UNKNOWN: np.array(density)}
+        return float(case.losses(case.run(values), values)[0])
 
     densities = np.linspace(1.0, 5.0, 41)
     best = int(np.argmin([loss(density) for density in densities]))

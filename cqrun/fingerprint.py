@@ -45,8 +45,10 @@ NUMERIC = (
     "store/recorded_trajectory.py",
     "store/recordings.py",
     "store/synthetic.py",
+    "running/drift.py",
     "running/finite_differences.py",
     "running/gradient_memory.py",
+    "running/rest_table.py",
     "running/side_by_side.py",
     "running/state_loss.py",
     "running/unknowns.py",
@@ -54,6 +56,7 @@ NUMERIC = (
     "learning",
     "jobs/control.py",
     "jobs/gradcheck.py",
+    "jobs/rest.py",
     "jobs/simulate.py",
     "jobs/sysid.py",
 )

@@ -18,6 +18,7 @@ from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.jobs.control import run_codesign, run_control
 from cqrun.jobs.gradcheck import run_gradcheck
+from cqrun.jobs.rest import REST
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.table import report_lines
@@ -244,6 +245,17 @@ def test_the_shape_files_agree_with_their_script():
 def of_job(*jobs: str) -> pytest.MarkDecorator:
     """Return a decorator that runs a test for the scenes of some jobs."""
     return pytest.mark.parametrize("path", [p for p in SCENES if p.parent.name in jobs], ids=lambda path: path.stem)
+
+
+@of_job("rest")
+def test_a_path_has_an_equilibrium_at_every_point(path, tmp_path):
+    coarse = ["world.dx=0.01"]
+    run = REST.run(path, coarse, tmp_path, threads=1)
+    result = result_of(run)
+    assert result["status"] == "done"
+    assert result["findings"] == []
+    assert all(point["residual"] < 1e-8 for point in result["points"])
+    assert next(iter(report_lines(run))).startswith("done: ")
 
 
 @of_job("control", "codesign")

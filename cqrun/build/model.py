@@ -38,7 +38,7 @@ from cqrun.plugin.contract import Array
 from cqrun.plugin.reference import body_of
 from cqrun.scene.paths import with_values
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import bounds_of, start, tied, truths
+from cqrun.scene.unknowns import bounds_of, has_own_values, scene_of_recording, start, tied, truths
 
 WASTEFUL = 1e-3
 """A substep smaller than this part of the largest stable one is probably a mistake."""
@@ -100,7 +100,7 @@ def build(scene: Scene) -> Built:
     conditions = _conditions(scene)
     if problems := frame_problems(scene, particles, conditions):
         raise SceneError(problems)
-    surface, obstacles, conditions = contact_parts(scene, particles, assembly, conditions)
+    surface, obstacles, meeting, conditions = contact_parts(scene, particles, assembly, conditions)
     warnings += grid_warnings(scene, particles, conditions)
     model = Model(
         size=np.array(scene.world.size),
@@ -117,8 +117,10 @@ def build(scene: Scene) -> Built:
         real=np.dtype(scene.precision).type,
         memory_budget=scene.memory,
         frame=scene.world.frame,
+        settled=scene.start == "equilibrium",
         surface=surface,
         obstacles=obstacles,
+        meeting=meeting,
         n_nodes=count_nodes(particles.layout, particles.x, scene.world.dx) if scene.world.frame == "reference" else 0,
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))
@@ -186,8 +188,8 @@ def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[Gro
         makers = tuple(spec.kernel_term for spec in specs)
         active = dict.fromkeys(part.model.kernel for part in parts if part.spec.body in names)
         history = tuple(tuple(field.name for field in fields_of(spec, scene.dim)) for spec in specs)
-        shear = tuple(spec.shear_modulus for spec in specs)
-        groups.append(GroupModel(tuple(indices), makers, tuple(active), history, shear))
+        shear, wave = tuple(spec.shear_modulus for spec in specs), tuple(spec.wave_modulus for spec in specs)
+        groups.append(GroupModel(tuple(indices), makers, tuple(active), history, shear, wave))
     return tuple(groups)
 
 
@@ -328,9 +330,9 @@ def _limits_of_data(scene: Scene, particles: Particles, assembly: Assembly) -> l
     limits: list[Limit] = []
     if truth := _truth(scene):
         limits += _limits(scene, particles, assembly, truth)
-    for recording in scene.recordings.values():
-        if recording.overrides:
-            variant = with_values(scene, recording.overrides)
+    for recording in scene.recordings:
+        if has_own_values(scene, recording):
+            variant = scene_of_recording(scene, recording)
             particles = sample(variant)
             limits += _stiffest(variant, particles, Assembly(variant, particles))
     return limits

@@ -23,6 +23,7 @@ from cqrun.cli.export import export
 from cqrun.cli.gradcheck import gradcheck
 from cqrun.cli.plot import plot
 from cqrun.cli.render import render
+from cqrun.cli.rest import rest
 from cqrun.cli.resume import resume
 from cqrun.cli.schema import schema
 from cqrun.cli.simulate import simulate
@@ -35,8 +36,8 @@ from cqrun.running.reporter import StopFlag
 from cqrun.version import __version__
 
 COMMANDS = (
-    sysid, control, codesign, simulate, gradcheck, resume, validate, describe, schema, plot, render, export, compress,
-    bench, warmup, doctor,
+    sysid, control, codesign, simulate, rest, gradcheck, resume, validate, describe, schema, plot, render, export,
+    compress, bench, warmup, doctor,
 )  # fmt: skip
 
 app = typer.Typer(

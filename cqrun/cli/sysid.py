@@ -16,6 +16,8 @@ def sysid(
 ) -> None:
     """Identify a scene's unknowns from its data, with confidence intervals.
 
+    If every recording of the scene is held out, nothing is fitted: the recordings are predicted with its own values.
+
     Use the same command again to continue the run; if the run is finished, it says so.
     """
     from cqrun.cli.progress import working

@@ -196,6 +196,12 @@ class Params:
         return self.pack({block.path: block.initial for block in self.blocks})
 
     @property
+    def start_values(self) -> dict[str, Array]:
+        """The initial values by path, including those of followers."""
+        values = {block.path: block.initial for block in self.blocks}
+        return values | {f.path: f.of(b.initial) for b in self.blocks for f in b.followers}
+
+    @property
     def bounds(self) -> tuple[Array, Array]:
         """The smallest and largest x (n,)."""
         ends = [block.ends for block in self.blocks]

@@ -32,7 +32,8 @@ class GroupModel:
 
     `kernel_terms` make each term's kernel view from its packed parameters theta. `active` are the kinds of active
     stress, terms whose parameters the activations fill. `history` has each term's fields of the state, or is empty.
-    `shear` returns each term's part of the shear modulus (n,) [Pa] from theta (rows, n), or is empty.
+    `shear` and `wave` return each term's part of the shear modulus and of the stiffness of a pressure wave (n,) [Pa]
+    from theta (rows, n), or are empty.
     """
 
     bodies: tuple[int, ...]
@@ -40,6 +41,7 @@ class GroupModel:
     active: tuple[type, ...] = ()
     history: tuple[tuple[str, ...], ...] = ()
     shear: tuple[Callable[[Array], Array], ...] = ()
+    wave: tuple[Callable[[Array], Array], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,7 @@ class Model:
     forces: tuple[ActuatorModel, ...] = ()  # parts of forces without an activation
     frame: str = "updated"  # of the engine (`frames.py`)
     n_nodes: int = 0  # of all bodies, in the reference frame
+    settled: bool = False  # whether the motion starts at equilibrium
     surface: SurfaceModel | None = None  # of the bodies, in the reference frame
     obstacles: tuple[ObstacleModel, ...] = ()  # in the reference frame
     meeting: MeetingModel | None = None  # of bodies with each other, in the reference frame
@@ -209,12 +212,13 @@ class Inputs:
     coefficients: Array = field(default_factory=lambda: np.zeros(0))  # of planes of boundaries, then between bodies
     weights: Array = field(default_factory=lambda: np.zeros(0))  # of each particle of each actuator; all 1 if empty
     rest: Array = field(default_factory=lambda: np.zeros(0))  # length at rest of each part [m]; all 0 if empty
+    moves: Array = field(default_factory=lambda: np.zeros(0))  # (planes, D + 1 or 6) displacement and rotation
 
     @classmethod
     def zeros_like(cls, other: Inputs) -> Inputs:
         """Return a zero cotangent."""
         terms = [[np.zeros_like(theta) for theta in group] for group in other.terms]
-        numbers = (other.activation, other.strength, other.coefficients, other.weights, other.rest)
+        numbers = (other.activation, other.strength, other.coefficients, other.weights, other.rest, other.moves)
         fields = ParticleFields.zeros(*other.state.x.shape)
         return cls(other.state.zeros_like(), fields, terms, *map(np.zeros_like, numbers))
 

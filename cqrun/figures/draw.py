@@ -14,6 +14,7 @@ from cqrun.figures.convergence import draw_convergence
 from cqrun.figures.design import designed_quantities, draw_design, draw_shape, has_new_shape
 from cqrun.figures.losses import LOSS
 from cqrun.figures.overview import draw_overview
+from cqrun.figures.path import draw_path, has_path
 from cqrun.figures.run_data import HISTORY, TRAJECTORY, RunData, read_run
 from cqrun.figures.style import save, styled
 from cqrun.figures.tracks import draw_recording
@@ -36,6 +37,7 @@ def draw_run(path: Path, kinds: Sequence[str] = ("png",)) -> list[Path]:
 
     convergence   loss and unknowns against the iteration
     tracks_NAME   a recording beside the model
+    path          displacements and reactions along a path of equilibria
     bodies        first, middle and last frame of the trajectory
     design        designed quantities of the material, on the body
     shape         the body before and after the design
@@ -65,10 +67,11 @@ def require_files(run: RunData) -> None:
         *most, last = (name for name, job in JOBS.items() if job.pictures)
         drawn = f"{', '.join(most)} and {last}"
         raise UsageError(f"{run.path}: a run of '{run.job}' has no pictures; runs of {drawn} have them")
-    if run.job != "simulate":
-        run.require(HISTORY, "so there is no convergence to draw")
-        if not run.history:
-            raise UsageError(f"{run.path}: {HISTORY} has no rows yet: nothing to draw before the first iteration")
+    if run.job not in ("simulate", "rest"):
+        if not run.scene.predicts_only:
+            run.require(HISTORY, "so there is no convergence to draw")
+            if not run.history:
+                raise UsageError(f"{run.path}: {HISTORY} has no rows yet: nothing to draw before the first iteration")
         if run.succeeded:
             run.require(RESULT, INCOMPLETE)
         if run.succeeded and run.job == "sysid":
@@ -109,8 +112,13 @@ def _shape(run: RunData) -> Iterator[tuple[str, Figure]]:
         yield "shape", draw_shape(run)
 
 
+def _path(run: RunData) -> Iterator[tuple[str, Figure]]:
+    if has_path(run):
+        yield "path", draw_path(run)
+
+
 def _overview(run: RunData) -> Iterator[tuple[str, Figure]]:
-    if run.history and run.succeeded:
+    if run.succeeded and (run.history or run.scene.predicts_only):
         yield "overview", draw_overview(run)
 
 
@@ -121,6 +129,7 @@ PICTURES: dict[str, Callable[[RunData], Iterator[tuple[str, Figure]]]] = {
     "design": _design,
     "shape": _shape,
     "overview": _overview,
+    "path": _path,
 }
 """Pictures by the names that jobs give them; each yields a name and a picture if a run has what it shows."""
 

@@ -27,10 +27,10 @@ PANEL, HEIGHT = 2.7, 2.35
 
 def draw_overview(run: RunData) -> Figure:
     """Return the picture: one panel for each part that the run has."""
-    parts: list[Callable[[Axes, RunData], None]] = [_loss]
+    parts: list[Callable[[Axes, RunData], None]] = [_loss] if run.history else []
     if VIOLATION in run.history:
         parts.append(_violation)
-    if any(curve.values.shape[1] for curve in unknown_curves(run)):
+    if run.history and any(curve.values.shape[1] for curve in unknown_curves(run)):
         parts.append(_unknown)
     if run.has_tables():
         parts.append(_tracks)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cqrun.scene.keypath import split_own
 from cqrun.units import Unit
 
 MILLI = 1e3
@@ -48,13 +49,30 @@ def time_unit(longest: float) -> Unit:
 
 
 def labels(paths: Sequence[str], dim: int) -> list[str]:
-    """Return a short name for each key path; paths with the same short name get their differences as a prefix."""
-    short = [capitalised(_short(path, dim)) for path in paths]
-    out = []
-    for path, name in zip(paths, short, strict=True):
-        rivals = [rival for rival, same in zip(paths, short, strict=True) if same == name and rival != path]
-        out.append(_difference(path, rivals) + name if rivals else name)
+    """Return a short name for each key path; paths with the same short name get their differences as a prefix.
+
+    An offset of a recording, and a value of one recording alone, have the name of the recording as a prefix.
+    """
+    owned, out = [_owner(path) for path in paths], []
+    for owner, inside in owned:
+        name = _label(inside, [other for of, other in owned if of == owner], dim)
+        out.append(f"{owner}: {name}" if owner else name)
     return out
+
+
+def _owner(path: str) -> tuple[str, str]:
+    """Return the recording whose offset or own value a path is, and the path inside it; else an empty name."""
+    keys = path.split(".")
+    if keys[:2] == ["data", "recordings"] and keys[3:4] == ["offset"]:
+        return keys[2], ".".join(keys[3:])
+    return split_own(path)
+
+
+def _label(path: str, others: Sequence[str], dim: int) -> str:
+    """Return a short name for a key path that is different from those of others."""
+    name = capitalised(_short(path, dim))
+    rivals = [other for other in others if other != path and capitalised(_short(other, dim)) == name]
+    return _difference(path, rivals) + name if rivals else name
 
 
 def capitalised(text: str) -> str:

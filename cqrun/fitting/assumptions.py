@@ -6,7 +6,7 @@ material parameters that the scene holds fixed. Each of these is changed once, a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -16,7 +16,9 @@ from cqrun.fitting.problem import FitProblem
 from cqrun.fitting.uncertainty import AT_BOUND, Uncertainty
 from cqrun.optimizers.base import TrialFailed
 from cqrun.plugin.contract import Array
+from cqrun.scene.keypath import split_own
 from cqrun.scene.unknowns import truths
+from cqrun.store.result import HeldNumber
 
 RATIO, PART = 0.1, 0.1
 """Assumed errors of what a scene holds fixed: of a Poisson's ratio, and of any other number relative to itself."""
@@ -32,6 +34,7 @@ def held_numbers(problem: FitProblem) -> dict[str, tuple[float, float]]:
     """
     scene = problem.cases[0].built.scene
     set_by = [path for block in problem.params.blocks for path in (block.path, *(f.path for f in block.followers))]
+    set_by = [split_own(path)[1] for path in set_by]
     set_by += [path for recording in scene.recordings.values() for path in recording.overrides]
     true = truths(scene)
     held = {}
@@ -119,36 +122,62 @@ def of_the_substep(
             )
 
 
-def of_held_numbers(
+def effects_of_held(
     problem: FitProblem,
     x: Array,
     jacobian: Array,
     unknowns: Sequence[Unknown],
     uncertainty: Uncertainty,
     held: Mapping[str, tuple[float, float]],
-) -> Iterator[str]:
-    """Yield a sentence about each fixed number whose assumed error would move an unknown out of its interval."""
+) -> dict[str, HeldNumber]:
+    """Return what the fit would find, to first order, with another value of each fixed number, by its path."""
     if len(jacobian) == 0:
-        return
+        return {}
     residuals = problem.residuals(x)
-    here = follow(jacobian, residuals, unknowns)
+    size = float(np.linalg.norm(residuals))
+    here = _coordinates(unknowns, follow(jacobian, residuals, unknowns))
+    effects = {}
     for path, (value, other) in held.items():
         try:
             changed = problem.with_number(path, other).residuals(x)
         except TrialFailed:  # what cannot be simulated says nothing about the fit
             continue
-        there = follow(jacobian, changed, unknowns)
+        there = _coordinates(unknowns, follow(jacobian, changed, unknowns))
+        moved = zip(unknowns, there - here, strict=True)
+        left = changed + jacobian @ (there - _coordinates(unknowns, [u.value for u in unknowns]))
+        effects[path] = HeldNumber(
+            value=value,
+            other=other,
+            found={u.name: _moved(u, change) for u, change in moved if uncertainty.intervals[u.name] is not None},
+            misfit=float(np.linalg.norm(left)) / size if size > 0 else None,
+        )
+    return effects
+
+
+def _coordinates(unknowns: Sequence[Unknown], values: Iterable[float]) -> Array:
+    return np.array([u.to_coordinate(value) for u, value in zip(unknowns, values, strict=True)])
+
+
+def _moved(unknown: Unknown, change: float) -> float:
+    """Return the value of an unknown after a change of its coordinate, within its bounds."""
+    return unknown.from_coordinate(float(np.clip(unknown.coordinate + change, *unknown.ends)))
+
+
+def of_held_numbers(
+    effects: Mapping[str, HeldNumber], unknowns: Sequence[Unknown], uncertainty: Uncertainty
+) -> Iterator[str]:
+    """Yield a sentence about each fixed number whose assumed error would move an unknown out of its interval."""
+    for path, held in effects.items():
         moved = [
-            f"{u.name} about {new:.4g} instead of {u.value:.4g}"
-            for u, now, new in zip(unknowns, here, there, strict=True)
-            if _leaves(uncertainty.intervals[u.name], new) and not _leaves(uncertainty.intervals[u.name], now)
+            f"{u.name} about {held.found[u.name]:.4g} instead of {u.value:.4g}"
+            for u in unknowns
+            if u.name in held.found and _leaves(uncertainty.intervals[u.name], held.found[u.name])
         ]
         if moved:
-            change = np.array([u.to_coordinate(v) - u.coordinate for u, v in zip(unknowns, there, strict=True)])
-            error = float(np.linalg.norm(changed + jacobian @ change) / np.linalg.norm(residuals))
+            worse = "" if held.misfit is None else f", and its residuals would be {held.misfit:.2f} times as large"
             yield (
-                f"{path} is held at {value:g}. With {other:g} the fit would find {listed(moved)}, outside the "
-                f"interval, and its residuals would be {error:.2f} times as large: measure it, or make it an unknown"
+                f"{path} is held at {held.value:g}. With {held.other:g} the fit would find {listed(moved)}, outside "
+                f"the interval{worse}: measure it, or make it an unknown"
             )
 
 

@@ -18,7 +18,9 @@ from cqrun.store.run import RunDirectory
 
 def is_fit(scene: Scene) -> bool:
     """Return whether a scene has unknowns, data or an objective to fit them to, and no controller."""
-    return bool(scene.unknowns) and scene.controller is None and (scene.data is not None or bool(scene.objective))
+    if not scene.unknowns or scene.controller is not None or scene.predicts_only:
+        return False
+    return scene.data is not None or bool(scene.objective)
 
 
 def make_cases(built: Built, directory: Path | None = None, interrupt: Callable[[], None] = lambda: None) -> list[Case]:
@@ -50,17 +52,13 @@ def given_cases(built: Built) -> list[Case] | None:
     They are read before the run directory is made, so that unusable data leave no directory behind.
 
     Raises:
-        SceneError: data are missing or cannot be used, or all are held out.
+        SceneError: data are missing or cannot be used.
     """
     scene = built.scene
     if scene.synthetic is not None or (scene.data is None and not is_fit(scene)):
         return None
     data_files(scene)  # reports all missing files at once
-    cases = make_cases(built)
-    if all(case.holdout for case in cases):
-        message = "every recording is held out: nothing is left to fit"
-        raise SceneError([Problem(scene.where("data.recordings"), "data.recordings", message)])
-    return cases
+    return make_cases(built)
 
 
 def recording_warnings(built: Built, cases: Sequence[Case]) -> Iterator[str]:

@@ -1,34 +1,25 @@
-"""Write the results of an identification.
+"""Write the results of an identification: result.json has values, intervals, errors and findings.
 
-result.json     values, intervals, errors, findings
-tracks.csv      recorded and modelled markers, for the plots; other measurements have their own table
-trajectory.h5   the first fitted case with the identified values, which are among its attributes
+`predictions.py` writes the other files.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from cqrun.design.params import Block, Spread
-from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Records
-from cqrun.errors import RolloutError
 from cqrun.fitting import assumptions
 from cqrun.fitting.case import Case
 from cqrun.fitting.identifiability import Unknown
+from cqrun.fitting.predictions import identified, write_predictions
 from cqrun.fitting.problem import FitProblem
 from cqrun.fitting.uncertainty import MOST_UNKNOWNS, central_jacobian, intervals
-from cqrun.observers.fracture import Fracture
 from cqrun.optimizers.base import Outcome, TrialFailed
 from cqrun.plugin.contract import Array
-from cqrun.running.observables import fracture_of
-from cqrun.running.trajectories import as_found, write_trajectory
-from cqrun.state import State
-from cqrun.store.atomic import write_table
-from cqrun.store.result import Identified, Interval, RecordingError, SysidResult, Value, write_result
+from cqrun.store.result import Interval, SysidResult, write_result
 from cqrun.store.run import RunDirectory
 from cqrun.units import format_bytes
 
@@ -43,21 +34,14 @@ def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, ou
         loss=problem.unit * outcome.loss if np.isfinite(outcome.loss) else None,
         iterations=outcome.iterations,
         substeps=cases[0].built.model.substeps,
-        unknowns={b.path: Identified(initial=_plain(b.initial), value=_plain(values[b.path])) for b in params.blocks},
+        unknowns=identified(params, values),
     )
     if outcome.status == "stopped":
         _no_intervals(result, "the run was stopped; the values are those of its last iteration")
     elif outcome.status != "failed":
         _add_intervals(result, problem, outcome)
-        records = _predict(cases, values, problem, result)
+        records = write_predictions(run, cases, values, result, problem.threads, problem.interrupt)
         result.loss = _loss(problem, dict(zip([c.name for c in cases], records, strict=True)), values)
-        result.recordings = _errors(cases, records, values)
-        _write_tables(run, cases, records, values)
-        first = next(case for case in cases if not case.holdout)  # a held-out case may blow up
-        problem.interrupt()
-        rollout = make_rollout(first.built.model, first.inputs(values), threads=problem.threads)
-        provenance = as_found(values) | first.comparisons[0].wanted()
-        write_trajectory(run.path / "trajectory.h5", first.built, rollout, provenance=provenance)
     if outcome.status in ("iteration_limit", "stalled"):
         result.findings.append(f"{outcome.status.replace('_', ' ')}: values and intervals are those of the last point")
     for sentence in result.findings:
@@ -73,7 +57,7 @@ def _loss(problem: FitProblem, records: Mapping[str, Records | None], values: Ma
     for case, weights in zip(problem.cases, problem.weights, strict=True):
         record = records[case.name]
         assert record is not None
-        total += float(np.dot(weights, case.losses(record, case.start_of(values))))
+        total += float(np.dot(weights, case.losses(record, values)))
     return total
 
 
@@ -83,13 +67,9 @@ def _record_effort(run: RunDirectory, problem: FitProblem) -> None:
     if effort.recompute:  # 0 if a resumed run has computed no gradient
         run.log(
             f"gradients: {effort.recompute:.3g} forward substeps for each substep of the rollout, "
-            f"at most {format_bytes(effort.peak)} of kept states"
+            f"at most {format_bytes(effort.peak)} of kept states{effort.way}"
         )
         run.add_facts(gradient={"recompute_factor": effort.recompute, "peak_bytes": effort.peak})
-
-
-def _plain(value: Array) -> Value:
-    return float(value) if np.ndim(value) == 0 else np.asarray(value).tolist()
 
 
 # --- intervals ----------------------------------------------------------------------------------------------
@@ -121,7 +101,9 @@ def _add_intervals(result: SysidResult, problem: FitProblem, outcome: Outcome) -
             entry.reason = "; ".join(dict.fromkeys(reasons.values()))
     at_optimum = problem, outcome.x, jacobian, unknowns, uncertainty
     result.findings += uncertainty.findings
-    result.findings += [*assumptions.of_the_substep(*at_optimum), *assumptions.of_held_numbers(*at_optimum, held)]
+    result.findings += assumptions.of_the_substep(*at_optimum)
+    result.held = assumptions.effects_of_held(*at_optimum, held)
+    result.findings += assumptions.of_held_numbers(result.held, unknowns, uncertainty)
 
 
 def _no_intervals(result: SysidResult, reason: str) -> None:
@@ -172,73 +154,3 @@ def find_jacobian(problem: FitProblem, x: Array, unknowns: Sequence[Unknown]) ->
         return problem.residuals_at(scaled) if scaled else []
 
     return central_jacobian(residuals_at, unknowns)
-
-
-# --- errors and tables ------------------------------------------------------------------------------------------
-
-
-def _predict(
-    cases: list[Case], values: Mapping[str, Array], problem: FitProblem, result: SysidResult
-) -> list[Records | None]:
-    """Return every case's records with the identified values, None if a held-out one blows up; report fractures."""
-    records: list[Records | None] = []
-    most = {name: 0 for case in cases for name in case.built.particles.names}
-    for case in cases:
-        fracture = fracture_of(case.built)
-
-        def watch(control: int, state: State, fracture: Fracture = fracture) -> None:
-            fracture.count(state.x)
-
-        problem.interrupt()
-        try:
-            records.append(case.run(values, problem.threads, watch))
-        except RolloutError as error:
-            if not case.holdout:
-                raise
-            records.append(None)
-            result.findings.append(f"{case.name}: held out, and it blows up with the identified values: {error}")
-        most |= {name: max(most[name], number) for name, number in fracture.most.items()}
-        result.findings += [f"{case.name}: {sentence}" for sentence in fracture.findings()]
-    result.fracture = most
-    return records
-
-
-def _errors(
-    cases: list[Case], records: list[Records | None], values: Mapping[str, Array]
-) -> dict[str, RecordingError] | None:
-    """Return the RMSE, in total and by channel, and facts about each recording by its name; None without data."""
-    errors: dict[str, RecordingError] = {}
-    for case, record in zip(cases, records, strict=True):
-        data = case.built.scene.data
-        if data is None:
-            return None
-        measured = data.measurement(case.name)
-        rmse, factor = measured.error_key("rmse"), measured.shown.factor
-        entry: dict[str, Any] = {rmse: None}
-        for comparison in case.comparisons:
-            entry |= comparison.facts()
-        if record is not None:
-            misfits = [o.misfit(record, case.start_of(values)) for o in case.comparisons]
-            entry[rmse] = factor * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
-            if len(misfits) == 1:
-                entry[measured.error_key(f"{measured.channel}s")] = {
-                    name: None if np.isnan(e) else factor * e for name, e in misfits[0].channels.items()
-                }
-        errors[case.name] = RecordingError(holdout=case.holdout, **entry)
-    return errors
-
-
-def _write_tables(
-    run: RunDirectory, cases: list[Case], records: list[Records | None], values: Mapping[str, Array]
-) -> None:
-    """Write recording, channel, time in the run, data and model in SI units, for the first copy of every case."""
-    tables: dict[str, list[list[object]]] = {}
-    for case, record in zip(cases, records, strict=True):
-        data = case.built.scene.data
-        if record is None or data is None:
-            continue
-        head, *rows = case.comparisons[0].table(record, case.start_of(values))
-        table = tables.setdefault(data.measurement(case.name).table_file(), [["recording", *head]])
-        table += [[case.name, *row] for row in rows]
-    for name, table in tables.items():
-        write_table(run.path / name, table)

@@ -193,9 +193,8 @@ class FitProblem:
             return case.residuals(record, values)
 
     def _rollout_key(self, case: Case, values: Mapping[str, Array]) -> tuple[int, bytes]:
-        """Return a key of a rollout; a recording's start is not part of it, because it moves the data only."""
-        starts = {c.start_path for c in self.cases}
-        moving = [np.asarray(value, float).ravel() for path, value in values.items() if path not in starts]
+        """Return a key of a rollout: start and offset move only the data, and another recording's values do nothing."""
+        moving = [np.asarray(value, float).ravel() for value in case.own_values(values).values()]
         return id(case), np.concatenate([np.zeros(0), *moving]).tobytes()
 
     def _records_at(

@@ -13,9 +13,9 @@ from cqrun.fitting.case import Case
 from cqrun.measurements.measurement import Recorded
 from cqrun.measurements.window import Window
 from cqrun.scene.data import Recording
-from cqrun.scene.paths import canonical, with_values
+from cqrun.scene.paths import canonical
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import body_of, bounds_of, starts
+from cqrun.scene.unknowns import body_of, bounds_of, scene_of_recording, starts
 from cqrun.scene.world_and_time import ON_CONTROL_STEP
 from cqrun.store.recordings import read_recording
 
@@ -26,32 +26,41 @@ def recorded_cases(built: Built, specs: Mapping[str, Recording]) -> list[Case]:
     for name, spec in specs.items():
         try:
             cases.append(_recorded(built, name, spec))
+        except SceneError as error:
+            messages = [f"in its scene, {problem.path}: {problem.message}" for problem in error.problems]
+            problems += [_problem(built, name, message) for message in messages]
         except UsageError as error:
-            path = f"data.recordings.{name}"
-            problems.append(Problem(built.scene.where(path), path, str(error)))
+            problems.append(_problem(built, name, str(error)))
     if problems:
         raise SceneError(problems)
     return cases
 
 
+def _problem(built: Built, name: str, message: str) -> Problem:
+    path = f"data.recordings.{name}"
+    return Problem(built.scene.where(path), path, message)
+
+
 def _recorded(built: Built, name: str, spec: Recording) -> Case:
     scene, path = built.scene, f"data.recordings.{name}.start"
-    variant = _variant(built, spec)
+    variant = _variant(built, name, spec)
     file = scene.resolve_path(spec.file)
-    start = starts(scene).get(path, spec.start)  # may be an unknown, or follow one
+    begins = starts(scene)  # the start and the offset may be unknowns, or follow one
+    start = begins.get(path, spec.start)
+    offset = np.array([begins.get(f"data.recordings.{name}.offset.{k}", x) for k, x in enumerate(spec.offset)])
     window = Window(
         scene.time.control_step, variant.model.n_controls, start, bounds_of(scene, path), spec.skip, source=str(file)
     )
     recorded = Recorded(
         file, spec.body, window, lambda names=None: read_recording(file, units=spec.units, names=names), spec.units,
-        None if spec.still is None else (spec.still[0], spec.still[1]), spec.weight,
+        None if spec.still is None else (spec.still[0], spec.still[1]), spec.weight, offset,
     )  # fmt: skip
     comparison = spec.measurement.bind(recorded, matter_of(variant, {}))
-    return Case.probed(name, variant, (comparison,), start_path=path, start=start, holdout=spec.holdout)
+    return Case.probed(name, variant, (comparison,), start_path=path, start=start, offset=offset, holdout=spec.holdout)
 
 
-def _variant(built: Built, spec: Recording) -> Built:
-    """Return the scene with a recording's overrides and length."""
+def _variant(built: Built, name: str, spec: Recording) -> Built:
+    """Return the scene with a recording's overrides, unknowns and length."""
     scene, step = built.scene, built.scene.time.control_step
     length = scene.time.duration if spec.length is None else spec.length
     steps = round(length / step)
@@ -60,7 +69,8 @@ def _variant(built: Built, spec: Recording) -> Built:
             f"`length`, {length:.10g} s, is not a multiple of the control step {step:.10g} s; the nearest is "
             f"{max(1, steps) * step:.10g} s"
         )
-    variant = build(with_values(scene, {**_signals(scene), **spec.overrides, "time.duration": steps * step}))
+    values = {**_signals(scene), **spec.overrides, "time.duration": steps * step}
+    variant = build(scene_of_recording(scene, name, values))
     _require_same_particles(built, variant)
     return variant
 

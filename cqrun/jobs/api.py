@@ -45,7 +45,7 @@ from cqrun.running.runs import scene_in
 from cqrun.running.threads import checked_threads, cores
 from cqrun.running.unknowns import make_params
 from cqrun.scene.load import load_scene
-from cqrun.scene.paths import canonical, leaf, leaves, with_values
+from cqrun.scene.paths import canonical, leaf, leaves, require_possible
 from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.scene.unknowns import body_of, groups_of
@@ -164,7 +164,11 @@ class Experiment:
             raise UsageError(
                 "this scene has neither `data` nor an `objective`, so there is no loss: add one, or use simulate()"
             )
+        if self.scene.predicts_only:
+            raise UsageError("every recording is held out, so there is no loss: fit one of them, or use simulate()")
         problem, values = self._problem, self._stable(params)
+        for case in problem.cases if params and self._auto else ():
+            _require_stable(case.built, case.own_values(values))
         problem.require_reached(values)
         losses, gradient = problem.losses_and_gradient(values)
         effort = {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak}
@@ -235,7 +239,7 @@ class Experiment:
         of_scene = {path: value for path, value in given.items() if not path.startswith(CONTROLLER)}
         for end in (np.min, np.max) if any(value.ndim for value in of_scene.values()) else (np.min,):
             try:
-                with_values(self.scene, {path: float(end(value)) for path, value in of_scene.items()})
+                require_possible(self.scene, {path: float(end(value)) for path, value in of_scene.items()})
             except SceneError as error:
                 raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
 
@@ -245,18 +249,8 @@ class Experiment:
         A number of substeps that the scene gives is not checked: unsuitable values blow up.
         """
         values = self._values(params)
-        if not (params and self._auto):
-            return values
-        try:
-            least, needed = stable(self.built, {p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
-        except SceneError as error:
-            raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
-        if self.built.model.dt > least.dt:
-            raise UsageError(
-                f"{least.part}: with these values the largest stable substep is {least.dt:.3g} s, but `auto` has "
-                f"chosen {self.built.model.dt:.3g} s for the scene: load it with time.substeps={needed}, or make what "
-                "changes an unknown with bounds that contain these values"
-            )
+        if params and self._auto:
+            _require_stable(self.built, {p: v for p, v in values.items() if not p.startswith(CONTROLLER)})
         return values
 
     def _with_followers(self, gradient: dict[str, Array], params: Values | None) -> dict[str, Any]:
@@ -299,6 +293,20 @@ class Experiment:
         if not np.isfinite(value).all():
             raise UsageError(f"{path}: must be finite, is {value}")
         return value
+
+
+def _require_stable(built: Built, values: dict[str, Array]) -> None:
+    """Raise UsageError if values by path are not stable with the substep of a scene."""
+    try:
+        least, needed = stable(built, values)
+    except SceneError as error:
+        raise UsageError("; ".join(f"{p.path}: {p.message}" for p in error.problems)) from None
+    if built.model.dt > least.dt:
+        raise UsageError(
+            f"{least.part}: with these values the largest stable substep is {least.dt:.3g} s, but `auto` has "
+            f"chosen {built.model.dt:.3g} s for the scene: load it with time.substeps={needed}, or make what "
+            "changes an unknown with bounds that contain these values"
+        )
 
 
 def _of_episodes(problem: EpisodeProblem, values: dict[str, Array]) -> tuple[float, dict[str, Array], dict[str, Any]]:

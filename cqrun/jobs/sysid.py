@@ -1,4 +1,7 @@
-"""`cqrun sysid`: identify a scene's unknowns from data, with intervals."""
+"""`cqrun sysid`: identify a scene's unknowns from data, with intervals.
+
+If all recordings are held out, nothing is fitted: the job predicts them with the scene's own values.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from cqrun.errors import Problem, SceneError
 from cqrun.fitting.case import Case
 from cqrun.fitting.cases import given_cases, made_cases, recording_warnings, remarks
 from cqrun.fitting.findings import write_findings
+from cqrun.fitting.predictions import write_prediction_alone
 from cqrun.fitting.problem import FitProblem
 from cqrun.jobs.job import NO_FILES, Job, Need
 from cqrun.optimizers.base import Outcome
@@ -57,6 +61,10 @@ class Sysid(Job[Identification, SysidResult]):
         Raises:
             SceneError: there are no unknowns, or neither data nor objective, or too little memory for gradients.
         """
+        if scene.predicts_only:
+            _refuse_parts(scene)
+            built = build_and_warn(scene, talk)
+            return Identification(built, given_cases(built), threads)
         self.require_sections(scene)
         _refuse_parts(scene)
         scene = with_optimizer(scene)
@@ -79,7 +87,10 @@ class Sysid(Job[Identification, SysidResult]):
         return True
 
     def work(self, run: RunDirectory, prepared: Identification, talk: Reporter) -> None:
-        """Run or continue the identification."""
+        """Run or continue the identification, or predict if there is nothing to fit."""
+        if prepared.built.scene.predicts_only:
+            _predict(run, prepared, talk)
+            return
         built, cases = prepared.built, prepared.cases
         scene, optimizer = built.scene, optimizer_of(built.scene)
         compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=uses_gradients(scene))
@@ -88,10 +99,7 @@ class Sysid(Job[Identification, SysidResult]):
         if cases is None:
             talk.phase(f"making data, {about(built.model)}")
             cases = made_cases(run, built, talk.stop.check)
-        for warning in recording_warnings(built, cases):
-            talk.warn(warning)
-        for sentence in remarks(cases):
-            run.log(sentence)
+        _report_recordings(run, built, cases, talk)
         params = make_params(built)
         problem = FitProblem(cases, params, threads=prepared.threads, interrupt=talk.stop.check)
         lasts = about(built.model, gradients=uses_gradients(scene))
@@ -106,12 +114,15 @@ class Sysid(Job[Identification, SysidResult]):
     def lines(self, run: Path, result: SysidResult) -> Iterator[str]:
         """Yield every unknown with its interval, the errors by recording, and the findings."""
         scene = kept_scene(run, read_record(run))
-        yield f"{result.status} after {result.iterations} iterations: {result.message}"
+        predicts = scene.predicts_only
+        after = "" if predicts else f" after {result.iterations} iterations"
+        yield f"{result.status}{after}: {result.message}"
         yield ""
-        yield from table(
-            ("unknown", "value", "95 % interval", "unit", "from"),
-            [row for path, unknown in result.unknowns.items() for row in _unknown(scene, path, unknown)],
-        )
+        if result.unknowns:
+            yield from table(
+                ("unknown", "value", "95 % interval", "unit", "from"),
+                [row for path, unknown in result.unknowns.items() for row in _unknown(scene, path, unknown)],
+            )
         reasons = {path: unknown.reason for path, unknown in result.unknowns.items() if unknown.reason}
         if reasons:
             yield ""
@@ -119,7 +130,8 @@ class Sysid(Job[Identification, SysidResult]):
                 yield f"no intervals: {next(iter(reasons.values()))}"
             else:
                 yield from (f"no interval for {path}: {reason}" for path, reason in reasons.items())
-        yield from result.how_found()
+        yield from [f"predicted with time.substeps={result.substeps}"] if predicts else result.how_found()
+        yield from _held(result)
         yield ""
         yield from _errors(scene, result)
         yield from (f"note: {sentence}" for sentence in result.findings)
@@ -129,7 +141,11 @@ SYSID = Sysid(
     "sysid",
     SysidResult,
     needs=(
-        Need("unknowns", "give the key paths of the numbers to identify, with bounds"),
+        Need(
+            "unknowns",
+            "give the key paths of the numbers to identify, with bounds; to predict only, mark every recording "
+            "`holdout: true`",
+        ),
         Need("data", "say what it is fitted to, or give an `objective` to minimise", instead="objective"),
     ),
     pictures=("convergence", "tracks", "bodies", "overview"),
@@ -197,6 +213,27 @@ def _numbers(scene: Scene) -> float:
 # --- after it ---------------------------------------------------------------------------------------------------------
 
 
+def _predict(run: RunDirectory, prepared: Identification, talk: Reporter) -> None:
+    """Predict the recordings of a scene in which all are held out, and end the run."""
+    built, cases, threads = prepared.built, prepared.cases or [], prepared.threads
+    compile_kernels([built, *(case.built for case in cases)], talk, adjoint=False)
+    run.begin(threads)
+    report_bodies(built, run, talk)
+    _report_recordings(run, built, cases, talk)
+    number_of = f"{len(cases)} recording{'s' * (len(cases) > 1)}"
+    talk.phase(f"every recording is held out: predicting {number_of}, fitting nothing, {about(built.model)}")
+    result = write_prediction_alone(run, cases, make_params(built), threads, talk.stop.check)
+    run.finish(result.status, result.message)
+
+
+def _report_recordings(run: RunDirectory, built: Built, cases: list[Case], talk: Reporter) -> None:
+    """Report what looks wrong in recordings, and log how they were read."""
+    for warning in recording_warnings(built, cases):
+        talk.warn(warning)
+    for sentence in remarks(cases):
+        run.log(sentence)
+
+
 def _conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome: Outcome, talk: Reporter) -> None:
     """Write the results, and end the run with the status of the outcome."""
     if outcome.status == "stopped":
@@ -217,12 +254,32 @@ def _unknown(scene: Scene, path: str, unknown: Identified) -> Iterator[tuple[str
         yield path, ends, f"{len(values)} numbers", unit, number(initials[0])
         return
     for k, (value, interval, initial) in enumerate(zip(values, intervals, initials, strict=True)):
-        name = f"{path}[{k}]" if isinstance(unknown.value, list) else path
-        yield name, number(value), _interval(interval), unit, number(initial)
+        yield unknown.names(path)[k], number(value), _interval(interval), unit, number(initial)
 
 
 def _interval(pair: Interval | None) -> str:
     return "none" if pair is None else f"{number(pair[0])} to {number(pair[1])}"
+
+
+def _held(result: SysidResult) -> Iterator[str]:
+    """Yield what the intervals hold fixed, and what the fit would find with another value."""
+    intervals: dict[str, Interval | None] = {}
+    for path, unknown in result.unknowns.items():
+        intervals |= dict(zip(unknown.names(path), unknown.numbers()[1], strict=True))
+    rows: list[tuple[str, ...]] = []
+    for path, held in result.held.items():
+        shown = []
+        for name, value in held.found.items():
+            low, high = intervals[name] or (value, value)
+            if not low <= value <= high or len(held.found) <= MANY:
+                shown.append((name, number(value), "inside" if low <= value <= high else "outside its interval"))
+        shown = shown or [("all of them", "", "inside their intervals")]
+        heads = [(path, number(held.value), number(held.other)), *[("", "", "")] * (len(shown) - 1)]
+        rows += [(*head, *cells) for head, cells in zip(heads, shown, strict=True) if held.found]
+    if rows:
+        yield ""
+        yield "The intervals hold these numbers fixed. With the value under `if`, the fit would find about:"
+        yield from table(("held fixed", "is", "if", "unknown", "would be", ""), rows)
 
 
 def _errors(scene: Scene, result: SysidResult) -> Iterator[str]:

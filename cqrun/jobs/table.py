@@ -12,12 +12,13 @@ from cqrun.explain import listed
 from cqrun.jobs.control import CODESIGN, CONTROL
 from cqrun.jobs.gradcheck import GRADCHECK
 from cqrun.jobs.job import Job
+from cqrun.jobs.rest import REST
 from cqrun.jobs.simulate import SIMULATE
 from cqrun.jobs.sysid import SYSID
 from cqrun.store.run import read_record
 
 JOBS: Mapping[str, Job[Any, Any]] = MappingProxyType(
-    {job.name: job for job in (SYSID, CONTROL, CODESIGN, SIMULATE, GRADCHECK)}
+    {job.name: job for job in (SYSID, CONTROL, CODESIGN, SIMULATE, REST, GRADCHECK)}
 )
 """Job by the name that run.json and a scene have."""
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from cqrun.build.check_grid import nearest_nodes
 from cqrun.build.model import Built, build
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import ConditionModel
 from cqrun.errors import SceneError
 from cqrun.explain import listed
@@ -29,7 +30,7 @@ from cqrun.running.tables import number
 from cqrun.scene.load import load_scene
 from cqrun.scene.paths import leaf
 from cqrun.scene.schema import Scene
-from cqrun.scene.unknowns import start
+from cqrun.scene.unknowns import own_unknowns, start
 from cqrun.store.result import LEARNED
 from cqrun.units import format_bytes
 
@@ -153,7 +154,7 @@ def _unknowns(built: Built) -> Iterator[str]:
         per += "" if unknown.mirror is None else f", mirrored across {unknown.mirror}"
         text = f"{path}: {number(low)} to {number(high)}{unit}, from {number(start(scene, path))}"
         yield line("unknown", f"{text}, {unknown.scale} scale{per}")
-    if scene.data is not None or _fits(scene):
+    if not scene.predicts_only and (scene.data is not None or _fits(scene)):
         chosen = with_optimizer(scene).optimizer
         assert chosen is not None
         yield line("optimizer", f"{chosen.name}, at most {chosen.value.max_iterations} iterations")  # type: ignore[attr-defined]
@@ -168,16 +169,24 @@ def _data(built: Built, cases: list[Case] | None) -> Iterator[str]:
             f"synthetic: {built.scene.sequences} x {made.copies} recordings of {points} on '{made.body}', "
             f"noise {number(MILLI * made.noise)} mm",
         )
+    if cases and built.scene.predicts_only:
+        kept = ", also for the unknowns" if built.scene.unknowns else ""
+        yield line("fit", f"none: every recording is held out, so sysid predicts them with the scene's values{kept}")
     for case in cases or []:
-        yield from _recording(case) if built.scene.data is not None else objective_lines(built.scene)
+        yield from _recording(built.scene, case) if built.scene.data is not None else objective_lines(built.scene)
 
 
-def _recording(case: Case) -> Iterator[str]:
+def _recording(scene: Scene, case: Case) -> Iterator[str]:
     use = "held out" if case.holdout else "fitted"
     for comparison in case.comparisons:
         yield line("recording", f"{case.name} ({use}): {comparison.summary()}")
         if comparison.remark:
             yield line("", comparison.remark)
+    if fitted := own_unknowns(scene, case.name):
+        yield line("", f"fitted for this recording alone: {listed(fitted)}")
+    recording = scene.recordings.get(case.name)
+    if recording is not None and (given := [*recording.overrides, *["offset"] * any(recording.offset)]):
+        yield line("", f"given for this recording alone: {listed(given)}")
 
 
 # --- cost ---------------------------------------------------------------------------------------------------
@@ -188,7 +197,10 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     size, budget = model.state_bytes, format_bytes(model.memory_budget)
     forward = forward_seconds(model)
     try:
-        plan = gradient_plan(built)
+        plan, because = gradient_plan(built), ""
+        if model.frame == "reference":
+            rollout = make_rollout(model, built.assembly.inputs({}), adjoint=True)
+            plan, because = rollout.expected_plan(), rollout.kept_because
     except SceneError as error:  # the scene can still be run forward
         yield f"warning: no gradients: {error}"
         yield line("cost", f"an estimate, for one core: {duration(forward)} forward")
@@ -196,8 +208,9 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     again = "no substep runs twice" if plan.recompute == 1 else f"{plan.recompute:.2f} forward substeps for each"
     yield line(
         "memory",
-        f"a gradient keeps {plan.states:,} states of {format_bytes(size)}, {format_bytes(plan.states * size)} "
-        f"of a budget of {budget}: {again}",
+        f"a gradient {'runs the motion backwards and ' if plan.backwards else ''}keeps {plan.states:,} states of "
+        f"{format_bytes(size)}, {format_bytes(plan.states * size)} of a budget of {budget}"
+        f"{f', because {because}' if because else ''}: {again}",
     )
     backward = gradient_seconds(model)
     yield line(

@@ -60,6 +60,17 @@ class Comparison(ABC):
     def loss_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Records, float]:
         """Return the cotangents of the records and of `start` from that of the loss."""
 
+    def moved(self, offset: Array) -> Comparison:
+        """Return the comparison with measured positions to which an offset (D,) is added [m].
+
+        Only a measurement that takes `offset` is asked for one that is not zero.
+        """
+        return self
+
+    def moved_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> Array | float:
+        """Return the cotangent of the offset (D,) that is added, from that of the loss; 0 if nothing can be moved."""
+        return 0.0
+
     @property
     def size(self) -> int:
         """Number of residuals n."""

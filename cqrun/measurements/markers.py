@@ -37,7 +37,8 @@ class Markers(Measurement):
 
     If the recording has `still` frames, its axes are aligned to the rest positions, and each marker's displacement from
     its mean over these frames is compared. If not, positions in the axes of the scene are compared. A marker off the
-    body stands on a rigid stem. The file is C3D, CSV with the columns time, marker, x, y(, z), or a trajectory.h5.
+    body stands on a rigid stem. `offset` is added to what is compared, for all markers alike; as an unknown it absorbs
+    a shift of the cameras. The file is C3D, CSV with the columns time, marker, x, y(, z), or a trajectory.h5.
 
     A gap is a missing line, `nan`, or a negative residual in C3D. Exact zeros, and leaps that no body makes, count as
     not seen, and are reported. Times in a C3D file count from the first frame in the file, whatever its number is.
@@ -52,7 +53,7 @@ class Markers(Measurement):
     digits: ClassVar[str] = ".3f"
     channel: ClassVar[str] = "marker"
     table: ClassVar[str] = "tracks"
-    takes: ClassVar[frozenset[str]] = frozenset({"still", "units"})
+    takes: ClassVar[frozenset[str]] = frozenset({"still", "units", "offset"})
 
     @classmethod
     def _reworded(cls, error: ErrorDetails) -> InitErrorDetails:
@@ -77,7 +78,7 @@ class Markers(Measurement):
         measured = measure(recording, self.rest, recorded.still)
         observer = observe_markers(matter, recorded.body, dict(zip(measured.names, measured.rest, strict=True)))
         if measured.absolute:
-            _require_near(matter, recorded.body, measured)
+            _require_near(matter, recorded.body, measured, recorded.offset)
         return MarkerComparison(
             self, recorded, observer, over_body(observer.rows, recorded.body, matter), measured.names, measured.time,
             measured.values, still=measured.still, relative=not measured.absolute, alignment=measured.alignment,
@@ -165,10 +166,10 @@ def _reach(matter: Matter, body: str) -> float:
     return max(float(np.linalg.norm(x.max(axis=0) - x.min(axis=0))), matter.spacing[body])  # of one particle
 
 
-def _require_near(matter: Matter, body: str, measured: Measured) -> None:
+def _require_near(matter: Matter, body: str, measured: Measured, offset: Array | None) -> None:
     """Refuse positions that are never near where their markers are at rest."""
     reach = _reach(matter, body)
-    away = np.linalg.norm(measured.values - measured.rest, axis=2)
+    away = np.linalg.norm(measured.values + (0.0 if offset is None else offset) - measured.rest, axis=2)
     for name, distances in zip(measured.names, away.T, strict=True):
         nearest = np.nanmin(distances, initial=np.inf)
         if np.isfinite(nearest) and nearest > reach:

@@ -12,7 +12,7 @@ from cqrun.measurements.comparison import Comparison
 from cqrun.measurements.recording import Recording
 from cqrun.measurements.window import Window
 from cqrun.observers.matter import Matter
-from cqrun.plugin.contract import Plugin
+from cqrun.plugin.contract import Array, Plugin
 from cqrun.units import Unit
 
 
@@ -29,6 +29,7 @@ class Recorded:
         window: which frames are compared.
         read_markers: reads the named markers of a marker file of any format, or all of them if no names are given;
             DataError if the file is not one, or does not contain a name.
+        offset: (D,) which the comparison adds to measured positions before the fit changes it [m], or None.
     """
 
     file: Path
@@ -38,6 +39,7 @@ class Recorded:
     units: str | None = None
     still: tuple[float, float] | None = None
     weight: float = 1.0
+    offset: Array | None = None
 
 
 class Measurement(Plugin):
@@ -50,7 +52,8 @@ class Measurement(Plugin):
         digits: format of reported errors.
         channel: name for the source of each series, such as `marker`.
         table: stem of the CSV file with data and model; the plug-in's name if empty.
-        takes: which of the recording's fields `still` and `units` it uses; the others are refused.
+        takes: which of the recording's fields `still`, `units` and `offset` it uses; the others are refused. One that
+            takes `offset` returns a comparison that can be `moved`.
     """
 
     quantity: ClassVar[str]

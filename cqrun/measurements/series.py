@@ -7,6 +7,7 @@ loss, so loss = RMSE^2 for any number of components.
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -162,6 +163,17 @@ class SeriesComparison(Comparison):
     def loss_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Records, float]:
         """Return the cotangents of the records and of `start` from that of the loss."""
         return self.residuals_vjp(records, start, (2.0 * loss_bar / self.count) * self.residuals(records, start))
+
+    def moved(self, offset: Array) -> SeriesComparison:
+        """Return the comparison with an offset (D,) added to every measured value."""
+        other = copy.copy(self)
+        other.data = np.where(self.seen[..., None], self.data + offset, 0.0)
+        return other
+
+    def moved_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> Array:
+        """Return the cotangent of the offset (D,) that is added, from that of the loss."""
+        errors = self.residuals(records, start).reshape(self.count, -1)
+        return np.asarray((-2.0 * loss_bar / self.count) * errors.sum(axis=0))
 
     def misfit(self, records: Records, start: float) -> Misfit:
         """Return the root mean square errors, in all and by channel."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -89,7 +90,7 @@ def data_files(scene: Scene) -> dict[str, Path]:
     problems = []
     for loc, name in named_files(scene):
         path, key = scene.resolve_path(name), joined(loc)
-        if loc[0] == DATA and not path.is_file():
+        if loc[0] == DATA and not os.path.isfile(path):  # noqa: PTH113  Path's own raises at a long name
             message = (
                 f"there is no file '{path}'; the scene's header says where to download the recordings; "
                 f"if it is elsewhere, use -o {key}=FILE (an absolute path, or relative to the scene's folder)"
@@ -194,6 +195,9 @@ def raise_if_failed(run: Path) -> Path:
 
 def require_extension(run: RunDirectory, overrides: Sequence[str]) -> None:
     """Raise UsageError for overrides that do not extend a run, or that ask for fewer iterations than it has done."""
+    if overrides and run.record["job"] == "sysid" and saved_scene(run).predicts_only:
+        why = "nothing is fitted, so it has no iterations: every recording is held out"
+        raise UsageError(f"-o {overrides[0]}: {why}")
     for override in overrides:
         key, _, value = override.partition("=")
         if not (key.startswith("optimizer.") and key.endswith(".max_iterations")):

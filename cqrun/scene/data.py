@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from cqrun.explain import KEY, Loc, complaint, finding, listed
-from cqrun.plugin.contract import Spec, quantity
+from cqrun.plugin.contract import Spec, quantity, vector
 from cqrun.plugin.reference import FileName, FilledIn, NamesBody
 from cqrun.plugin.registry import plugins
 from cqrun.scene.fields import Interval, Name, Seed, Vector
@@ -34,6 +34,13 @@ class Recording(PluginKeys):
 
     One further key is the name of a measurement, such as `markers: {tip: [0.1, 0.02]}`. The measurement defines what
     the file contains, and how the model is compared with it (cqrun describe measurement).
+
+    A recording may have values of its own, which no other recording has. `overrides` gives them. To fit one, name it in
+    `unknowns` as `data.recordings.NAME.overrides.PATH`, such as `data.recordings.swing.overrides.world.gravity.1` for
+    the tilt of one recording, or `....overrides.loads.push.point_force.force.0` for a pre-load. It starts from the
+    override if there is one, or else from the scene's value. `data.recordings.NAME.start` and
+    `data.recordings.NAME.offset.0` can be unknowns, too. If every recording is `holdout: true`, nothing is fitted:
+    `cqrun sysid` predicts the recordings with the scene's values.
     """
 
     keys_of: ClassVar[str] = "measurement"
@@ -51,6 +58,10 @@ class Recording(PluginKeys):
     body: CarrierName = Field(description="Measured body; the only body if absent")
     units: LengthUnit | None = Field(description="Length unit of the file, if it does not name one", default=None)
     still: Interval | None = quantity("s", "[begin, end] at rest in the file, before or after the run", default=None)
+    offset: Annotated[list[float], FilledIn("zero vector")] = vector(
+        "m", "Added to the measured positions, in the axes of the scene; zero if absent", differentiable=True,
+        exclude_if=lambda offset: not any(offset),  # so that scenes without any keep the names of their runs
+    )  # fmt: skip
     overrides: dict[str, Any] = Field(description="Key path -> value in this recording", default_factory=dict)
     weight: float = quantity("1", "Weight in the loss", gt=0, default=1.0)
 
@@ -64,8 +75,9 @@ class Recording(PluginKeys):
         if len(self.chosen) > 1:
             message = f"must have one measurement; has {listed(self.chosen)}: make a recording for each"
             raise complaint("Recording", [finding(message, involves=self.chosen)])
-        for name in ("still", "units"):
-            if getattr(self, name) is not None and name not in self.measurement.takes:
+        given = {"still": self.still is not None, "units": self.units is not None, "offset": any(self.offset)}
+        for name, is_given in given.items():
+            if is_given and name not in self.measurement.takes:
                 message = f"has no meaning for the measurement `{self.measurement.name}`: remove it"
                 raise complaint("Recording", [finding(message, (name,), kind=KEY)])
         return self
@@ -177,7 +189,11 @@ def _ties(value: Any) -> Any:
 
 
 class Unknown(Spec):
-    """A number of the scene that an optimizer may change."""
+    """A number of the scene that an optimizer may change, under its key path.
+
+    `data.recordings.NAME.overrides.PATH` is the value that one recording alone has at PATH: the fit changes it there,
+    and nowhere else (cqrun describe recordings).
+    """
 
     bounds: Interval = Field(description="Smallest and largest value, in the number's unit")
     scale: Literal["linear", "log"] = Field(description="Scale on which the optimizer searches", default="linear")
@@ -200,6 +216,14 @@ class Unknown(Spec):
     regulariser: float = Field(
         description="Loss weight of the mean squared change from the start, relative to the bounds", ge=0, default=0.0
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _not_per_recording(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("per") == "recording":
+            message = "name the value of each recording: `data.recordings.NAME.overrides.` before the key path"
+            raise complaint("Unknown", [finding(message, ("per",))])
+        return data
 
     @model_validator(mode="after")
     def _bounds_are_ordered(self) -> Self:

@@ -11,6 +11,7 @@ from cqrun.plugin.choice import Choice
 from cqrun.plugin.contract import Spec
 from cqrun.plugin.reference import FilledIn, field_types, is_union, marked_fields, marks
 from cqrun.plugin.registry import plugins
+from cqrun.scene.keypath import locate, replaced, value_at
 from cqrun.scene.plugin_keys import PluginKeys
 from cqrun.scene.sections import Sections
 
@@ -21,10 +22,23 @@ def with_defaults(scene: Any) -> Any:
         return scene
     defaults = _defaults(scene)
     filled = _filled(Sections, scene, defaults)
+    if scene.get("job") == "rest" and "time" not in scene:  # rest has none, but the same scene may move
+        filled["time"] = {"duration": 1.0, "control_step": 1.0}
     target = _mapping(_mapping(scene.get("data")).get("target"))
     if target and "only body" in defaults:  # is refused, and the advice names the body
         filled["data"] = {**filled["data"], "target": {"body": defaults["only body"], **target}}
     return filled
+
+
+def with_vector(data: Any, path: str) -> Any:
+    """Return data with a missing vector set to its default, if the path is an entry of one (`velocity.0`)."""
+    parent, _, last = path.rpartition(".")
+    if not last.isdigit():
+        return data
+    filled = with_defaults(data)
+    loc = locate(filled, parent)
+    vector = value_at(filled, loc)
+    return replaced(data, loc, vector) if isinstance(vector, list) and value_at(data, loc) is None else data
 
 
 def _defaults(scene: Mapping[str, Any]) -> dict[str, Any]:

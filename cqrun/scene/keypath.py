@@ -5,6 +5,7 @@ Keys may contain dots (the keys of `unknowns` are paths), so a path is split by 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -19,6 +20,23 @@ NAMED = {
     "constraints", "data.recordings", "activation.signals",
 }  # fmt: skip
 """Mappings whose keys are names that a user gives: `-o entry=null` removes an entry."""
+
+
+_OWN = re.compile(r"data\.recordings\.([^.]+)\.overrides\.(.+)", re.DOTALL)
+
+
+def own_path(recording: str, path: str) -> str:
+    """Return the key path of the value that one recording has at a path."""
+    return f"data.recordings.{recording}.overrides.{path}"
+
+
+def split_own(path: str) -> tuple[str, str]:
+    """Return the name of the recording that a path made by `own_path` belongs to, and the path in its scene.
+
+    The name is empty for every other path.
+    """
+    match = _OWN.fullmatch(path)
+    return ("", path) if match is None else (match[1], match[2])
 
 
 def joined(loc: Iterable[int | str]) -> str:

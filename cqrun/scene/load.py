@@ -10,9 +10,9 @@ from pydantic import ValidationError
 
 from cqrun.errors import Problem, SceneError
 from cqrun.explain import complaint
-from cqrun.scene.defaults import with_defaults
+from cqrun.scene.defaults import with_vector
 from cqrun.scene.document import MAX_CHARACTERS, Document, place_of, read, too_long, write
-from cqrun.scene.keypath import is_named, locate, removed, replaced, value_at
+from cqrun.scene.keypath import is_named, locate, removed, replaced
 from cqrun.scene.origin import Origin, Override
 from cqrun.scene.paths import plain
 from cqrun.scene.plugin_files import findings_of_plugins
@@ -122,7 +122,7 @@ def _overridden(data: Any, overrides: Sequence[str]) -> tuple[Any, list[Override
             problems.append(Problem(where, path, "must be key.path=value"))
             continue
         try:
-            data = _with_vector(data, path)
+            data = with_vector(data, path)
             loc, new = locate(data, path), read(value).data
             is_part = is_named(loc) or (len(loc) == 1 and loc[0] in data)  # or a section of the scene
             data = removed(data, loc) if new is None and is_part else replaced(data, loc, new)
@@ -134,14 +134,3 @@ def _overridden(data: Any, overrides: Sequence[str]) -> tuple[Any, list[Override
     if problems:
         raise SceneError(problems)
     return data, applied
-
-
-def _with_vector(data: Any, path: str) -> Any:
-    """Return data with a missing vector set to its default, if the path is an entry of one (`velocity.0`)."""
-    parent, _, last = path.rpartition(".")
-    if not last.isdigit():
-        return data
-    filled = with_defaults(data)
-    loc = locate(filled, parent)
-    vector = value_at(filled, loc)
-    return replaced(data, loc, vector) if isinstance(vector, list) and value_at(data, loc) is None else data

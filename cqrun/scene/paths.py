@@ -1,11 +1,13 @@
 """Key paths of a scene: read, replace and describe the value at a path.
 
-Overrides (`-o`), unknowns, error messages and results use the same paths.
+Overrides (`-o`), unknowns, error messages and results use the same paths. `data.recordings.NAME.overrides.PATH` is the
+value at PATH in the scene of one recording, whether its `overrides` name PATH or not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,10 +20,15 @@ from cqrun.explain import Loc, listed, suggest
 from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Plugin, Spec, field_unit, is_differentiable, is_geometric
 from cqrun.plugin.registry import plugins
-from cqrun.scene.keypath import first_key, joined, locate, replaced
+from cqrun.scene.data import Recording
+from cqrun.scene.defaults import with_vector
+from cqrun.scene.keypath import first_key, joined, locate, own_path, replaced, split_own, value_at
 from cqrun.scene.material import TERMS, Terms
 from cqrun.scene.schema import Scene
 from cqrun.scene.walk import children
+
+FIXED = ("data", "unknowns", "optimizer", "time", "job", "title", "seed", "memory", "precision", "cqrun")
+"""Sections that all recordings of a scene share, so that no recording can have values of its own there."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,9 @@ def leaf(scene: Scene, path: str) -> LeafInfo:
         raise SceneError([Problem(scene.where(path), path, _not_a_number(path, value))])
     low, high = _range(owner, name)
     unit = field_unit(owner, name) or "1"
-    return LeafInfo(joined(loc), value, unit, _reached(owner, name, loc), low, high)
+    recording, inside = split_own(joined(loc))
+    fixed = bool(recording) and inside.partition(".")[0] in FIXED
+    return LeafInfo(joined(loc), value, unit, not fixed and _reached(owner, name, inside), low, high)
 
 
 def shapes_a_body(path: str) -> bool:
@@ -79,11 +88,11 @@ def cuts(path: str) -> list[tuple[str, str]]:
     return [(name, index) for name, of, index in pairs if name in ("difference", "intersection") and of == "shapes"]
 
 
-def _reached(owner: type[BaseModel], name: str, loc: Sequence[int | str]) -> bool:
-    """Return whether gradients reach a field at a place."""
+def _reached(owner: type[BaseModel], name: str, path: str) -> bool:
+    """Return whether gradients reach a field at a path."""
     if name not in owner.model_fields:
         return False
-    return is_differentiable(owner, name) or (is_geometric(owner, name) and shapes_a_body(joined(loc)))
+    return is_differentiable(owner, name) or (is_geometric(owner, name) and shapes_a_body(path))
 
 
 def leaves(scene: Scene, *, differentiable: bool = False) -> Iterator[str]:
@@ -99,13 +108,15 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
         values: key path -> number, text, list or mapping, in plain Python or NumPy.
 
     Raises:
-        SceneError: a path does not exist, or its field refuses the value.
+        SceneError: a path does not exist, or its field refuses the value. What a recording overrides is checked only in
+            its own scene (`as_recorded`).
     """
     data: Any = scene.model_dump(exclude_none=True)
     problems = []
     for path, value in values.items():
         try:
-            data = replaced(data, locate(data, path), plain(value))
+            data = with_vector(data, path)
+            data = replaced(data, _place(data, path), plain(value))
         except KeyError as error:
             problems.append(Problem(scene.where(path), path, str(error.args[0])))
     if problems:
@@ -116,6 +127,28 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
         raise SceneError(scene._origin.problems(error)) from None
     changed.set_origin(scene._origin)
     return changed
+
+
+def _place(data: Any, path: str) -> Loc:
+    """Return where the value at a path goes in plain data."""
+    loc, (recording, inside) = locate(data, path), split_own(path)
+    if recording and value_at(data, loc) is None:  # no override has it yet, or one that contains it has its default
+        return *loc[:4], inside
+    return loc
+
+
+def as_recorded(scene: Scene, recording: str) -> Scene:
+    """Return a scene with the overrides of a recording; raise a SceneError if the scene refuses one of them."""
+    return with_values(scene, scene.recordings[recording].overrides)
+
+
+def require_possible(scene: Scene, values: Mapping[str, Any]) -> None:
+    """Raise a SceneError if the scene, or that of a recording with a value of its own, refuses values by path."""
+    changed = with_values(scene, values)
+    for recording in dict.fromkeys(split_own(path)[0] for path in values):
+        if recording in changed.recordings:
+            with _problems_of(scene, recording):
+                as_recorded(changed, recording)
 
 
 def plain(value: Any) -> Any:
@@ -131,6 +164,28 @@ def plain(value: Any) -> Any:
 
 def _find(scene: Scene, path: str) -> tuple[Loc, type[BaseModel], str, Any]:
     """Return the place of a path, the model and field that contain it, and its value."""
+    recording, inside = split_own(path)
+    if recording not in scene.recordings:
+        return _walk(scene, path)
+    with _problems_of(scene, recording):
+        loc, owner, name, value = _walk(as_recorded(scene, recording), inside, own_path(recording, ""))
+    return ("data", "recordings", recording, "overrides", *loc), owner, name, value
+
+
+@contextmanager
+def _problems_of(scene: Scene, recording: str) -> Iterator[None]:
+    """Give the problems of the scene of a recording the paths that they have in the scene itself."""
+    try:
+        yield
+    except SceneError as error:
+        paths = [own_path(recording, problem.path) for problem in error.problems]
+        raise SceneError(
+            [Problem(scene.where(p), p, problem.message) for p, problem in zip(paths, error.problems, strict=True)]
+        ) from None
+
+
+def _walk(scene: Scene, path: str, prefix: str = "") -> tuple[Loc, type[BaseModel], str, Any]:
+    """Return what `_find` does; `prefix` is what a user writes before a path of this scene."""
     loc: list[int | str] = []
     node: Any = scene
     owner: type[Spec] = type(scene)
@@ -141,7 +196,7 @@ def _find(scene: Scene, path: str) -> tuple[Loc, type[BaseModel], str, Any]:
         if key is None and isinstance(node, Plugin) and node.shorthand and rest.partition(".")[0].isdigit():
             key, rest = node.shorthand, f"{node.shorthand}.{rest}"
         if key is None:
-            raise SceneError([Problem(scene.where(path), path, _missing(scene, path, loc, rest, node))])
+            raise SceneError([Problem(scene.where(path), path, _missing(scene, path, loc, rest, node, prefix))])
         if isinstance(node, Spec):
             owner, name = type(node), str(key)
         node = inside[key]
@@ -152,18 +207,36 @@ def _find(scene: Scene, path: str) -> tuple[Loc, type[BaseModel], str, Any]:
     return tuple(loc), owner, name, node
 
 
-def _missing(scene: Scene, path: str, loc: list[int | str], rest: str, node: Any) -> str:
+def _missing(scene: Scene, path: str, loc: list[int | str], rest: str, node: Any, prefix: str) -> str:
     place = f"'{joined(loc)}'" if loc else "the scene"
     key, inside = rest.partition(".")[0], children(node)
     if isinstance(node, Terms) and key in plugins(TERMS):
         return f"{place} has no '{key}': write the term there first, with a value to start from"
     if node is None and loc:
         return f"{place} is not set in this scene: write it there first, with a value of '{rest}' to start from"
+    if isinstance(node, Recording) and (own := _own(scene, str(loc[-1]), rest)):
+        return f"{place} has no '{key}': the value that this recording alone has there is '{own}'"
     sibling = suggest(key, map(str, inside))
-    known = (leaf for leaf in leaves(scene) if not leaf.startswith(("unknowns.", "data.synthetic.truth.")))
-    near = sibling if key == rest else suggest(path, known) or sibling
+    if split_own(path)[0]:  # of a recording that does not exist
+        return f"{place} has no '{key}'{sibling}; there are: {listed(map(str, inside))}"
+    skipped = ("unknowns.", "data.") if prefix else ("unknowns.", "data.synthetic.truth.")
+    known = (f"{prefix}{leaf}" for leaf in leaves(scene) if not leaf.startswith(skipped))
+    near = sibling if key == rest else suggest(f"{prefix}{path}", known) or sibling
     existing = f"; there are: {listed(map(str, inside))}" if inside else ""
+    if isinstance(node, Recording):
+        own = own_path(str(loc[-1]), "PATH")
+        existing += f"; any other value of this recording alone is {own}, such as world.gravity.0 for its tilt"
     return f"{place} has no '{key}'{near}{existing}"
+
+
+def _own(scene: Scene, recording: str, path: str) -> str:
+    """Return the key path of a recording's own value that a path without `overrides` means; empty if it means none."""
+    meant = (name for name in leaves(scene, differentiable=True) if f".{name}".endswith(f".{path}"))
+    own = next((name for name in meant if name.partition(".")[0] not in FIXED), path)
+    try:
+        return own_path(recording, own) if leaf(scene, own_path(recording, own)).differentiable else ""
+    except SceneError:
+        return ""
 
 
 def _not_a_number(path: str, value: Any) -> str:
@@ -193,5 +266,5 @@ def _leaves(node: Any, loc: Loc, reached: bool, all_leaves: bool) -> Iterator[st
         return
     for key, child in children(node).items():
         if isinstance(node, Spec):
-            reached = _reached(type(node), str(key), (*loc, key))
+            reached = _reached(type(node), str(key), joined((*loc, key)))
         yield from _leaves(child, (*loc, key), reached, all_leaves)

@@ -15,12 +15,13 @@ from cqrun.scene.constraint import Constraint
 from cqrun.scene.control import Episodes, Goal
 from cqrun.scene.data import Data, Recording, Synthetic, Unknown
 from cqrun.scene.fields import Memory, Name, Seed
+from cqrun.scene.load_path import PathValues
 from cqrun.scene.world_and_time import Time, World
 
 if TYPE_CHECKING:
     from cqrun.measurements.measurement import Measurement
 
-JobName = Literal["simulate", "sysid", "control", "codesign", "gradcheck"]
+JobName = Literal["simulate", "rest", "sysid", "control", "codesign", "gradcheck"]
 """The jobs of a scene; jobs/table.py defines what each does."""
 
 
@@ -59,6 +60,10 @@ class Sections(Spec):
         description="Name -> actuator", default_factory=dict
     )
     activation: Activation | None = Field(description="Open-loop signals", default=None)
+    path: dict[str, PathValues] = Field(
+        description="Key path, or activation.NAME -> values that `cqrun rest` goes through", default_factory=dict,
+        exclude_if=lambda path: not path,
+    )  # fmt: skip
     observers: dict[Name, Annotated[Chosen[Plugin], Choice("observer")]] = Field(
         description="Name -> observer: what a controller sees", default_factory=dict
     )
@@ -73,6 +78,10 @@ class Sections(Spec):
     constraints: dict[Name, Constraint] = Field(
         description="Name -> constraint, for an optimizer that handles constraints", default_factory=dict
     )
+    start: Literal["rest_shape", "equilibrium"] = Field(
+        description="Where a motion starts: in the rest shape, or at rest under the first loads and activations",
+        default="rest_shape", exclude_if=lambda start: start == "rest_shape",
+    )  # fmt: skip
     time: Time = Field(description="Duration and steps")
     data: Data | None = Field(description="Data that the run is fitted to", default=None)
     unknowns: dict[str, Unknown] = Field(
@@ -83,6 +92,11 @@ class Sections(Spec):
     )
 
     @property
+    def bodies_meet(self) -> bool:
+        """Whether bodies touch each other with their surfaces: several do, in the reference frame."""
+        return self.world.frame == "reference" and len(self.bodies) > 1
+
+    @property
     def dim(self) -> int:
         """2 or 3: the dimension of the world."""
         return len(self.world.size)
@@ -91,6 +105,11 @@ class Sections(Spec):
     def recordings(self) -> dict[str, Recording]:
         """The recordings that the scene is fitted to, by name."""
         return (self.data.recordings if self.data is not None else None) or {}
+
+    @property
+    def predicts_only(self) -> bool:
+        """Whether all data are held out, so that nothing is fitted."""
+        return bool(self.recordings) and all(recording.holdout for recording in self.recordings.values())
 
     @property
     def synthetic(self) -> Synthetic | None:

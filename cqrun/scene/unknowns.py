@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from pydantic_core import InitErrorDetails
 
@@ -11,7 +12,8 @@ from cqrun.errors import SceneError
 from cqrun.explain import KEY, Loc, finding, listed, suggest
 from cqrun.plugin.reference import body_of as named_body
 from cqrun.scene.data import Unknown
-from cqrun.scene.paths import LeafInfo, canonical, leaf, leaves, with_values
+from cqrun.scene.keypath import own_path, split_own
+from cqrun.scene.paths import FIXED, LeafInfo, canonical, leaf, leaves, require_possible, with_values
 from cqrun.scene.schema import Scene
 
 
@@ -54,6 +56,51 @@ def bounds_of(scene: Scene, path: str) -> tuple[float, float] | None:
     return None
 
 
+def scene_of_recording(scene: Scene, recording: str, values: Mapping[str, Any] | None = None) -> Scene:
+    """Return the scene of one recording: its overrides are applied, and its own unknowns are unknowns of the scene.
+
+    Args:
+        values: what to change, by path; the recording's overrides if not given.
+
+    Raises:
+        SceneError: the scene refuses a value.
+    """
+    changed = with_values(scene, scene.recordings[recording].overrides if values is None else values)
+    return changed.model_copy(update={"unknowns": _unknowns_in(scene, recording)})
+
+
+def has_own_values(scene: Scene, recording: str) -> bool:
+    """Return whether the scene of a recording differs from that of the others, or has unknowns of its own."""
+    named = [split_own(path)[0] for _, path in _named(scene)]
+    return bool(scene.recordings[recording].overrides) or recording in named
+
+
+def own_unknowns(scene: Scene, recording: str) -> list[str]:
+    """Return what is fitted for one recording alone: `start`, `offset.0`, or a path in the scene of the recording."""
+    begin = f"data.recordings.{recording}."
+    own = [path.removeprefix(begin) for _, path in _named(scene) if path.startswith(begin)]
+    return [path.removeprefix("overrides.") for path in own]
+
+
+def _unknowns_in(scene: Scene, recording: str) -> dict[str, Unknown]:
+    """Return the unknowns of the scene of a recording, by path in that scene.
+
+    A value that follows an unknown of another recording becomes an unknown with the bounds that it follows.
+    """
+    shared: dict[str, Unknown] = {}
+    own: dict[str, Unknown] = {}
+    for path, spec in scene.unknowns.items():
+        whose, inside = split_own(path)
+        also = {split_own(p)[1]: tie for p, tie in spec.also.items() if split_own(p)[0] in ("", recording)}
+        if whose in ("", recording):
+            (own if whose else shared)[inside] = spec.model_copy(update={"also": also})
+            continue
+        for other, tie in also.items():
+            ends = sorted(tie.factor * bound + tie.offset for bound in spec.bounds)
+            own[other] = Unknown(bounds=ends, initial=tie.factor * start(scene, path) + tie.offset)
+    return {path: spec for path, spec in shared.items() if path not in own} | own
+
+
 def body_of(scene: Scene, name: str) -> str:
     """Return the name of the body that a path, in its long form, belongs to; empty if there is none."""
     keys = name.split(".")
@@ -71,7 +118,7 @@ def groups_of(scene: Scene, path: str) -> tuple[str, ...]:
 def findings_of_paths(scene: Scene) -> list[InitErrorDetails]:
     """Return what is wrong with the unknowns, the synthetic truth and the recordings' overrides."""
     findings = [item for path, unknown in scene.unknowns.items() for item in _unknown(scene, path, unknown)]
-    return [*findings, *_duplicates(scene), *_starts_held_out(scene), *_truth(scene), *_overrides(scene)]
+    return [*findings, *_duplicates(scene), *_of_recordings(scene), *_truth(scene), *_overrides(scene)]
 
 
 def _unknown(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails]:
@@ -82,13 +129,25 @@ def _unknown(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDet
         yield finding(error.problems[0].message, place, kind=KEY)
         return
     if not info.differentiable:
-        reached = list(leaves(scene, differentiable=True))
-        message = f"no gradient reaches it{suggest(path, reached)}; unknowns can be: {listed(reached)}"
-        yield finding(message, place, kind=KEY)
+        yield finding(_unreached(scene, path), place, kind=KEY)
         return
     followers = list(_followers(scene, path, unknown))
     yield from followers or _bounds(scene, path, unknown, info)
     yield from _per(scene, path, unknown)
+
+
+def _unreached(scene: Scene, path: str) -> str:
+    """Return why a number cannot be an unknown, and which can be."""
+    recording, inside = split_own(path)
+    head, prefix = inside.partition(".")[0], own_path(recording, "") if recording else ""
+    if recording and head in FIXED:
+        return f"all recordings share `{head}`: one recording can have its own bodies, loads, world ..."
+    reached = [f"{prefix}{name}" for name in leaves(scene, differentiable=True) if not (prefix and _is_fixed(name))]
+    return f"no gradient reaches it{suggest(path, reached)}; unknowns can be: {listed(reached)}"
+
+
+def _is_fixed(path: str) -> bool:
+    return path.partition(".")[0] in FIXED
 
 
 def _followers(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails]:
@@ -103,8 +162,10 @@ def _followers(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorD
             continue
         same = info.path.split(".")
         if not info.differentiable:
-            reached = list(leaves(scene, differentiable=True))
-            yield finding(f"no gradient reaches it{suggest(other, reached)}", place, kind=KEY)
+            yield finding(_unreached(scene, other), place, kind=KEY)
+        elif split_own(path)[0] and not other.startswith("data."):
+            message = "all recordings share it, so it cannot follow a value of one of them: make it the unknown"
+            yield finding(message, place, kind=KEY)
         elif unknown.per != "body" and same[:1] + same[2:] != keys[:1] + keys[2:]:
             message = f"`per: {unknown.per}` can be tied to the same value of another body only"
             yield finding(message, place, kind=KEY)
@@ -116,7 +177,7 @@ def _bounds(scene: Scene, path: str, unknown: Unknown, info: LeafInfo) -> Iterat
     place: Loc = ("unknowns", path)
     for i, bound in enumerate(unknown.bounds):
         try:
-            with_values(scene, tied(scene, path, bound))
+            require_possible(scene, tied(scene, path, bound))
         except SceneError as error:
             wrong = error.problems[0]
             whose = f"by `also`, {wrong.path}" if wrong.path in unknown.also else "the value"
@@ -140,6 +201,10 @@ def _per(scene: Scene, path: str, unknown: Unknown) -> Iterator[InitErrorDetails
         return
     keys = canonical(scene, path).split(".")
     place: Loc = ("unknowns", path, "per")
+    if split_own(path)[0]:
+        message = f"`per: {unknown.per}` is for values that all recordings share; use `per: body` for those of one"
+        yield finding(message, place)
+        return
     is_weight = keys[0] == "actuators" and keys[-1] == "weight"
     body = body_of(scene, ".".join(keys))
     if not is_weight and (keys[0] != "bodies" or keys[2] != "material"):
@@ -164,13 +229,18 @@ def _set_by_regions(scene: Scene, keys: Sequence[str]) -> str:
     return f"material_of sets a separate value for {listed(names)}: remove it, or use `per: body`" if names else ""
 
 
-def _duplicates(scene: Scene) -> Iterator[InitErrorDetails]:
-    """Yield findings for unknowns and tied values that are the same value, spelt differently."""
-    first: dict[str, str] = {}
+def _named(scene: Scene) -> list[tuple[Loc, str]]:
+    """Return the place and the path of every unknown, and of every value tied to one."""
     named: list[tuple[Loc, str]] = [(("unknowns", path), path) for path in scene.unknowns]
     for path, unknown in scene.unknowns.items():
         named += [(("unknowns", path, "also", other), other) for other in unknown.also]
-    for place, path in named:
+    return named
+
+
+def _duplicates(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield findings for unknowns and tied values that are the same value, spelt differently."""
+    first: dict[str, str] = {}
+    for place, path in _named(scene):
         try:
             name = canonical(scene, path)
         except SceneError:
@@ -180,16 +250,21 @@ def _duplicates(scene: Scene) -> Iterator[InitErrorDetails]:
         first.setdefault(name, path)
 
 
-def _starts_held_out(scene: Scene) -> Iterator[InitErrorDetails]:
-    """Yield findings for unknown starts of held-out recordings."""
+def _of_recordings(scene: Scene) -> Iterator[InitErrorDetails]:
+    """Yield findings for unknown values of recordings that are held out, and unknown offsets of what has none."""
     for name, recording in scene.recordings.items():
-        path = f"data.recordings.{name}.start"
-        message = f"the recording '{name}' is held out, so nothing determines its start: remove this unknown"
-        for unknown, spec in scene.unknowns.items() if recording.holdout else ():
-            if unknown == path:
-                yield finding(message, ("unknowns", path), kind=KEY)
-            elif path in spec.also:
-                yield finding(message, ("unknowns", unknown, "also", path), kind=KEY)
+        begin = f"data.recordings.{name}."
+        for place, path in _named(scene):
+            if not path.startswith(begin):
+                continue
+            what = path.removeprefix(begin).removeprefix("overrides.")
+            if recording.holdout:
+                its = "its start" if what == "start" else f"its own value of {what}"
+                message = f"the recording '{name}' is held out, so nothing determines {its}: remove this unknown"
+                yield finding(message, place, kind=KEY)
+            elif what.startswith("offset.") and "offset" not in recording.measurement.takes:
+                message = f"has no meaning for the measurement `{recording.measurement.name}`: remove it"
+                yield finding(message, place, kind=KEY)
 
 
 def _truth(scene: Scene) -> Iterator[InitErrorDetails]:
@@ -217,7 +292,7 @@ def _overrides(scene: Scene) -> Iterator[InitErrorDetails]:
     """Yield findings for overrides of recordings that the scene refuses, each tried alone, then all together."""
     for name, recording in scene.recordings.items():
         place: Loc = ("data", "recordings", name, "overrides")
-        useless = list(_without_effect(scene, place, list(recording.overrides)))
+        useless = list(_without_effect(scene, name, place))
         if useless:
             yield from useless
             continue
@@ -227,23 +302,29 @@ def _overrides(scene: Scene) -> Iterator[InitErrorDetails]:
             yield from _refused(scene, place, {"": recording.overrides})
 
 
-FIXED = ("data", "unknowns", "optimizer", "time", "job", "title", "seed", "memory", "precision", "cqrun")
-"""Sections that all recordings of a scene share, so that no recording can override them."""
-
-
-def _without_effect(scene: Scene, place: Loc, paths: list[str]) -> Iterator[InitErrorDetails]:
-    """Yield findings for overrides without effect: of shared sections, and of values that are fitted."""
-    for path in paths:
+def _without_effect(scene: Scene, recording: str, place: Loc) -> Iterator[InitErrorDetails]:
+    """Yield findings for overrides without effect: of shared sections, and of values that are fitted to all data."""
+    named = {name: [name, *spec.also] for name, spec in scene.unknowns.items()}
+    own = [split_own(path)[1] for _, path in _named(scene) if split_own(path)[0] == recording]
+    for path in scene.recordings[recording].overrides:
         head = path.split(".")[0]
-        named = {name: [name, *spec.also] for name, spec in scene.unknowns.items()}
-        fitted = [name for name, others in named.items() if any(_contains(scene, path, other) for other in others)]
+        shared = {name: [p for p in paths if not _is_one_of(scene, p, own)] for name, paths in named.items()}
+        fitted = [(name, p) for name, paths in shared.items() for p in paths if _contains(scene, path, p)]
         if head in FIXED:
             message = f"all recordings share `{head}`: an override can change bodies, loads, the world ..."
             yield finding(message, (*place, path))
         elif fitted:
-            how = "is fitted, as" if _contains(scene, path, fitted[0]) else "follows"
-            message = f"{how} the unknown '{fitted[0]}': a recording cannot have its own value"
+            name, number = fitted[0]
+            message = (
+                f"{'is fitted, as' if name == number else 'follows'} the unknown '{name}': a recording cannot have its "
+                f"own value; to fit one for this recording alone, add the unknown '{own_path(recording, number)}'"
+            )
             yield finding(message, (*place, path))
+
+
+def _is_one_of(scene: Scene, path: str, others: Sequence[str]) -> bool:
+    """Return whether a path and one of others are the same number, in any spelling."""
+    return any(_contains(scene, path, other) and _contains(scene, other, path) for other in others)
 
 
 def _contains(scene: Scene, path: str, name: str) -> bool:

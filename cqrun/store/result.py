@@ -54,6 +54,10 @@ class Identified(Part):
     interval: Interval | list[Interval | None] | None = None
     reason: str | None = optional()
 
+    def names(self, path: str) -> list[str]:
+        """Return the name of each of the unknown's numbers: its key path, with an index if it has several."""
+        return [f"{path}[{k}]" for k in range(len(self.value))] if isinstance(self.value, list) else [path]
+
     def numbers(self) -> tuple[list[float], list[Interval | None], list[float]]:
         """Return the unknown's numbers, an interval or None for each, and their start values."""
         values, initials = (v if isinstance(v, list) else [v] for v in (self.value, self.initial))
@@ -85,11 +89,29 @@ class RecordingError(Part):
         return value if isinstance(value, dict) else {}
 
 
+class HeldNumber(Part):
+    """A number that a fit holds fixed, so that its intervals are right only if this number is.
+
+    Attributes:
+        value: the number in the scene.
+        other: another possible value.
+        found: what the fit would find with that value, to first order, by the name of each number with an interval: its
+            key path, with `[0]`, `[1]` ... if it has several.
+        misfit: size of the residuals then, relative to those of the fit; None if the fit has none.
+    """
+
+    value: float
+    other: float
+    found: dict[str, float]
+    misfit: float | None = optional()
+
+
 class SysidResult(Search):
     """The result of an identification.
 
     Attributes:
         unknowns: the unknowns by key path.
+        held: densities and elastic constants that the intervals hold fixed, by key path.
         recordings: the errors of each recording by name; None if nothing was predicted, or there are no data.
         fracture: for each body, the most pairs of neighbours lost at one time; None if nothing was predicted.
         findings: sentences about what the data do not determine, and about what went wrong.
@@ -97,6 +119,7 @@ class SysidResult(Search):
 
     job: Literal["sysid"] = "sysid"
     unknowns: dict[str, Identified]
+    held: dict[str, HeldNumber] = Field(default_factory=dict, exclude_if=lambda held: not held)
     recordings: dict[str, RecordingError] | None = None
     fracture: dict[str, int] | None = None
     findings: list[str] = Field(default_factory=list)
@@ -224,6 +247,45 @@ class SimulateResult(Part):
     constraints: dict[str, ConstraintValue] | None = optional()
 
 
+# --- rest ------------------------------------------------------------------------------------------------------------
+
+
+class RestPoint(Part):
+    """A point of a path of equilibria.
+
+    Attributes:
+        values: values of the path by key path.
+        converged: whether an equilibrium was found.
+        residual: net force divided by the loads.
+        steps, products: steps of Newton's method, and products with the stiffness matrix.
+        negative: whether the stiffness matrix has a negative eigenvalue.
+        smallest: smallest eigenvalue of the preconditioned matrix; it vanishes at a limit point. None if unknown.
+        halvings: how often the way from the last point was halved.
+        reached: part of that way that was covered.
+    """
+
+    values: dict[str, float]
+    converged: bool
+    residual: float
+    steps: int
+    products: int
+    negative: bool
+    smallest: float | None = None
+    halvings: int
+    reached: float
+
+
+class RestResult(Part):
+    """The equilibria along a path: its points, and sentences about what is notable."""
+
+    file: ClassVar[str] = RESULT
+    job: Literal["rest"] = "rest"
+    status: str
+    message: str
+    points: list[RestPoint]
+    findings: list[str]
+
+
 # --- gradcheck ------------------------------------------------------------------------------------------------------
 
 
@@ -274,7 +336,7 @@ class GradcheckResult(Part):
 
 # --- files ----------------------------------------------------------------------------------------------------------
 
-Result = SysidResult | LearnedResult | SimulateResult | GradcheckResult
+Result = SysidResult | LearnedResult | SimulateResult | RestResult | GradcheckResult
 _RESULT: TypeAdapter[Result] = TypeAdapter(Annotated[Result, Field(discriminator="job")])
 
 

@@ -7,8 +7,8 @@ results/<scene's stem>/<12 hex>/
   log.txt               events by phase          figures/       lock
   plugins/              copies of plug-in files  trajectory.h5  the motion
   synthetic/            data that the run made
-Jobs add controller.npz, activation.csv, observables.csv (learned.py, simulate.py), tracks.csv (findings.py) and design/
-(export.py).
+Jobs add controller.npz, activation.csv, observables.csv (learned.py, simulate.py), tracks.csv (predictions.py) and
+design/ (export.py).
 """
 
 from __future__ import annotations

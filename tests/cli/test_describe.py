@@ -36,6 +36,14 @@ def test_every_plugin_has_a_page(kind, name):
     assert f"{kind} {name}: " in page(kind)
 
 
+def test_the_pages_of_a_fit_say_how_to_free_a_value_of_one_recording():
+    recordings, unknowns = page("recordings"), page("unknowns")
+    for text in (recordings, unknowns):
+        assert "`data.recordings.NAME.overrides.PATH`" in text
+    assert "offset: [m], a number for each dimension, optional, differentiable" in recordings
+    assert "If every recording is `holdout: true`, nothing is fitted" in recordings
+
+
 @pytest.mark.parametrize("name", ["viscosity", "fixed_corotated", "neo_hookean"])
 def test_a_materials_page_says_what_it_is_in_2d(name):
     """The trace is divided by 3, and a thin beam is stiffer than E."""

@@ -33,6 +33,19 @@ def test_equal_names_get_their_differences_as_a_prefix():
     ]
 
 
+def test_a_value_of_one_recording_has_its_name():
+    own = [f"data.recordings.{name}.overrides.world.gravity.1" for name in ("bare", "loaded")]
+    rates = [f"data.recordings.bare.overrides.loads.{name}.damping.rate" for name in ("air", "oil")]
+    assert labels([*own, "world.gravity.1", "data.recordings.bare.offset.2", *rates], 3) == [
+        "bare: Gravity y",
+        "loaded: Gravity y",
+        "Gravity y",
+        "bare: Offset z",
+        "bare: air: Damping rate",
+        "bare: oil: Damping rate",
+    ]
+
+
 @pytest.mark.parametrize(
     ("unit", "largest", "name", "factor"),
     [

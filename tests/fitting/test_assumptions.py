@@ -8,6 +8,7 @@ import pytest
 from small_beam import E_PATH, SHEAR_PATH, changed, result_of
 
 from cqrun.jobs.sysid import run_sysid
+from cqrun.jobs.table import report_lines
 
 MATERIAL = "bodies.beam.material"
 RATIO = f"{MATERIAL}.elastic.fixed_corotated.poissons_ratio"
@@ -32,9 +33,36 @@ def test_a_number_held_at_another_value_than_the_true_one(path, true, fit, tmp_p
     assert 0.5 < float(re.search("its residuals would be ([^ ]+) times as large", sentence)[1]) < 1.05
 
 
+def test_what_an_interval_holds_fixed_is_in_the_result_and_the_report(fit, tmp_path):
+    """Also what would move a value only within its interval; a fit with the other value finds it, to first order."""
+    wrong = [f"data.synthetic.truth.{DENSITY}=1000.5", f"data.synthetic.truth.{RATIO}=0.32"]
+    run = run_sysid(fit, wrong, tmp_path, threads=1)
+    result = result_of(run)
+    with_interval = [path for path, entry in result["unknowns"].items() if entry["interval"] is not None]
+    assert with_interval == [E_PATH, SHEAR_PATH]
+    here = result["unknowns"][E_PATH]["value"]
+    for path, (value, other) in {DENSITY: (1000.0, 1100.0), RATIO: (0.3, 0.4)}.items():
+        held = result["held"][path]
+        assert (held["value"], held["other"]) == (value, pytest.approx(other))
+        assert list(held["found"]) == with_interval
+        again = result_of(run_sysid(fit, [*wrong, f"{path}={held['other']}"], tmp_path, threads=1))
+        there = again["unknowns"][E_PATH]["value"]
+        assert held["found"][E_PATH] - here == pytest.approx(there - here, rel=0.3)
+    lines = report_lines(run)
+    begin = lines.index("The intervals hold these numbers fixed. With the value under `if`, the fit would find about:")
+    assert lines[begin + 1].split() == ["held", "fixed", "is", "if", "unknown", "would", "be"]
+    rows = [line.split() for line in lines[begin + 2 : begin + 6]]
+    found = result["held"][DENSITY]["found"]
+    assert rows[0] == [DENSITY, "1000", "1100", E_PATH, f"{found[E_PATH]:.5g}", "outside", "its", "interval"]
+    assert rows[1][:2] == [SHEAR_PATH, f"{found[SHEAR_PATH]:.5g}"]
+    assert rows[2][:4] == [RATIO, "0.3", "0.4", E_PATH]
+
+
 def test_numbers_with_which_the_data_were_made_are_right(fit, tmp_path):
-    _, told = findings(fit, tmp_path)
-    assert told == []
+    run = run_sysid(fit, [], tmp_path, threads=1)
+    assert result_of(run)["findings"] == []
+    assert "held" not in result_of(run)
+    assert not any("hold these numbers fixed" in line for line in report_lines(run))
 
 
 def test_an_unknown_that_ends_at_its_bound(fit, tmp_path):

@@ -10,6 +10,7 @@ from small_beam import BEAM, E_PATH, FIT, SHEAR_PATH, Listener, result_of
 from cqrun.jobs.gradcheck import run_gradcheck
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
+from cqrun.jobs.validate import validate
 from cqrun.store.trajectory import read_trajectory
 
 REFERENCE = BEAM.replace("dx: 0.01,", "dx: 0.01, frame: reference,")
@@ -50,3 +51,18 @@ def test_a_run_forward_writes_its_trajectory(scenes):
     assert len(x) == 11
     assert x[-1, :, 1].mean() < x[0, :, 1].mean() - 1e-4
     assert json.loads((run / "result.json").read_text())["status"] == "done"
+
+
+@pytest.mark.parametrize(
+    ("scene", "way"),
+    [("elastic", "they ran the motion backwards"), ("fit", "because stresses or forces depend on velocities")],
+)
+def test_a_fit_says_how_its_gradients_kept_their_states(scenes, scene, way):
+    run = run_sysid(scenes / f"{scene}.yaml", ["optimizer={lbfgs: {max_iterations: 2}}"], scenes / "out")
+    assert way in (run / "log.txt").read_text()
+
+
+def test_validate_says_how_a_gradient_keeps_its_states(scenes):
+    elastic, viscous = ("\n".join(validate(scenes / f"{name}.yaml")) for name in ("elastic", "fit"))
+    assert "a gradient runs the motion backwards and keeps 3 states of" in elastic
+    assert "because stresses or forces depend on velocities" in viscous

@@ -85,6 +85,21 @@ def test_loss_taylor_remainder_of_second_order(rng, dim):
     assert np.diff(np.log(left)).max() / np.log(0.5) > 1.9
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("absolute", [False, True])
+def test_the_adjoint_of_an_offset_by_dot_product(rng, dim, absolute):
+    """The loss is quadratic in the offset, so the central difference is exact. Gaps stay gaps."""
+    comparison, record = make(rng, dim, absolute=absolute), smooth_record(rng, dim)
+    offset, direction = rng.normal(size=(2, dim))
+    here = comparison.moved(offset)
+    bar = here.moved_vjp(record, 0.3045, 1.7)
+    ahead, behind = (1.7 * comparison.moved(offset + h * direction).loss(record, 0.3045) for h in (0.5, -0.5))
+    assert float(bar @ direction) == pytest.approx(ahead - behind, rel=1e-9)
+    assert here.seen is comparison.seen
+    assert not here.data[~here.seen].any()
+    np.testing.assert_allclose(here.data[here.seen] - comparison.data[here.seen], offset * np.ones((here.count, dim)))
+
+
 def test_loss_is_the_mean_squared_distance_and_the_square_of_the_rmse(rng):
     comparison, record = make(rng), smooth_record(rng, 3)
     errors = comparison.model(record, 0.3) - comparison.data

@@ -12,6 +12,7 @@ from cqrun.engine.model import Inputs, LossBar
 from cqrun.engine.probe import record_vjp
 from cqrun.engine.reference.contacts import add_friction_bars, with_own_bars
 from cqrun.engine.reference.ghost import GAMMA, mean_modulus, mean_modulus_vjp
+from cqrun.engine.reference.moves import poses_vjp
 from cqrun.engine.reference.setting import NodeBars
 from cqrun.engine.reference.step import reverse, see_vjp
 from cqrun.engine.setting import Crew
@@ -46,6 +47,7 @@ class ReferenceBackward(BackwardRun):
             aligned(run.q.shape, real), np.zeros_like(run.push), r.model.no_push(r.drive.steady), self.coefficient_bar,
         )  # fmt: skip
         self.parts = tuple((pair, first, last) for pair, (_, first, last) in zip(self.pairs, r.parts, strict=True))
+        self.moves = tuple((moves, np.zeros_like(moves.pose)) for moves in r.moves)
         self.contacts = with_own_bars(r.contacts)
         self.finished = False
 
@@ -73,7 +75,7 @@ class ReferenceBackward(BackwardRun):
 
         def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
             reverse(
-                self.parts, r.conditions, r.loads, r.ghosts, self.contacts, r.drive, self.stresses,
+                self.parts, r.conditions, r.loads, r.ghosts, self.moves, self.contacts, r.drive, self.stresses,
                 self.drive_bar.levels, r.bundle, self.bundle, r.rest.patches.colours, states, from_, end,
                 self.reverses, r.probe, self.records_bar, Crew(thread, n),
             )  # fmt: skip
@@ -87,6 +89,8 @@ class ReferenceBackward(BackwardRun):
         bar, r = super().inputs_bar(), self.rollout
         if r.ghosts:
             self._add_ghost_bar(bar)
+        for _, pose_bar in self.moves:
+            bar.moves += poses_vjp(r.model, r.inputs.moves, r.shares, pose_bar)
         return bar
 
     def _add_ghost_bar(self, bar: Inputs) -> None:

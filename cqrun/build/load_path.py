@@ -1,0 +1,87 @@
+"""The points of a scene's `path` as values by key path, and as inputs of the engine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from cqrun.build.model import Built
+from cqrun.engine.model import Inputs
+from cqrun.errors import Problem, SceneError
+from cqrun.explain import listed
+from cqrun.plugin.contract import Array
+from cqrun.scene.load_path import ACTIVATION, values_of
+from cqrun.scene.paths import canonical, leaf, shapes_a_body
+from cqrun.scene.schema import Scene
+
+
+def points_of(built: Built) -> list[dict[str, float]]:
+    """Return the values of every point by key path; a scene without `path` has one point without values.
+
+    Raises:
+        SceneError: a key does not exist or cannot change in rest, or the lists have different lengths.
+    """
+    scene, columns = built.scene, {}
+    for key, entry in scene.path.items():
+        name = key if key.startswith(ACTIVATION) else _checked(scene, key)
+        columns[name] = values_of(entry)
+        if key.startswith(ACTIVATION):
+            _check_activation(built, key, columns[name])
+    lengths = {key: len(values) for key, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        each = ", ".join(f"{key} has {count}" for key, count in lengths.items())
+        raise _problem(scene, "path", f"all keys need the same number of values: {each}")
+    count = next(iter(lengths.values()), 1)
+    return [{key: values[k] for key, values in columns.items()} for k in range(count)]
+
+
+def inputs_of(built: Built, point: Mapping[str, float], values: Mapping[str, Array] | None = None) -> Inputs:
+    """Return the engine's inputs at a point; `values` by path, such as those of a fit, hold elsewhere."""
+    numbers = {key: np.array(value) for key, value in point.items() if not key.startswith(ACTIVATION)}
+    inputs = built.assembly.inputs({**(values or {}), **numbers})
+    activation = inputs.activation[-1:].copy()
+    for key, value in point.items():
+        if key.startswith(ACTIVATION):
+            activation[0, _parts(built, key)] = value
+    return replace(inputs, activation=activation)
+
+
+def _checked(scene: Scene, key: str) -> str:
+    """Return the long form of a key path that a path of equilibria can change."""
+    where = f"path.{key}"
+    try:
+        info, long = leaf(scene, key), canonical(scene, key)
+    except SceneError as error:
+        raise _problem(scene, where, str(error.problems[0].message)) from None
+    if shapes_a_body(long):
+        raise _problem(scene, where, "changes the rest shape of a body: a path changes loads, forces and activations")
+    if not info.differentiable:
+        raise _problem(scene, where, "cannot change along a path: no force depends on it continuously")
+    return long
+
+
+def _check_activation(built: Built, key: str, values: list[float]) -> None:
+    actuation = built.assembly.actuation
+    for k in _parts(built, key):
+        low, high = actuation.low[k], actuation.high[k]
+        wrong = [value for value in values if not low <= value <= high]
+        if wrong:
+            message = f"{wrong[0]:g} is outside the actuator's limits, {low:g} to {high:g}"
+            raise _problem(built.scene, f"path.{key}", message)
+
+
+def _parts(built: Built, key: str) -> list[int]:
+    """Return the numbers of the parts that a key of an activation names: a part, or all parts of an actuator."""
+    name, parts = key.removeprefix(ACTIVATION), built.assembly.actuation.parts
+    found = [k for k, part in enumerate(parts) if name in (part.name, part.actuator)]
+    if not found:
+        names = dict.fromkeys([*(part.actuator for part in parts), *(part.name for part in parts)])
+        known = f"the scene has {listed(names)}" if names else "the scene has no actuators"
+        raise _problem(built.scene, f"path.{key}", f"there is no actuator '{name}'; {known}")
+    return found
+
+
+def _problem(scene: Scene, path: str, message: str) -> SceneError:
+    return SceneError([Problem(scene.where(path), path, message)])

@@ -1,0 +1,33 @@
+"""`cqrun rest`: find where a scene comes to rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cqrun.cli.options import DEFAULT_OUT, AllowPlugins, Fresh, Out, Overrides, Quiet, Threads
+
+
+def rest(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (YAML).", show_default=False)],
+    overrides: Overrides = None,
+    out: Out = DEFAULT_OUT,
+    fresh: Fresh = False,
+    threads: Threads = None,
+    allow_plugins: AllowPlugins = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find where a scene comes to rest under its loads and activations, without simulating the way there.
+
+    With a section `path`, find one equilibrium after the other, such as a curve of force against displacement.
+    """
+    from cqrun.cli.progress import working
+    from cqrun.cli.results import draw_and_print_run
+
+    with working(quiet, allow_plugins, f"reading {scene}") as reporter:
+        from cqrun.jobs.rest import REST
+
+        run = REST.run(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
+    draw_and_print_run(run, quiet, allow_plugins)

@@ -1,0 +1,289 @@
+"""Equilibrium of a model in the reference frame, and its adjoint: one more linear solve, and no time.
+
+The net force on the free nodes vanishes, f(u, theta) = 0, so K du = (df/dtheta) dtheta with K = -df/du, which is
+symmetric for every law with an energy. For a loss L(u) the adjoint solves K lambda = dL/du, and then
+
+    dL/dtheta = lambda . df/dtheta,
+
+which is the adjoint of one substep's forces at lambda. Velocities are zero, so viscosity and damping have no part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cqrun.boundaries.condition import project_all
+from cqrun.engine.model import Inputs, LossBar, Model
+from cqrun.engine.probe import record
+from cqrun.engine.reference.backward import ReferenceBackward
+from cqrun.engine.reference.look import look
+from cqrun.engine.reference.moves import poses, poses_vjp
+from cqrun.engine.reference.rollout import ReferenceRollout
+from cqrun.engine.reference.step import begin_control
+from cqrun.engine.setting import Crew
+from cqrun.engine.statics.krylov import conjugate_gradients
+from cqrun.engine.statics.newton import MOST_PRODUCTS, Rest, find_rest
+from cqrun.engine.statics.passes import find_bars, find_change, find_net, find_slopes
+from cqrun.engine.statics.tangent import add_blocks, rows_of
+from cqrun.numerics.lanes import lane_width
+from cqrun.numerics.packed import aligned
+from cqrun.plugin.contract import Array
+from cqrun.state import State
+
+TINY_STRAIN = 1e-4
+"""Strain whose forces are the measure of the residual of a body without loads."""
+
+LEAST_BLOCK = 1e-3
+"""Least eigenvalue of a node's block of the preconditioner, as a part of the block's largest."""
+
+
+@dataclass(frozen=True)
+class AdjointSolve:
+    """How well the linear system of an adjoint was solved."""
+
+    products: int
+    converged: bool
+
+
+class Equilibrium:
+    """Find where one model rests under the loads and activations of one control step.
+
+    Args:
+        threads: number of threads at most. The results do not depend on it.
+        control: the control step whose activations act.
+    """
+
+    def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0) -> None:
+        alone = replace(model, surface=None, obstacles=())  # contact is not felt at rest
+        self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
+        self.control, self.run = control, self.rollout.bundle
+        self.dim, self.n_nodes = model.dim, len(self.run.nodes.mass)
+        patches, real = self.rollout.rest.patches, model.real
+        self.colours = patches.colours
+        width = lane_width(real)
+        self.A = aligned((patches.layout.n // width, rows_of(self.dim), width), real)
+        self.push = np.zeros_like(self.run.push)
+        self.still = aligned((self.n_nodes, 4), real)
+        self.held, self.free = self._projections()
+        self.one = [np.ones(1) for _ in self.rollout.shares]
+        self.carried = self._carried()
+        self._each(lambda crew: begin_control(self.rollout.drive, self.run, self.colours, control, crew))
+        self.outside = self.run.outside.copy()
+        self.inverse = np.zeros((0, self.dim, self.dim))
+
+    # --- the system (`newton.System`) -----------------------------------------------------------------------------
+
+    def net(self, u: Array) -> Array:
+        """Return the net force on every node (M, 4) [N], zero where nodes are held."""
+        r = self.rollout
+        self._each(
+            lambda crew: find_net(
+                r.parts, r.loads, r.ghosts, r.drive, self.run, self.colours, u, self.still, self.control, crew
+            )
+        )
+        return self._freed(self.run.force + self.outside)
+
+    def linearise(self, u: Array) -> None:
+        """Prepare the tangent and its preconditioner at a displacement."""
+        self._each(lambda crew: find_slopes(self.rollout.parts, self.run, self.A, u, self.still, crew))
+        self._invert_blocks()
+
+    def product(self, p: Array) -> Array:
+        """Return the stiffness matrix times a displacement (M, 4)."""
+        r = self.rollout
+        self._each(
+            lambda crew: find_change(
+                r.loads, r.ghosts, r.drive, self.run, self.A, self.push, self.colours, p, self.control, crew
+            )
+        )
+        return self._freed(-self.run.force)
+
+    def precondition(self, r: Array) -> Array:
+        """Return the forces (M, 4) times the inverse of each node's block."""
+        z, active = np.zeros_like(r), self.run.nodes.active
+        z[active, : self.dim] = np.einsum("nij,nj->ni", self.inverse, r[active, : self.dim])
+        return self._freed(z)
+
+    # --- what a user asks ---------------------------------------------------------------------------------------------
+
+    def solve(self, u: Array | None = None, *, tolerance: float = 1e-8) -> Rest:
+        """Return where the model rests, from a first guess of the displacements (M, 4), or from the rest shape."""
+        start = aligned((self.n_nodes, 4), self.run.force.dtype)
+        if u is not None:
+            start[...] = u
+        change = self.carried - (start - self._freed(start))
+        if change.any():
+            start += change + self._follow(start, change)
+        load = self.load()
+        if change.any():
+            load = max(load, float(np.linalg.norm(self.net(start))))
+        return find_rest(self, start, load, tolerance)
+
+    def load(self) -> float:
+        """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
+
+        A body without any load has its residual measured by the forces of a strain of TINY_STRAIN. (Boundaries that
+        carry their nodes load a body, too: `solve` adds what the first guess lacks.)
+        """
+        inner = self.net(np.zeros_like(self.outside)) - self._freed(self.outside)
+        load = float(np.sqrt((self._freed(self.outside) ** 2).sum() + (inner**2).sum()))
+        if load > 0.0:
+            return load
+        self.linearise(np.zeros_like(self.outside))
+        stiffness = 1.0 / np.linalg.norm(self.inverse, axis=(1, 2))
+        return float(TINY_STRAIN * self.rollout.model.dx * np.linalg.norm(stiffness))
+
+    def state(self, u: Array) -> State:
+        """Return the state of the particles at a displacement, at rest."""
+        return self.rollout.unpack(np.stack([u, self.still]), 0)
+
+    def record(self, u: Array) -> Array:
+        """Return the probe's sums (rows, K) at a displacement."""
+        look(self.run, u, self.still, Crew(0, 1))
+        out = np.zeros_like(self.rollout.records[0])
+        record(self.rollout.probe, self.run.q, out)
+        return out
+
+    def reactions(self, u: Array) -> Array:
+        """Return the forces (M, D) [N] with which boundaries hold the nodes."""
+        self.net(u)
+        force = self.run.force + self.outside
+        return np.asarray((self._freed(force) - force)[:, : self.dim])
+
+    def held_by(self, u: Array) -> dict[str, tuple[Array, Array]]:
+        """Return the force (D,) [N] and the moment (1,) or (3,) [N m] of every boundary, by its name.
+
+        A node that several boundaries hold counts for the first. A moment is about the centre of the boundary's nodes
+        at rest, and acts where the nodes are now.
+        """
+        model, force = self.rollout.model, self.reactions(u)
+        X = self.rollout.rest.patches.positions(model.dx)
+        bits, out = self.run.nodes.bits, {}
+        for name in dict.fromkeys(condition.name for condition in model.conditions):
+            own = sum(1 << k for k, condition in enumerate(model.conditions) if condition.name == name)
+            lowest = bits & -bits
+            nodes = np.flatnonzero(lowest & own)
+            if len(nodes):
+                arms = X[nodes] - X[nodes].mean(axis=0) + u[nodes, : self.dim]
+                moment = _turns(arms).transpose(0, 2, 1) @ force[nodes][:, :, None]
+                out[name] = force[nodes].sum(axis=0), moment[:, :, 0].sum(axis=0)
+        return out
+
+    def gradient(self, u: Array, *, record_bar: Array | None = None, state_bar: State | None = None,
+                 tolerance: float = 1e-10) -> tuple[Inputs, AdjointSolve]:  # fmt: skip
+        """Return the cotangent of the inputs at an equilibrium u, from that of its record (rows, K) or state."""
+        self.rollout.final = np.stack([u, self.still])
+        back = ReferenceBackward(self.rollout, LossBar(final=state_bar), reverses=False)
+        if record_bar is not None:
+            back._add_record(back.q_bar, record_bar)
+        return self.gradient_of_nodes(u, back.q_bar[0], tolerance)
+
+    def gradient_of_nodes(self, u: Array, u_bar: Array, tolerance: float = 1e-10) -> tuple[Inputs, AdjointSolve]:
+        """Return the cotangent of the inputs at an equilibrium u, from that of its displacements (M, 4)."""
+        self.rollout.final = np.stack([u, self.still])
+        back = ReferenceBackward(self.rollout, LossBar(), reverses=False)
+        given_bar = u_bar.copy()
+        loss_bar = self._freed(given_bar)
+        self.linearise(u)
+        found = conjugate_gradients(self.product, loss_bar, self.precondition, tolerance, 10 * MOST_PRODUCTS)
+        r = self.rollout
+        self._each(
+            lambda crew: find_bars(
+                back.parts, r.loads, r.ghosts, r.drive, back.stresses, back.drive_bar.levels, self.run, back.bundle,
+                self.colours, u, self.still, found.x, self.control, crew,
+            )
+        )  # fmt: skip
+        bar = back.inputs_bar()
+        held_bar = (given_bar + back.bundle.sums[::2])[
+            :, : self.dim
+        ]  # dL/du of held nodes, directly and through forces
+        for moves in r.moves:
+            there_bar = held_bar[moves.nodes]
+            pose_bar = np.zeros((len(self.one), 1, self.dim + self.dim**2))
+            rows = np.concatenate(
+                [there_bar, np.einsum("hi,hj->hij", there_bar, moves.arm).reshape(len(there_bar), -1)], axis=1
+            )
+            np.add.at(pose_bar[:, 0], moves.plane, rows)
+            bar.moves[...] = poses_vjp(r.model, r.inputs.moves, self.one, pose_bar)
+        return bar, AdjointSolve(found.iterations, found.converged)
+
+    def loose_bodies(self) -> dict[str, int]:
+        """Return the bodies that nothing holds, by name: in how many ways each can move as a rigid body."""
+        patches, model, loose = self.rollout.rest.patches, self.rollout.model, {}
+        X, body = patches.positions(model.dx), patches.body_of_nodes()
+        for k, name in enumerate(model.body_names):
+            own = body[self.held] == k
+            arms = X[self.held[own]] - X[self.run.nodes.active].mean(axis=0)
+            modes = np.concatenate([np.broadcast_to(np.eye(self.dim), (own.sum(), self.dim, self.dim)),
+                                    _turns(arms)], axis=2)  # fmt: skip
+            kept = np.eye(self.dim) - self.free[own]
+            felt = np.einsum("nij,njr->nir", kept, modes).reshape(-1, modes.shape[2])
+            size = np.linalg.norm(modes.reshape(-1, modes.shape[2]), axis=0) if own.any() else np.ones(modes.shape[2])
+            rank = np.linalg.matrix_rank(felt / np.maximum(size, 1e-300), tol=1e-8) if own.any() else 0
+            if rank < modes.shape[2]:
+                loose[name] = int(modes.shape[2] - rank)
+        return loose
+
+    # --- inside -------------------------------------------------------------------------------------------------------
+
+    def _each(self, body: Callable[[Crew], None]) -> None:
+        """Run a pass on all threads."""
+        n = self.rollout.threads
+        self.rollout.team.run(lambda thread: body(Crew(thread, n)))
+
+    def _carried(self) -> Array:
+        """Return where boundaries carry their nodes: the displacement of held nodes (M, 4), zero elsewhere."""
+        out = np.zeros((self.n_nodes, 4))
+        for moves in self.rollout.moves:
+            pose = poses(self.rollout.model, self.rollout.inputs.moves, self.one)[moves.plane, 0]
+            R = pose[:, self.dim :].reshape(-1, self.dim, self.dim)
+            out[moves.nodes, : self.dim] = pose[:, : self.dim] + np.einsum("hij,hj->hi", R, moves.arm)
+        return out
+
+    def _follow(self, u: Array, change: Array) -> Array:
+        """Return how the free nodes follow a change of the held ones, to first order: a good guess for the search."""
+        self.linearise(u)
+        pull = -self.product(change)
+        return conjugate_gradients(self.product, pull, self.precondition, 1e-2, MOST_PRODUCTS).x
+
+    def _projections(self) -> tuple[Array, Array]:
+        """Return the nodes that boundaries hold (H,), and the projection of each on its free directions (H, D, D)."""
+        bits = self.run.nodes.bits
+        held = np.flatnonzero(bits)
+        free = np.zeros((len(held), self.dim, self.dim))
+        for k, n in enumerate(held):
+            for axis in range(self.dim):
+                unit = tuple(np.eye(self.dim)[axis])
+                free[k, :, axis] = project_all(self.rollout.conditions, n, int(bits[n]), unit)
+        return held, free
+
+    def _freed(self, a: Array) -> Array:
+        """Return a vector of the nodes (M, 4) without what boundaries hold."""
+        out = a.copy()
+        out[self.held, : self.dim] = np.einsum("hij,hj->hi", self.free, a[self.held, : self.dim])
+        return out
+
+    def _invert_blocks(self) -> None:
+        """Invert the diagonal block of every node, with negative and small eigenvalues raised."""
+        dim, active = self.dim, self.run.nodes.active
+        blocks = np.zeros((self.n_nodes, dim, dim))
+        add_blocks(self.run, self.A, blocks, 0, self.rollout.rest.patches.layout.n)
+        for ghost in self.rollout.ghosts:
+            scale = np.add.reduceat(ghost.factor**2 * ghost.scale[ghost.runs], ghost.begin[:-1])
+            blocks[ghost.nodes[:, None], np.arange(dim), np.arange(dim)] += scale[:, None]
+        lower = np.tril(blocks[active], -1)
+        values, vectors = np.linalg.eigh(blocks[active] + lower.transpose(0, 2, 1))
+        values = np.maximum(np.abs(values), LEAST_BLOCK * np.abs(values).max(axis=1, keepdims=True))
+        self.inverse = np.einsum("nij,nj,nkj->nik", vectors, 1.0 / values, vectors)
+
+
+def _turns(arms: Array) -> Array:
+    """Return the displacements of small turns about each axis, for arms (n, D): (n, D, 1) in 2D and (n, 3, 3) in 3D."""
+    if arms.shape[1] == 2:
+        return np.stack([-arms[:, 1], arms[:, 0]], axis=1)[:, :, None]
+    x, y, z = arms.T
+    o = np.zeros_like(x)
+    return np.stack([np.stack(v, axis=1) for v in ((o, -z, y), (z, o, -x), (-y, x, o))], axis=2)

@@ -1,0 +1,111 @@
+"""Newton's method for equilibrium, with steps found by conjugate gradients and shortened by the slope along them.
+
+Energies are useless for the length of a step near the answer, where their differences are rounding; the slope
+r(u + a p) . p is not. A step may pass the point at which the slope vanishes by half of the slope that it began with.
+Near the answer a whole step is also taken if the residual falls by a tenth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from cqrun.engine.statics.krylov import conjugate_gradients, dot
+from cqrun.plugin.contract import Array
+
+MOST_STEPS = 60
+"""Steps of Newton's method."""
+
+MOST_PRODUCTS = 3000
+"""Products in one step."""
+
+SHORTEST = 1e-6
+"""Part of a step below which no step helps: rounding, or no equilibrium in this direction."""
+
+
+class System(Protocol):
+    """Forces on nodes that can move."""
+
+    def net(self, u: Array) -> Array:
+        """Return the net force on every node (M, 4) [N], zero where nodes are held."""
+        ...
+
+    def linearise(self, u: Array) -> None:
+        """Prepare `product` and `precondition` at a displacement (M, 4) [m]."""
+        ...
+
+    def product(self, p: Array) -> Array:
+        """Return the stiffness matrix times a displacement."""
+        ...
+
+    def precondition(self, r: Array) -> Array:
+        """Return a cheap approximation of the displacement that a force causes."""
+        ...
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A displacement, and how it was found.
+
+    Attributes:
+        u: displacement of the nodes (M, 4) [m].
+        residual: size of the net force, divided by that of the loads.
+        converged: whether the residual is below the tolerance.
+        steps, products: steps of Newton's method, and products with the stiffness matrix.
+        negative: whether the stiffness matrix had a negative eigenvalue on the way to, or at, the answer.
+        smallest: smallest eigenvalue of the preconditioned matrix that the last step saw; zero at a limit point.
+        stuck: whether no step made the residual smaller.
+    """
+
+    u: Array
+    residual: float
+    converged: bool
+    steps: int
+    products: int
+    negative: bool
+    smallest: float
+    stuck: bool
+
+
+def find_rest(system: System, u: Array, load: float, tolerance: float) -> Rest:
+    """Return where the system rests, from a first guess u (M, 4) [m].
+
+    Args:
+        load: size of the loads [N], by which the residual is measured.
+        tolerance: relative residual at which the search ends.
+    """
+    r = system.net(u)
+    size = first = _size(r)
+    steps = products = 0
+    negative, stuck, smallest = False, False, float("nan")
+    while size > tolerance * load and steps < MOST_STEPS and not stuck:
+        system.linearise(u)
+        eta = min(0.1, float(np.sqrt(size / first))) if first > 0 else 0.1
+        found = conjugate_gradients(system.product, r, system.precondition, eta, MOST_PRODUCTS)
+        steps, products = steps + 1, products + found.iterations
+        negative = found.negative
+        smallest = found.smallest if np.isfinite(found.smallest) else smallest
+        u, r, size, stuck = _step(system, u, r, size, found.x)
+    return Rest(
+        u, size / load if load > 0 else size, size <= tolerance * load, steps, products, negative, smallest, stuck
+    )
+
+
+def _step(system: System, u: Array, r: Array, size: float, p: Array) -> tuple[Array, Array, float, bool]:
+    """Return the displacement, net force and its size after a step along p, and whether no step helps."""
+    slope, a = dot(r, p), 1.0
+    while a >= SHORTEST:
+        trial = u + a * p
+        r_trial = system.net(trial)
+        size_trial = _size(r_trial)
+        if np.isfinite(size_trial) and (-0.5 * slope <= dot(r_trial, p) < slope or size_trial <= 0.9 * size):
+            return trial, r_trial, size_trial, False
+        a *= 0.5
+    return u, r, size, True
+
+
+def _size(r: Array) -> float:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.sqrt(dot(r, r)))

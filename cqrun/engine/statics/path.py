@@ -1,0 +1,151 @@
+"""A path of equilibria: each point starts from the last one, and has a gradient of its own.
+
+Where Newton's method does not reach a point, the way to it is halved, at most `HALVINGS` times: all inputs change in
+proportion. The first point is reached from the rest shape without loads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cqrun.engine.model import Inputs, Model, Records
+from cqrun.engine.statics.equilibrium import Equilibrium
+from cqrun.engine.statics.newton import Rest
+from cqrun.errors import StopAsked
+from cqrun.plugin.contract import Array
+
+HALVINGS = 6
+"""Most halvings of the way to a point."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of a path: its rest, and how it was reached.
+
+    Attributes:
+        rest: the displacement and how it was found; of the last attempt, if no equilibrium was found.
+        reached: part of the way from the last point that was covered; 1 if an equilibrium was found.
+        halvings: how often the way was halved.
+        products: products with the stiffness matrix on the whole way.
+    """
+
+    rest: Rest
+    reached: float
+    halvings: int
+    products: int
+
+
+class RestPath:
+    """The equilibria of one model for several inputs, one after the other.
+
+    Args:
+        inputs: inputs of each point; only their last control step acts.
+        threads: number of threads at most. The results do not depend on it.
+        tolerance: net force divided by the loads at which a point counts as found.
+
+    Attributes:
+        points: the points found so far.
+        records: (P + 1, rows, K) the probe's sums at the rest shape and at every point.
+    """
+
+    def __init__(self, model: Model, inputs: Sequence[Inputs], *, threads: int = 1, tolerance: float = 1e-8) -> None:
+        self.model = replace(model, n_controls=1, substeps=1)
+        self.inputs = [replace(each, activation=each.activation[-1:]) for each in inputs]
+        self.threads, self.tolerance = threads, tolerance
+        self.points: list[Point] = []
+        unloaded = self.equilibrium(_unloaded(self.inputs[0]))
+        self.loose = unloaded.loose_bodies()
+        self.rest_shape = np.zeros_like(unloaded.still)
+        self.rows = [unloaded.record(self.rest_shape)]
+        self.start = unloaded
+
+    def equilibrium(self, inputs: Inputs) -> Equilibrium:
+        """Return the equilibrium of the model for some inputs."""
+        return Equilibrium(self.model, inputs, threads=self.threads)
+
+    def run(
+        self,
+        observe: Callable[[int, Equilibrium, Point], None] | None = None,
+        should_stop: Callable[[], bool] | None = None,
+        known: Callable[[int], Point | None] | None = None,
+    ) -> Records:
+        """Find all points; stop after one that has no equilibrium, or when asked.
+
+        Args:
+            observe: called with (number, equilibrium, point) of every point.
+            should_stop: called before every point; if it returns True, StopAsked is raised.
+            known: returns a point that was found before, by its number, or None.
+        """
+        before, u = _unloaded(self.inputs[0]), self.rest_shape
+        for number, inputs in enumerate(self.inputs):
+            if should_stop is not None and should_stop():
+                raise StopAsked
+            here = self.equilibrium(inputs)
+            point = known(number) if known is not None else None
+            point = self._reach(here, before, inputs, u) if point is None else point
+            self.points.append(point)
+            if observe is not None:
+                observe(number, here, point)
+            if not point.rest.converged:
+                break
+            self.rows.append(here.record(point.rest.u))
+            before, u = inputs, point.rest.u
+        return Records.from_rows(np.array(self.rows), here.rollout.model.layout.table)
+
+    def _reach(self, here: Equilibrium, before: Inputs, inputs: Inputs, u: Array) -> Point:
+        """Return a point reached from the last one."""
+        rest = here.solve(u, tolerance=self.tolerance)
+        products, covered, halvings, step = rest.products, 0.0, 0, 0.5
+        while not rest.converged and halvings < HALVINGS:
+            halvings += 1
+            while covered < 1.0:
+                to = min(1.0, covered + step)
+                at = here if to == 1.0 else self.equilibrium(between(before, inputs, to))
+                trial = at.solve(u, tolerance=self.tolerance)
+                products += trial.products
+                if not trial.converged:
+                    rest = trial if to == 1.0 else rest
+                    step *= 0.5
+                    break
+                covered, u, rest = to, trial.u, trial if to == 1.0 else rest
+        return Point(rest, 1.0 if rest.converged else covered, halvings, products)
+
+    def gradients(self, records_bar: Records) -> list[Inputs]:
+        """Return the cotangent of every point's inputs from that of the records (row 0, the rest shape, has none)."""
+        table = self.start.rollout.model.layout.table
+        bars = records_bar.to_rows(table)
+        out = []
+        for point, inputs, row_bar in zip(self.points, self.inputs, bars[1:], strict=True):
+            bar, _ = self.equilibrium(inputs).gradient(point.rest.u, record_bar=row_bar)
+            out.append(bar)
+        return out
+
+
+MIXED = ("activation", "strength", "rest", "weights", "moves")
+"""The inputs that change on the way, beside fields and terms."""
+
+
+def between(a: Inputs, b: Inputs, s: float) -> Inputs:
+    """Return inputs on the straight way from a (s = 0) to b (s = 1)."""
+
+    def mixed(x: Array, y: Array) -> Array:
+        return np.asarray(x + s * (y - x))
+
+    fields = replace(
+        b.fields,
+        **{name: mixed(getattr(a.fields, name), getattr(b.fields, name)) for name in ("mass", "volume", "force")},
+    )
+    terms = [[mixed(*pair) for pair in zip(*groups, strict=True)] for groups in zip(a.terms, b.terms, strict=True)]
+    changed = {name: mixed(getattr(a, name), getattr(b, name)) for name in MIXED}
+    return replace(b, fields=fields, terms=terms, **changed)
+
+
+def _unloaded(inputs: Inputs) -> Inputs:
+    """Return the inputs without loads and actuation."""
+    return replace(
+        inputs, fields=replace(inputs.fields, force=inputs.fields.force * 0.0), strength=inputs.strength * 0.0,
+        moves=inputs.moves * 0.0,
+    )  # fmt: skip

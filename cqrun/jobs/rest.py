@@ -1,0 +1,204 @@
+"""`cqrun rest`: find where a scene comes to rest, at one point or along a path of loads and activations; no time.
+
+rest.csv          one row per point: values of the path, how it was found, places of bodies and groups, reactions
+trajectory.h5     x, v and J of every particle: frame 0 is the rest shape, then one frame per point
+result.json       every point, findings
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cqrun.build.check_frame import touched
+from cqrun.build.load_path import inputs_of, points_of
+from cqrun.build.model import Built
+from cqrun.engine.statics.equilibrium import Equilibrium
+from cqrun.engine.statics.newton import Rest
+from cqrun.engine.statics.path import Point, RestPath
+from cqrun.errors import Problem, SceneError, StopAsked
+from cqrun.jobs.job import NO_FILES, Job
+from cqrun.running.bodies import report_bodies
+from cqrun.running.reporter import Reporter
+from cqrun.running.rest_table import RestTable, rest_frames
+from cqrun.running.runs import build_and_warn
+from cqrun.running.tables import number, table
+from cqrun.scene.schema import Scene
+from cqrun.store.rest_points import delete_points, read_point, write_point
+from cqrun.store.result import RestPoint, RestResult, write_result
+from cqrun.store.run import RunDirectory
+
+NEAR = 0.02
+"""A smallest eigenvalue below this part of its largest along the path is reported: a limit point is near."""
+
+
+@dataclass(frozen=True)
+class Resting:
+    """A scene that is ready to rest, and the values of its points by key path."""
+
+    built: Built
+    points: tuple[dict[str, float], ...]
+    threads: int
+
+
+@dataclass(frozen=True)
+class RestJob(Job[Resting, RestResult]):
+    """Find the equilibria of a scene."""
+
+    def prepare(self, scene: Scene, threads: int, talk: Reporter, files: Mapping[str, Path] = NO_FILES) -> Resting:
+        """Build a scene, and refuse what needs time."""
+        problems = [*_needs_time(scene)]
+        if problems:
+            raise SceneError([Problem(scene.where(path), path, message) for path, message in problems])
+        built = build_and_warn(scene, talk)
+        return Resting(built, tuple(points_of(built)), threads)
+
+    def reads_data(self, scene: Scene) -> bool:
+        """Return False: rest reads no recordings."""
+        return False
+
+    def work(self, run: RunDirectory, prepared: Resting, talk: Reporter) -> None:
+        """Find all points, from those that were found before."""
+        built, points = prepared.built, prepared.points
+        run.begin(prepared.threads)
+        report_bodies(built, run, talk)
+        count = f"{len(points)} point{'s' if len(points) > 1 else ''}"
+        talk.phase(f"finding the rest of {built.model.layout.n_particles:,} particles: {count}")
+        path = RestPath(built.model, [inputs_of(built, point) for point in points], threads=prepared.threads)
+        _require_held(built, path)
+        found: list[RestPoint] = []
+        rows = RestTable(built, points)
+        with rest_frames(run.path / "trajectory.h5", built, len(points)) as writer:
+            rows.write_frame(writer, path.start, path.rest_shape, 0)
+
+            def observe(k: int, here: Equilibrium, point: Point) -> None:
+                facts = _facts(point)
+                write_point(run.path, k, point.rest.u, facts)
+                found.append(RestPoint(values=points[k], **facts))
+                if point.rest.converged:
+                    rows.add(here, point.rest.u, facts)
+                    rows.write_frame(writer, here, point.rest.u, k + 1)
+                rows.save(run.path / "rest.csv")
+                talk.advance(k + 1, len(points), f"point {k + 1} of {len(points)}, {point.products} products")
+
+            try:
+                path.run(observe, lambda: talk.stop.asked, lambda k: _known(run.path, k))
+            except StopAsked:
+                writer.abandon()
+                message = f"stopped after {len(found)} of {len(points)} points"
+                run.finish("stopped", message)
+                raise talk.stop.stopped(f"{message}; `cqrun resume {run.path}` goes on") from None
+            if not found[-1].converged:
+                writer.abandon()
+        self._end(run, built, found, talk)
+
+    def _end(self, run: RunDirectory, built: Built, found: list[RestPoint], talk: Reporter) -> None:
+        """Write the result."""
+        lost = None if found[-1].converged else len(found)
+        message = f"{len(found)} point{'s' if len(found) > 1 else ''} at rest" if lost is None else _lost(found)
+        status = "done" if lost is None else "failed"
+        findings = list(_findings(found))
+        for sentence in findings:
+            talk.warn(sentence)
+            run.log(sentence)
+        write_result(run.path, RestResult(status=status, message=message, points=found, findings=findings))
+        if lost is None:
+            delete_points(run.path)
+        run.finish(status, message)
+
+    def lines(self, run: Path, result: RestResult) -> Iterator[str]:
+        """Yield every point."""
+        yield f"{result.status}: {result.message}"
+        yield ""
+        keys = list(result.points[0].values) if result.points else []
+        head = ("point", *keys, "residual", "steps", "products", "smallest eigenvalue")
+        yield from table(head, [
+            (str(k), *(number(p.values[key]) for key in keys), f"{p.residual:.1e}", str(p.steps), str(p.products),
+             "-" if p.smallest is None else f"{p.smallest:.2e}") for k, p in enumerate(result.points, start=1)
+        ])  # fmt: skip
+        yield from (f"note: {sentence}" for sentence in result.findings)
+
+    @property
+    def again(self) -> str:
+        """What `cqrun resume` does with a run that was stopped."""
+        return "goes on after the last point"
+
+
+REST = RestJob("rest", RestResult, pictures=("bodies", "path"))
+
+
+def _needs_time(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield what has no meaning at rest."""
+    if scene.world.frame != "reference":
+        yield "world.frame", "a body rests in the reference frame: set `world.frame: reference`"
+    for path, kind in touched(scene):
+        yield path, f"an equilibrium does not feel `{kind}` boundaries yet: remove it, or make it `sticky` or `slip`"
+    if scene.bodies_meet:
+        yield "bodies", "bodies do not feel each other in an equilibrium yet: find that of one body alone"
+    if scene.controller is not None:
+        yield "controller", "a controller acts in time: remove it, and give activations in `path`"
+
+
+def _require_held(built: Built, path: RestPath) -> None:
+    """Raise a SceneError for bodies that could move without any resistance."""
+    scene = built.scene
+    problems = [
+        Problem(
+            scene.where(f"bodies.{name}"), f"bodies.{name}",
+            f"nothing holds it: it can move in {ways} way{'s' if ways > 1 else ''} without resistance, so it has no "
+            "place of rest; add a `sticky` boundary that holds some of its particles",
+        )
+        for name, ways in path.loose.items()
+    ]  # fmt: skip
+    if problems:
+        raise SceneError(problems)
+
+
+def _facts(point: Point) -> dict[str, Any]:
+    rest = point.rest
+    smallest = None if not np.isfinite(rest.smallest) else float(rest.smallest)
+    residual = float(rest.residual) if np.isfinite(rest.residual) else 1e300
+    return {
+        "converged": rest.converged, "residual": residual, "steps": rest.steps, "products": point.products,
+        "negative": rest.negative, "smallest": smallest, "halvings": point.halvings, "reached": float(point.reached),
+    }  # fmt: skip
+
+
+def _known(run: Path, k: int) -> Point | None:
+    """Return a point that the run found before."""
+    saved = read_point(run, k)
+    if saved is None or not saved[1]["converged"]:
+        return None
+    u, f = saved
+    rest = Rest(u, f["residual"], f["converged"], f["steps"], f["products"], f["negative"], f["smallest"], False)
+    return Point(rest, f["reached"], f["halvings"], f["products"])
+
+
+def _lost(found: list[RestPoint]) -> str:
+    """Return why a path ended early."""
+    last = found[-1]
+    where = ", ".join(f"{key}={number(value)}" for key, value in last.values.items()) or "the loads of the scene"
+    part = f"{100 * last.reached:.0f} % of the way to it"
+    return (
+        f"no equilibrium was found at point {len(found)} ({where}); {part} was covered: the body may buckle or collapse"
+        " there (a limit point), or the load is too large for its material; smaller steps of `path` show where"
+    )
+
+
+def _findings(found: list[RestPoint]) -> Iterator[str]:
+    """Yield what a user should know about the points."""
+    negative = [str(k) for k, p in enumerate(found, start=1) if p.negative and p.converged]
+    if negative:
+        yield (
+            f"at point {', '.join(negative[:5])} the stiffness has a negative eigenvalue: the equilibrium is not "
+            "stable, and a real body would leave it"
+        )
+    seen = [(p.smallest, k) for k, p in enumerate(found, start=1) if p.smallest is not None]
+    if len(seen) > 2:
+        least, at = min(seen)
+        if least < NEAR * max(seen)[0]:
+            yield f"a limit point is near point {at}: the smallest eigenvalue fell to {least:.1e} of the stiffness"
