@@ -26,6 +26,7 @@ from cqrun.loads.load import Load
 from cqrun.objectives.design import DESIGN, MASS, RATIO, STIFFNESS, VOLUME
 from cqrun.plugin.contract import Array, Plugin, is_differentiable
 from cqrun.scene.schema import Scene
+from cqrun.scene.world_and_time import BodyContact
 from cqrun.state import ParticleFields, State
 
 
@@ -278,11 +279,16 @@ class Assembly:
             planes += [(f"boundaries.{name}.{chosen.name}", spec)] * len(places)
         return planes
 
+    def _rubbing(self) -> list[tuple[str, Any]]:
+        """Return path and spec of every plane, and of bodies that meet each other."""
+        contact = self.scene.world.contact or BodyContact()
+        return [*self._planes(), *[("world.contact", contact)] * self.scene.bodies_meet]
+
     def _coefficients(self, values: Values) -> Array:
-        return np.array([getattr(updated(s, path, values), "coefficient", 0.0) for path, s in self._planes()])
+        return np.array([getattr(updated(s, path, values), "coefficient", 0.0) for path, s in self._rubbing()])
 
     def _coefficients_vjp(self, values: Values, bar: Inputs, out: dict[str, Array]) -> None:
-        for (path, _), coefficient_bar in zip(self._planes(), bar.coefficients, strict=True):
+        for (path, _), coefficient_bar in zip(self._rubbing(), bar.coefficients, strict=True):
             collect(path, {"coefficient": coefficient_bar}, out)
 
     def _moves(self, values: Values) -> Array:

@@ -11,7 +11,6 @@ from cqrun.build.particles import Particles
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.setting import MARGIN, grid_shape
 from cqrun.errors import Problem
-from cqrun.explain import listed
 from cqrun.scene.paths import shapes_a_body
 from cqrun.scene.schema import Scene
 
@@ -32,7 +31,7 @@ def frame_problems(scene: Scene, particles: Particles, conditions: Sequence[Cond
         found = list(_elsewhere(scene))
         return [Problem(scene.where(path), path, message) for path, message in found]
     found = [
-        *_contact(scene),
+        *unknown_surfaces(scene),
         *_holds(scene, particles, conditions),
         *_thin(scene, particles),
         *_shapes(scene),
@@ -43,6 +42,8 @@ def frame_problems(scene: Scene, particles: Particles, conditions: Sequence[Cond
 
 def _elsewhere(scene: Scene) -> Iterator[tuple[str, str]]:
     """Yield what only the reference frame can do."""
+    if scene.world.contact is not None:
+        yield "world.contact", "acts in the reference frame alone: set `world.frame: reference`"
     for name, chosen in scene.boundaries.items():
         if getattr(chosen.value, "moves", False):
             yield f"boundaries.{name}.{chosen.name}", "moves in the reference frame alone: set `world.frame: reference`"
@@ -55,6 +56,8 @@ def _at_rest(scene: Scene) -> Iterator[tuple[str, str]]:
     if scene.start == "equilibrium":
         for path, kind in touched(scene):
             yield "start", f"an equilibrium does not feel `{kind}` boundaries yet ({path}): remove them, or `start`"
+        if scene.bodies_meet:
+            yield "start", "bodies do not feel each other in an equilibrium yet: use one body, or remove `start`"
         for name, body in scene.bodies.items():
             for key in ("velocity", "spin"):
                 if any(getattr(body, key)):
@@ -69,13 +72,6 @@ def touched(scene: Scene) -> Iterator[tuple[str, str]]:
     for name, chosen in scene.boundaries.items():
         if chosen.name not in HOLDS:
             yield f"boundaries.{name}.{chosen.name}", chosen.name
-
-
-def _contact(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield bodies and boundaries that would have to meet."""
-    if len(scene.bodies) > 1:
-        yield "bodies", f"{listed(scene.bodies)} pass through each other in the reference frame: {WAY_OUT}"
-    yield from unknown_surfaces(scene)
 
 
 def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[tuple[str, str]]:

@@ -21,13 +21,14 @@ from cqrun.build.particles import Particles
 from cqrun.build.regions import boundary
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.reference.contact import contact_square
-from cqrun.engine.surface import ObstacleModel, SurfaceModel
+from cqrun.engine.surface import MeetingModel, ObstacleModel, SurfaceModel
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.geometry.place import Place
 from cqrun.geometry.shape import finite_bounds
 from cqrun.geometry.skin import make_skin
 from cqrun.plugin.contract import Array
 from cqrun.scene.schema import Scene
+from cqrun.scene.world_and_time import BodyContact
 from cqrun.state import Layout
 
 PER_CELL = 2
@@ -59,7 +60,8 @@ class BodySurface(NamedTuple):
 
 def touches(scene: Scene) -> bool:
     """Return whether bodies can touch something."""
-    return scene.world.frame == "reference" and any(_obstacle(scene, name) for name in scene.boundaries)
+    obstacles = scene.world.frame == "reference" and any(_obstacle(scene, name) for name in scene.boundaries)
+    return obstacles or scene.bodies_meet
 
 
 def _obstacle(scene: Scene, name: str) -> bool:
@@ -103,6 +105,7 @@ class ContactParts(NamedTuple):
 
     surface: SurfaceModel | None
     obstacles: tuple[ObstacleModel, ...]
+    meeting: MeetingModel | None
     conditions: tuple[ConditionModel, ...]
 
 
@@ -115,12 +118,20 @@ def contact_parts(
         SceneError: a body starts inside an obstacle.
     """
     if not touches(scene):
-        return ContactParts(None, (), conditions)
+        return ContactParts(None, (), None, conditions)
     surface, obstacles = surface_model(scene, particles, assembly), obstacle_models(scene, conditions)
     if problems := starts_inside(scene, particles, obstacles, conditions):
         raise SceneError(problems)
     held = (replace(c, nodes=np.zeros_like(c.nodes)) if c.spec.is_obstacle else c for c in conditions)
-    return ContactParts(surface, obstacles, tuple(held))
+    return ContactParts(surface, obstacles, _meeting(scene), tuple(held))
+
+
+def _meeting(scene: Scene) -> MeetingModel | None:
+    """Return how bodies meet each other; an unknown coefficient of friction needs springs, also from zero."""
+    if not scene.bodies_meet:
+        return None
+    contact = scene.world.contact or BodyContact()
+    return MeetingModel(contact.coefficient > 0 or "world.contact.coefficient" in scene.unknowns, contact.dashpot)
 
 
 def surface_model(scene: Scene, particles: Particles, assembly: Assembly) -> SurfaceModel:
@@ -132,16 +143,18 @@ def surface_model(scene: Scene, particles: Particles, assembly: Assembly) -> Sur
 
 def _constants(particles: Particles, assembly: Assembly, surface: BodySurface, dx: float) -> tuple[Array, Array]:
     """Return the penalty's stiffness [N/m] and the impedance [N s/m] of each point (S,), at the scene's values."""
-    young, impedance = np.zeros(len(particles.x)), np.zeros(len(particles.x))
-    for name in particles.names:
-        part = particles.of(name)
-        density, modulus, _ = assembly.stiffness(name, {})
-        law = assembly.scene.bodies[name].material.elastic.name
-        found = assembly.material(name, {}).get(f"bodies.{name}.material.elastic.{law}.youngs_modulus")
-        room = particles.room[part]  # a particle of unit mass fills less than its volume of 1
-        young[part], impedance[part] = (modulus if found is None else found) / room, np.sqrt(modulus * density) / room
-    p = surface.particle
-    return PENALTY * young[p] / dx * surface.area, impedance[p] * surface.area
+    moduli = [_moduli(particles, assembly, name) for name in particles.names]
+    young, impedance = (np.concatenate(each)[surface.particle] for each in zip(*moduli, strict=True))
+    return PENALTY * young / dx * surface.area, impedance * surface.area
+
+
+def _moduli(particles: Particles, assembly: Assembly, body: str) -> tuple[Array, Array]:
+    """Return Young's modulus [Pa] and the impedance [Pa s/m] of a body's particles (N_b,), at the scene's values."""
+    density, modulus, _ = assembly.stiffness(body, {})
+    law = assembly.scene.bodies[body].material.elastic.name
+    young = assembly.material(body, {}).get(f"bodies.{body}.material.elastic.{law}.youngs_modulus", modulus)
+    room = particles.room[particles.of(body)]  # a particle of unit mass fills less than its volume of 1
+    return young / room, np.sqrt(modulus * density) / room
 
 
 # --- obstacles -------------------------------------------------------------------------------------------------------
@@ -214,10 +227,13 @@ def starts_inside(
 def contact_limits(
     scene: Scene, particles: Particles, assembly: Assembly, body: str, density: Array, wave: Limit
 ) -> list[Limit]:
-    """Return the bound on the substep of a body whose surface touches something.
+    """Return the bounds on the substep of a body whose surface touches something.
 
     The frequency of its nodes on all springs of its points is found once, for the scene's values. Other densities have
     at most the square that belongs to the least ratio of masses.
+
+    With another body of the stiffness k', the springs of both surfaces act on the motion of one relative to the other:
+    at most 4 k' / (k + k') of the square, 2 if the bodies are alike.
 
     Args:
         density: mass over volume of each particle (N_b,) [kg/m^D].
@@ -231,10 +247,18 @@ def contact_limits(
         particles.found[key] = _fastest(particles, assembly, body, base, scene.world.dx)
     square, slowest = particles.found[key]
     square *= float((base / density).max())
-    names = [name for name in scene.boundaries if _obstacle(scene, name)]
-    dashpot = max(getattr(scene.boundaries[name].value, "dashpot", 0.0) for name in names)
-    part = f"boundaries.{names[0]}.{scene.boundaries[names[0]].name}"
-    return [contact_limit(part, wave, square, dashpot * slowest * square)]
+    limits, names = [], [name for name in scene.boundaries if _obstacle(scene, name)]
+    if names:
+        dashpot = max(getattr(scene.boundaries[name].value, "dashpot", 0.0) for name in names)
+        part = f"boundaries.{names[0]}.{scene.boundaries[names[0]].name}"
+        limits.append(contact_limit(part, wave, square, dashpot * slowest * square))
+    if scene.bodies_meet:
+        k = {name: _moduli(particles, assembly, name)[0] for name in particles.names}
+        other = max(float(k[name].max()) for name in k if name != body)
+        square *= 4.0 * other / (other + float(k[body].min()))
+        dashpot = (scene.world.contact or BodyContact()).dashpot
+        limits.append(contact_limit("bodies", wave, square, dashpot * slowest * square))
+    return limits
 
 
 def _fastest(particles: Particles, assembly: Assembly, body: str, density: Array, dx: float) -> tuple[float, float]:

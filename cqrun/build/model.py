@@ -100,7 +100,7 @@ def build(scene: Scene) -> Built:
     conditions = _conditions(scene)
     if problems := frame_problems(scene, particles, conditions):
         raise SceneError(problems)
-    surface, obstacles, conditions = contact_parts(scene, particles, assembly, conditions)
+    surface, obstacles, meeting, conditions = contact_parts(scene, particles, assembly, conditions)
     warnings += grid_warnings(scene, particles, conditions)
     model = Model(
         size=np.array(scene.world.size),
@@ -120,6 +120,7 @@ def build(scene: Scene) -> Built:
         settled=scene.start == "equilibrium",
         surface=surface,
         obstacles=obstacles,
+        meeting=meeting,
         n_nodes=count_nodes(particles.layout, particles.x, scene.world.dx) if scene.world.frame == "reference" else 0,
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))

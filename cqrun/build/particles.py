@@ -111,7 +111,9 @@ def sample(scene: Scene) -> Particles:
     problems = geometry_problems(scene, points)
     if problems:
         raise SceneError(problems)
-    warnings += [*sparse_bodies(scene, volumes), *bodies_too_close(scene, points, volumes)]
+    warnings += sparse_bodies(scene, volumes)
+    if not scene.bodies_meet:  # with nodes of their own they do not stick together
+        warnings += bodies_too_close(scene, points, volumes)
     warnings += [*volume_errors(scene, points, volumes), *walls_outside(scene), *planes_between_nodes(scene)]
     room = {name: np.ones(len(volumes[name])) for name in names}
     for name in names:

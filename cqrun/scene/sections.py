@@ -92,6 +92,11 @@ class Sections(Spec):
     )
 
     @property
+    def bodies_meet(self) -> bool:
+        """Whether bodies touch each other with their surfaces: several do, in the reference frame."""
+        return self.world.frame == "reference" and len(self.bodies) > 1
+
+    @property
     def dim(self) -> int:
         """2 or 3: the dimension of the world."""
         return len(self.world.size)
