@@ -81,9 +81,6 @@ def test_a_body_that_starts_at_rest_has_no_velocity():
 
 
 REFUSED = {
-    "two bodies": (
-        {"bodies": {"a": BODY, "b": BODY | {"place": {"offset": [0, 0.3]}}}}, "pass through each other",
-    ),
     "a floor whose distance is not known": (
         {"boundaries": {"floor": {"separate": {"region": {"difference": [SLAB, HOLE]}, "normal": [0, 1]}}}},
         "boundaries.floor.separate.region: the distance from the surface of 'difference' is not known",
