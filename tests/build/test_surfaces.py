@@ -9,6 +9,7 @@ import pytest
 
 from cqrun.boundaries.solid import BOX, CAPSULE, PLANE, POLYGON
 from cqrun.build.model import build
+from cqrun.engine.model import Inputs
 from cqrun.errors import SceneError
 from cqrun.scene.load import load_scene
 
@@ -121,3 +122,55 @@ def test_lighter_bodies_get_shorter_substeps():
     floor = {"floor": {"separate": {"face": "y_min", "dashpot": 0.0}}}
     plain, lighter = (build(load_scene(scene(boundaries=floor, **more))) for more in ({}, data))
     assert lighter.model.substeps == pytest.approx(2 * plain.model.substeps, rel=0.03)
+
+
+# --- bodies that meet ------------------------------------------------------------------------------------------------
+
+OTHER = BODY | {"place": {"offset": [0.0, 0.2]}}
+
+
+def test_two_bodies_meet_each_other():
+    """Facets of both surfaces, with the indices of their points; friction between them follows that of boundaries."""
+    built = build(load_scene(scene(bodies={"bar": BODY, "other": OTHER})))
+    model, surface = built.model, built.model.surface
+    assert (model.meeting.rubs, model.meeting.dashpot) == (False, 0.1)
+    half = len(surface.x) // 2
+    assert sorted({tuple(corner >= half) for corner in surface.facets}) == [(False, False), (True, True)]
+    np.testing.assert_array_equal(np.bincount(surface.facets.ravel()), 2)
+    np.testing.assert_array_equal(built.assembly.inputs({}).coefficients, [0.3, 0.0])
+    assert model.n_springs == len(surface.x)
+
+
+def test_friction_between_bodies_is_a_value_with_a_gradient():
+    path = "world.contact.coefficient"
+    built = build(load_scene(scene(bodies={"bar": BODY, "other": OTHER}, **contact(0.2))))
+    inputs = built.assembly.inputs({path: np.array(0.7)})
+    np.testing.assert_array_equal(inputs.coefficients, [0.3, 0.7])
+    assert built.model.n_springs == 2 * len(built.model.surface.x)
+    bar = Inputs.zeros_like(inputs)
+    bar.coefficients[:] = [2.0, 5.0]
+    assert built.assembly.gradient({path: np.array(0.7)}, bar)[path] == 5.0
+
+
+def contact(coefficient: float) -> dict[str, Any]:
+    """Return a world whose bodies meet with friction."""
+    return {"world": {"size": [1, 1], "dx": DX, "frame": "reference", "contact": {"coefficient": coefficient}}}
+
+
+def test_bodies_that_meet_get_shorter_substeps_than_a_floor_asks_for():
+    """The springs of both surfaces act; a soft body beside a stiff one bears all of its own."""
+    hard = OTHER | {"material": MATERIAL | {"elastic": {"fixed_corotated": {"youngs_modulus": 100 * E,
+                                                                            "poissons_ratio": NU}}}}  # fmt: skip
+    found = {}
+    for name, other in (("alike", OTHER), ("harder", hard)):
+        limits = build(load_scene(scene(bodies={"bar": BODY, "other": other}))).limits
+        found[name] = [limit.dt for limit in limits if limit.part in ("boundaries.floor.friction", "bodies")][:2]
+    (floor, alike), (_, harder) = found["alike"], found["harder"]
+    assert 0.6 * floor < alike < 0.9 * floor
+    assert harder < 0.9 * alike
+
+
+def test_contact_between_bodies_belongs_to_the_reference_frame():
+    world = {"size": [1, 1], "dx": DX, "contact": {"coefficient": 0.2}}
+    with pytest.raises(SceneError, match=r"world\.contact: acts in the reference frame alone"):
+        build(load_scene(scene(world=world)))

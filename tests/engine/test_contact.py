@@ -29,7 +29,10 @@ from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.surface import MeetingModel, ObstacleModel, SurfaceModel
 
-UNKNOWN = {"x", "F"}
+CHANGED = ("v", "C", "mass", "volume", "damping", "force", "fixed_corotated.E", "neo_hookean.nu", "viscosity.shear",
+           "friction", "muscle.activation", "cable.rest")  # fmt: skip
+"""The kinds of input whose derivative is compared; the others act through forces that have their own tests."""
+
 FRICTION = [0.4, 1.5, 0.3, 0.7]
 """Coefficients of the obstacles with friction."""
 
@@ -94,8 +97,7 @@ def random_facets(x, particle, rng):
     return np.array(list(facets.values()))
 
 
-@pytest.fixture(scope="module", params=[(2, True), (2, False), (3, True), (3, False)],
-                ids=["2D viscous", "2D", "3D viscous", "3D"])  # fmt: skip
+@pytest.fixture(scope="module", params=[(2, True), (2, False), (3, False)], ids=["2D viscous", "2D", "3D"])  # fmt: skip
 def case(request):
     """Return a model, its inputs, cotangents, the rollout and its gradient."""
     dim, viscous = request.param
@@ -125,7 +127,7 @@ def test_the_motion_is_that_of_the_equations(case):
     assert met.branches["1 corners"] + met.branches["3 corners"] > 0, met.branches
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in UNKNOWN])
+@pytest.mark.parametrize("kind", CHANGED)
 def test_dot_product(case, kind, rng):
     model, inputs, records_bar, state_bar, _, _, bar, viscous = case
     if kind in SLOW and not viscous:
