@@ -253,7 +253,7 @@ def test_the_values_of_a_recording_have_an_adjoint_by_dot_product(session: Path,
 
 def test_the_offset_has_an_adjoint_by_dot_product(session: Path, rng: np.random.Generator) -> None:
     (comparison,) = problem_of(session).cases[1].comparisons
-    records = problem_of(session).cases[1].still_records()
+    records = problem_of(session).cases[1].runner.still()
     offset, direction, r_bar = 0.01 * rng.normal(size=2), rng.normal(size=2), rng.normal(size=comparison.size)
     change = comparison.moved(offset + direction).residuals(records, 0.015) - comparison.moved(offset).residuals(
         records, 0.015
