@@ -1,4 +1,4 @@
-"""A soft 2D arm at rest, with two cables and a load at its tip, and recordings of its poses made by the model."""
+"""A soft 2D arm at rest, with two cables and a load at its tip, and recordings of its poses that the model makes."""
 
 from __future__ import annotations
 
@@ -61,9 +61,11 @@ POSES_OF = "{upper_N: actuators.upper.cable.tension, lower_N: actuators.lower.ca
 """The loads of the recordings, in a scene."""
 
 
-def rested(overrides: Sequence[str], points: Sequence[Mapping[str, float]]) -> tuple[Built, RestRecords, np.ndarray]:
+def rested(
+    overrides: Sequence[str], points: Sequence[Mapping[str, float]], scene: str = ARM
+) -> tuple[Built, RestRecords, np.ndarray]:
     """Return the arm, the records of its equilibria, and the places of the markers (P + 1, M, D) [m]."""
-    built = build(load_scene(ARM, overrides))
+    built = build(load_scene(scene, overrides))
     matter = matter_of(built, {})
     observer = observe_markers(matter, "arm", {name: np.array(x) for name, x in MARKERS.items()})
     model = replace(built.model, probe=over_body(observer.rows, "arm", matter))
@@ -105,8 +107,10 @@ def markers_text() -> str:
 def scene_of(folder: Path, recordings: str, unknowns: str = "", name: str = "arm.yaml") -> Path:
     """Write a scene that is fitted to recordings, which are lines of YAML, and return its file."""
     file, bounds = folder / name, unknowns or f"  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}\n"
-    optimizer = "optimizer: {least_squares: {max_iterations: 15}}\n"
-    file.write_text(f"{ARM}data:\n  recordings:\n{recordings}unknowns:\n{bounds}{optimizer}")
+    file.write_text(
+        f"{ARM}data:\n  recordings:\n{recordings}unknowns:\n{bounds}"
+        "optimizer: {least_squares: {max_iterations: 15}}\n"
+    )
     return file
 
 

@@ -15,6 +15,7 @@ from cqrun.figures.design import designed_quantities, draw_design, draw_shape, h
 from cqrun.figures.losses import LOSS
 from cqrun.figures.overview import draw_overview
 from cqrun.figures.path import draw_path, has_path
+from cqrun.figures.rest import draw_rest
 from cqrun.figures.run_data import HISTORY, TRAJECTORY, RunData, read_run
 from cqrun.figures.style import save, styled
 from cqrun.figures.tracks import draw_recording
@@ -94,7 +95,9 @@ def _convergence(run: RunData) -> Iterator[tuple[str, Figure]]:
 
 def _tracks(run: RunData) -> Iterator[tuple[str, Figure]]:
     if run.has_tables():
-        yield from ((f"tracks_{tracks.recording}", draw_recording(tracks, run.name)) for tracks in run.tracks())
+        for tracks in run.tracks():
+            draw = draw_rest if tracks.at_rest else draw_recording
+            yield f"tracks_{tracks.recording}", draw(tracks, run.name)
 
 
 def _bodies(run: RunData) -> Iterator[tuple[str, Figure]]:

@@ -11,6 +11,7 @@ from cqrun.figures.bodies import farthest_frame, plot_body, snapshots, window_of
 from cqrun.figures.convergence import plot_loss, plot_unknown, plot_violation, unknown_curves
 from cqrun.figures.losses import loss_curve
 from cqrun.figures.quantities import length_unit
+from cqrun.figures.rest import name_points
 from cqrun.figures.run_data import RunData
 from cqrun.figures.style import INK, new_figure, titled
 from cqrun.figures.tracks import explain, main_coordinate, plot_coordinate, rmse
@@ -66,7 +67,8 @@ def _tracks(axes: Axes, run: RunData) -> None:
     explain(axes)
     title = axes.get_ylabel()
     axes.set_ylabel("")
-    axes.set_xlabel("time (s)")
+    axes.set_xlabel(tracks.axis if tracks.at_rest else "time (s)")
+    name_points(axes, tracks)
     titled(axes, title, f"{tracks.channels[farthest]}; RMSE of {tracks.recording} {rmse(tracks)}")
 
 

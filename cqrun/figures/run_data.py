@@ -32,12 +32,14 @@ class Tracks:
     Attributes:
         recording: name of the recording.
         channels: names of the M channels, such as markers.
-        time: time since the release (T,) [s].
+        time: time since the release (T,) [s]; at rest the number of each point, or its load.
         data: recorded values (T, M, D); NaN where a channel was not seen.
         model: values in the model (T, M, D).
         holdout: whether the recording was held out of the fit.
         components: names of the D components.
         measurement: what was measured, and its unit.
+        axis: what `time` is called.
+        labels: names of the points at rest; empty if they have numbers.
     """
 
     recording: str
@@ -48,6 +50,13 @@ class Tracks:
     holdout: bool = False
     components: tuple[str, ...] = ("x", "y", "z")
     measurement: type[Measurement] = Markers
+    axis: str = "time"
+    labels: tuple[str, ...] = ()
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether bodies are at rest, so that there is no time."""
+        return self.measurement.at_rest
 
     @property
     def error(self) -> Array:
@@ -181,7 +190,7 @@ def _history(path: Path) -> dict[str, Array]:
 def read_tracks(
     path: Path, holdouts: set[str] | frozenset[str] = frozenset(), measurement: type[Measurement] = Markers
 ) -> list[Tracks]:
-    """Read a table; each row has recording, channel, time, then the components of data and model.
+    """Read a table; each row has recording, channel, time (or point), then the components of data and model.
 
     Raises:
         UsageError: the file is not such a table.
@@ -193,7 +202,9 @@ def read_tracks(
         raise UsageError(f"{path}: unreadable ({error}); run the scene again with --fresh") from error
     header, body = (rows[0], rows[1:]) if rows else ([], [])
     components = tuple(name.removeprefix("data_") for name in header if name.startswith("data_"))
-    if header[:3] != ["recording", measurement.channel, "time"] or len(header) != 3 + 2 * len(components) or not body:
+    timed = measurement.at_rest or header[2:3] == ["time"]
+    named = header[:2] == ["recording", measurement.channel] and timed
+    if not named or len(header) != 3 + 2 * len(components) or not body:
         raise UsageError(f"{path}: is not a table of {measurement.channel}s; run the scene again with --fresh")
     if short := next((row for row in body if len(row) != len(header)), None):
         raise UsageError(f"{path}: damaged (a row has {len(short)} columns); run the scene again with --fresh")
@@ -202,14 +213,30 @@ def read_tracks(
         grouped.setdefault(row[0], {}).setdefault(row[1], []).append(row[2:])
     try:
         return [
-            Tracks(name, tuple(own), *_arrays(own, len(components)), name in holdouts, components, measurement)
+            _tracks(name, own, len(components), measurement, header[2], name in holdouts, components)
             for name, own in grouped.items()
         ]
     except ValueError as error:
         raise UsageError(f"{path}: damaged ({error}); run the scene again with --fresh") from error
 
 
-def _arrays(channels: dict[str, list[list[str]]], dim: int) -> tuple[Array, Array, Array]:
-    """Return time (T,), data and model (T, M, D) from the rows of each channel."""
-    numbers = np.array(list(channels.values()), dtype=float).transpose(1, 0, 2)
-    return numbers[:, 0, 0], numbers[:, :, 1 : 1 + dim], numbers[:, :, 1 + dim :]
+def _tracks(
+    name: str, channels: dict[str, list[list[str]]], dim: int, measurement: type[Measurement], axis: str, holdout: bool,
+    components: tuple[str, ...],
+) -> Tracks:  # fmt: skip
+    """Return the tracks of a recording from the rows of each channel: time or point, data, model."""
+    points = [row[0] for row in next(iter(channels.values()))]
+    labels = tuple(points) if measurement.at_rest and not all(map(_is_number, points)) else ()
+    along = np.arange(1.0, len(points) + 1) if labels else np.array(points, dtype=float)
+    rows = [[row[1:] for row in rows] for rows in channels.values()]
+    numbers = np.array(rows, dtype=float).transpose(1, 0, 2)
+    data, model = numbers[:, :, :dim], numbers[:, :, dim:]
+    return Tracks(name, tuple(channels), along, data, model, holdout, components, measurement, axis, labels)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

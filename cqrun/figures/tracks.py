@@ -35,8 +35,11 @@ SHOWN_TIMES = 3
 
 
 def displacements(tracks: Tracks) -> tuple[Array, Array]:
-    """Return data and model (T, M, D): positions relative to the model's in the first frame, other values unchanged."""
-    origin = tracks.model[0] if tracks.measurement.unit == "m" else 0.0
+    """Return data and model (T, M, D).
+
+    Positions in a motion are relative to the model's in the first frame; other values are unchanged.
+    """
+    origin = tracks.model[0] if tracks.measurement.unit == "m" and not tracks.at_rest else 0.0
     return tracks.data - origin, tracks.model - origin
 
 
@@ -91,9 +94,13 @@ def spread(points: Array, count: int, first: int = 0) -> list[int]:
 
 
 def draw_recording(tracks: Tracks, scene: str) -> Figure:
-    """Return the picture of one recording."""
+    """Return the picture of one recording of a motion."""
     paths = len(tracks.channels) > FEW_MARKERS and tracks.data.shape[2] > 1
-    figure = _draw_paths(tracks) if paths else _draw_channels(tracks)
+    return with_title(_draw_paths(tracks) if paths else _draw_channels(tracks), tracks, scene)
+
+
+def with_title(figure: Figure, tracks: Tracks, scene: str) -> Figure:
+    """Return the picture of a recording with its title."""
     kind = "held out" if tracks.holdout else "fitted"
     title = f"{scene}, {tracks.recording} ({kind}): RMSE {rmse(tracks)}"
     figure.suptitle(title, fontsize=10, fontweight="bold", color=INK, x=0.01, ha="left")

@@ -10,14 +10,19 @@ from cqrun.build.load_path import checked_key, inputs_of
 from cqrun.build.model import Built
 from cqrun.engine.setting import MARGIN, grid_shape
 from cqrun.engine.statics.path import RestPath
-from cqrun.errors import DataError, Problem, SceneError
-from cqrun.explain import listed
+from cqrun.errors import DataError, NoRestError, Problem, SceneError
+from cqrun.explain import listed, suggest
+from cqrun.fitting.case import Case
+from cqrun.fitting.runners import AtRest
 from cqrun.measurements.at_rest import RestComparison
 from cqrun.plugin.contract import Array
 from cqrun.scene.keypath import split_own
 from cqrun.scene.load_path import MOST_POINTS
 from cqrun.scene.paths import canonical
 from cqrun.scene.schema import Scene
+
+LEAST_MOVED = 0.05
+"""A marker with less weight on particles that can move counts as clamped."""
 
 
 def rest_points(scene: Scene, name: str, built: Built, comparison: RestComparison) -> tuple[dict[str, float], ...]:
@@ -42,9 +47,25 @@ def rest_points(scene: Scene, name: str, built: Built, comparison: RestCompariso
         if message := _fitted(scene, name, long[key]) or _idle(built, long[key]):
             raise SceneError([Problem(scene.where(where), where, message)])
     points = tuple({long[key]: value for key, value in point.items()} for point in comparison.points)
+    if comparison.boundary and comparison.boundary not in built.scene.boundaries:
+        path, known = f"data.recordings.{name}.{comparison.spec.name}.boundary", built.scene.boundaries
+        message = f"there is no boundary '{comparison.boundary}'{suggest(comparison.boundary, known)}; "
+        raise SceneError([Problem(scene.where(path), path, f"{message}the scene has {listed(known)}")])
     _require_free(built, comparison)
     _require_held(built, points)
     return points
+
+
+def questions(case: Case, values: Mapping[str, Array]) -> Iterator[str]:
+    """Yield what is probably wrong with a case's data, as a few equilibria with some values by path show."""
+    for comparison in case.comparisons:
+        if isinstance(comparison, RestComparison) and comparison.telling:
+            points = tuple(case.points[k] for k in comparison.telling)
+            try:
+                records = AtRest(case.built, points).run(case.own_values(values))
+            except NoRestError:
+                continue
+            yield from comparison.questions_at(records)
 
 
 def _unsuited(scene: Scene, name: str, comparison: RestComparison) -> Iterator[tuple[str, str]]:
@@ -107,11 +128,8 @@ def _require_free(built: Built, comparison: RestComparison) -> None:
         return
     clamped = clamped_particles(built)
     rows = comparison.rows
-    stuck = [
-        name
-        for k, name in enumerate(comparison.names)
-        if clamped[rows.indices[rows.indptr[k] : rows.indptr[k + 1]]].all()
-    ]
+    moved = abs(rows) @ ~clamped / abs(rows).sum(axis=1)
+    stuck = [name for name, part in zip(comparison.names, moved, strict=True) if part < LEAST_MOVED]
     if stuck:
         which = f"marker '{stuck[0]}' is" if len(stuck) == 1 else f"markers {listed(stuck)} are"
         raise DataError(

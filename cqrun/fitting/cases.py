@@ -7,11 +7,13 @@ from pathlib import Path
 
 from cqrun.build.model import Built
 from cqrun.errors import Problem, RolloutError, RunError, SceneError
+from cqrun.fitting.at_rest import questions
 from cqrun.fitting.case import Case
 from cqrun.fitting.recorded import recorded_cases
 from cqrun.fitting.synthetic import synthetic_cases
 from cqrun.fitting.wanted import wanted_case
 from cqrun.running.runs import data_files
+from cqrun.running.unknowns import make_params
 from cqrun.scene.schema import Scene
 from cqrun.store.run import RunDirectory
 
@@ -64,9 +66,11 @@ def given_cases(built: Built) -> list[Case] | None:
 def recording_warnings(built: Built, cases: Sequence[Case]) -> Iterator[str]:
     """Yield what looks wrong in recordings, and the warnings of their scenes that the scene itself does not have."""
     known = {warning.message for warning in built.warnings}
+    starts = make_params(built).start_values if any(case.points for case in cases) else {}
     for case in cases:
         yield from (f"{case.name}: {warning}" for warning in case.built.warnings if warning.message not in known)
         yield from (f"{case.name}: {doubt}" for comparison in case.comparisons for doubt in comparison.doubts)
+        yield from (f"{case.name}: {question}" for question in questions(case, starts))
 
 
 def remarks(cases: Sequence[Case]) -> Iterator[str]:

@@ -58,8 +58,8 @@ class RestMeasurement(Measurement):
         """What every column of loads drives."""
         return {name: Load(path=load) if isinstance(load, str) else load for name, load in self.loads.items()}
 
-    def load_points(self, table: LoadTable, rows: Sequence[int]) -> tuple[dict[str, float], ...]:
-        """Return the loads of the points by key path, from the first line of each.
+    def line_loads(self, table: LoadTable) -> list[dict[str, float]]:
+        """Return the loads of every line by key path.
 
         Raises:
             DataError: a column of `loads` or `ignore` is not in the table, two columns drive the same, or a cell is no
@@ -67,14 +67,13 @@ class RestMeasurement(Measurement):
         """
         for column in (*self.loads, *self.ignore):
             table.require(column, "the load" if column in self.loads else "of `ignore`,")
-        points: list[dict[str, float]] = [{} for _ in rows]
+        lines: list[dict[str, float]] = [{} for _ in table.rows]
         for column, load in self.drives.items():
-            if load.path in points[0]:
+            if load.path in lines[0]:
                 raise DataError(f"{table.source}: two columns of `loads` drive '{load.path}': name it once")
-            values = load.factor * table.numbers(column)
-            for point, row in zip(points, rows, strict=True):
-                point[load.path] = float(values[row])
-        return tuple(points)
+            for line, value in zip(lines, (load.factor * table.numbers(column)).tolist(), strict=True):
+                line[load.path] = value
+        return lines
 
     def require_loads(self, table: LoadTable, points: int) -> None:
         """Raise a DataError if nothing distinguishes several points."""
@@ -110,7 +109,10 @@ class RestComparison(Comparison):
         seen: (P, M, D) of bool.
         names: M channels.
         count: number of pairs of a point and a channel that was measured.
+        boundary: the boundary that is measured; empty for others.
     """
+
+    boundary: str = ""
 
     def __init__(
         self, spec: RestMeasurement, recorded: Recorded, rows: csr_array, names: Sequence[str],
@@ -150,6 +152,15 @@ class RestComparison(Comparison):
     @abstractmethod
     def observe_vjp(self, records: Records, y_bar: Array) -> Records:
         """Return the cotangent of the records from that of `observe`."""
+
+    @property
+    def telling(self) -> tuple[int, ...]:
+        """The points by which a wrong sign shows; none by default."""
+        return ()
+
+    def questions_at(self, records: Records) -> list[str]:
+        """Return what is probably wrong, for the model's records at the `telling` points."""
+        return []
 
     @property
     def components(self) -> tuple[str, ...]:

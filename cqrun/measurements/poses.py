@@ -63,10 +63,11 @@ class Poses(RestMeasurement):
 
     def bind(self, recorded: Recorded, matter: Matter) -> PoseComparison:
         table, names = read_table(recorded.file), list(self.markers)
-        read = _read_long if "marker" in table.head else _read_wide
+        loads, is_long = self.line_loads(table), "marker" in table.head
+        read = _read_long if is_long else _read_wide
         labels, lines, values, used = read(table, names, matter.dim, recorded.units)
-        points = self.load_points(table, lines)
         table.require_all_used({*used, *self.loads, *self.ignore, LABEL}, "is neither a load nor a marker's position")
+        points = [loads[line] for line in lines]
         self.require_loads(table, len(points))
         _require_same_loads(self, table, labels)
         self._require_near(recorded, matter, table, values)

@@ -96,6 +96,7 @@ def limits_of(*, slow: bool) -> Limits:
     """Return the limits of the rich scene's actuators; `slow` ones of each kind have a rate."""
     low, change, neutral = np.full(11, -1.0), np.full(11, np.inf), np.full(11, 0.07)  # no kink
     low[ACTUATORS["pressure"]] = low[ACTUATORS["cable"]] = 0.0
+    low[ACTUATORS["tension"]] = -0.8  # a controller whose neurons are silent gives the middle: 0 would be a kink
     neutral[ACTUATORS["cable"]] = 0.45
     low[ACTUATORS["tension"]] = -0.9  # so that the middle, where a silent network is, is not 0, where a cable slackens
     if slow:

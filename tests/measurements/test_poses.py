@@ -1,0 +1,485 @@
+"""Poses: markers at rest under stated loads, fitted by equilibria; gradients, files, pictures, resume, bad input."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_arm import (
+    ARM,
+    LOADS,
+    LOWER,
+    MARKERS,
+    NOISE,
+    NU,
+    POSES,
+    POSES_OF,
+    TRUE,
+    UPPER,
+    E,
+    markers_text,
+    recording,
+    scene_of,
+    write_poses,
+)
+from small_beam import Listener, assert_same, changed, result_of
+
+import cqrun
+from cqrun.build.load_path import gradient_of, inputs_of
+from cqrun.build.matter import matter_of
+from cqrun.build.model import build
+from cqrun.engine.model import Inputs
+from cqrun.errors import SceneError, Stopped
+from cqrun.figures.draw import draw_run
+from cqrun.figures.run_data import read_run
+from cqrun.fitting.cases import given_cases
+from cqrun.fitting.problem import FitProblem
+from cqrun.jobs.gradcheck import run_gradcheck
+from cqrun.jobs.resume import run_resume
+from cqrun.jobs.sysid import run_sysid
+from cqrun.jobs.table import report_lines
+from cqrun.jobs.validate import validate
+from cqrun.measurements.markers import observe_markers
+from cqrun.measurements.recording import Recording
+from cqrun.optimizers.base import TrialFailed
+from cqrun.running.unknowns import make_params
+from cqrun.scene.load import load_scene
+from cqrun.store.marker_csv import write_csv
+from cqrun.store.trajectory import read_trajectory
+
+OFFSET = (1.5e-3, -0.8e-3)
+OFFSETS = [f"data.recordings.arm.offset.{k}" for k in range(2)]
+TILT = "data.recordings.arm.overrides.world.gravity.0"
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the poses in the long form, in the wide one in millimetres, and those of a shifted arm."""
+    folder = tmp_path_factory.mktemp("poses")
+    write_poses(folder / "poses.csv")
+    write_poses(folder / "wide.csv", wide=True, unit="mm", seed=2)
+    write_poses(folder / "shifted.csv", offset=OFFSET, overrides=["world.gravity=[0.9, -9.81]"], seed=3)
+    return folder
+
+
+@pytest.fixture
+def folder(data: Path, tmp_path: Path) -> Path:
+    """Return a folder of the test's own with the recordings."""
+    for file in data.glob("*.csv"):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def found(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a finished fit of both forms."""
+    recordings = recording() + recording("wide", "wide.csv", holdout="true")
+    return run_sysid(scene_of(data, recordings), [], tmp_path_factory.mktemp("found"), threads=1)
+
+
+def problem_of(scene: Path, *overrides: str) -> FitProblem:
+    built = build(load_scene(scene, overrides))
+    cases = given_cases(built)
+    assert cases is not None
+    return FitProblem(cases, make_params(built))
+
+
+# --- what it finds ----------------------------------------------------------------------------------------------------
+
+
+def test_the_modulus_is_found_with_an_interval(found):
+    result = result_of(found)
+    assert result["status"] == "converged"
+    assert result["substeps"] is None
+    unknown = result["unknowns"][E]
+    low, high = unknown["interval"]
+    assert low < TRUE < high
+    assert high - low < 0.01 * TRUE
+    assert unknown["value"] == pytest.approx(TRUE, rel=1e-3)
+    for name, holdout in (("arm", False), ("wide", True)):
+        entry = result["recordings"][name]
+        assert entry["holdout"] == holdout
+        assert entry["rmse_mm"] == pytest.approx(1e3 * NOISE * np.sqrt(2), rel=0.5)
+        assert set(entry["markers_mm"]) == set(MARKERS)
+        assert list(entry["poses_mm"]) == list(POSES)
+        assert entry["mean_mm"] == pytest.approx(np.mean(list(entry["poses_mm"].values())))
+
+
+def test_table_trajectory_pictures_and_report(found):
+    with (found / "poses.csv").open() as file:
+        head, *rows = csv.reader(file)
+    assert head == ["recording", "marker", "pose", "data_x", "data_y", "model_x", "model_y"]
+    assert [row[2] for row in rows[: len(POSES)]] == list(POSES)
+    entry = result_of(found)["recordings"]["arm"]
+    of_arm = np.array([[float(number) for number in row[3:]] for row in rows if row[0] == "arm"])
+    away = 1e3 * np.linalg.norm(of_arm[:, :2] - of_arm[:, 2:], axis=1)
+    assert away.mean() == pytest.approx(entry["mean_mm"], rel=1e-9)
+    assert np.sqrt((away**2).mean()) == pytest.approx(entry["rmse_mm"], rel=1e-9)
+
+    frames = read_trajectory(found / "trajectory.h5").fields["x"]
+    assert len(frames) == 1 + len(POSES)
+    assert frames[1, :, 1].min() < frames[0, :, 1].min() - 0.01
+
+    text = "\n".join(report_lines(found))
+    assert (
+        f"arm: mean marker error {entry['mean_mm']:.3f} mm; by pose: hanging {entry['poses_mm']['hanging']:.2f}" in text
+    )
+    assert "substeps" not in text
+    drawn = {path.name for path in draw_run(found)}
+    assert {"tracks_arm.png", "tracks_wide.png", "overview.png", "bodies.png", "convergence.png"} == drawn
+    (tracks, _) = read_run(found).tracks()
+    assert tracks.labels == tuple(POSES)
+    assert tracks.at_rest
+
+
+def test_tilt_and_offset_of_one_recording_beside_a_shared_material(folder):
+    unknowns = f"""\
+  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}
+  {TILT}: {{bounds: [-3, 3]}}
+  {OFFSETS[0]}: {{bounds: [-0.01, 0.01]}}
+  {OFFSETS[1]}: {{bounds: [-0.01, 0.01]}}
+"""
+    recordings = recording("arm", "shifted.csv") + recording("straight")
+    result = result_of(run_sysid(scene_of(folder, recordings, unknowns), [], folder / "out", threads=1))
+    for path, truth in zip((E, TILT, *OFFSETS), (TRUE, 0.9, *OFFSET), strict=True):
+        low, high = result["unknowns"][path]["interval"]
+        assert low < truth < high, path
+    assert result["recordings"]["arm"]["rmse_mm"] < 0.06
+
+
+def test_markers_in_motion_and_poses_in_one_fit(folder):
+    """Both are in metres and share the modulus; the motion is a swing in the reference frame."""
+    swing = ARM.replace("duration: 0.02", "duration: 0.1")
+    (folder / "swing.yaml").write_text(swing)
+    problem = cqrun.load(folder / "swing.yaml", [f"{E}={TRUE}"], threads=1)
+    motion = problem.simulate()
+    observer = observe_markers(matter_of(problem.built, {}), "arm", {"tip": np.array(MARKERS["tip"])})
+    places = np.einsum("mn,tnd->tmd", observer.rows.toarray(), motion.x)
+    write_csv(Recording(motion.time, ("tip",), places, "swing"), folder / "swing.csv")
+    text = scene_of(
+        folder, recording() + f"    swing: {{file: swing.csv, length: 0.09, markers: {{tip: {MARKERS['tip']}}}}}\n"
+    )
+    text.write_text(text.read_text().replace("duration: 0.02", "duration: 0.1"))
+    fit = problem_of(text)
+    x = fit.start
+    value, gradient = fit.value_and_grad(x)
+    r = fit.residuals(x)
+    assert value == pytest.approx(0.5 * r @ r, rel=1e-9)
+    h = 1e-4
+    assert gradient[0] == pytest.approx((fit.value(x + h) - fit.value(x - h)) / (2 * h), rel=1e-5)
+    result = result_of(run_sysid(text, [], folder / "out", threads=1))
+    assert result["unknowns"][E]["value"] == pytest.approx(TRUE, rel=2e-3)
+    assert result["substeps"] > 0
+    assert set(result["recordings"]) == {"arm", "swing"}
+    assert {path.name for path in (folder / "out").glob("*/*/*.csv")} == {"history.csv", "poses.csv", "tracks.csv"}
+
+
+def test_poses_are_predicted_without_a_fit(folder):
+    run = run_sysid(scene_of(folder, recording(holdout="true")), [f"{E}={TRUE}"], folder / "out", threads=1)
+    result = result_of(run)
+    assert result["message"].startswith("nothing was fitted")
+    assert result["recordings"]["arm"]["rmse_mm"] < 0.06
+    assert any("mean marker error" in line for line in report_lines(run))
+
+
+# --- gradients --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("point", [{UPPER: 30.0}, {"activation.upper": 0.4}, {"activation.lower": 0.0, E: 9e4}])
+def test_the_adjoint_of_a_points_inputs(point, rng):
+    """What a point sets no longer depends on the values; all else does, exactly as the inputs do."""
+    built = build(load_scene(ARM, [f"{UPPER}=20", f"{LOWER}=10"]))
+    values = {
+        E: np.array(1.3e5),
+        UPPER: np.array(20.0),
+        LOWER: np.array(11.0),
+        "activation.signals.upper.0": np.array(0.7),
+    }
+    inputs = inputs_of(built, point, values)
+    bar = Inputs.zeros_like(inputs)
+    bar.activation[:] = rng.normal(size=bar.activation.shape)
+    bar.strength[:] = rng.normal(size=bar.strength.shape)
+    bar.terms = [[rng.normal(size=theta.shape) / np.abs(theta).max() for theta in group] for group in inputs.terms]
+    gradient = gradient_of(built, point, values, bar)
+
+    def at(path: str, h: float) -> float:
+        i = inputs_of(built, point, values | {path: values[path] + h})
+        total = (i.activation * bar.activation).sum() + (i.strength * bar.strength).sum()
+        return float(total + sum((a * b).sum() for g, w in zip(i.terms, bar.terms, strict=True)
+                                 for a, b in zip(g, w, strict=True)))  # fmt: skip
+
+    for path, value in values.items():
+        h = 1e-3 * float(value)
+        assert gradient[path] == pytest.approx((at(path, h) - at(path, -h)) / (2 * h), rel=1e-8, abs=1e-9), path
+        if path in point:
+            assert gradient[path] == 0.0
+
+
+def test_the_loss_has_the_adjoint_of_a_dot_product(folder, rng):
+    (case,) = problem_of(scene_of(folder, recording())).cases
+    (poses,) = case.comparisons
+    records = case.run({E: np.array(1.2e5)})
+    bar, _ = poses.loss_vjp(records, 0.0, 1.7)
+    parts = ("x", "F")
+    change = {name: 1e-3 * rng.normal(size=getattr(records, name).shape) for name in parts}
+
+    def loss(h: float) -> float:
+        moved = records.zeros_like()
+        moved.add(records)
+        for name, part in change.items():
+            getattr(moved, name)[...] += h * part
+        return 1.7 * poses.loss(moved, 0.0)
+
+    along = sum(float((getattr(bar, name) * part).sum()) for name, part in change.items())
+    h = 1e-3
+    assert along == pytest.approx((loss(-2 * h) - 8 * loss(-h) + 8 * loss(h) - loss(2 * h)) / (12 * h), rel=1e-9)
+    offset_bar = poses.moved_vjp(records, 0.0, 1.7)
+    for axis in range(2):
+        step = 1e-3 * np.eye(2)[axis]
+        there = [1.7 * poses.moved(k * step).loss(records, 0.0) for k in (-1.0, 1.0)]
+        assert offset_bar[axis] == pytest.approx((there[1] - there[0]) / 2e-3, rel=1e-9)
+
+
+def test_taylor_through_the_equilibria(folder):
+    unknowns = f"  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}\n  {NU}: {{bounds: [0.1, 0.45]}}\n"
+    problem = problem_of(scene_of(folder, recording(), unknowns))
+    x, d = problem.start + 0.013, np.array([1.0, -0.3])
+    value, gradient = problem.value_and_grad(x)
+    steps = 1e-2 * 0.5 ** np.arange(4)
+    left = [abs(problem.value(x + h * d) - value - h * float(gradient @ d)) for h in steps]
+    assert np.diff(np.log(left)).max() / np.log(0.5) > 1.9
+
+
+def test_gradcheck_agrees(folder):
+    unknowns = f"""\
+  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}
+  {TILT}: {{bounds: [-3, 3]}}
+  {OFFSETS[0]}: {{bounds: [-0.01, 0.01]}}
+"""
+    run, agrees = run_gradcheck(scene_of(folder, recording(), unknowns), [], folder / "out", threads=1)
+    assert agrees, "\n".join(report_lines(run))
+
+
+def test_python_gives_the_gradient_by_any_number(folder):
+    experiment = cqrun.load(scene_of(folder, recording()), threads=1)
+    paths = {E: 1.2e5, NU: 0.33, "bodies.arm.material.density": 1030.0}
+    loss, gradient, aux = experiment.value_and_grad(paths)
+    assert aux["losses"]["arm"] == pytest.approx(loss)
+    for path, value in paths.items():
+        h = 1e-4 * value
+        ends = [experiment.value_and_grad(paths | {path: value + k * h})[0] for k in (-1.0, 1.0)]
+        assert gradient[path] == pytest.approx((ends[1] - ends[0]) / (2 * h), rel=1e-5)
+
+
+# --- runs -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("optimizer", ["least_squares: {max_iterations: 15}", "lbfgs: {max_iterations: 4}"])
+def test_stopped_and_resumed_it_is_the_same_to_the_bit(folder, optimizer):
+    scene = changed(scene_of(folder, recording()), "least_squares: {max_iterations: 15}", optimizer)
+    whole = run_sysid(scene, [], folder / "whole", threads=1)
+    with pytest.raises(Stopped):
+        run_sysid(scene, [], folder / "stopped", threads=1, reporter=Listener(stop_after=2))
+    (run,) = (folder / "stopped").glob("*/*")
+    assert result_of(run)["status"] == "stopped"
+    run_resume(run, [], threads=1)
+    assert_same(run, whole)
+
+
+def test_validate_says_what_is_compared(folder):
+    lines = list(validate(scene_of(folder, recording(offset="[0.001, 0]"))))
+    said = (
+        f"arm (fitted): 2 markers in 5 equilibria; upper_N is {UPPER}, 0 to 150; lower_N is {LOWER}, 0 to 80; push_N is"
+    )
+    assert any(f"recording  {said}" in line for line in lines)
+    assert any("given for this recording alone: offset" in line for line in lines)
+
+
+def test_values_without_an_equilibrium_are_a_failed_trial(folder):
+    """Newton's method cannot reach an arm that is a thousand times too soft."""
+    unknowns = f"  {E}: {{bounds: [1.0, 4.0e5], scale: log}}\n"
+    problem = problem_of(scene_of(folder, recording(), unknowns))
+    with pytest.raises(TrialFailed, match=r"no equilibrium was found at point \d of 5 \(actuators.*% of the way"), \
+         np.errstate(all="ignore"):  # fmt: skip
+        problem.value(np.array([0.0]))
+
+
+def test_a_whole_axis_and_single_cells_may_be_missing(folder):
+    """Only heights were measured, and the stem was hidden in one pose."""
+    with (folder / "wide.csv").open() as file:
+        head, *rows = csv.reader(file)
+    kept = [k for k, name in enumerate(head) if not name.endswith("_x_mm")]
+    rows[1][head.index("stem_y_mm")] = ""
+    lines = [head, *rows]
+    (folder / "heights.csv").write_text("\n".join(",".join(row[k] for k in kept) for row in lines) + "\n")
+    problem = problem_of(scene_of(folder, recording(file="heights.csv")))
+    assert problem.residuals(problem.start).shape == (2 * len(POSES) - 1,)
+    result = result_of(run_sysid(folder / "arm.yaml", [], folder / "out", threads=1))
+    assert result["unknowns"][E]["value"] == pytest.approx(TRUE, rel=3e-3)
+
+
+# --- bad input --------------------------------------------------------------------------------------------------------
+
+HEAD = "pose,upper_N,lower_N,push_N,marker,x,y"
+LINE = "a,0,0,0,tip,0.13,0.04"
+
+FILES: dict[str, tuple[str, str]] = {
+    "no loads": (
+        "pose,marker,x,y\na,tip,0.13,0.05\nb,tip,0.13,0.04",
+        "bad.csv: the load 'upper_N' is not a column; it has pose, marker, x, y",
+    ),
+    "a misspelt load": (
+        f"{HEAD.replace('upper_N', 'uper_N')}\n{LINE}",
+        "bad.csv: the load 'upper_N' is not a column (did you mean 'uper_N'?); it has pose, uper_N,",
+    ),
+    "a load that nothing uses": (
+        f"{HEAD},air_kPa\n{LINE},3",
+        "bad.csv: the column air_kPa is neither a load nor a marker's position: if it is a load, name in `loads` what",
+    ),
+    "two loads in a pose": (
+        f"{HEAD}\n{LINE}\na,5,0,0,stem,0.1,0.07",
+        "bad.csv:3: pose 'a' has 0 and 5 as upper_N: all lines of a pose have the same loads",
+    ),
+    "a load that is no number": (
+        f"{HEAD}\n{LINE.replace('a,0', 'a,zero')}",
+        "bad.csv:2: upper_N is 'zero', which is not",
+    ),
+    "a load that is missing": (f"{HEAD}\n{LINE.replace('a,0', 'a,')}", "bad.csv:2: upper_N is empty: every line needs"),
+    "a negative tension": (
+        f"{HEAD}\n{LINE.replace('a,0', 'a,-4')}",
+        f"data.recordings.arm.poses.loads.upper_N: {UPPER}: must be at least 0, is -4",
+    ),
+    "a marker twice": (f"{HEAD}\n{LINE}\n{LINE}", "bad.csv:3: marker 'tip' is there twice in pose 'a'"),
+    "no such marker": (f"{HEAD}\n{LINE}", "bad.csv: no marker 'stem'; it has tip"),
+    "no positions": (
+        "pose,upper_N,lower_N,push_N,marker\na,0,0,0,tip\na,0,0,0,stem",
+        "bad.csv: has no positions: name",
+    ),
+    "no markers": (
+        "pose,upper_N,lower_N,push_N,q\na,0,0,0,1",
+        "bad.csv: has no markers: name them in a column `marker`",
+    ),
+    "a third axis": (f"{HEAD},z\n{LINE},0\na,0,0,0,stem,0.1,0.07,0", "bad.csv: has a column 'z', and the scene is 2D"),
+    "no poses": (f"{HEAD}\n", "bad.csv: has a header but no data"),
+    "an empty file": ("", "bad.csv: the file is empty"),
+    "semicolons": ("pose;marker;x;y\na;tip;1;2", "bad.csv: its columns are not separated by commas"),
+    "a short line": (f"{HEAD}\n{LINE}\na,0,0,0,stem,0.1", "bad.csv:3: 6 columns instead of 7; is the file truncated?"),
+    "a column twice": (f"{HEAD},x\n{LINE},1", "bad.csv: the column 'x' is there 2 times: name each once"),
+    "two columns of an axis": (
+        f"{HEAD},x_mm\n{LINE},1\na,0,0,0,stem,0.1,0.07,1",
+        "'x' and 'x_mm' are the same axis: keep",
+    ),
+    "millimetres": (
+        f"{HEAD}\na,0,0,0,tip,130,40\na,0,0,0,stem,100,70",
+        "the file looks as if it is in mm: say `units: mm`",
+    ),
+    "another origin": (
+        f"{HEAD}\na,0,0,0,tip,7.2,4\na,0,0,0,stem,7.1,4",
+        "positions are in the axes of the scene: give `offset` if the file has another origin",
+    ),
+    "a huge number": (f"{HEAD}\n{LINE.replace('0.13', '1e300')}\na,0,0,0,stem,0.1,0.07", "x is 1e300, which nobody"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_files_that_cannot_be_used(name, folder):
+    text, message = FILES[name]
+    (folder / "bad.csv").write_text(text)
+    with pytest.raises(SceneError) as error:
+        problem_of(scene_of(folder, recording(file="bad.csv")))
+    assert message in str(error.value)
+    assert "data.recordings.arm" in str(error.value)
+
+
+def test_a_file_without_loads_is_a_question_of_what_differs(folder):
+    (folder / "plain.csv").write_text("pose,marker,x,y\na,tip,0.13,0.05\nb,tip,0.13,0.04\n")
+    line = f"    arm: {{file: plain.csv, poses: {{markers: {{tip: {MARKERS['tip']}}}}}}}\n"
+    with pytest.raises(SceneError) as error:
+        problem_of(scene_of(folder, line))
+    assert "plain.csv: has 2 poses, but `loads` names no column, so that the model is the same in all" in str(
+        error.value
+    )
+    assert "such as `loads: {tension_N: actuators.left.cable.tension}`" in str(error.value)
+
+
+SCENES: dict[str, tuple[str, str, str]] = {
+    "the updated frame": (
+        "frame: reference", "frame: updated",
+        "world.frame: is `updated`, but the recording 'arm' (`poses`) is compared with bodies at rest, which only the "
+        "reference frame has: set `world.frame: reference`",
+    ),
+    "half the precision": ("title:", "precision: float32\ntitle:", "precision: is `float32`, too coarse for"),
+    "no clamp": (
+        "  clamp: {sticky: {region: {box: {corner: [0, 0], size: [0.04, 0.12]}}}}",
+        "  wall: {slip: {region: {box: {corner: [0, 0], size: [0.04, 0.12]}}, normal: [1, 0]}}",
+        "bodies.arm: nothing holds it: it can move in 1 way without resistance, so it has no place of rest; add",
+    ),
+    "a marker in the clamp": (
+        "tip: [0.139, 0.06]", "tip: [0.022, 0.06]",
+        "marker 'tip' is bound to a part of the body that is clamped, so the model cannot move it: correct its rest",
+    ),
+    "a load that does not exist": (
+        UPPER, "actuators.uper.cable.tension", "loads.upper_N: actuators.uper.cable.tension: 'actuators' has no",
+    ),
+    "a load that is a shape": (UPPER, "bodies.arm.shape.box.size.0", "loads.upper_N: changes the rest shape of a body"),
+    "no such actuator": (UPPER, "activation.uper", "loads.upper_N: there is no actuator 'uper'; the scene has upper"),
+    "an activation beyond its limits": (
+        UPPER, "activation.upper", "loads.upper_N: 60 is outside the actuator's limits, 0 to 1",
+    ),
+    "a cable that nothing activates": (
+        "{upper: [1], lower: [1]}", "{lower: [1]}",
+        f"loads.upper_N: '{UPPER}' does nothing, because the activation of 'upper' is 0 at rest: give `activation: ",
+    ),
+    "two columns for one load": (LOWER, UPPER, f"two columns of `loads` drive '{UPPER}': name it once"),
+    "a load that is an unknown": (
+        f"  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}", f"  {UPPER}: {{bounds: [0, 9]}}",
+        f"loads.upper_N: its values are those of '{UPPER}', which the unknown '{UPPER}' sets: remove one of the two",
+    ),
+    "a time": ("file: poses.csv", "file: poses.csv, start: 0.1", "arm.start: has no meaning for the measurement"),
+    "a length": ("file: poses.csv", "file: poses.csv, length: 0.1", "arm.length: has no meaning for the measurement"),
+    "still frames": ("file: poses.csv", "file: poses.csv, still: [0, 1]", "arm.still: has no meaning for the"),
+    "an unknown start": (
+        f"  {E}: ", "  data.recordings.arm.start: {bounds: [0, 1]}\n" + f"  {E}: ",
+        "unknowns.data.recordings.arm.start: has no meaning for the measurement `poses`: remove it",
+    ),
+    "three coordinates": ("tip: [0.139, 0.06]", "tip: [0.139, 0.06, 0]", "poses.markers.tip: must have 2 entries"),
+    "no markers": (markers_text(), "{}", "poses.markers: must have at least 1"),
+    "other units": (
+        "file: poses.csv", "file: wide.csv, units: cm", "the column 'tip_x_mm' is in mm, and the scene says",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_that_do_not_fit(name, folder):
+    old, new, message = SCENES[name]
+    scene = changed(scene_of(folder, recording()), old, new)
+    with pytest.raises(SceneError) as error:
+        problem_of(scene)
+    assert message in str(error.value)
+
+
+def test_a_load_in_another_unit_is_asked_about(folder):
+    text = (folder / "poses.csv").read_text()
+    (folder / "poses.csv").write_text(text.replace("push_N", "push_mN"))
+    scene = changed(scene_of(folder, recording()), "push_N:", "push_mN:")
+    asked = (
+        "arm: is the load 'push_mN' in mN? loads.push.point_force.force.1 is in the SI unit: give {path: loads.push."
+    )
+    assert any(asked in line for line in validate(scene))
+    changed(
+        scene,
+        "push_mN: loads.push.point_force.force.1",
+        "push_mN: {path: loads.push.point_force.force.1, factor: 0.001}",
+    )
+    assert not any("is the load" in line for line in validate(scene))
+    (case,) = problem_of(scene).cases
+    assert case.points[-1]["loads.push.point_force.force.1"] == pytest.approx(0.4e-3)
+
+
+def test_the_loads_are_those_of_the_table(folder):
+    (case,) = problem_of(scene_of(folder, recording())).cases
+    assert [tuple(point[path] for path in LOADS.values()) for point in case.points] == list(POSES.values())
+    assert POSES_OF.count(":") == len(LOADS)
