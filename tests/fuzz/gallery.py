@@ -67,6 +67,9 @@ def _write_files(folder: Path) -> None:
         for k in range(20):
             table.writerow([0.01 * k, "tip", 0.119, 0.065 - 0.0001 * k])
             table.writerow([0.01 * k, "mid", 0.08, 0.065])
+    for name, head in (("forces", "clamp_mN"), ("moments", "clamp_Nmm")):
+        with (folder / f"{name}.csv").open("w", newline="") as file:
+            csv.writer(file).writerows([["upper_N", head], [0.0, 23.5], [30.0, 23.6], [60.0, 23.4]])
     with (folder / "poses.csv").open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(["pose", "upper_N", "note", "marker", "x", "y"])

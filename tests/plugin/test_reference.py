@@ -112,6 +112,8 @@ PLAIN_TEXT = {
     ("image", "colours"), ("image", "background"), ("colour", "colour"),
     ("nearest_marker", "markers"), ("nearest_marker", "marker"),
     ("poses", "markers"), ("poses", "loads"), ("poses", "ignore"),
+    ("force", "boundary"), ("force", "column"), ("force", "loads"), ("force", "ignore"),
+    ("moment", "boundary"), ("moment", "column"), ("moment", "loads"), ("moment", "ignore"),
 }  # fmt: skip
 """Fields of plug-ins of the package that hold text and refer to no other part of the scene, and to no file."""
 
