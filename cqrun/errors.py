@@ -107,6 +107,19 @@ class CrushedError(RunError):
         super().__init__(f"{reason}; {advice}")
 
 
+class NoRestError(RunError):
+    """A path of equilibria that ends early: no equilibrium was found under some loads.
+
+    Args:
+        reason: where, in words.
+        advice: what to change.
+    """
+
+    def __init__(self, reason: str, advice: str) -> None:
+        self.reason, self.advice = reason, advice
+        super().__init__(f"{reason}; {advice}")
+
+
 class RolloutError(RunError):
     """A rollout that had to stop: a value is not finite, or a particle reached the edge of the grid.
 

@@ -16,7 +16,7 @@ import pytest
 from numba import config
 from scipy import sparse
 
-from cqrun.actuators import body_force, cable, muscle, pressure
+from cqrun.actuators import body_force, cable, muscle, pressure, tension
 from cqrun.actuators.actuator import Actuator
 from cqrun.actuators.muscle import symmetric_rows
 from cqrun.boundaries.friction import Friction
@@ -49,7 +49,8 @@ class Extra(NamedTuple):
 CONDITIONS = (Friction,) * 4 + (Slip,) * 3 + (Separate, Sticky)
 """The kinds of boundary condition of every model, in the order of `Inputs.coefficients`."""
 
-STRESSES, FORCES = (muscle.MuscleKernel, pressure.PressureKernel), (cable.CableKernel, body_force.BodyForceKernel)
+STRESSES = (muscle.MuscleKernel, pressure.PressureKernel)
+FORCES = (cable.CableKernel, body_force.BodyForceKernel, tension.TensionKernel)
 PASSIVE = spring.SpringKernel
 """The kinds of actuators of every model, in the order of `Inputs.activation`, and of forces without an activation."""
 
@@ -87,7 +88,7 @@ class Acting:
 def every_kind(wanted: list[Acting], dim: int) -> tuple[list[Acting], np.ndarray]:
     """Return actuators of all kinds in order, with empty ones for unused kinds, and which were requested (A,)."""
     actuators: list[Acting] = []
-    for kind, size in zip((*STRESSES, *FORCES), (dim * (dim + 1) // 2, 1, 1, dim), strict=True):
+    for kind, size in zip((*STRESSES, *FORCES), (dim * (dim + 1) // 2, 1, 1, dim, 0), strict=True):
         of_kind = [a for a in wanted if a.kind is kind]
         actuators += of_kind or [Acting(kind, np.zeros(0, np.int64), np.zeros(size))]
     if [a for a in actuators if a in wanted] != wanted:

@@ -130,6 +130,8 @@ FROM_FILES = ("rhino", "creature")
 """Robots from our own image or mesh, whose number of particles is only nearly that of the papers."""
 
 scene_files = pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+MOVING = [path for path in SCENES if path.parent.name != "rest"]  # rest has no time
+moving_scenes = pytest.mark.parametrize("path", MOVING, ids=lambda path: path.stem)
 
 
 def recorded(scene: Scene, folder: Path) -> list[str]:
@@ -292,7 +294,7 @@ def test_a_shortened_identification_runs(path, tmp_path):
     assert report_lines(run)
 
 
-@scene_files
+@moving_scenes
 def test_a_shortened_scene_is_simulated(path, tmp_path):
     result = result_of(run_simulate(path, shortened(path, tmp_path), tmp_path, threads=1))
     assert result["status"] == "done"
@@ -315,7 +317,7 @@ def test_walkers_stand_on_the_floor_in_gradient_checks(name):
     assert x[:, 1].min() - ground < 1.5 * dx
 
 
-@scene_files
+@moving_scenes
 def test_the_gradient_of_a_scene_agrees_with_differences(path, tmp_path):
     scene = load_scene(path)
     # a controller needs a few steps until its effect exceeds rounding

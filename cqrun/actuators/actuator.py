@@ -85,8 +85,8 @@ class Actuator(Plugin):
         """Return the stiffness of a pressure wave that one unit of activation and strength adds."""
         return 0.0
 
-    def stiffness_at_nodes(self, strength: float) -> float:
-        """Return the stiffness that a part adds to the grid nodes near its particles [N/m]."""
+    def stiffness_at_nodes(self, strength: float, x: Array) -> float:
+        """Return the stiffness that a part adds to the grid nodes near its particles, at rest at x (n, D) [N/m]."""
         return 0.0
 
 

@@ -6,17 +6,20 @@ activation u, the share of R that is not reeled in:
     E = k / 2 max(0, L - max(0, u) R)^2,    f = -dE/dx
 
 The tension T = k max(0, L - max(0, u) R) is the same along the whole route: f_i = T (t_i - t_{i-1}) with the unit
-vectors t_i = (x_{i+1} - x_i) / |x_{i+1} - x_i|. It adds no net force and no net torque.
+vectors t_i = (x_{i+1} - x_i) / |x_{i+1} - x_i|. It adds no net force and no net torque. A cable with a given `tension`
+has the law of `tension.py` instead.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
+from pydantic import model_validator
 
 from cqrun.actuators.actuator import Actuator
-from cqrun.explain import Loc
+from cqrun.actuators.tension import TensionKernel
+from cqrun.explain import Loc, complaint, finding
 from cqrun.forces.force import ACTIVATION, REST, STRENGTH, Inside, Levels, Shares, register_force
 from cqrun.forces.route import (
     Point,
@@ -38,7 +41,7 @@ from cqrun.plugin.registry import plugin
 
 
 class CableKernel(NamedTuple):
-    """All cables of a scene."""
+    """All cables of a scene that have a stiffness."""
 
     shares: Shares
     parts: Array
@@ -49,8 +52,14 @@ class CableKernel(NamedTuple):
 class Cable(Actuator):
     """A cable along a route of particles: it pulls and never pushes (CQ2 eqs 16, 17).
 
-    The activation is the share of its rest length that is not reeled in: 1 is slack at rest, 0 is fully reeled in. The
-    tension is stiffness (length - activation rest length), or zero if that is negative.
+    With `stiffness`, a motor sets its length. The activation is the share of its rest length that is not reeled in: 1
+    is slack at rest, 0 is fully reeled in. The tension is stiffness (length - activation rest length), or zero if that
+    is negative.
+
+    With `tension`, a motor or a weight sets its force. The tension is activation tension, whatever its length: 0 is
+    slack, 1 pulls with the full tension.
+
+    The tension is the same along the whole route: there is no friction.
     """
 
     route: list[Point] = quantity(
@@ -60,11 +69,38 @@ class Cable(Actuator):
         "m", "Distance between the particles that it is tied to along a line; only at the points if absent", gt=0,
         default=None,
     )  # fmt: skip
-    stiffness: float = quantity("N/m", "Tension divided by stretch", differentiable=True, ge=0)
+    stiffness: float | None = quantity(
+        "N/m", "Tension divided by stretch; or give `tension`", differentiable=True, ge=0, default=None
+    )
+    tension: float | None = quantity(
+        "N", "Tension at activation 1, whatever its length; or give `stiffness`", differentiable=True, ge=0,
+        default=None,
+    )  # fmt: skip
 
-    scale = "stiffness"
-    neutral = 1.0
-    kernel = CableKernel
+    @model_validator(mode="after")
+    def _one_law(self) -> Self:
+        if (self.stiffness is None) == (self.tension is None):
+            given = "neither" if self.stiffness is None else "both"
+            message = (
+                f"needs exactly one of `stiffness` (a motor sets its length) and `tension` (its force); has {given}"
+            )
+            raise complaint("Cable", [finding(message, involves=("stiffness", "tension"))])
+        return self
+
+    @property
+    def scale(self) -> str:  # type: ignore[override]
+        """The differentiable field that an activation is multiplied by."""
+        return "tension" if self.stiffness is None else "stiffness"
+
+    @property
+    def neutral(self) -> float:  # type: ignore[override]
+        """The activation at which it is slack."""
+        return 0.0 if self.stiffness is None else 1.0
+
+    @property
+    def kernel(self) -> type:  # type: ignore[override]
+        """The class of the kernels' view."""
+        return TensionKernel if self.stiffness is None else CableKernel
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -95,9 +131,14 @@ class Cable(Actuator):
         """Return the cotangent of x (r, D)."""
         return route_length_vjp(x, bar)
 
-    def stiffness_at_nodes(self, strength: float) -> float:
-        """Return the stiffness at a node between two springs of the cable's stiffness [N/m]."""
-        return 4.0 * strength
+    def stiffness_at_nodes(self, strength: float, x: Array) -> float:
+        """Return the stiffness at a node between two segments [N/m]: of stretch, or against turning under tension.
+
+        A segment of length l under a tension T turns back with the stiffness T / l.
+        """
+        if self.stiffness is not None:
+            return 4.0 * strength
+        return 4.0 * strength / float(np.linalg.norm(np.diff(x, axis=0), axis=1).min())
 
 
 @kernel

@@ -284,7 +284,8 @@ def _spring_limits(
     parts = [
         (part.path, part.model.particles, k)
         for part, strength in zip(actuation.every, actuation.strengths(values), strict=True)
-        if body_of(part.spec) == body and (k := part.spec.stiffness_at_nodes(strength)) > 0.0
+        if body_of(part.spec) == body
+        and (k := part.spec.stiffness_at_nodes(strength, particles.x[part.model.particles])) > 0.0
     ]
     if not parts:
         return []

@@ -250,6 +250,13 @@ class Records:
         x, v, C, F = (np.zeros_like(a) for a in self)
         return Records(x, v, C, F, {name: np.zeros_like(a) for name, a in self.history.items()})
 
+    def add(self, other: Records) -> None:
+        """Add other records to these."""
+        for own, more in zip(self, other, strict=True):
+            own += more
+        for name, more in other.history.items():
+            self.history[name] += more
+
     def to_rows(self, table: StateTable) -> Array:
         """Return kernel rows (T + 1, rows, K); missing histories count as zero."""
         out = np.zeros((len(self.x), table.n_rows, self.x.shape[1]), self.x.dtype)

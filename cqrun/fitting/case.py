@@ -1,4 +1,4 @@
-"""A case: one rollout of a fit, and the comparisons of its records with data."""
+"""A case: one run of a fit, a rollout or a path of equilibria, and the comparisons of its records with data."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from cqrun.build.model import Built
 from cqrun.build.values import collect, numbers
-from cqrun.engine.frames import make_rollout
-from cqrun.engine.model import Inputs, LossBar, Records
+from cqrun.engine.model import Records
+from cqrun.fitting.runners import AtRest, InMotion, Runner
 from cqrun.measurements.comparison import Comparison
 from cqrun.plugin.contract import Array
 from cqrun.running.side_by_side import Effort
@@ -21,16 +21,17 @@ from cqrun.state import State
 
 @dataclass(frozen=True)
 class Case:
-    """One rollout and the comparisons of its records with data.
+    """One run and the comparisons of its records with data.
 
     Attributes:
         name: name of the recording or sequence.
         built: the scene with this case's overrides; its model records the probe.
-        comparisons: one per recording; noisy copies of a sequence share the rollout.
+        comparisons: one per recording; noisy copies of a sequence share the run.
         start_path: key path of the recording's start, or None.
         start: start of the recording [s].
         offset: added to the measured positions (D,) [m]; empty if nothing is added.
         holdout: whether it is only predicted, never fitted.
+        points: the loads of each equilibrium, by key path in its scene; empty for a rollout.
 
     Values by path may include the recording's own: its start, its offset, and `data.recordings.NAME.overrides.PATH`,
     which has in this case the meaning of PATH.
@@ -43,6 +44,7 @@ class Case:
     start: float = 0.0
     offset: Array = field(default_factory=lambda: np.zeros(0))
     holdout: bool = False
+    points: tuple[Mapping[str, float], ...] = ()
 
     @classmethod
     def probed(cls, name: str, built: Built, comparisons: tuple[Comparison, ...], **rest: Any) -> Case:
@@ -74,10 +76,6 @@ class Case:
         split = [(path, *split_own(path)) for path in values]
         return [(path, inside) for path, recording, inside in split if recording == self.name]
 
-    def inputs(self, values: Mapping[str, Array]) -> Inputs:
-        """Return the engine's inputs for values by path."""
-        return self.built.assembly.inputs(self.own_values(values))
-
     def start_of(self, values: Mapping[str, Array]) -> float:
         """Return the recording's start [s]."""
         path = self.start_path
@@ -94,11 +92,16 @@ class Case:
 
     # --- runs ---------------------------------------------------------------------------------------------------
 
+    @property
+    def runner(self) -> Runner:
+        """What runs its model."""
+        return AtRest(self.built, self.points) if self.points else InMotion(self.built)
+
     def run(
         self, values: Mapping[str, Array], threads: int = 1, observe: Callable[[int, State], None] | None = None
     ) -> Records:
-        """Run forward and return the records; call `observe` with every control step and its state."""
-        return make_rollout(self.built.model, self.inputs(values), threads=threads).run(observe)
+        """Run forward and return the records; call `observe` with the number and the state of each of their rows."""
+        return self.runner.run(self.own_values(values), threads, observe)
 
     def residuals(self, records: Records, values: Mapping[str, Array]) -> list[Array]:
         """Return the residuals of every comparison."""
@@ -110,30 +113,19 @@ class Case:
         start = self.start_of(values)
         return np.array([comparison.loss(records, start) for comparison in self.compared(values)])
 
-    def still_records(self) -> Records:
-        """Return the records of bodies that do not move."""
-        model, probe = self.built.model, self.built.model.probe
-        assert probe is not None
-        shape = (model.n_controls + 1, probe.shape[0], model.dim)
-        zeros = np.zeros((*shape, model.dim))
-        x = np.broadcast_to(probe @ self.built.particles.x, shape)
-        return Records(x, np.zeros(shape), zeros, zeros + np.eye(model.dim))
-
     def still_losses(self) -> Array:
         """Return the loss of every comparison for bodies that do not move (K,)."""
-        return self.losses(self.still_records(), {})
+        return self.losses(self.runner.still(), {})
 
     def gradient(
         self, values: Mapping[str, Array], weights: Array, threads: int = 1, budget: int | None = None
     ) -> tuple[float, dict[str, Array], Effort]:
         """Return the sum of weights[k] * loss_k, its gradient by path, and the cost."""
-        model = self.built.model if budget is None else replace(self.built.model, memory_budget=budget)
-        start, comparisons, own = self.start_of(values), self.compared(values), self.own_values(values)
-        rollout = make_rollout(model, self.built.assembly.inputs(own), threads=threads, adjoint=True)
+        start, comparisons = self.start_of(values), self.compared(values)
         offset_is_wanted = any(path.startswith(f"{self._offset_path}.") for path in values)
         loss, start_bar, offset_bar = 0.0, 0.0, np.zeros(len(self.offset))
 
-        def loss_bar(records: Records, final: Any) -> LossBar:
+        def loss_bar(records: Records) -> Records:
             nonlocal loss, start_bar, offset_bar
             total = records.zeros_like()
             for weight, comparison in zip(weights, comparisons, strict=True):
@@ -142,15 +134,12 @@ class Case:
                 start_bar += by_start
                 if offset_is_wanted:
                     offset_bar += comparison.moved_vjp(records, start, weight)
-                for out, part in zip(total, bar, strict=True):
-                    out += part
-                for name, part in bar.history.items():
-                    total.history[name] += part
-            return LossBar(total)
+                total.add(bar)
+            return total
 
-        _, inputs_bar = rollout.gradient(loss_bar)
-        gradient = self.own_values_vjp(values, self.built.assembly.gradient(own, inputs_bar))
+        by_own, effort = self.runner.gradient(self.own_values(values), loss_bar, threads, budget)
+        gradient = self.own_values_vjp(values, by_own)
         collect(self._offset_path, {"": offset_bar}, gradient)
         if self.start_path in gradient:
             gradient[str(self.start_path)] += start_bar
-        return loss, gradient, Effort.of(rollout)
+        return loss, gradient, effort

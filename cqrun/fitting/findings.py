@@ -14,7 +14,7 @@ from cqrun.engine.model import Records
 from cqrun.fitting import assumptions
 from cqrun.fitting.case import Case
 from cqrun.fitting.identifiability import Unknown
-from cqrun.fitting.predictions import identified, write_predictions
+from cqrun.fitting.predictions import identified, substeps_of, write_predictions
 from cqrun.fitting.problem import FitProblem
 from cqrun.fitting.uncertainty import MOST_UNKNOWNS, central_jacobian, intervals
 from cqrun.optimizers.base import Outcome, TrialFailed
@@ -33,7 +33,7 @@ def write_findings(run: RunDirectory, cases: list[Case], problem: FitProblem, ou
         message=outcome.message,
         loss=problem.unit * outcome.loss if np.isfinite(outcome.loss) else None,
         iterations=outcome.iterations,
-        substeps=cases[0].built.model.substeps,
+        substeps=substeps_of(cases),
         unknowns=identified(params, values),
     )
     if outcome.status == "stopped":

@@ -1,7 +1,8 @@
 """Predict recordings with given values of the unknowns, and write what the model predicts.
 
 tracks.csv      recorded and modelled markers, for the plots; other measurements have their own table
-trajectory.h5   the first fitted case, or the first case that can be predicted, with the values among its attributes
+trajectory.h5   the first fitted case, or the first case that can be predicted, with the values among its attributes;
+                at rest, frame 0 is the rest shape, and one frame per point follows
 """
 
 from __future__ import annotations
@@ -12,15 +13,13 @@ from typing import Any
 import numpy as np
 
 from cqrun.design.params import Params
-from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import Records
-from cqrun.errors import RolloutError
+from cqrun.errors import NoRestError, RolloutError
 from cqrun.fitting.case import Case
 from cqrun.observers.fracture import Fracture
 from cqrun.plugin.contract import Array
-from cqrun.running.drift import drift_findings
 from cqrun.running.observables import fracture_of
-from cqrun.running.trajectories import as_found, write_trajectory
+from cqrun.running.trajectories import as_found
 from cqrun.state import State
 from cqrun.store.atomic import write_table
 from cqrun.store.result import Identified, RecordingError, SysidResult, Value, write_result
@@ -51,14 +50,8 @@ def write_predictions(
     first = next((case for case in known if not case.holdout), next(iter(known), None))
     if first is not None:
         interrupt()
-        rollout = make_rollout(first.built.model, first.inputs(values), threads=threads)
         provenance = as_found(values) | first.comparisons[0].wanted()
-        last: list[State] = []
-        write_trajectory(
-            run.path / "trajectory.h5", first.built, rollout, provenance=provenance,
-            progress=lambda _, state: last.__setitem__(slice(None), [state]),
-        )  # fmt: skip
-        result.findings += [*rollout.remarks(), *drift_findings(first.built, last[-1])]
+        result.findings += first.runner.write(run.path / "trajectory.h5", first.own_values(values), threads, provenance)
     return records
 
 
@@ -68,7 +61,7 @@ def write_prediction_alone(
     """Write the result of a run that fits nothing: predictions with the values that the unknowns start from."""
     values = params.start_values
     result = SysidResult(
-        status="done", message=NOTHING_FITTED, loss=None, iterations=0, substeps=cases[0].built.model.substeps,
+        status="done", message=NOTHING_FITTED, loss=None, iterations=0, substeps=substeps_of(cases),
         unknowns=identified(params, values),
     )  # fmt: skip
     for unknown in result.unknowns.values():
@@ -80,6 +73,11 @@ def write_prediction_alone(
         run.log(sentence)
     write_result(run.path, result)
     return result
+
+
+def substeps_of(cases: Sequence[Case]) -> int | None:
+    """Return the number of substeps of all motions; None if all cases are at rest."""
+    return next((case.built.model.substeps for case in cases if not case.points), None)
 
 
 def identified(params: Params, values: Mapping[str, Array]) -> dict[str, Identified]:
@@ -107,11 +105,12 @@ def _predict(
         interrupt()
         try:
             records.append(case.run(values, threads, watch))
-        except RolloutError as error:
+        except (RolloutError, NoRestError) as error:
             if not case.holdout:
                 raise
             records.append(None)
-            result.findings.append(f"{case.name}: held out, and it blows up with {whose} values: {error}")
+            fails = "has no place of rest" if isinstance(error, NoRestError) else "blows up"
+            result.findings.append(f"{case.name}: held out, and it {fails} with {whose} values: {error}")
         most |= {name: max(most[name], number) for name, number in fracture.most.items()}
         result.findings += [f"{case.name}: {sentence}" for sentence in fracture.findings()]
     result.fracture = most
@@ -133,12 +132,14 @@ def _errors(
         for comparison in case.comparisons:
             entry |= comparison.facts()
         if record is not None:
-            misfits = [o.misfit(record, case.start_of(values)) for o in case.compared(values)]
+            compared, start = case.compared(values), case.start_of(values)
+            misfits = [o.misfit(record, start) for o in compared]
             entry[rmse] = factor * float(np.sqrt(np.mean([m.total**2 for m in misfits])))
             if len(misfits) == 1:
                 entry[measured.error_key(f"{measured.channel}s")] = {
                     name: None if np.isnan(e) else factor * e for name, e in misfits[0].channels.items()
                 }
+                entry |= compared[0].details(record, start)
         errors[case.name] = RecordingError(holdout=case.holdout, **entry)
     return errors
 

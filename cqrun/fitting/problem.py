@@ -143,7 +143,8 @@ class FitProblem:
             RolloutError: a case blows up.
         """
         chosen, share = self._chosen(batch)
-        at_once = gradients_at_once([self.cases[c].built.model for c in chosen], self.threads)
+        moving = [self.cases[c].built.model for c in chosen if not self.cases[c].points]
+        at_once = gradients_at_once(moving, self.threads) if moving else self.threads
 
         def task(case: int) -> Callable[[int], tuple[float, dict[str, Array], Effort]]:
             budget = self.cases[case].built.model.memory_budget // at_once

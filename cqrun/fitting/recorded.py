@@ -9,7 +9,9 @@ import numpy as np
 from cqrun.build.matter import matter_of
 from cqrun.build.model import Built, build
 from cqrun.errors import DataError, Problem, SceneError, UsageError
+from cqrun.fitting.at_rest import rest_points
 from cqrun.fitting.case import Case
+from cqrun.measurements.at_rest import RestComparison
 from cqrun.measurements.measurement import Recorded
 from cqrun.measurements.window import Window
 from cqrun.scene.data import Recording
@@ -56,7 +58,12 @@ def _recorded(built: Built, name: str, spec: Recording) -> Case:
         None if spec.still is None else (spec.still[0], spec.still[1]), spec.weight, offset,
     )  # fmt: skip
     comparison = spec.measurement.bind(recorded, matter_of(variant, {}))
-    return Case.probed(name, variant, (comparison,), start_path=path, start=start, offset=offset, holdout=spec.holdout)
+    points: tuple[dict[str, float], ...] = ()
+    if isinstance(comparison, RestComparison):
+        points = rest_points(scene, name, variant, comparison)
+    return Case.probed(
+        name, variant, (comparison,), start_path=path, start=start, offset=offset, holdout=spec.holdout, points=points
+    )
 
 
 def _variant(built: Built, name: str, spec: Recording) -> Built:

@@ -38,7 +38,7 @@ def wanted_case(built: Built) -> Case:
     goals = {name: np.array(goal.position) for name, goal in scene.goals.items()}
     wanted = Wanted(objective, goals, matter)
     case = Case.probed(NAME, built, (wanted,))
-    if problems := list(_no_distances(scene, terms, wanted.track(case.still_records()), objective)):
+    if problems := list(_no_distances(scene, terms, wanted.track(case.runner.still()), objective)):
         raise SceneError(problems)
     return case
 

@@ -111,8 +111,8 @@ class ParticleForce(Plugin):
         """Return the error in a part whose particles at rest are x (n, D) [m], with cells of dx [m], or None."""
         return None
 
-    def stiffness_at_nodes(self, strength: float) -> float:
-        """Return the stiffness that a part adds to the grid nodes near its particles [N/m]."""
+    def stiffness_at_nodes(self, strength: float, x: Array) -> float:
+        """Return the stiffness that a part adds to the grid nodes near its particles, at rest at x (n, D) [N/m]."""
         return 0.0
 
 

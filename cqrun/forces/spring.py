@@ -75,7 +75,7 @@ class Spring(ParticleForce):
         """Return the cotangent of x (r, D)."""
         return route_length_vjp(x, bar)
 
-    def stiffness_at_nodes(self, strength: float) -> float:
+    def stiffness_at_nodes(self, strength: float, x: Array) -> float:
         """Return the stiffness at a node between two segments of the spring's stiffness [N/m]."""
         return 4.0 * strength
 

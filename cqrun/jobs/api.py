@@ -168,7 +168,8 @@ class Experiment:
             raise UsageError("every recording is held out, so there is no loss: fit one of them, or use simulate()")
         problem, values = self._problem, self._stable(params)
         for case in problem.cases if params and self._auto else ():
-            _require_stable(case.built, case.own_values(values))
+            if not case.points:
+                _require_stable(case.built, case.own_values(values))
         problem.require_reached(values)
         losses, gradient = problem.losses_and_gradient(values)
         effort = {"recompute_factor": problem.effort.recompute, "peak_bytes": problem.effort.peak}

@@ -108,7 +108,8 @@ class Gradcheck(Job[GradientCheck, GradcheckResult]):
             RunError: the scene blows up with its start values. StopAsked: asked to stop.
         """
         built, cases, episodes, threads = prepared.built, prepared.cases, prepared.episodes, prepared.threads
-        compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=True)
+        moving = [built] if cases is None else [case.built for case in cases if not case.points]
+        compile_kernels(moving, talk, adjoint=True)
         run.begin(threads)
         if has_data(built.scene) and cases is None:
             talk.phase(f"making data, {about(built.model)}")

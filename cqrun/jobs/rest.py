@@ -21,10 +21,11 @@ from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.newton import Rest
 from cqrun.engine.statics.path import Point, RestPath
 from cqrun.errors import Problem, SceneError, StopAsked
+from cqrun.fitting.at_rest import held_problem
 from cqrun.jobs.job import NO_FILES, Job
 from cqrun.running.bodies import report_bodies
 from cqrun.running.reporter import Reporter
-from cqrun.running.rest_table import RestTable, rest_frames
+from cqrun.running.rest_table import RestTable, rest_frames, write_frame
 from cqrun.running.runs import build_and_warn
 from cqrun.running.tables import number, table
 from cqrun.scene.schema import Scene
@@ -73,7 +74,7 @@ class RestJob(Job[Resting, RestResult]):
         found: list[RestPoint] = []
         rows = RestTable(built, points)
         with rest_frames(run.path / "trajectory.h5", built, len(points)) as writer:
-            rows.write_frame(writer, path.start, path.rest_shape, 0)
+            write_frame(writer, path.start.state(path.rest_shape), 0)
 
             def observe(k: int, here: Equilibrium, point: Point) -> None:
                 facts = _facts(point)
@@ -81,7 +82,7 @@ class RestJob(Job[Resting, RestResult]):
                 found.append(RestPoint(values=points[k], **facts))
                 if point.rest.converged:
                     rows.add(here, point.rest.u, facts)
-                    rows.write_frame(writer, here, point.rest.u, k + 1)
+                    write_frame(writer, here.state(point.rest.u), k + 1)
                 rows.save(run.path / "rest.csv")
                 talk.advance(k + 1, len(points), f"point {k + 1} of {len(points)}, {point.products} products")
 
@@ -145,17 +146,8 @@ def _needs_time(scene: Scene) -> Iterator[tuple[str, str]]:
 
 def _require_held(built: Built, path: RestPath) -> None:
     """Raise a SceneError for bodies that could move without any resistance."""
-    scene = built.scene
-    problems = [
-        Problem(
-            scene.where(f"bodies.{name}"), f"bodies.{name}",
-            f"nothing holds it: it can move in {ways} way{'s' if ways > 1 else ''} without resistance, so it has no "
-            "place of rest; add a `sticky` boundary that holds some of its particles",
-        )
-        for name, ways in path.loose.items()
-    ]  # fmt: skip
-    if problems:
-        raise SceneError(problems)
+    if path.loose:
+        raise SceneError([held_problem(built.scene, name, ways) for name, ways in path.loose.items()])
 
 
 def _facts(point: Point) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from cqrun.fitting.cases import given_cases, made_cases, recording_warnings, rem
 from cqrun.fitting.findings import write_findings
 from cqrun.fitting.predictions import write_prediction_alone
 from cqrun.fitting.problem import FitProblem
+from cqrun.fitting.runners import how_long
 from cqrun.jobs.job import NO_FILES, Job, Need
 from cqrun.optimizers.base import Outcome
 from cqrun.running.bodies import report_bodies
@@ -35,6 +36,9 @@ from cqrun.store.session import RunSession
 
 MANY = 8
 """If a block has more numbers, only their range is printed."""
+
+MOST_POSES = 24
+"""If a recording has more poses, their errors are only in result.json."""
 
 FEW = 10
 """Largest number of unknowns for which least squares is the default optimizer."""
@@ -93,7 +97,7 @@ class Sysid(Job[Identification, SysidResult]):
             return
         built, cases = prepared.built, prepared.cases
         scene, optimizer = built.scene, optimizer_of(built.scene)
-        compile_kernels([built, *(case.built for case in cases or [])], talk, adjoint=uses_gradients(scene))
+        _compile(built, cases, talk, adjoint=uses_gradients(scene))
         run.begin(prepared.threads)
         report_bodies(built, run, talk)
         if cases is None:
@@ -102,7 +106,7 @@ class Sysid(Job[Identification, SysidResult]):
         _report_recordings(run, built, cases, talk)
         params = make_params(built)
         problem = FitProblem(cases, params, threads=prepared.threads, interrupt=talk.stop.check)
-        lasts = about(built.model, gradients=uses_gradients(scene))
+        lasts = how_long([case.runner for case in problem.cases], gradients=uses_gradients(scene))
         talk.phase(f"fitting {len(params.start)} unknowns, {lasts}")
         talk.begin(optimizer.max_iterations)
         session = RunSession(
@@ -130,7 +134,8 @@ class Sysid(Job[Identification, SysidResult]):
                 yield f"no intervals: {next(iter(reasons.values()))}"
             else:
                 yield from (f"no interval for {path}: {reason}" for path, reason in reasons.items())
-        yield from [f"predicted with time.substeps={result.substeps}"] if predicts else result.how_found()
+        if result.substeps is not None:
+            yield from [f"predicted with time.substeps={result.substeps}"] if predicts else result.how_found()
         yield from _held(result)
         yield ""
         yield from _errors(scene, result)
@@ -216,14 +221,21 @@ def _numbers(scene: Scene) -> float:
 def _predict(run: RunDirectory, prepared: Identification, talk: Reporter) -> None:
     """Predict the recordings of a scene in which all are held out, and end the run."""
     built, cases, threads = prepared.built, prepared.cases or [], prepared.threads
-    compile_kernels([built, *(case.built for case in cases)], talk, adjoint=False)
+    _compile(built, cases, talk, adjoint=False)
     run.begin(threads)
     report_bodies(built, run, talk)
     _report_recordings(run, built, cases, talk)
     number_of = f"{len(cases)} recording{'s' * (len(cases) > 1)}"
-    talk.phase(f"every recording is held out: predicting {number_of}, fitting nothing, {about(built.model)}")
+    lasts = how_long([case.runner for case in cases])
+    talk.phase(f"every recording is held out: predicting {number_of}, fitting nothing, {lasts}")
     result = write_prediction_alone(run, cases, make_params(built), threads, talk.stop.check)
     run.finish(result.status, result.message)
+
+
+def _compile(built: Built, cases: list[Case] | None, talk: Reporter, *, adjoint: bool) -> None:
+    """Compile the kernels of all motions; bodies at rest need others, which their first equilibrium compiles."""
+    moving = [built] if cases is None else [case.built for case in cases if not case.points]
+    compile_kernels(moving, talk, adjoint=adjoint)
 
 
 def _report_recordings(run: RunDirectory, built: Built, cases: list[Case], talk: Reporter) -> None:
@@ -241,7 +253,7 @@ def _conclude(run: RunDirectory, cases: list[Case], problem: FitProblem, outcome
         run.finish("stopped", outcome.message)
         raise talk.stop.stopped(f"{outcome.message}; `cqrun resume {run.path}` continues")
     if outcome.status != "failed":
-        talk.phase(f"intervals, predictions, trajectory, {about(cases[0].built.model)}")
+        talk.phase(f"intervals, predictions, trajectory, {how_long([case.runner for case in cases])}")
     write_findings(run, cases, problem, outcome)
     run.finish(outcome.status, outcome.message)
 
@@ -282,6 +294,16 @@ def _held(result: SysidResult) -> Iterator[str]:
         yield from table(("held fixed", "is", "if", "unknown", "would be", ""), rows)
 
 
+def _of_poses(result: SysidResult) -> Iterator[str]:
+    """Yield the mean distance of markers in all poses, and in each."""
+    for name, error in (result.recordings or {}).items():
+        mean, each = error.number("mean_mm"), error.numbers("poses_mm")
+        if mean is not None:
+            poses = ", ".join(f"{pose} {'unseen' if e is None else format(e, '.2f')}" for pose, e in each.items())
+            by_pose = f"; by pose: {poses}" if len(each) <= MOST_POSES else ""
+            yield f"{name}: mean marker error {mean:.3f} mm{by_pose}"
+
+
 def _errors(scene: Scene, result: SysidResult) -> Iterator[str]:
     if result.recordings is None:
         if result.loss is not None:
@@ -301,6 +323,7 @@ def _errors(scene: Scene, result: SysidResult) -> Iterator[str]:
         tables.setdefault(measured.name, []).append((*row, ", ".join(cells) if len(cells) <= 12 else ""))
     for kind, rows in tables.items():
         yield from table(heads[kind], rows)
+    yield from _of_poses(result)
     for name, error in result.recordings.items():
         if away := [e for e in error.numbers("alignment_mm").values() if e is not None]:
             yield f"{name}: aligned to the rest positions within {min(away):.2f} to {max(away):.2f} mm"

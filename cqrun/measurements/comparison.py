@@ -40,6 +40,7 @@ class Comparison(ABC):
         weight: weight in the loss, if there are other comparisons.
         remark: what a user should know about how the recording was made; may be empty.
         doubts: what looks wrong in the recording, and what is done about it.
+        points: values by key path of each equilibrium that it is compared with; empty for a comparison with a motion.
     """
 
     rows: csr_array
@@ -47,6 +48,7 @@ class Comparison(ABC):
     weight: float = 1.0
     remark: str = ""
     doubts: tuple[str, ...] = ()
+    points: tuple[dict[str, float], ...] = ()
 
     @abstractmethod
     def residuals(self, records: Records, start: float) -> Array:
@@ -90,6 +92,10 @@ class Comparison(ABC):
     def misfit(self, records: Records, start: float) -> Misfit:
         """Return the root mean square errors."""
         return Misfit(float(np.sqrt(self.loss(records, start))), {})
+
+    def details(self, records: Records, start: float) -> dict[str, float | dict[str, float | None]]:
+        """Return further errors for result.json, by a key that ends in their unit; none by default."""
+        return {}
 
     def facts(self) -> dict[str, Any]:
         """Return facts about the recording itself for result.json; nothing by default."""

@@ -28,6 +28,10 @@ from cqrun.units import METRES, Unit
 
 MILLI = 1e3
 
+WITHOUT_STILL = (
+    "without `still` frames positions are in the scene's own frame; give `still`, or mend the rest positions"
+)
+
 RestPosition = Annotated[list[float], Field(min_length=2, max_length=3)]
 
 
@@ -78,7 +82,7 @@ class Markers(Measurement):
         measured = measure(recording, self.rest, recorded.still)
         observer = observe_markers(matter, recorded.body, dict(zip(measured.names, measured.rest, strict=True)))
         if measured.absolute:
-            _require_near(matter, recorded.body, measured, recorded.offset)
+            require_near(matter, recorded.body, measured, recorded.offset)
         return MarkerComparison(
             self, recorded, observer, over_body(observer.rows, recorded.body, matter), measured.names, measured.time,
             measured.values, still=measured.still, relative=not measured.absolute, alignment=measured.alignment,
@@ -166,8 +170,15 @@ def _reach(matter: Matter, body: str) -> float:
     return max(float(np.linalg.norm(x.max(axis=0) - x.min(axis=0))), matter.spacing[body])  # of one particle
 
 
-def _require_near(matter: Matter, body: str, measured: Measured, offset: Array | None) -> None:
-    """Refuse positions that are never near where their markers are at rest."""
+def require_near(
+    matter: Matter, body: str, measured: Measured, offset: Array | None, otherwise: str = WITHOUT_STILL
+) -> None:
+    """Raise a DataError for positions that are never near where their markers are at rest.
+
+    Args:
+        offset: that is added to the positions (D,) [m], or None.
+        otherwise: advice if no other unit explains it.
+    """
     reach = _reach(matter, body)
     away = np.linalg.norm(measured.values + (0.0 if offset is None else offset) - measured.rest, axis=2)
     for name, distances in zip(measured.names, away.T, strict=True):
@@ -175,15 +186,15 @@ def _require_near(matter: Matter, body: str, measured: Measured, offset: Array |
         if np.isfinite(nearest) and nearest > reach:
             raise DataError(
                 f"{measured.source}: marker '{name}' is never nearer than {nearest:.3g} m to where it is at rest, and "
-                f"the body is {reach:.3g} m across: {_advice(measured, reach)}"
+                f"the body is {reach:.3g} m across: {_advice(measured, reach, otherwise)}"
             )
 
 
-def _advice(measured: Measured, reach: float) -> str:
+def _advice(measured: Measured, reach: float, otherwise: str) -> str:
     """Return what would bring positions near where their markers are at rest."""
     for unit, factor in METRES.items():
         away = np.nanmin(np.linalg.norm(factor * measured.values - measured.rest, axis=2), axis=0)  # all were seen
         near = np.minimum(reach, 0.5 * np.linalg.norm(measured.rest, axis=1))  # the origin alone tells nothing
         if unit != "m" and (away <= near).all():
             return f"the file looks as if it is in {unit}: say `units: {unit}`"
-    return "without `still` frames positions are in the scene's own frame; give `still`, or mend the rest positions"
+    return otherwise

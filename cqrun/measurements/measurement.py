@@ -54,6 +54,7 @@ class Measurement(Plugin):
         table: stem of the CSV file with data and model; the plug-in's name if empty.
         takes: which of the recording's fields `still`, `units` and `offset` it uses; the others are refused. One that
             takes `offset` returns a comparison that can be `moved`.
+        at_rest: whether the model is compared in equilibria and not in motion; then times have no meaning (at_rest.py).
     """
 
     quantity: ClassVar[str]
@@ -63,6 +64,7 @@ class Measurement(Plugin):
     channel: ClassVar[str] = "channel"
     table: ClassVar[str] = ""
     takes: ClassVar[frozenset[str]] = frozenset()
+    at_rest: ClassVar[bool] = False
 
     @abstractmethod
     def bind(self, recorded: Recorded, matter: Matter) -> Comparison:

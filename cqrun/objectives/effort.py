@@ -20,8 +20,8 @@ from cqrun.plugin.registry import plugin
 class Effort(ObjectiveTerm):
     """Effort [s]: the integral over time of u^T u, the sum of the squares of all activations.
 
-    A cable pulls most at an activation of 0 and does nothing at 1. With `counted_from: neutral` a slack cable costs
-    nothing.
+    A cable with a `stiffness` pulls most at an activation of 0 and does nothing at 1. With `counted_from: neutral` a
+    slack cable costs nothing.
     """
 
     least: ClassVar[float] = 0.0

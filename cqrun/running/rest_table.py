@@ -22,18 +22,28 @@ from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.fingerprint import engine_hash
 from cqrun.plugin.contract import Array
 from cqrun.scene.load import dump, resolve
+from cqrun.state import State
 from cqrun.store.atomic import write_table
 from cqrun.store.trajectory import TrajectoryWriter
 
 AXES = "xyz"
 
 
-def rest_frames(path: Path, built: Built, points: int) -> TrajectoryWriter:
-    """Return the writer of a trajectory with the rest shape and `points` frames; a frame's time is its number."""
+def rest_frames(path: Path, built: Built, points: int, provenance: Mapping[str, Any] | None = None) -> TrajectoryWriter:
+    """Return the writer of a trajectory with the rest shape and `points` frames; a frame's time is its number.
+
+    `provenance` has more attributes of the file.
+    """
     model, particles = built.model, built.particles
     bodies = {name: particles.of(name) for name in particles.names}
     attributes = {"scene": dump(resolve(built.scene)), "engine": engine_hash(), "seed": built.scene.seed}
+    attributes |= provenance or {}
     return TrajectoryWriter(path, points + 1, bodies, model.dim, {"v": (model.dim,), "J": ()}, attributes)
+
+
+def write_frame(writer: TrajectoryWriter, state: State, number: int) -> None:
+    """Write the particles at a point as a frame."""
+    writer.write(writer.written, float(number), x=state.x, v=state.v, J=np.linalg.det(state.F))
 
 
 class RestTable:
@@ -75,11 +85,6 @@ class RestTable:
         if self.rows:
             head = list(self.rows[0])
             write_table(path, [head, *([_text(row[key]) for key in head] for row in self.rows)])
-
-    def write_frame(self, writer: TrajectoryWriter, here: Equilibrium, u: Array, number: int) -> None:
-        """Write the particles at a displacement as a frame."""
-        state = here.state(u)
-        writer.write(writer.written, float(number), x=state.x, v=state.v, J=np.linalg.det(state.F))
 
 
 def names_of(owner: str, names: Sequence[str]) -> list[str]:

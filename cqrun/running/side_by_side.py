@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from cqrun.design.params import Params
 from cqrun.engine.rollout import Rollout
-from cqrun.errors import CrushedError, RolloutError
+from cqrun.errors import CrushedError, NoRestError, RolloutError
 from cqrun.optimizers.base import TrialFailed
 from cqrun.plugin.contract import Array
 
@@ -80,7 +80,7 @@ def trial(params: Params, x: Array) -> Iterator[None]:
             f"{error.reason}; {error.advice}", body=error.body, particle=error.particle, time=error.time,
             values=params.describe(x),
         ) from error  # fmt: skip
-    except CrushedError as error:
+    except (CrushedError, NoRestError) as error:
         raise TrialFailed(str(error), values=params.describe(x)) from error
 
 

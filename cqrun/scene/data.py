@@ -80,6 +80,11 @@ class Recording(PluginKeys):
             if is_given and name not in self.measurement.takes:
                 message = f"has no meaning for the measurement `{self.measurement.name}`: remove it"
                 raise complaint("Recording", [finding(message, (name,), kind=KEY)])
+        timed = {"start": self.start != 0.0, "length": self.length is not None, "skip": self.skip != 0.0}
+        for name, is_given in timed.items():
+            if is_given and self.measurement.at_rest:
+                message = f"has no meaning for the measurement `{self.measurement.name}`, which is at rest: remove it"
+                raise complaint("Recording", [finding(message, (name,), kind=KEY)])
         return self
 
     @model_validator(mode="after")

@@ -262,7 +262,9 @@ def _of_recordings(scene: Scene) -> Iterator[InitErrorDetails]:
                 its = "its start" if what == "start" else f"its own value of {what}"
                 message = f"the recording '{name}' is held out, so nothing determines {its}: remove this unknown"
                 yield finding(message, place, kind=KEY)
-            elif what.startswith("offset.") and "offset" not in recording.measurement.takes:
+            elif (what.startswith("offset.") and "offset" not in recording.measurement.takes) or (
+                what == "start" and recording.measurement.at_rest
+            ):
                 message = f"has no meaning for the measurement `{recording.measurement.name}`: remove it"
                 yield finding(message, place, kind=KEY)
 

@@ -119,6 +119,55 @@ def test_just_taut_nothing_pulls(dim, rng):
     np.testing.assert_array_equal(last[0].final, last[1].final)
 
 
+# --- a given tension -------------------------------------------------------------------------------------------
+
+LAST = slice(4, 5)
+"""Where a cable with a given tension stands: after one of each other kind."""
+
+
+def hauled(dim: int, u: float, rng: np.random.Generator) -> tuple[Model, Inputs]:
+    """Return the particles of `tied`, and a cable with a tension along three of them, bent by a few degrees."""
+    x = 0.2 + 0.6 * rng.random((30, dim))
+    cable = Acting.of(Cable(body="b", route=x[list(ROUTE)].tolist(), tension=2.0), np.array(ROUTE), x)
+    model, inputs = world(
+        x, size=[1.0] * dim, dx=0.1, dt=4e-3, substeps=1, controls=1, mass=rng.uniform(1, 2, 30), volume=1e-3,
+        actuators=(cable,), activation=np.array([[u]]), probe=rng.normal(size=(4, 30)),
+    )  # fmt: skip
+    inputs.strength[:] = 2.0
+    return model, inputs
+
+
+def of_tension(inputs: Inputs) -> dict[str, np.ndarray]:
+    """Return what the force depends on, or its cotangents; views."""
+    return {
+        "x": inputs.state.x, "activation": inputs.activation[:, LAST], "strength": inputs.strength[LAST],
+        "mass": inputs.fields.mass,
+    }  # fmt: skip
+
+
+@DIM
+@pytest.mark.parametrize("kind", ["x", "activation", "strength", "mass"])
+@pytest.mark.parametrize(("u", "beside"), [(0.7, 0.7), (1e-6, 1e-6), (-0.2, -0.2), (0.0, BESIDE)])
+def test_a_tension_on_both_sides_of_slack(dim, kind, u, beside, rng):
+    """At the kink, u = 0, the derivative is that of a cable that pulls."""
+    model, inputs = hauled(dim, u, rng)
+    inputs.state.v[:] = rng.normal(size=inputs.state.v.shape)
+    bar = random_bar(model, rng)
+    _, full = make_rollout(model, inputs, adjoint=True).gradient(lambda records, state: LossBar(bar))
+    found = of_tension(full)[kind]
+    change = rng.normal(size=found.shape)
+    turned = copy.deepcopy(inputs)
+    turned.activation[:, LAST] = beside
+    make_complex(turned)
+    of_tension(turned)[kind][...] += 1j * TINY * change
+    records, _, _ = reference.rollout(model, turned)
+    pairs = [(records.x, bar.x), (records.v, bar.v), (records.C, bar.C)]
+    want = float(sum((a * b).sum() for a, b in pairs).imag / TINY)
+    assert (found * change).sum() == pytest.approx(want, rel=DOT_PRODUCT, abs=1e-11)
+    if kind == "activation":
+        assert (want != 0) == (u >= 0)
+
+
 # --- limits and rates -------------------------------------------------------------------------------------------
 
 LOW, HIGH, CHANGE = np.array([0.0]), np.array([1.0]), np.array([0.2])

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from little_worlds import Acting, needs_jit, world
+from pydantic import ValidationError
 
 from cqrun.actuators.actuator import Actuator
 from cqrun.actuators.body_force import BodyForce
@@ -52,6 +53,7 @@ def internal(dim: int) -> dict[str, Actuator]:
         "chamber_isotropic": Pneumatic(law="chainqueen", **CHAMBER),
         "chamber_axis": Pneumatic(law="chainqueen", axis=axis, **CHAMBER),
         "cable": Cable(body="b", route=route, stiffness=5.0),
+        "tension": Cable(body="b", route=route, tension=2.0),
     }
 
 
@@ -83,7 +85,7 @@ def crumpled(dim: int, rng: np.random.Generator) -> dict[str, Any]:
 def test_no_net_force_and_no_net_torque(dim, name, rng):
     spec, body = internal(dim)[name], crumpled(dim, rng)
     particles = spec.particles("", body["x"], lambda body, region: np.arange(60))
-    last = run(spec, particles if name == "cable" else particles[::2], activation=0.6, **body)
+    last = run(spec, particles if isinstance(spec, Cable) else particles[::2], activation=0.6, **body)
     assert np.abs(last.v).max() > 1e-3
     linear, angular = momenta(body["mass"], last)
     assert linear <= 1e-12
@@ -195,3 +197,29 @@ def test_a_cable_never_pushes(dim, u):
     pulled = run(Cable(body="b", route=route, stiffness=100.0), ends, x, 0.7, steps=3, start=squeezed, mass=0.05**dim,
                  E=10.0)  # fmt: skip
     assert np.abs(pulled.v - runs[0].v).max() > 1e-3
+
+
+@needs_jit
+@DIM
+def test_a_tension_pulls_the_same_whatever_the_length(dim):
+    """At rest the body carries it as a spring would: twice the tension shortens it twice as much."""
+    route = [[0.325] + [0.475] * (dim - 1), [0.675] + [0.475] * (dim - 1)]
+    x = block(dim)
+    spec = Cable(body="b", route=route, tension={2: 0.05, 3: 0.01}[dim])
+    ends = spec.particles("", x, lambda body, region: np.arange(len(x)))
+    spans = [
+        np.linalg.norm(np.diff(run(spec, ends, x, u, mass=0.05**dim, E=10.0, damping=20.0, steps=60).x[ends], axis=0))
+        for u in (0.0, 0.5, 1.0)
+    ]
+    assert spans[0] == pytest.approx(0.35, abs=1e-12)
+    assert spans[0] - spans[1] > 0.002
+    assert spans[0] - spans[2] == pytest.approx(2 * (spans[0] - spans[1]), rel=0.05)
+
+
+def test_a_cable_has_a_stiffness_or_a_tension():
+    route = [[0.0, 0.0], [1.0, 0.0]]
+    for given, has in (({}, "neither"), ({"stiffness": 1.0, "tension": 1.0}, "both")):
+        with pytest.raises(ValidationError, match=f"exactly one of `stiffness` .* and `tension` .*; has {has}"):
+            Cable(body="b", route=route, **given)
+    assert Cable(body="b", route=route, stiffness=1.0).neutral == 1.0
+    assert Cable(body="b", route=route, tension=1.0).neutral == 0.0

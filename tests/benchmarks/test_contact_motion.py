@@ -48,7 +48,7 @@ def heights(built: Built) -> np.ndarray:
 def lowest(built: Built, q: np.ndarray) -> np.ndarray:
     """Return the heights of the surface's points above the floor, for a state of the nodes [m]."""
     rollout = make_rollout(built.model, built.assembly.inputs({}))
-    points, dim = rollout.contacts[0].surface.points, built.model.dim
+    points, dim = rollout.contacts.obstacles[0].surface.points, built.model.dim
     moved = np.einsum("sk,sk->s", points.weight, q[0][points.node, dim - 1])
     return built.model.surface.x[:, -1] + moved - 0.04
 
@@ -106,7 +106,7 @@ def energies(built: Built) -> np.ndarray:
 
 def lowest_of(rollout, model, q) -> np.ndarray:
     """Return the heights of the surface's points above the floor [m]."""
-    points = rollout.contacts[0].surface.points
+    points = rollout.contacts.obstacles[0].surface.points
     moved = np.einsum("sk,sk->s", points.weight, q[0][points.node, model.dim - 1])
     return model.surface.x[:, -1] + moved - 0.04
 

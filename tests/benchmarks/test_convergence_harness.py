@@ -75,13 +75,20 @@ def test_the_turning_bar_is_nearly_a_thin_one(dim):
 
 
 def test_every_reference_is_known_well():
-    """Small vibrations and 1 g: to 0.02 %. 10 g, where creases at the clamp differ from mesh to mesh: see the file."""
+    """Small vibrations, 1 g and the turning bar: to 0.01 %. 10 g: to 0.15 %, because creases differ from mesh to mesh.
+
+    One number is known less well: its finest mesh changed it by 0.35 %.
+    """
     found = references()["references"]
-    assert max(entry["error"] for name, entry in found.items() if CREASED not in name) < 2e-4
-    assert max(entry["error"] for name, entry in found.items() if CREASED in name) < 4e-3
-    assert {name.split(" nu ")[1] for name in found if name.startswith("2D")} >= {
-        f"{nu} {quantity}" for nu in (0.3, 0.45, 0.49, 0.499) for quantity in ("frequency", "sag_1g", CREASED)
-    }
+    assert max(entry["error"] for name, entry in found.items() if CREASED not in name) < 1e-4
+    creased = {name: entry["error"] for name, entry in found.items() if CREASED in name}
+    assert creased.pop("2D fixed_corotated nu 0.3 sag_10g") < 5e-3
+    assert max(creased.values()) < 1.5e-3
+    for dim in (2, 3):
+        for nu in (0.3, 0.45, 0.49, 0.499):
+            assert f"{dim}D fixed_corotated nu {nu} frequency" in found
+            assert {f"{dim}D {law} nu {nu} sag_1g" for law in ("fixed_corotated", "neo_hookean")} <= found.keys()
+            assert f"2D fixed_corotated nu {nu} {CREASED}" in found
 
 
 def test_points_are_distinct_and_columns_explained():

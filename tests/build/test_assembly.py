@@ -54,9 +54,18 @@ def everything(dim: int) -> dict[str, Any]:
             "muscle": {"muscle": {"body": "a", "axis": [1.0, *ends], "strength": 50.0}},
             "air": {"pneumatic": {"body": "a", "region": "tip", "max_pressure": 40.0}},
             "cord": {"cable": {"body": "a", "route": [[0.27] * dim, [0.43] * dim], "stiffness": 30.0}},
+            "tendon": {"cable": {"body": "a", "route": [[0.27] * dim, [0.43] * dim], "tension": 3.0}},
             "magnet": {"body_force": {"body": "a", "direction": [0.0, *[1.0] * (dim - 1)], "acceleration": 3.0}},
         },
-        "activation": {"signals": {"muscle": [0.2, -0.4], "air": [0.5, 0.3], "cord": [0.9, 0.8], "magnet": [0.1, 0.7]}},
+        "activation": {
+            "signals": {
+                "muscle": [0.2, -0.4],
+                "air": [0.5, 0.3],
+                "cord": [0.9, 0.8],
+                "magnet": [0.1, 0.7],
+                "tendon": [0.4, 0.6],
+            }
+        },
         "time": {"duration": 0.04, "control_step": 0.01},
     }
 
@@ -98,6 +107,7 @@ def test_dot_product_of_every_number(built, rng):
         "loads.air.damping.rate", "actuators.muscle.muscle.weight",
         "boundaries.floor.friction.coefficient", "bodies.a.velocity.1", "bodies.a.spin.0",
         "bodies.a.material_of.tip.density", "actuators.cord.cable.stiffness", "activation.signals.air.1",
+        "actuators.tendon.cable.tension",
     )  # fmt: skip
     assert set(wanted) <= set(paths)
     values = {path: np.array(float(leaf(scene, path).value)) for path in paths}

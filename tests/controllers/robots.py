@@ -94,12 +94,13 @@ def observation_of(matter: Matter, rng: np.random.Generator) -> Observation:
 
 def limits_of(*, slow: bool) -> Limits:
     """Return the limits of the rich scene's actuators; `slow` ones of each kind have a rate."""
-    low, change, neutral = np.full(9, -1.0), np.full(9, np.inf), np.full(9, 0.07)  # no kink
+    low, change, neutral = np.full(11, -1.0), np.full(11, np.inf), np.full(11, 0.07)  # no kink
     low[ACTUATORS["pressure"]] = low[ACTUATORS["cable"]] = 0.0
     neutral[ACTUATORS["cable"]] = 0.45
+    low[ACTUATORS["tension"]] = -0.9  # so that the middle, where a silent network is, is not 0, where a cable slackens
     if slow:
-        change[[0, 2, 4, 6, 8]] = (0.05, 0.02, 0.03, 10.0, 0.1)
-    return Limits(low, np.ones(9), change, neutral)
+        change[[0, 2, 4, 6, 8, 10]] = (0.05, 0.02, 0.03, 10.0, 0.1, 0.04)
+    return Limits(low, np.ones(11), change, neutral)
 
 
 @dataclass
@@ -158,12 +159,12 @@ def make_robot(
     observation = observation_of(matter_of(model, inputs), rng)
     rows = sparse.vstack([observation.rows, model.probe]).tocsr()
     model, limits = replace(model, probe=sparse.csr_array(rows)), limits_of(slow=slow)
-    blocks = controller.blocks(observation.size, 9, controls, limits.low, limits.high, limits.neutral, rng)
+    blocks = controller.blocks(observation.size, 11, controls, limits.low, limits.high, limits.neutral, rng)
     made = Robot(model, inputs, observation, controller, {b.name: b.initial.copy() for b in blocks}, limits)
     inputs.state.memory = made.policy().memory
     made.bars = {
         "records": random_records(Records.zeros(controls, rows.shape[0], dim), rng),
         "state": random_state(inputs.state, rng),
-        "activation": rng.normal(size=(controls, 9)),
+        "activation": rng.normal(size=(controls, 11)),
     }
     return made

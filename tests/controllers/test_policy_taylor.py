@@ -65,17 +65,17 @@ class Shuffler:
         self.model, self.inputs = self.built(specs, controls)
         matter = Matter(
             self.x, self.inputs.fields.mass, self.model.size, SUBSTEPS * DT, controls, {"b": slice(0, 32)},
-            {"b": {"left": left, "right": right}}, lambda body, region: np.arange(32), {}, 5,
+            {"b": {"left": left, "right": right}}, lambda body, region: np.arange(32), {}, 6,
         )  # fmt: skip
         observers = Centroids(body="b", of=["position", "velocity", "acceleration"]), Clock(period=0.3)
         bound = {"parts": observers[0].bind(matter), "clock": observers[1].bind(matter)}
         self.observation = Observation(bound, len(self.x))
         self.model = self.with_probe(self.model)
-        low, change = np.array([-1.0, -1.0, 0.0, 0.0, -1.0]), np.array([0.15, np.inf, np.inf, 0.2, np.inf])
-        self.limits = Limits(low, np.ones(5), change, np.array([0.0, 0.0, 0.0, 1.0, 0.0]))
+        low, change = np.array([-1.0, -1.0, 0.0, 0.0, -1.0, 0.0]), np.array([0.15, np.inf, np.inf, 0.2, np.inf, np.inf])
+        self.limits = Limits(low, np.ones(6), change, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]))
         self.controller = LinearTanh(spread=0.3)
         self.parameters = {
-            b.name: b.initial for b in self.controller.blocks(self.observation.size, 5, controls, low, low, low, rng)
+            b.name: b.initial for b in self.controller.blocks(self.observation.size, 6, controls, low, low, low, rng)
         }
         self.inputs.state.memory = self.policy(self.parameters).memory
         self.direction = {name: rng.normal(size=value.shape) for name, value in self.parameters.items()}

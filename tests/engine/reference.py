@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cqrun.actuators import body_force, cable, muscle, pressure
+from cqrun.actuators import body_force, cable, muscle, pressure, tension
 from cqrun.engine.model import ActuatorModel, Inputs, Model, Records
 from cqrun.engine.policy import Policy
 from cqrun.engine.setting import MARGIN
@@ -116,7 +116,7 @@ def active_stress(model: Model, inputs: Inputs, step: int) -> tuple[Array, Array
 def active_force(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Array, list[tuple[Any, ...]]]:
     """Return the forces of cables, springs and body forces (N, D), and which cables pull.
 
-    The energy of a cable is E = k/2 max(0, L - max(0, u) R)^2, and f = -dE/dx.
+    The energy of a cable is E = k/2 max(0, L - max(0, u) R)^2, or max(0, u) T L with a given tension, and f = -dE/dx.
     """
     f = np.zeros(s.x.shape, np.result_type(s.x, inputs.activation, inputs.strength, inputs.rest, inputs.fields.mass))
     taut = []
@@ -129,6 +129,13 @@ def active_force(model: Model, inputs: Inputs, s: Moving, step: int) -> tuple[Ar
         taut.append(("cable", actuator.name, stretch.real > 0, u.real > 0))
         if stretch.real > 0:
             pull = k * stretch * gaps / lengths[:, None]
+            np.add.at(f, actuator.particles[:-1], pull)
+            np.add.at(f, actuator.particles[1:], -pull)
+    for actuator, u, strength in driven(model, inputs, tension.TensionKernel, step):
+        taut.append(("tension", actuator.name, u.real > 0))
+        if u.real > 0:
+            gaps = np.diff(s.x[actuator.particles], axis=0)
+            pull = u * strength * gaps / np.sqrt((gaps * gaps).sum(axis=1))[:, None]
             np.add.at(f, actuator.particles[:-1], pull)
             np.add.at(f, actuator.particles[1:], -pull)
     for k, part in enumerate(model.forces, start=len(model.actuators)):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from little_worlds import TERMS, Acting, Wall, above, below, world
 
-from cqrun.actuators import body_force, cable, pressure
+from cqrun.actuators import body_force, cable, pressure, tension
 from cqrun.boundaries.friction import Friction
 from cqrun.boundaries.separate import Separate
 from cqrun.boundaries.slip import Slip
@@ -40,9 +40,10 @@ def walls(dim: int) -> list[Wall]:
 
 
 def tendons(x: np.ndarray) -> tuple[Acting, ...]:
-    """Return a chamber in each body, three cables and two body forces.
+    """Return a chamber in each body, three cables, two body forces and two cables whose tension is given.
 
-    The cables start taut by a seventh, slack by a seventh, and with a negative signal; one ties the bodies.
+    The cables start taut by a seventh, slack by a seventh, and with a negative signal; one ties the bodies. One of the
+    others pulls, and one is slack.
     """
     first, both = np.arange(COUNTS[0]), np.arange(len(x))
     routes = ([0, 5, 9, 12], [20, 31, 40], [3, 44])
@@ -53,6 +54,7 @@ def tendons(x: np.ndarray) -> tuple[Acting, ...]:
         *(Acting(cable.CableKernel, np.array(r), np.zeros(0), length(x[r])) for r in routes),
         Acting(body_force.BodyForceKernel, first, ways[0]),
         Acting(body_force.BodyForceKernel, both[5::3], ways[1]),
+        *(Acting(tension.TensionKernel, np.array(r), np.zeros(0)) for r in ([1, 6, 13], [21, 35])),
     )
 
 
@@ -71,16 +73,21 @@ def length(route: np.ndarray) -> float:
 STIFFNESS = {2: 0.2, 3: 0.01}
 """Of cables by dimension [N/m]: they pull as hard as the body is heavy."""
 
-ACTUATORS = {"muscle": slice(0, 2), "pressure": slice(2, 4), "cable": slice(4, 7), "body_force": slice(7, 9)}
+ACTUATORS = {"muscle": slice(0, 2), "pressure": slice(2, 4), "cable": slice(4, 7), "body_force": slice(7, 9),
+             "tension": slice(9, 11)}  # fmt: skip
 """Where the actuators of each kind stand."""
 
-SPRINGS = slice(9, 11)
+SPRINGS = slice(11, 13)
 """Where the springs stand among all parts."""
 
 
 def signals(controls: int, rng: np.random.Generator) -> np.ndarray:
-    """Return activations (T, 9): the first cable stays taut, the second slack, the third fully reeled in."""
-    out = rng.normal(size=(controls, 9)) * 0.5
+    """Return activations (T, 11): the first cable stays taut, the second slack, the third fully reeled in.
+
+    Of the cables whose tension is given, the first pulls and the second is slack.
+    """
+    out = rng.normal(size=(controls, 11)) * 0.5
+    out[:, ACTUATORS["tension"]] = np.array([0.6, -0.3]) + 0.2 * rng.random((controls, 2))
     out[:, ACTUATORS["cable"]] = np.array([0.85, 1.15, -0.2]) + 0.05 * rng.random((controls, 3))
     return out
 
@@ -113,9 +120,10 @@ def rich(dim: int, *, substeps: int = 4, controls: int = 3, seed: int = 0, **opt
     s.v[:, 0] += np.where(np.arange(n) < COUNTS[0], -0.5, 0.5)
     s.C, s.F = rng.normal(size=s.C.shape) * 0.2, s.F + rng.normal(size=s.F.shape) * 0.05
     s.memory = rng.normal(size=4)
-    inputs.strength[:9] = rng.uniform(0.8, 1.2, 9)
+    inputs.strength[:11] = rng.uniform(0.8, 1.2, 11)
     inputs.strength[SPRINGS] = 0.2 * STIFFNESS[dim]
     inputs.strength[ACTUATORS["cable"]] *= STIFFNESS[dim]
+    inputs.strength[ACTUATORS["tension"]] *= 0.1 * STIFFNESS[dim]
     inputs.fields.force[:] = mass[:, None] * rng.normal(size=s.x.shape)
     inputs.weights = rng.uniform(0.5, 1.5, model.weight_slices[-1].stop)
     for strain in s.history.values():

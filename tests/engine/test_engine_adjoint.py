@@ -22,6 +22,7 @@ from rich_scene import (
 )
 
 from cqrun.actuators import muscle
+from cqrun.actuators.cable import Cable
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel, LossBar, Records
 from cqrun.plugin.registry import plugins
@@ -57,8 +58,9 @@ def test_every_kind_of_actuator_is_in_the_rich_scene():
     example = {"body": "b", "axis": [1, 0], "strength": 1, "max_pressure": 1, "stiffness": 1, "route": [[0, 0], [1, 1]],
                "direction": [1, 0], "acceleration": 1}  # fmt: skip
     for name, kind in plugins("actuator").items():
-        spec = kind.model_validate({key: value for key, value in example.items() if key in kind.model_fields})
-        assert spec.kernel in kernels, name
+        given = {key: value for key, value in example.items() if key in kind.model_fields}
+        assert kind.model_validate(given).kernel in kernels, name
+    assert Cable(body="b", route=[[0.0, 0.0], [1.0, 1.0]], tension=1.0).kernel in kernels
 
 
 def test_memory_passes_through(adjoint):

@@ -29,7 +29,7 @@ def test_a_rollout_is_that_of_the_equations(dim):
         np.testing.assert_allclose(got, want, rtol=0, atol=TOLERANCE * np.abs(want).max())
     # every kind of wall was met, and every branch of friction and of separation
     met = {(kind, *last) for taken in branches for kind, _, *last in taken}
-    walls = {(kind, branch) for kind, *_, branch in met if kind != "cable"}
+    walls = {(kind, branch) for kind, *_, branch in met if kind not in ("cable", "tension")}
     assert walls == {
         ("friction", 0), ("friction", 1), ("friction", 2), ("slip", 0), ("separate", 0), ("separate", 1), ("sticky", 0),
     }  # fmt: skip
@@ -37,6 +37,7 @@ def test_a_rollout_is_that_of_the_equations(dim):
     assert {cable for cable in met if cable[0] == "cable"} == {
         ("cable", True, True), ("cable", False, True), ("cable", True, False),
     }  # fmt: skip
+    assert {cable for cable in met if cable[0] == "tension"} == {("tension", True), ("tension", False)}
 
 
 @pytest.mark.parametrize("dim", [2, 3])

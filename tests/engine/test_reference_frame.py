@@ -232,7 +232,7 @@ def test_a_free_block_keeps_its_angular_momentum_to_rounding(dim):
 
 
 def test_a_bar_that_turns_keeps_its_length():
-    """In the other frame, positions creep away from F: the same bar grows by 16 % in one turn."""
+    """In the other frame, positions creep away from F (tests/running/test_drift.py)."""
     model, inputs = free_block(2, turn=2 * np.pi, seconds=2.0)
     records = make_rollout(model, inputs).run()
     pairs = np.abs(inputs.state.x[:, 0] - inputs.state.x[:, 0].min()) < 1e-9

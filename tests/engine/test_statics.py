@@ -10,7 +10,7 @@ import pytest
 from little_worlds import STRESSES, Acting, Wall, below, needs_jit, world
 from test_reference_frame import ELASTIC, SHEAR
 
-from cqrun.actuators import cable
+from cqrun.actuators import cable, tension
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel, LossBar, Records
@@ -25,7 +25,7 @@ DX = 0.1
 
 
 def cantilever(dim, *, gravity=-4.0, real=np.float64):
-    """Return a clamped beam of two laws with a muscle and a taut cable under gravity, and its inputs."""
+    """Return a clamped beam of two laws with a muscle, a taut cable and one with a tension, and its inputs."""
     rng = np.random.default_rng(3)
     counts = (14, 4, 4)[:dim]
     axes = [0.225 + 0.05 * np.arange(count) for count in counts]
@@ -33,6 +33,7 @@ def cantilever(dim, *, gravity=-4.0, real=np.float64):
     n, volume = len(x), 0.05**dim
     top = np.flatnonzero(np.all(x[:, 1:] > x[:, 1:].max(axis=0) - 1e-9, axis=1))
     route = top[[4, 8, 13]]
+    below_top = np.flatnonzero(np.all(x[:, 1:] < x[:, 1:].min(axis=0) + 1e-9, axis=1))[[3, 7, 12]]
     length = float(np.linalg.norm(np.diff(x[route], axis=0), axis=1).sum())
     up = np.zeros(dim)
     up[-1] = gravity
@@ -42,14 +43,16 @@ def cantilever(dim, *, gravity=-4.0, real=np.float64):
         incompressible=rng.uniform(1e3, 2e3, n), gravity=up, probe=rng.random((2, n)) / n,
         walls=[Wall(Sticky, (0.0,) * dim, below(0, 0.3))],
         muscles=((np.flatnonzero(x[:, 1] > 0.3), np.diag(np.eye(dim)[0])),),
-        actuators=(Acting(cable.CableKernel, route, np.zeros(0), length),),
-        activation=np.array([[0.7, 0.97]]), real=real,
+        actuators=(Acting(cable.CableKernel, route, np.zeros(0), length),
+                   Acting(tension.TensionKernel, below_top, np.zeros(0))),
+        activation=np.array([[0.7, 0.97, 0.8]]), real=real,
     )  # fmt: skip
     inputs.terms = [[inputs.terms[0][k] for k in (0, 1, 3)]]
     group = GroupModel((0,), ELASTIC, STRESSES, shear=(SHEAR[0], SHEAR[1], SHEAR[3]))
     kinds = [a.kernel for a in model.actuators]
     inputs.strength[kinds.index(STRESSES[0])] = 2e3
     inputs.strength[kinds.index(cable.CableKernel)] = 100.0 * 0.05 ** (dim - 2)
+    inputs.strength[kinds.index(tension.TensionKernel)] = 5.0 * 0.05 ** (dim - 2)
     return replace(model, frame="reference", groups=(group,)), inputs
 
 

@@ -108,7 +108,7 @@ def fitted(scene: Path, out: Path, *overrides: str) -> Path:
 def test_its_loss_has_the_adjoint_of_a_dot_product(scene, rng):
     (case,) = problem_of(scene).cases
     (gauge,) = case.comparisons
-    shape = case.still_records()
+    shape = case.runner.still()
     records, direction = (Records(*(rng.normal(size=part.shape) for part in shape)) for _ in range(2))
     bar, start_bar = gauge.loss_vjp(records, 0.0253, 1.7)
 

@@ -28,6 +28,22 @@ def test_cables_in_the_same_cell_bound_the_substep_together():
     np.testing.assert_allclose(limit_of_cables(both), limit_of_cables(alone) / np.sqrt(2.0))
 
 
+def test_a_tension_bounds_the_substep_by_its_shortest_segment():
+    """A segment of length l turns back with the stiffness T / l."""
+
+    def limit(cable: str) -> float:
+        text = FINGER.replace(MUSCLE, f"  one: {{cable: {{body: finger, {cable}}}}}")
+        return limit_of_cables(text.replace("substeps: 2", "substeps: auto"))
+
+    straight, halfway = "route: [[0.41, 0.25], [0.41, 0.55]]", "route: [[0.41, 0.25], [0.41, 0.35], [0.41, 0.55]]"
+    x = build(load_scene(FINGER)).particles.x
+    tied = [x[np.argmin(((x - point) ** 2).sum(axis=1))] for point in ([0.41, 0.25], [0.41, 0.35], [0.41, 0.55])]
+    first, whole = np.linalg.norm(tied[1] - tied[0]), np.linalg.norm(tied[2] - tied[0])
+    stiff = limit(f"{straight}, stiffness: 1000")
+    assert limit(f"{straight}, tension: 300") == pytest.approx(stiff * np.sqrt(1000 / (300 / whole)))
+    assert limit(f"{halfway}, tension: 300") == pytest.approx(stiff * np.sqrt(1000 / (300 / first)))
+
+
 def test_an_actuator_without_a_signal_does_nothing():
     """A cable is slack at 1 and reeled in at 0."""
     both = FINGER.replace(MUSCLE, f"{MUSCLE}\n{CABLES}")

@@ -6,11 +6,17 @@ symmetric for every law with an energy. For a loss L(u) the adjoint solves K lam
     dL/dtheta = lambda . df/dtheta,
 
 which is the adjoint of one substep's forces at lambda. Velocities are zero, so viscosity and damping have no part.
+
+A loss of the reactions depends on f itself, by a cotangent g of the forces on held nodes (reactions.py). Then
+
+    K lambda = P (dL/du + (df/du)^T g),    dL/dtheta = (lambda + g) . df/dtheta,
+
+where P projects on the free directions, and (df/du)^T g is a product with the matrix of all nodes, which is symmetric.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +33,7 @@ from cqrun.engine.setting import Crew
 from cqrun.engine.statics.krylov import conjugate_gradients
 from cqrun.engine.statics.newton import MOST_PRODUCTS, Rest, find_rest
 from cqrun.engine.statics.passes import find_bars, find_change, find_net, find_slopes
+from cqrun.engine.statics.reactions import Holder, holders, resultant, resultant_vjp, turns
 from cqrun.engine.statics.tangent import add_blocks, rows_of
 from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import aligned
@@ -93,13 +100,7 @@ class Equilibrium:
 
     def product(self, p: Array) -> Array:
         """Return the stiffness matrix times a displacement (M, 4)."""
-        r = self.rollout
-        self._each(
-            lambda crew: find_change(
-                r.loads, r.ghosts, r.drive, self.run, self.A, self.push, self.colours, p, self.control, crew
-            )
-        )
-        return self._freed(-self.run.force)
+        return self._freed(-self._change(p))
 
     def precondition(self, r: Array) -> Array:
         """Return the forces (M, 4) times the inverse of each node's block."""
@@ -159,47 +160,55 @@ class Equilibrium:
         A node that several boundaries hold counts for the first. A moment is about the centre of the boundary's nodes
         at rest, and acts where the nodes are now.
         """
-        model, force = self.rollout.model, self.reactions(u)
-        X = self.rollout.rest.patches.positions(model.dx)
-        bits, out = self.run.nodes.bits, {}
-        for name in dict.fromkeys(condition.name for condition in model.conditions):
-            own = sum(1 << k for k, condition in enumerate(model.conditions) if condition.name == name)
-            lowest = bits & -bits
-            nodes = np.flatnonzero(lowest & own)
-            if len(nodes):
-                arms = X[nodes] - X[nodes].mean(axis=0) + u[nodes, : self.dim]
-                moment = _turns(arms).transpose(0, 2, 1) @ force[nodes][:, :, None]
-                out[name] = force[nodes].sum(axis=0), moment[:, :, 0].sum(axis=0)
-        return out
+        force = self.reactions(u)
+        return {name: resultant(holder, u, force) for name, holder in self.holders().items()}
+
+    def holders(self) -> dict[str, Holder]:
+        """Return the nodes that every boundary holds, by its name."""
+        return holders(self.rollout.model, self.run.nodes.bits, self._places())
 
     def gradient(self, u: Array, *, record_bar: Array | None = None, state_bar: State | None = None,
-                 tolerance: float = 1e-10) -> tuple[Inputs, AdjointSolve]:  # fmt: skip
-        """Return the cotangent of the inputs at an equilibrium u, from that of its record (rows, K) or state."""
+                 held_bar: Mapping[str, tuple[Array, Array]] | None = None, tolerance: float = 1e-10,
+                 ) -> tuple[Inputs, AdjointSolve]:  # fmt: skip
+        """Return the cotangent of the inputs at an equilibrium u, from those of what is known of it.
+
+        Args:
+            record_bar: of its record (rows, K).
+            state_bar: of its state.
+            held_bar: of forces and moments in `held_by`, by boundary.
+            tolerance: relative residual of the adjoint's linear system.
+        """
         self.rollout.final = np.stack([u, self.still])
         back = ReferenceBackward(self.rollout, LossBar(final=state_bar), reverses=False)
         if record_bar is not None:
             back._add_record(back.q_bar, record_bar)
-        return self.gradient_of_nodes(u, back.q_bar[0], tolerance)
+        u_bar, f_bar = back.q_bar[0].copy(), np.zeros_like(u)
+        if held_bar:
+            f_bar = self._add_held_bar(u, held_bar, u_bar)
+        return self.gradient_of_nodes(u, u_bar, f_bar, tolerance=tolerance)
 
-    def gradient_of_nodes(self, u: Array, u_bar: Array, tolerance: float = 1e-10) -> tuple[Inputs, AdjointSolve]:
-        """Return the cotangent of the inputs at an equilibrium u, from that of its displacements (M, 4)."""
+    def gradient_of_nodes(
+        self, u: Array, u_bar: Array, f_bar: Array | None = None, *, tolerance: float = 1e-10
+    ) -> tuple[Inputs, AdjointSolve]:
+        """Return the cotangent of the inputs at an equilibrium, from those of displacements and net forces (M, 4)."""
         self.rollout.final = np.stack([u, self.still])
         back = ReferenceBackward(self.rollout, LossBar(), reverses=False)
-        given_bar = u_bar.copy()
-        loss_bar = self._freed(given_bar)
+        loss_bar = u_bar.copy()
         self.linearise(u)
+        if f_bar is not None:
+            loss_bar += self._change(f_bar)
+        loss_bar = self._freed(loss_bar)
         found = conjugate_gradients(self.product, loss_bar, self.precondition, tolerance, 10 * MOST_PRODUCTS)
+        adjoint = found.x if f_bar is None else found.x + f_bar
         r = self.rollout
         self._each(
             lambda crew: find_bars(
                 back.parts, r.loads, r.ghosts, r.drive, back.stresses, back.drive_bar.levels, self.run, back.bundle,
-                self.colours, u, self.still, found.x, self.control, crew,
+                self.colours, u, self.still, adjoint, self.control, crew,
             )
         )  # fmt: skip
         bar = back.inputs_bar()
-        held_bar = (given_bar + back.bundle.sums[::2])[
-            :, : self.dim
-        ]  # dL/du of held nodes, directly and through forces
+        held_bar = (u_bar + back.bundle.sums[::2])[:, : self.dim]  # of held nodes, directly and through forces
         for moves in r.moves:
             there_bar = held_bar[moves.nodes]
             pose_bar = np.zeros((len(self.one), 1, self.dim + self.dim**2))
@@ -210,15 +219,25 @@ class Equilibrium:
             bar.moves[...] = poses_vjp(r.model, r.inputs.moves, self.one, pose_bar)
         return bar, AdjointSolve(found.iterations, found.converged)
 
+    def _add_held_bar(self, u: Array, held_bar: Mapping[str, tuple[Array, Array]], u_bar: Array) -> Array:
+        """Add to the cotangent of u, and return that of the net forces (M, 4), from those of `held_by`."""
+        force, f_bar = self.reactions(u), np.zeros_like(u)
+        for name, holder in self.holders().items():
+            if name in held_bar:
+                r_bar, a_bar = resultant_vjp(holder, u, force, *held_bar[name])
+                f_bar[holder.nodes, : self.dim] -= r_bar
+                u_bar[holder.nodes, : self.dim] += a_bar
+        return np.asarray(f_bar - self._freed(f_bar))
+
     def loose_bodies(self) -> dict[str, int]:
         """Return the bodies that nothing holds, by name: in how many ways each can move as a rigid body."""
         patches, model, loose = self.rollout.rest.patches, self.rollout.model, {}
-        X, body = patches.positions(model.dx), patches.body_of_nodes()
+        X, body = self._places(), patches.body_of_nodes()
         for k, name in enumerate(model.body_names):
             own = body[self.held] == k
             arms = X[self.held[own]] - X[self.run.nodes.active].mean(axis=0)
             modes = np.concatenate([np.broadcast_to(np.eye(self.dim), (own.sum(), self.dim, self.dim)),
-                                    _turns(arms)], axis=2)  # fmt: skip
+                                    turns(arms)], axis=2)  # fmt: skip
             kept = np.eye(self.dim) - self.free[own]
             felt = np.einsum("nij,njr->nir", kept, modes).reshape(-1, modes.shape[2])
             size = np.linalg.norm(modes.reshape(-1, modes.shape[2]), axis=0) if own.any() else np.ones(modes.shape[2])
@@ -249,6 +268,23 @@ class Equilibrium:
         pull = -self.product(change)
         return conjugate_gradients(self.product, pull, self.precondition, 1e-2, MOST_PRODUCTS).x
 
+    def _change(self, p: Array) -> Array:
+        """Return the change of the forces on all nodes (M, 4) with a displacement p, at the state of `linearise`.
+
+        The array is that of the next pass, too.
+        """
+        r = self.rollout
+        self._each(
+            lambda crew: find_change(
+                r.loads, r.ghosts, r.drive, self.run, self.A, self.push, self.colours, p, self.control, crew
+            )
+        )
+        return self.run.force
+
+    def _places(self) -> Array:
+        """Return where the nodes are at rest (M, D) [m]."""
+        return self.rollout.rest.patches.positions(self.rollout.model.dx)
+
     def _projections(self) -> tuple[Array, Array]:
         """Return the nodes that boundaries hold (H,), and the projection of each on its free directions (H, D, D)."""
         bits = self.run.nodes.bits
@@ -278,12 +314,3 @@ class Equilibrium:
         values, vectors = np.linalg.eigh(blocks[active] + lower.transpose(0, 2, 1))
         values = np.maximum(np.abs(values), LEAST_BLOCK * np.abs(values).max(axis=1, keepdims=True))
         self.inverse = np.einsum("nij,nj,nkj->nik", vectors, 1.0 / values, vectors)
-
-
-def _turns(arms: Array) -> Array:
-    """Return the displacements of small turns about each axis, for arms (n, D): (n, D, 1) in 2D and (n, 3, 3) in 3D."""
-    if arms.shape[1] == 2:
-        return np.stack([-arms[:, 1], arms[:, 0]], axis=1)[:, :, None]
-    x, y, z = arms.T
-    o = np.zeros_like(x)
-    return np.stack([np.stack(v, axis=1) for v in ((o, -z, y), (z, o, -x), (-y, x, o))], axis=2)

@@ -7,7 +7,7 @@ proportion. The first point is reached from the rest shape without loads.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -38,6 +38,33 @@ class Point:
     products: int
 
 
+@dataclass
+class RestRecords(Records):
+    """What is known of the rest shape and of every point of a path, or the cotangent of it.
+
+    Attributes:
+        held: (P + 1, D + 1) or (P + 1, 6): force [N] and moment [N m] of every boundary, by its name; zero in row 0.
+    """
+
+    held: dict[str, Array] = field(default_factory=dict)
+
+    @classmethod
+    def joined(cls, records: Records, held: dict[str, Array]) -> RestRecords:
+        """Return records with the forces and moments of boundaries."""
+        return cls(*records, history=records.history, held=held)
+
+    def zeros_like(self) -> RestRecords:
+        """Return zero records of the same shapes."""
+        held = {name: np.zeros_like(rows) for name, rows in self.held.items()}
+        return RestRecords.joined(super().zeros_like(), held)
+
+    def add(self, other: Records) -> None:
+        """Add other records to these."""
+        super().add(other)
+        for name, rows in (other.held if isinstance(other, RestRecords) else {}).items():
+            self.held[name] += rows
+
+
 class RestPath:
     """The equilibria of one model for several inputs, one after the other.
 
@@ -48,7 +75,8 @@ class RestPath:
 
     Attributes:
         points: the points found so far.
-        records: (P + 1, rows, K) the probe's sums at the rest shape and at every point.
+        loose: the bodies that nothing holds, by name: in how many ways each can move.
+        rows: the probe's sums (rows, K) at the rest shape and at every point.
     """
 
     def __init__(self, model: Model, inputs: Sequence[Inputs], *, threads: int = 1, tolerance: float = 1e-8) -> None:
@@ -60,6 +88,8 @@ class RestPath:
         self.loose = unloaded.loose_bodies()
         self.rest_shape = np.zeros_like(unloaded.still)
         self.rows = [unloaded.record(self.rest_shape)]
+        size = model.dim + (1 if model.dim == 2 else 3)
+        self.held = {name: [np.zeros(size)] for name in unloaded.holders()}
         self.start = unloaded
 
     def equilibrium(self, inputs: Inputs) -> Equilibrium:
@@ -71,7 +101,7 @@ class RestPath:
         observe: Callable[[int, Equilibrium, Point], None] | None = None,
         should_stop: Callable[[], bool] | None = None,
         known: Callable[[int], Point | None] | None = None,
-    ) -> Records:
+    ) -> RestRecords:
         """Find all points; stop after one that has no equilibrium, or when asked.
 
         Args:
@@ -92,8 +122,11 @@ class RestPath:
             if not point.rest.converged:
                 break
             self.rows.append(here.record(point.rest.u))
+            for name, parts in here.held_by(point.rest.u).items():
+                self.held[name].append(np.concatenate(parts))
             before, u = inputs, point.rest.u
-        return Records.from_rows(np.array(self.rows), here.rollout.model.layout.table)
+        records = Records.from_rows(np.array(self.rows), here.rollout.model.layout.table)
+        return RestRecords.joined(records, {name: np.array(rows) for name, rows in self.held.items()})
 
     def _reach(self, here: Equilibrium, before: Inputs, inputs: Inputs, u: Array) -> Point:
         """Return a point reached from the last one."""
@@ -115,11 +148,13 @@ class RestPath:
 
     def gradients(self, records_bar: Records) -> list[Inputs]:
         """Return the cotangent of every point's inputs from that of the records (row 0, the rest shape, has none)."""
-        table = self.start.rollout.model.layout.table
+        table, dim = self.start.rollout.model.layout.table, self.model.dim
         bars = records_bar.to_rows(table)
+        held = records_bar.held if isinstance(records_bar, RestRecords) else {}
         out = []
-        for point, inputs, row_bar in zip(self.points, self.inputs, bars[1:], strict=True):
-            bar, _ = self.equilibrium(inputs).gradient(point.rest.u, record_bar=row_bar)
+        for k, (point, inputs) in enumerate(zip(self.points, self.inputs, strict=True), start=1):
+            of_point = {name: (rows[k, :dim], rows[k, dim:]) for name, rows in held.items() if rows[k].any()}
+            bar, _ = self.equilibrium(inputs).gradient(point.rest.u, record_bar=bars[k], held_bar=of_point)
             out.append(bar)
         return out
 

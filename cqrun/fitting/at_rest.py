@@ -1,0 +1,134 @@
+"""Check that a recording at rest fits its scene, before anything is run: loads, clamps, frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from cqrun.build.load_path import checked_key, inputs_of
+from cqrun.build.model import Built
+from cqrun.engine.setting import MARGIN, grid_shape
+from cqrun.engine.statics.path import RestPath
+from cqrun.errors import DataError, Problem, SceneError
+from cqrun.explain import listed
+from cqrun.measurements.at_rest import RestComparison
+from cqrun.plugin.contract import Array
+from cqrun.scene.keypath import split_own
+from cqrun.scene.load_path import MOST_POINTS
+from cqrun.scene.paths import canonical
+from cqrun.scene.schema import Scene
+
+
+def rest_points(scene: Scene, name: str, built: Built, comparison: RestComparison) -> tuple[dict[str, float], ...]:
+    """Return the loads of a recording's points by the long form of their key paths.
+
+    Args:
+        scene: with the unknowns of the fit.
+        name: of the recording.
+        built: the scene of the recording.
+
+    Raises:
+        SceneError, DataError: something does not fit.
+    """
+    if problems := list(_unsuited(built.scene, name, comparison)):
+        raise SceneError([Problem(scene.where(path), path, message) for path, message in problems])
+    if len(comparison.points) > MOST_POINTS:
+        raise DataError(f"has {len(comparison.points):,} points, more than {MOST_POINTS:,}")
+    long = {}
+    for key, column in comparison.loads.items():
+        where = f"data.recordings.{name}.{comparison.spec.name}.loads.{column}"
+        long[key] = checked_key(built, key, where, [point[key] for point in comparison.points])
+        if message := _fitted(scene, name, long[key]) or _idle(built, long[key]):
+            raise SceneError([Problem(scene.where(where), where, message)])
+    points = tuple({long[key]: value for key, value in point.items()} for point in comparison.points)
+    _require_free(built, comparison)
+    _require_held(built, points)
+    return points
+
+
+def _unsuited(scene: Scene, name: str, comparison: RestComparison) -> Iterator[tuple[str, str]]:
+    """Yield what a scene has that equilibria cannot have."""
+    kind = comparison.spec.name
+    if scene.world.frame != "reference":
+        yield (
+            "world.frame",
+            f"is `{scene.world.frame}`, but the recording '{name}' (`{kind}`) is compared with bodies at rest, which "
+            "only the reference frame has: set `world.frame: reference`",
+        )
+    if scene.precision != "float64":
+        yield "precision", f"is `{scene.precision}`, too coarse for bodies at rest (`{kind}`): use float64"
+
+
+def _fitted(scene: Scene, name: str, load: str) -> str:
+    """Return what is wrong if a load is an unknown of the fit, or follows one; empty if it is not."""
+    for unknown, spec in scene.unknowns.items():
+        for path in (unknown, *spec.also):
+            recording, inside = split_own(canonical(scene, path))
+            if inside == load and recording in ("", name):
+                return f"its values are those of '{load}', which the unknown '{unknown}' sets: remove one of the two"
+    return ""
+
+
+def _idle(built: Built, load: str) -> str:
+    """Return what is wrong if a load is the strength of an actuator that nothing activates; empty if it is not."""
+    actuation = built.assembly.actuation
+    last = actuation.activations(built.assembly.sequence, {})[-1]
+    for part, activation, neutral in zip(actuation.parts, last, actuation.neutral, strict=True):
+        if load == f"{part.path}.{part.spec.scale}" and activation == neutral:
+            return (
+                f"'{load}' does nothing, because the activation of '{part.name}' is {activation:g} at rest: give "
+                f"`activation: {{signals: {{{part.actuator}: [1]}}}}`"
+            )
+    return ""
+
+
+def _require_held(built: Built, points: Sequence[Mapping[str, float]]) -> None:
+    """Raise a SceneError for bodies that nothing holds."""
+    scene = built.scene
+    loose = RestPath(built.model, [inputs_of(built, points[0])]).loose
+    if loose:
+        raise SceneError([held_problem(scene, body, ways) for body, ways in loose.items()])
+
+
+def held_problem(scene: Scene, body: str, ways: int) -> Problem:
+    """Return the problem of a body that can move in so many ways without resistance."""
+    path = f"bodies.{body}"
+    message = (
+        f"nothing holds it: it can move in {ways} way{'s' if ways > 1 else ''} without resistance, so it has no "
+        "place of rest; add a `sticky` boundary that holds some of its particles"
+    )
+    return Problem(scene.where(path), path, message)
+
+
+def _require_free(built: Built, comparison: RestComparison) -> None:
+    """Raise a DataError for channels whose particles cannot move."""
+    if comparison.rows.shape[0] != len(comparison.names):
+        return
+    clamped = clamped_particles(built)
+    rows = comparison.rows
+    stuck = [
+        name
+        for k, name in enumerate(comparison.names)
+        if clamped[rows.indices[rows.indptr[k] : rows.indptr[k + 1]]].all()
+    ]
+    if stuck:
+        which = f"marker '{stuck[0]}' is" if len(stuck) == 1 else f"markers {listed(stuck)} are"
+        raise DataError(
+            f"{which} bound to a part of the body that is clamped, so the model cannot move it: correct its rest "
+            "position, or remove it from `markers`"
+        )
+
+
+def clamped_particles(built: Built) -> Array:
+    """Return the particles that cannot move (N,) of bool: every node around them is in a `sticky` boundary."""
+    model, x = built.model, built.particles.x
+    shape = grid_shape(model.size, model.dx)
+    held = np.zeros(int(np.prod(shape)), bool)
+    for condition in model.conditions:
+        if condition.spec.name == "sticky":
+            held |= condition.nodes
+    held = held.reshape(shape)
+    base = np.floor(x / model.dx + MARGIN - 0.5).astype(int)
+    corners = np.stack(np.meshgrid(*[np.arange(3)] * model.dim, indexing="ij"), -1).reshape(-1, model.dim)
+    return np.all([held[tuple((base + corner).T)] for corner in corners], axis=0)

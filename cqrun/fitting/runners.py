@@ -1,0 +1,187 @@
+"""How a case is run: in motion by a rollout, or at rest by a path of equilibria; both give records and gradients."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from cqrun.build.load_path import gradient_of, inputs_of
+from cqrun.build.model import Built
+from cqrun.engine.frames import make_rollout
+from cqrun.engine.model import LossBar, Records
+from cqrun.engine.statics.equilibrium import Equilibrium
+from cqrun.engine.statics.path import Point, RestPath, RestRecords
+from cqrun.errors import NoRestError
+from cqrun.explain import listed
+from cqrun.plugin.contract import Array
+from cqrun.running.cost import about
+from cqrun.running.drift import drift_findings
+from cqrun.running.rest_table import rest_frames, write_frame
+from cqrun.running.side_by_side import Effort
+from cqrun.running.trajectories import write_trajectory
+from cqrun.state import State
+
+Values = Mapping[str, Array]
+Observe = Callable[[int, State], None]
+
+TOLERANCE = 1e-10
+"""Net force at rest divided by the loads: differences of equilibria give the Jacobian of a fit."""
+
+
+class Runner(Protocol):
+    """Runs the model of a case with values by path in its scene."""
+
+    def run(self, values: Values, threads: int = 1, observe: Observe | None = None) -> Records:
+        """Return the records; call `observe` with the number and the state of each of their rows."""
+        ...
+
+    def still(self) -> Records:
+        """Return the records of bodies that do not move."""
+        ...
+
+    def gradient(
+        self, values: Values, loss_bar: Callable[[Records], Records], threads: int = 1, budget: int | None = None
+    ) -> tuple[dict[str, Array], Effort]:
+        """Return the gradient by path, and its cost.
+
+        Args:
+            loss_bar: returns the cotangent of the records.
+            budget: bytes for kept states; those of the model if None.
+        """
+        ...
+
+    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> list[str]:
+        """Write a trajectory; return sentences about what is notable in it."""
+        ...
+
+
+@dataclass(frozen=True)
+class InMotion:
+    """A rollout."""
+
+    built: Built
+
+    def run(self, values: Values, threads: int = 1, observe: Observe | None = None) -> Records:
+        """Return the records of all control steps."""
+        return make_rollout(self.built.model, self.built.assembly.inputs(values), threads=threads).run(observe)
+
+    def still(self) -> Records:
+        """Return the records of bodies that do not move."""
+        return _still(self.built, self.built.model.n_controls + 1)
+
+    def gradient(
+        self, values: Values, loss_bar: Callable[[Records], Records], threads: int = 1, budget: int | None = None
+    ) -> tuple[dict[str, Array], Effort]:
+        """Return the gradient by path, and its cost."""
+        built = self.built
+        model = built.model if budget is None else replace(built.model, memory_budget=budget)
+        rollout = make_rollout(model, built.assembly.inputs(values), threads=threads, adjoint=True)
+        _, bar = rollout.gradient(lambda records, final: LossBar(loss_bar(records)))
+        return built.assembly.gradient(values, bar), Effort.of(rollout)
+
+    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> list[str]:
+        """Write the trajectory; return what is notable of the substep, and of positions that drift."""
+        rollout = make_rollout(self.built.model, self.built.assembly.inputs(values), threads=threads)
+        last = rollout.inputs.state
+
+        def keep(_: int, state: State) -> None:
+            nonlocal last
+            last = state
+
+        write_trajectory(path, self.built, rollout, provenance=provenance, progress=keep)
+        return [*rollout.remarks(), *drift_findings(self.built, last)]
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """A path of equilibria.
+
+    Attributes:
+        points: the loads of each, by key path in the scene; they replace other values there.
+    """
+
+    built: Built
+    points: tuple[Mapping[str, float], ...]
+
+    def run(self, values: Values, threads: int = 1, observe: Observe | None = None) -> RestRecords:
+        """Return the records of the rest shape and of all points.
+
+        Raises:
+            NoRestError: a point has no equilibrium.
+        """
+        return self._find(values, threads, observe)[1]
+
+    def still(self) -> RestRecords:
+        """Return the records of bodies that do not move; no boundary has to hold them."""
+        model, count = self.built.model, len(self.points) + 1
+        size = model.dim + (1 if model.dim == 2 else 3)
+        held = {condition.name: np.zeros((count, size)) for condition in model.conditions}
+        return RestRecords.joined(_still(self.built, count), held)
+
+    def gradient(
+        self, values: Values, loss_bar: Callable[[Records], Records], threads: int = 1, budget: int | None = None
+    ) -> tuple[dict[str, Array], Effort]:
+        """Return the gradient by path, summed over all points."""
+        path, records = self._find(values, threads, None)
+        total = {key: np.zeros(np.shape(value)) for key, value in values.items()}
+        for point, bar in zip(self.points, path.gradients(loss_bar(records)), strict=True):
+            for key, part in gradient_of(self.built, point, values, bar).items():
+                total[key] += part
+        return total, Effort()
+
+    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> list[str]:
+        """Write a trajectory with the rest shape and a frame for every point."""
+        with rest_frames(path, self.built, len(self.points), provenance) as writer:
+
+            def note(number: int, state: State) -> None:
+                write_frame(writer, state, number)
+
+            self._find(values, threads, note)
+        return []
+
+    def path(self, values: Values, threads: int = 1) -> RestPath:
+        """Return the path, without any point yet."""
+        inputs = [inputs_of(self.built, point, values) for point in self.points]
+        return RestPath(self.built.model, inputs, threads=threads, tolerance=TOLERANCE)
+
+    def _find(self, values: Values, threads: int, observe: Observe | None) -> tuple[RestPath, RestRecords]:
+        path = self.path(values, threads)
+
+        def note(number: int, here: Equilibrium, point: Point) -> None:
+            if observe is not None and point.rest.converged:
+                observe(number + 1, here.state(point.rest.u))
+
+        if observe is not None:
+            observe(0, path.start.state(path.rest_shape))
+        records = path.run(note)
+        last = path.points[-1]
+        if not last.rest.converged:
+            loads = ", ".join(f"{key}={value:.6g}" for key, value in self.points[len(path.points) - 1].items())
+            raise NoRestError(
+                f"no equilibrium was found at point {len(path.points)} of {len(self.points)}"
+                f"{f' ({loads})' if loads else ''}: {100 * last.reached:.0f} % of the way to it was covered",
+                "the body buckles or collapses there: use a stiffer material or smaller loads, or narrower bounds",
+            )
+        return path, records
+
+
+def _still(built: Built, rows: int) -> Records:
+    """Return the records of bodies that do not move, so many rows of them."""
+    model, probe = built.model, built.model.probe
+    assert probe is not None
+    shape = (rows, probe.shape[0], model.dim)
+    zeros = np.zeros((*shape, model.dim))
+    x = np.broadcast_to(probe @ built.particles.x, shape)
+    return Records(x, np.zeros(shape), zeros, zeros + np.eye(model.dim))
+
+
+def how_long(runners: Sequence[Runner], *, gradients: bool = False) -> str:
+    """Return words on the time of an evaluation: of a rollout, or how many equilibria it has."""
+    moving = [about(runner.built.model, gradients=gradients) for runner in runners if isinstance(runner, InMotion)]
+    count = sum(len(runner.points) for runner in runners if isinstance(runner, AtRest))
+    resting = [f"{count} equilibri{'um' if count == 1 else 'a'}{' each time' if count else ''}"] if count else []
+    return listed([*moving[:1], *resting])
