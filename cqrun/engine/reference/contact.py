@@ -10,6 +10,7 @@ from scipy.sparse.linalg import svds
 
 from cqrun.boundaries.solid import Solids, make_solids
 from cqrun.engine.model import Model
+from cqrun.engine.reference.movers import Movers, make_movers
 from cqrun.engine.reference.patches import Patches, make_patches
 from cqrun.engine.reference.rest import RestGeometry, make_points, stencil_weights
 from cqrun.engine.reference.rub import ONSET
@@ -52,8 +53,8 @@ class Near(NamedTuple):
     """Points near obstacles. It is found again when a node has moved too far."""
 
     points: Array  # (S,) the first count[0] are near, in increasing order
-    nodes: Array  # (K,) places in `Points.nodes` of the first count[1] nodes that move one of them
-    count: Array  # (2,)
+    count: Array  # (1,)
+    movers: Movers  # of the points that are near
     flag: Array  # (S,) whether a point is near
     mark: Array  # (K, 3) displacements of the nodes when it was found
     moved: Array  # (threads,) largest square of a node's way since
@@ -117,7 +118,7 @@ def make_contact(model: Model, surface: Surface, coefficients: Array, n_threads:
     dashpot = np.array([obstacle.dashpot for obstacle in model.obstacles], np.float64)
     rubs, margin = np.array([obstacle.rubs for obstacle in model.obstacles], np.bool_), MARGIN * model.dx
     near = Near(
-        np.zeros(n, np.int64), np.zeros(k, np.int64), np.zeros(2, np.int64), np.zeros(n, np.bool_),
+        np.zeros(n, np.int64), np.zeros(1, np.int64), make_movers(surface.points), np.zeros(n, np.bool_),
         np.full((k, 3), np.inf), np.zeros(n_threads), margin, margin / growth_of(surface.points),
     )  # fmt: skip
     force, u_bar, v_bar = (aligned((n, 3), np.float64) for _ in range(3))

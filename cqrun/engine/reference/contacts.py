@@ -74,10 +74,10 @@ def touch_all(contacts: Contacts, run: NodeRun, at: NodeStep, u_next: Array, kee
 
 
 @kernel
-def touch_all_vjp(contacts: Contacts, run: NodeRun, bars: NodeBars, at: NodeStep, crew: Crew) -> None:
+def touch_all_vjp(contacts: Contacts, run: NodeRun, bars: NodeBars, at: NodeStep, reversed_: bool, crew: Crew) -> None:
     """Run the adjoint but for the cotangents of velocities; see `touch_vjp`."""
-    touch_each_vjp(contacts.obstacles, run, bars, at, crew)
-    encounter_each_vjp(contacts.bodies, run, bars, at, crew)
+    touch_each_vjp(contacts.obstacles, run, bars, at, reversed_, crew)
+    encounter_each_vjp(contacts.bodies, run, bars, at, reversed_, crew)
 
 
 @kernel

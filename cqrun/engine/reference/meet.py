@@ -17,10 +17,10 @@ import numpy as np
 from cqrun.boundaries.solid import ZERO
 from cqrun.engine.reference.facet import SAME, above, mean_of, nearest_on, nearest_vjp, row
 from cqrun.engine.reference.meeting import Meeting
+from cqrun.engine.reference.movers import load_spring, place, places, put, share_out, store_spring
 from cqrun.engine.reference.neighbours import watch_pairs
 from cqrun.engine.reference.rub import meet, meet_vjp
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
-from cqrun.engine.reference.touch import at_rest, load_spring, place, put, store_spring
 from cqrun.engine.setting import Crew
 from cqrun.numerics.compile import barrier, for_each, kernel, share
 from cqrun.numerics.tensor import add, dot, scale, sub
@@ -80,14 +80,15 @@ def offset(meeting: Meeting, s: int, f: int, weights: Any) -> Any:
 
 
 @kernel
-def move_points(meeting: Meeting, u: Array, stride: int, v: Array, crew: Crew) -> None:
-    """Find positions and velocities of all active points; node n has row n * stride of u, and row n of v."""
+def move_points(meeting: Meeting, u: Array, v: Array, crew: Crew) -> None:
+    """Find positions and velocities of all active points, for displacements u and velocities v of the nodes."""
     pairs, surface = meeting.pairs, meeting.surface
     lo, hi = share(pairs.count[1], crew.thread, crew.n_threads)
     for index in range(lo, hi):
         s = pairs.active[index]
-        put(meeting.x, s, add(at_rest(surface, s), place(surface, s, u, stride, 0)))
-        put(meeting.v, s, place(surface, s, v, 1, 0))
+        x, speed = places(surface.points, surface.rest, s, u, v)
+        put(meeting.x, s, x)
+        put(meeting.v, s, speed)
 
 
 @kernel
@@ -102,7 +103,7 @@ def encounter(meeting: Meeting, run: NodeRun, at: NodeStep, u_next: Array, keep:
                 store_spring(u_next, at.v_next, begin, meeting.first + s, ZERO)
     if pairs.count[0] == 0:
         return
-    move_points(meeting, at.u, 1, at.v, crew)
+    move_points(meeting, at.u, at.v, crew)
     barrier(run.arrivals, crew.n_threads)
     lo, hi = share(pairs.count[0], crew.thread, crew.n_threads)
     for index in range(lo, hi):
@@ -117,7 +118,7 @@ def encounter(meeting: Meeting, run: NodeRun, at: NodeStep, u_next: Array, keep:
     barrier(run.arrivals, crew.n_threads)
     sum_forces(meeting, crew)
     barrier(run.arrivals, crew.n_threads)
-    share_pairs(meeting, meeting.force, run.force, 1, 0, crew)
+    share_out(meeting.pairs.movers, meeting.force, run.force, 1, 0, crew)
     barrier(run.arrivals, crew.n_threads)
 
 
@@ -158,24 +159,6 @@ def sum_forces(meeting: Meeting, crew: Crew) -> None:
             t = corner[f, v]
             if first <= t <= last:
                 put(meeting.force, t, sub(row(meeting.force, t), scale(push, meeting.weights[s, v])))
-
-
-@kernel
-def share_pairs(meeting: Meeting, value: Array, out: Array, stride: int, first: int, crew: Crew) -> None:
-    """Add the active points' numbers (S, 3) to the nodes: node n has row n * stride + first of `out`."""
-    pairs, points = meeting.pairs, meeting.surface.points
-    lo, hi = share(pairs.count[2], crew.thread, crew.n_threads)
-    for index in range(lo, hi):
-        k = pairs.nodes[index]
-        n, a, b, c = points.nodes[k] * stride + first, 0.0, 0.0, 0.0
-        for entry in range(points.begin[k], points.begin[k + 1]):
-            s = points.point[entry]
-            if pairs.flag[s]:
-                w = points.share[entry]
-                a, b, c = a + w * value[s, 0], b + w * value[s, 1], c + w * value[s, 2]
-        out[n, 0] += a
-        out[n, 1] += b
-        out[n, 2] += c
 
 
 @kernel
@@ -243,7 +226,7 @@ def sum_cotangents(meeting: Meeting, crew: Crew) -> None:
 
 
 @kernel
-def encounter_vjp(meeting: Meeting, run: NodeRun, bars: NodeBars, at: NodeStep, crew: Crew) -> None:
+def encounter_vjp(meeting: Meeting, run: NodeRun, bars: NodeBars, at: NodeStep, reversed_: bool, crew: Crew) -> None:
     """Run the adjoint at bars.pairs; see `touch_vjp`."""
     pairs, springs, begin = meeting.pairs, meeting.springs > 0, len(run.nodes.mass)
     if watch_pairs(meeting, run, at.u, crew) and springs:
@@ -253,11 +236,11 @@ def encounter_vjp(meeting: Meeting, run: NodeRun, bars: NodeBars, at: NodeStep, 
                 store_spring(bars.u, bars.v, begin, meeting.first + s, ZERO)
     if pairs.count[0] == 0:
         return
-    move_points(meeting, at.u, 1, at.v, crew)
+    move_points(meeting, at.u, at.v, crew)
     lo, hi = share(pairs.count[1], crew.thread, crew.n_threads)
     for index in range(lo, hi):
         s = pairs.active[index]
-        put(meeting.p, s, place(meeting.surface, s, bars.pairs, 2, 1))
+        put(meeting.p, s, place(meeting.surface.points, s, bars.pairs, 2, 1))
     barrier(run.arrivals, crew.n_threads)
     lo, hi = share(pairs.count[0], crew.thread, crew.n_threads)
     for index in range(lo, hi):
@@ -272,19 +255,19 @@ def encounter_vjp(meeting: Meeting, run: NodeRun, bars: NodeBars, at: NodeStep, 
             store_spring(bars.u, bars.v, begin, meeting.first + s, spring_bar)
     barrier(run.arrivals, crew.n_threads)
     sum_cotangents(meeting, crew)
-    if not run.setting.rates:
+    if reversed_:
         sum_forces(meeting, crew)
     barrier(run.arrivals, crew.n_threads)
-    share_pairs(meeting, meeting.u_sum, bars.sums, 2, 0, crew)
-    if not run.setting.rates:
-        share_pairs(meeting, meeting.force, bars.sums, 2, 1, crew)
+    share_out(meeting.pairs.movers, meeting.u_sum, bars.sums, 2, 0, crew)
+    if reversed_:
+        share_out(meeting.pairs.movers, meeting.force, bars.sums, 2, 1, crew)
     barrier(run.arrivals, crew.n_threads)
 
 
 @kernel
 def encounter_rates_vjp(meeting: Meeting, run: NodeRun, bars: NodeBars, crew: Crew) -> None:
     """Add the cotangents of velocities, which `encounter_vjp` has found."""
-    share_pairs(meeting, meeting.v_sum, bars.v, 1, 0, crew)
+    share_out(meeting.pairs.movers, meeting.v_sum, bars.v, 1, 0, crew)
     barrier(run.arrivals, crew.n_threads)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from cqrun.engine.model import Model
 from cqrun.engine.reference.contact import Surface, growth_of
+from cqrun.engine.reference.movers import Movers, make_movers
 from cqrun.numerics.compile import own_symbols
 from cqrun.plugin.contract import Array
 
@@ -48,8 +49,8 @@ class Pairs(NamedTuple):
 
     points: Array  # (S,) the first count[0] have facets near them, in increasing order
     active: Array  # (S,) the first count[1] are those, or vertices of such facets
-    nodes: Array  # (K,) places in `Points.nodes` of the first count[2] nodes that move an active point
-    count: Array  # (3,)
+    count: Array  # (2,)
+    movers: Movers  # of the active points
     flag: Array  # (S,) whether a point is active
     facets: Array  # (S, MOST) facets near each point, and the squares of their distances
     square: Array
@@ -110,7 +111,7 @@ def make_meeting(model: Model, surface: Surface, coefficients: Array, n_threads:
         np.zeros(t, np.int64), np.zeros(2),
     )  # fmt: skip
     pairs = Pairs(
-        np.zeros(s, np.int64), np.zeros(s, np.int64), np.zeros(k, np.int64), np.zeros(3, np.int64),
+        np.zeros(s, np.int64), np.zeros(s, np.int64), np.zeros(2, np.int64), make_movers(surface.points),
         np.zeros(s, np.bool_), np.zeros((s, most), np.int64), np.zeros((s, most)), np.zeros(s, np.int64),
         np.full((k, 3), np.inf), np.zeros(n_threads), margin,
         margin / (4.0 * growth_of(surface.points)),

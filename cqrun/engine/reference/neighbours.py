@@ -8,8 +8,8 @@ import numpy as np
 
 from cqrun.engine.reference.facet import nearest_on, row
 from cqrun.engine.reference.meeting import Meeting
+from cqrun.engine.reference.movers import farthest, list_movers, place, put, set_mark
 from cqrun.engine.reference.setting import NodeRun
-from cqrun.engine.reference.touch import at_rest, place, put
 from cqrun.engine.setting import Crew
 from cqrun.numerics.compile import barrier, kernel, share
 from cqrun.numerics.tensor import add
@@ -22,25 +22,17 @@ FAR = 1e300
 def watch_pairs(meeting: Meeting, run: NodeRun, u: Array, crew: Crew) -> bool:
     """Find the facets near points again if nodes have moved too far; return whether that was done."""
     pairs, points = meeting.pairs, meeting.surface.points
-    lo, hi = share(len(points.nodes), crew.thread, crew.n_threads)
-    most = 0.0
-    for k in range(lo, hi):
-        n, square = points.nodes[k], 0.0
-        for d in range(3):
-            square += (u[n, d] - pairs.mark[k, d]) ** 2
-        most = max(most, square)
+    most = farthest(points, u, pairs.mark, crew)
     pairs.moved[crew.thread] = most
     barrier(run.arrivals, crew.n_threads)
     for thread in range(crew.n_threads):
         most = max(most, pairs.moved[thread])
     if not most > pairs.reach**2:
         return False
-    for k in range(lo, hi):
-        for d in range(3):
-            pairs.mark[k, d] = u[points.nodes[k], d]
+    set_mark(points, u, pairs.mark, crew)
     lo, hi = share(len(pairs.flag), crew.thread, crew.n_threads)
     for s in range(lo, hi):
-        put(meeting.x, s, add(at_rest(meeting.surface, s), place(meeting.surface, s, u, 1, 0)))
+        put(meeting.x, s, add(row(meeting.surface.rest, s), place(points, s, u, 1, 0)))
     barrier(run.arrivals, crew.n_threads)
     if crew.thread == 0:
         bound_bodies(meeting)
@@ -198,11 +190,5 @@ def list_pairs(meeting: Meeting) -> None:
         if pairs.flag[s]:
             pairs.active[count] = s
             count += 1
-    pairs.count[1], count = count, 0
-    for k in range(len(points.nodes)):
-        for index in range(points.begin[k], points.begin[k + 1]):
-            if pairs.flag[points.point[index]]:
-                pairs.nodes[count] = k
-                count += 1
-                break
-    pairs.count[2] = count
+    pairs.count[1] = count
+    list_movers(pairs.movers, points, pairs.flag)

@@ -46,6 +46,10 @@ FLOAT32_STEPS = 64
 """Substeps after which a reversed run in float32 starts again, because its rounding is coarse."""
 
 
+LOOK_FOR_CONTACT = 64
+"""Substeps after which a run that may be reversed looks whether contact has made that impossible."""
+
+
 class ReferenceRollout(Rollout):
     """Run one model in the reference frame; see `Rollout`.
 
@@ -171,9 +175,8 @@ class ReferenceRollout(Rollout):
         clear_slid(self.contacts)
         for begin in range(0, n_steps, every):
             snapshots.append(current[0].copy())
-            self.advance(begin, min(begin + every, n_steps), current, keep=False)
-            if has_slid(self.contacts):
-                self.kept_because = "bodies slide on obstacles"
+            if not self._advance_freely(begin, min(begin + every, n_steps), current):
+                self.kept_because = "contact has friction or a dashpot"
                 return super().gradients(loss_bars)
         self.plan = self._backwards_plan()
         self.final = current[0]
@@ -187,6 +190,15 @@ class ReferenceRollout(Rollout):
                 state = snapshots[k][None].copy()
         self.growth_at = max((sweep.growth for sweep in sweeps), default=(0.0, -1))[1]
         return records, sweeps
+
+    def _advance_freely(self, begin: int, end: int, states: Array) -> bool:
+        """Run substeps begin .. end, but stop soon after contact that cannot be reversed; return whether it ended."""
+        steps = LOOK_FOR_CONTACT if any(self.contacts) else max(1, end - begin)
+        for at in range(begin, end, steps):
+            self.advance(at, min(at + steps, end), states, keep=False)
+            if has_slid(self.contacts):
+                return False
+        return True
 
     def _backwards_plan(self) -> Plan:
         every = self._refresh()

@@ -172,7 +172,7 @@ def reverse(
         press_each_vjp(pairs, run, bars, at.v, colours, crew)
         pull_each_vjp(loads, drive, levels_bar, run, bars, at, crew)
         haunt_each_vjp(ghosts, run, bars, crew)
-        touch_all_vjp(contacts, run, bars, at, crew)
+        touch_all_vjp(contacts, run, bars, at, reversed_, crew)
         end_vjp(conditions, run, bars, at, reversed_, crew)
         barrier(run.arrivals, crew.n_threads)
         if reversed_:

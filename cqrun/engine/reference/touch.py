@@ -10,7 +10,19 @@ from __future__ import annotations
 from typing import Any
 
 from cqrun.boundaries.solid import ZERO, signed_distance
-from cqrun.engine.reference.contact import Contact, Obstacles, Surface
+from cqrun.engine.reference.contact import Contact, Obstacles
+from cqrun.engine.reference.facet import row
+from cqrun.engine.reference.movers import (
+    farthest,
+    list_movers,
+    load_spring,
+    place,
+    places,
+    put,
+    set_mark,
+    share_out,
+    store_spring,
+)
 from cqrun.engine.reference.rub import push, push_vjp, rub, rub_vjp
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
 from cqrun.engine.setting import Crew
@@ -19,46 +31,6 @@ from cqrun.numerics.tensor import add, dot, scale, sub
 from cqrun.plugin.contract import Array
 
 FAR = 1e300
-
-
-@kernel
-def place(surface: Surface, s: int, u: Array, stride: int, first: int) -> Any:
-    """Return sum_n w_sn u_n of a point; node n has row n * stride + first."""
-    points, a, b, c = surface.points, 0.0, 0.0, 0.0
-    for k in range(points.node.shape[1]):
-        w, n = points.weight[s, k], points.node[s, k] * stride + first
-        a, b, c = a + w * u[n, 0], b + w * u[n, 1], c + w * u[n, 2]
-    return a, b, c
-
-
-@kernel
-def at_rest(surface: Surface, s: int) -> Any:
-    """Return a point's position at rest."""
-    return surface.rest[s, 0], surface.rest[s, 1], surface.rest[s, 2]
-
-
-@kernel
-def put(a: Array, s: int, value: Any) -> None:
-    """Write a vector."""
-    a[s, 0], a[s, 1], a[s, 2] = value
-
-
-@kernel
-def load_spring(u: Array, v: Array, row: int, s: int) -> Any:
-    """Return the spring of a point, whose rows begin at `row`."""
-    i = row + s // 2
-    if s % 2 == 0:
-        return float(u[i, 0]), float(u[i, 1]), float(u[i, 2])
-    return float(v[i, 0]), float(v[i, 1]), float(v[i, 2])
-
-
-@kernel
-def store_spring(u: Array, v: Array, row: int, s: int, value: Any) -> None:
-    """Write the spring of a point."""
-    if s % 2 == 0:
-        put(u, row + s // 2, value)
-    else:
-        put(v, row + s // 2, value)
 
 
 @kernel
@@ -76,52 +48,31 @@ def to_surface(obstacles: Obstacles, o: int, x: Any) -> Any:
 def watch(contact: Contact, run: NodeRun, u: Array, crew: Crew) -> bool:
     """Find the points near obstacles again if nodes have moved too far; return whether that was done."""
     near, points = contact.near, contact.surface.points
-    lo, hi = share(len(points.nodes), crew.thread, crew.n_threads)
-    most = 0.0
-    for k in range(lo, hi):
-        n, square = points.nodes[k], 0.0
-        for d in range(3):
-            square += (u[n, d] - near.mark[k, d]) ** 2
-        most = max(most, square)
+    most = farthest(points, u, near.mark, crew)
     near.moved[crew.thread] = most
     barrier(run.arrivals, crew.n_threads)
     for thread in range(crew.n_threads):
         most = max(most, near.moved[thread])
     if not most > near.reach**2:
         return False
-    for k in range(lo, hi):
-        for d in range(3):
-            near.mark[k, d] = u[points.nodes[k], d]
+    set_mark(points, u, near.mark, crew)
     lo, hi = share(len(near.flag), crew.thread, crew.n_threads)
     for s in range(lo, hi):
-        x, least = add(at_rest(contact.surface, s), place(contact.surface, s, u, 1, 0)), FAR
+        x, least = add(row(contact.surface.rest, s), place(points, s, u, 1, 0)), FAR
         for o in range(len(contact.obstacles.dashpot)):
             least = min(least, to_surface(contact.obstacles, o, x)[0])
         near.flag[s] = least < near.margin
     barrier(run.arrivals, crew.n_threads)
     if crew.thread == 0:
-        list_near(contact)
+        count = 0
+        for s in range(len(near.flag)):
+            if near.flag[s]:
+                near.points[count] = s
+                count += 1
+        near.count[0] = count
+        list_movers(near.movers, points, near.flag)
     barrier(run.arrivals, crew.n_threads)
     return True
-
-
-@kernel
-def list_near(contact: Contact) -> None:
-    """List the points that are near, and the nodes that move them."""
-    near, points = contact.near, contact.surface.points
-    count = 0
-    for s in range(len(near.flag)):
-        if near.flag[s]:
-            near.points[count] = s
-            count += 1
-    near.count[0], count = count, 0
-    for k in range(len(points.nodes)):
-        for index in range(points.begin[k], points.begin[k + 1]):
-            if near.flag[points.point[index]]:
-                near.nodes[count] = k
-                count += 1
-                break
-    near.count[1] = count
 
 
 @kernel
@@ -150,55 +101,37 @@ def press_point(contact: Contact, s: int, x: Any, v: Any, spring: Any, dt: float
 @kernel
 def touch(contact: Contact, run: NodeRun, at: NodeStep, u_next: Array, keep: bool, crew: Crew) -> None:
     """Add the forces of obstacles to `run.force`, and write the springs after the substep."""
-    surface, obstacles, near, row = contact.surface, contact.obstacles, contact.near, len(run.nodes.mass)
+    surface, obstacles, near, first = contact.surface, contact.obstacles, contact.near, len(run.nodes.mass)
     changed = watch(contact, run, at.u, crew)
     if keep or changed:
-        relax_others(contact, row, u_next, at.v_next, crew)
+        relax_others(contact, first, u_next, at.v_next, crew)
     if near.count[0] == 0:
         return
     lo, hi = share(near.count[0], crew.thread, crew.n_threads)
     for index in range(lo, hi):
         s, spring = near.points[index], ZERO
-        x, v = add(at_rest(surface, s), place(surface, s, at.u, 1, 0)), place(surface, s, at.v, 1, 0)
+        x, v = places(surface.points, surface.rest, s, at.u, at.v)
         if obstacles.springs > 0:
-            spring = load_spring(at.u, at.v, row, s)
+            spring = load_spring(at.u, at.v, first, s)
         force, after, slid = press_point(contact, s, x, v, spring, run.setting.dt)
         put(contact.force, s, force)
         if obstacles.springs > 0:
-            store_spring(u_next, at.v_next, row, s, after)
+            store_spring(u_next, at.v_next, first, s, after)
         if slid:
             contact.slid[crew.thread] = 1
     barrier(run.arrivals, crew.n_threads)
-    share_out(contact, contact.force, run.force, 1, 0, crew)
+    share_out(contact.near.movers, contact.force, run.force, 1, 0, crew)
     barrier(run.arrivals, crew.n_threads)
 
 
 @kernel
-def relax_others(contact: Contact, row: int, u: Array, v: Array, crew: Crew) -> None:
+def relax_others(contact: Contact, first: int, u: Array, v: Array, crew: Crew) -> None:
     """Set the springs of all points that are not near to zero."""
     if contact.obstacles.springs > 0:
         lo, hi = share(len(contact.near.flag), crew.thread, crew.n_threads)
         for s in range(lo, hi):
             if not contact.near.flag[s]:
-                store_spring(u, v, row, s, ZERO)
-
-
-@kernel
-def share_out(contact: Contact, value: Array, out: Array, stride: int, first: int, crew: Crew) -> None:
-    """Add the near points' numbers (S, 3) to the nodes: node n has row n * stride + first of `out`."""
-    near, points = contact.near, contact.surface.points
-    lo, hi = share(near.count[1], crew.thread, crew.n_threads)
-    for place_ in range(lo, hi):
-        k = near.nodes[place_]
-        n, a, b, c = points.nodes[k] * stride + first, 0.0, 0.0, 0.0
-        for index in range(points.begin[k], points.begin[k + 1]):
-            s = points.point[index]
-            if near.flag[s]:
-                w = points.share[index]
-                a, b, c = a + w * value[s, 0], b + w * value[s, 1], c + w * value[s, 2]
-        out[n, 0] += a
-        out[n, 1] += b
-        out[n, 2] += c
+                store_spring(u, v, first, s, ZERO)
 
 
 @kernel
@@ -241,42 +174,42 @@ def press_point_vjp(
 
 
 @kernel
-def touch_vjp(contact: Contact, run: NodeRun, bars: NodeBars, at: NodeStep, crew: Crew) -> None:
+def touch_vjp(contact: Contact, run: NodeRun, bars: NodeBars, at: NodeStep, reversed_: bool, crew: Crew) -> None:
     """Run the adjoint at bars.pairs: add to the cotangents of displacements in `bars.sums`, and to those of springs.
 
-    As in `press_unit_vjp`, the forces are added to the second record of a node if nothing depends on rates. The
-    cotangents of velocities wait for `touch_rates_vjp`.
+    In a reversed run, the forces are added to the second record of a node, as in `press_unit_vjp`. The cotangents of
+    velocities wait for `touch_rates_vjp`.
     """
-    surface, obstacles, near, row = contact.surface, contact.obstacles, contact.near, len(run.nodes.mass)
+    surface, obstacles, near, first = contact.surface, contact.obstacles, contact.near, len(run.nodes.mass)
     if watch(contact, run, at.u, crew):
-        relax_others(contact, row, bars.u, bars.v, crew)
+        relax_others(contact, first, bars.u, bars.v, crew)
     if near.count[0] == 0:
         return
     lo, hi = share(near.count[0], crew.thread, crew.n_threads)
     for index in range(lo, hi):
         s, spring, after_bar = near.points[index], ZERO, ZERO
-        x, v = add(at_rest(surface, s), place(surface, s, at.u, 1, 0)), place(surface, s, at.v, 1, 0)
-        force_bar = place(surface, s, bars.pairs, 2, 1)
+        x, v = places(surface.points, surface.rest, s, at.u, at.v)
+        force_bar = place(surface.points, s, bars.pairs, 2, 1)
         if obstacles.springs > 0:
-            spring, after_bar = load_spring(at.u, at.v, row, s), load_spring(bars.u, bars.v, row, s)
-        force, _, _ = press_point(contact, s, x, v, spring, run.setting.dt)
+            spring, after_bar = load_spring(at.u, at.v, first, s), load_spring(bars.u, bars.v, first, s)
+        if reversed_:
+            put(contact.force, s, press_point(contact, s, x, v, spring, run.setting.dt)[0])
         x_bar, v_bar, spring_bar = press_point_vjp(contact, s, x, v, spring, run.setting.dt, force_bar, after_bar)
-        put(contact.force, s, force)
         put(contact.u_bar, s, x_bar)
         put(contact.v_bar, s, v_bar)
         if obstacles.springs > 0:
-            store_spring(bars.u, bars.v, row, s, spring_bar)
+            store_spring(bars.u, bars.v, first, s, spring_bar)
     barrier(run.arrivals, crew.n_threads)
-    share_out(contact, contact.u_bar, bars.sums, 2, 0, crew)
-    if not run.setting.rates:
-        share_out(contact, contact.force, bars.sums, 2, 1, crew)
+    share_out(contact.near.movers, contact.u_bar, bars.sums, 2, 0, crew)
+    if reversed_:
+        share_out(contact.near.movers, contact.force, bars.sums, 2, 1, crew)
     barrier(run.arrivals, crew.n_threads)
 
 
 @kernel
 def touch_rates_vjp(contact: Contact, run: NodeRun, bars: NodeBars, crew: Crew) -> None:
     """Add the cotangents of velocities, which `touch_vjp` has found."""
-    share_out(contact, contact.v_bar, bars.v, 1, 0, crew)
+    share_out(contact.near.movers, contact.v_bar, bars.v, 1, 0, crew)
     barrier(run.arrivals, crew.n_threads)
 
 
