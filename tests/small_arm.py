@@ -1,4 +1,4 @@
-"""A soft 2D arm at rest, with two cables and a load at its tip, and recordings of its poses that the model makes."""
+"""A soft 2D arm at rest, with two cables and a load at its tip, and recordings of its poses made by the model."""
 
 from __future__ import annotations
 
@@ -107,10 +107,8 @@ def markers_text() -> str:
 def scene_of(folder: Path, recordings: str, unknowns: str = "", name: str = "arm.yaml") -> Path:
     """Write a scene that is fitted to recordings, which are lines of YAML, and return its file."""
     file, bounds = folder / name, unknowns or f"  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}\n"
-    file.write_text(
-        f"{ARM}data:\n  recordings:\n{recordings}unknowns:\n{bounds}"
-        "optimizer: {least_squares: {max_iterations: 15}}\n"
-    )
+    optimizer = "optimizer: {least_squares: {max_iterations: 15}}\n"
+    file.write_text(f"{ARM}data:\n  recordings:\n{recordings}unknowns:\n{bounds}{optimizer}")
     return file
 
 

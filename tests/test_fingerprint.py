@@ -69,7 +69,7 @@ AFTERWARDS = {
 def test_every_job_that_computes_a_run_is_listed():
     """Otherwise a run that another engine started would continue and mix the results of two engines."""
     package = Path(fingerprint.__file__).parent
-    uses = re.compile(r"^\s*(import numpy|from cqrun\.(engine\.rollout|design\.params))", re.MULTILINE)
+    uses = re.compile(r"^\s*(import numpy|from cqrun\.(engine\.(rollout|frames)|design\.params))", re.MULTILINE)
     sources = [*(package / "jobs").rglob("*.py"), *(package / "running").rglob("*.py")]
     computing = {p.stem for p in sources if uses.search(p.read_text())}
     listed = {Path(entry).stem for entry in fingerprint.NUMERIC if entry.startswith(("jobs/", "running/"))}

@@ -18,6 +18,7 @@ from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.jobs.control import run_codesign, run_control
 from cqrun.jobs.gradcheck import run_gradcheck
+from cqrun.jobs.rest import REST
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.table import report_lines
@@ -129,6 +130,8 @@ FROM_FILES = ("rhino", "creature")
 """Robots from our own image or mesh, whose number of particles is only nearly that of the papers."""
 
 scene_files = pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+MOVING = [path for path in SCENES if path.parent.name != "rest"]  # rest has no time
+moving_scenes = pytest.mark.parametrize("path", MOVING, ids=lambda path: path.stem)
 
 
 def recorded(scene: Scene, folder: Path) -> list[str]:
@@ -246,6 +249,17 @@ def of_job(*jobs: str) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("path", [p for p in SCENES if p.parent.name in jobs], ids=lambda path: path.stem)
 
 
+@of_job("rest")
+def test_a_path_has_an_equilibrium_at_every_point(path, tmp_path):
+    coarse = ["world.dx=0.01"]
+    run = REST.run(path, coarse, tmp_path, threads=1)
+    result = result_of(run)
+    assert result["status"] == "done"
+    assert result["findings"] == []
+    assert all(point["residual"] < 1e-8 for point in result["points"])
+    assert next(iter(report_lines(run))).startswith("done: ")
+
+
 @of_job("control", "codesign")
 def test_a_shortened_scene_learns(path, tmp_path):
     overrides = [*shortened(path, tmp_path), *loosened(path)]
@@ -280,7 +294,7 @@ def test_a_shortened_identification_runs(path, tmp_path):
     assert report_lines(run)
 
 
-@scene_files
+@moving_scenes
 def test_a_shortened_scene_is_simulated(path, tmp_path):
     result = result_of(run_simulate(path, shortened(path, tmp_path), tmp_path, threads=1))
     assert result["status"] == "done"
@@ -303,7 +317,7 @@ def test_walkers_stand_on_the_floor_in_gradient_checks(name):
     assert x[:, 1].min() - ground < 1.5 * dx
 
 
-@scene_files
+@moving_scenes
 def test_the_gradient_of_a_scene_agrees_with_differences(path, tmp_path):
     scene = load_scene(path)
     # a controller needs a few steps until its effect exceeds rounding

@@ -50,6 +50,9 @@ class BoundaryCondition(Plugin):
     """A condition on grid nodes: on faces of the world, or in a region."""
 
     needs_normal: ClassVar[bool] = True
+    is_obstacle: ClassVar[bool] = False
+    """Whether bodies of the reference frame touch it; else it holds the nodes that it has at rest."""
+
     face: Face | None = Field(description="Face of the world, or all faces", default=None)
     region: Annotated[Chosen[Plugin], Choice("region")] | None = Field(
         description="Region whose nodes it applies to", default=None

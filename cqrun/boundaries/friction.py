@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cqrun.boundaries.condition import BoundaryCondition, register
+from cqrun.boundaries.condition import register
+from cqrun.boundaries.obstacle import Obstacle
 from cqrun.numerics.tensor import add, dot, scale, sub
 from cqrun.plugin.contract import quantity
 from cqrun.plugin.registry import plugin
@@ -29,7 +30,7 @@ class FrictionKernel(NamedTuple):
 
 
 @plugin("boundary", "friction")
-class Friction(BoundaryCondition):
+class Friction(Obstacle):
     """A wall with Coulomb friction, from which bodies can separate; coefficient 0 is `separate`."""
 
     coefficient: float = quantity("1", "Coulomb friction coefficient", differentiable=True, ge=0)

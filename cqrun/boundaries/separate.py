@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from cqrun.boundaries.condition import BoundaryCondition, register
+from cqrun.boundaries.condition import register
+from cqrun.boundaries.obstacle import Obstacle
 from cqrun.numerics.tensor import dot, scale, sub
 from cqrun.plugin.registry import plugin
 
@@ -17,7 +18,7 @@ class SeparateKernel(NamedTuple):
 
 
 @plugin("boundary", "separate")
-class Separate(BoundaryCondition):
+class Separate(Obstacle):
     """A frictionless wall, from which bodies can separate: v - min(v . n, 0) n."""
 
     def kernel_condition(self, normal: Any) -> SeparateKernel:

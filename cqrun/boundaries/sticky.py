@@ -1,11 +1,16 @@
-"""Sticky: the node does not move, v = 0, in any direction (CQ1, boundary parameter -1)."""
+"""Sticky: the node does not move, v = 0, in any direction (CQ1, boundary parameter -1).
+
+In the reference frame it may carry its nodes to another place (engine/reference/moves.py).
+"""
 
 from __future__ import annotations
 
 from typing import Any, ClassVar, NamedTuple
 
 from cqrun.boundaries.condition import BoundaryCondition, register
+from cqrun.explain import Loc
 from cqrun.numerics.tensor import scale
+from cqrun.plugin.contract import quantity, vector
 from cqrun.plugin.registry import plugin
 
 
@@ -21,6 +26,45 @@ class Sticky(BoundaryCondition):
     """Clamped nodes: v = 0 in all directions."""
 
     needs_normal: ClassVar[bool] = False
+    displacement: list[float] | None = vector(
+        "m", "Displacement to which it carries its nodes, in the reference frame", differentiable=True, default=None,
+        exclude_if=lambda value: value is None,
+    )  # fmt: skip
+    rotation: list[float] | None = quantity(
+        "rad", "Rotation to which it carries its nodes: an angle in 2D, a rotation vector in 3D", differentiable=True,
+        default=None, min_length=1, max_length=3, exclude_if=lambda value: value is None,
+    )  # fmt: skip
+    center: list[float] | None = vector(
+        "m", "Centre of the rotation at rest; the mean of the held nodes if absent", default=None,
+        exclude_if=lambda value: value is None,
+    )  # fmt: skip
+    over: float | None = quantity(
+        "s", "Time in which it gets there, at constant speed; the whole run if absent", gt=0, default=None,
+        exclude_if=lambda value: value is None,
+    )  # fmt: skip
+
+    @property
+    def moves(self) -> bool:
+        """Whether it carries its nodes anywhere."""
+        return self.displacement is not None or self.rotation is not None
+
+    def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
+        """Return what does not fit a world of `dim` dimensions, and fields without a use."""
+        problems, turns = super().dim_problems(dim), 1 if dim == 2 else 3
+        if self.rotation is not None and len(self.rotation) != turns:
+            problems.append(
+                (("rotation",), f"must have {turns} entries in this {dim}D world, has {len(self.rotation)}")
+            )
+        for name, needs in (("center", self.rotation is not None), ("over", self.moves)):
+            if getattr(self, name) is not None and not needs:
+                what = "rotation" if name == "center" else "displacement or rotation"
+                problems.append(((name,), f"has no effect without `{what}`: give one, or remove it"))
+        return problems
+
+    def carried_to(self, dim: int) -> list[float]:
+        """Return displacement and rotation in one list, of zeros where they are absent."""
+        turns = 1 if dim == 2 else 3
+        return [*(self.displacement or [0.0] * dim), *(self.rotation or [0.0] * turns)]
 
     def kernel_condition(self, normal: Any) -> StickyKernel:
         return StickyKernel(normal, 0.0)

@@ -26,6 +26,7 @@ from cqrun.loads.load import Load
 from cqrun.objectives.design import DESIGN, MASS, RATIO, STIFFNESS, VOLUME
 from cqrun.plugin.contract import Array, Plugin, is_differentiable
 from cqrun.scene.schema import Scene
+from cqrun.scene.world_and_time import BodyContact
 from cqrun.state import ParticleFields, State
 
 
@@ -132,7 +133,7 @@ class Assembly:
         drive = self.actuation
         return Inputs(
             state, fields, self._terms(values), drive.activations(self.sequence, values), drive.strengths(values),
-            self._coefficients(values), drive.weights(values), drive.rest_lengths(x),
+            self._coefficients(values), drive.weights(values), drive.rest_lengths(x), self._moves(values),
         )  # fmt: skip
 
     def gradient(self, values: Values, bar: Inputs) -> dict[str, Array]:
@@ -147,6 +148,7 @@ class Assembly:
         self.actuation.strengths_vjp(bar.strength, out)
         self.actuation.weights_vjp(bar.weights, out)
         self._coefficients_vjp(values, bar, out)
+        self._moves_vjp(bar, out)
         return out
 
     # --- masses and loads -------------------------------------------------------------------------------------
@@ -277,12 +279,30 @@ class Assembly:
             planes += [(f"boundaries.{name}.{chosen.name}", spec)] * len(places)
         return planes
 
+    def _rubbing(self) -> list[tuple[str, Any]]:
+        """Return path and spec of every plane, and of bodies that meet each other."""
+        contact = self.scene.world.contact or BodyContact()
+        return [*self._planes(), *[("world.contact", contact)] * self.scene.bodies_meet]
+
     def _coefficients(self, values: Values) -> Array:
-        return np.array([getattr(updated(s, path, values), "coefficient", 0.0) for path, s in self._planes()])
+        return np.array([getattr(updated(s, path, values), "coefficient", 0.0) for path, s in self._rubbing()])
 
     def _coefficients_vjp(self, values: Values, bar: Inputs, out: dict[str, Array]) -> None:
-        for (path, _), coefficient_bar in zip(self._planes(), bar.coefficients, strict=True):
+        for (path, _), coefficient_bar in zip(self._rubbing(), bar.coefficients, strict=True):
             collect(path, {"coefficient": coefficient_bar}, out)
+
+    def _moves(self, values: Values) -> Array:
+        """Return displacement and rotation of every plane (planes, D + 1) or (planes, 6)."""
+        dim = self.scene.dim
+        specs = [updated(spec, path, values) for path, spec in self._planes()]
+        rows = [spec.carried_to(dim) if hasattr(spec, "carried_to") else [0.0] * (3 * dim - 3) for spec in specs]
+        return np.array(rows).reshape(len(specs), 3 * dim - 3)
+
+    def _moves_vjp(self, bar: Inputs, out: dict[str, Array]) -> None:
+        dim = self.scene.dim
+        for (path, spec), row in zip(self._planes(), bar.moves, strict=True):
+            if getattr(spec, "moves", False):
+                collect(path, {"displacement": row[:dim], "rotation": row[dim:]}, out)
 
 
 def require_complete(load: Load, path: str, cotangents: Mapping[str, Any], out: dict[str, Array]) -> None:

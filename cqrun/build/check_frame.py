@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from cqrun.build.contact import unknown_surfaces
 from cqrun.build.particles import Particles
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.setting import MARGIN, grid_shape
 from cqrun.errors import Problem
-from cqrun.explain import listed
 from cqrun.scene.paths import shapes_a_body
 from cqrun.scene.schema import Scene
 
@@ -28,19 +28,50 @@ WAY_OUT = "use `world.frame: updated`"
 def frame_problems(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> list[Problem]:
     """Return what a scene asks of the reference frame that this frame cannot do."""
     if scene.world.frame != "reference":
-        return []
-    found = [*_contact(scene), *_holds(scene, particles, conditions), *_thin(scene, particles), *_shapes(scene)]
+        found = list(_elsewhere(scene))
+        return [Problem(scene.where(path), path, message) for path, message in found]
+    found = [
+        *unknown_surfaces(scene),
+        *_holds(scene, particles, conditions),
+        *_thin(scene, particles),
+        *_shapes(scene),
+        *_at_rest(scene),
+    ]
     return [Problem(scene.where(path), path, message) for path, message in found]
 
 
-def _contact(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield bodies and boundaries that would have to meet."""
-    if len(scene.bodies) > 1:
-        yield "bodies", f"{listed(scene.bodies)} pass through each other in the reference frame: {WAY_OUT}"
+def _elsewhere(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield what only the reference frame can do."""
+    if scene.world.contact is not None:
+        yield "world.contact", "acts in the reference frame alone: set `world.frame: reference`"
+    for name, chosen in scene.boundaries.items():
+        if getattr(chosen.value, "moves", False):
+            yield f"boundaries.{name}.{chosen.name}", "moves in the reference frame alone: set `world.frame: reference`"
+    if scene.start == "equilibrium":
+        yield "start", "is found in the reference frame alone: set `world.frame: reference`"
+
+
+def _at_rest(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield bodies that cannot both start at rest and move."""
+    if scene.start == "equilibrium":
+        for path, kind in touched(scene):
+            yield "start", f"an equilibrium does not feel `{kind}` boundaries yet ({path}): remove them, or `start`"
+        if scene.bodies_meet:
+            yield "start", "bodies do not feel each other in an equilibrium yet: use one body, or remove `start`"
+        for name, body in scene.bodies.items():
+            for key in ("velocity", "spin"):
+                if any(getattr(body, key)):
+                    yield (
+                        f"bodies.{name}.{key}",
+                        "has no effect with `start: equilibrium`, where all bodies start at rest",
+                    )
+
+
+def touched(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield the key path and the kind of every boundary that bodies touch, in place of being held by it."""
     for name, chosen in scene.boundaries.items():
         if chosen.name not in HOLDS:
-            path = f"boundaries.{name}.{chosen.name}"
-            yield path, f"bodies do not meet boundaries in the reference frame, which only clamps them: {WAY_OUT}"
+            yield f"boundaries.{name}.{chosen.name}", chosen.name
 
 
 def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionModel]) -> Iterator[tuple[str, str]]:
@@ -54,7 +85,7 @@ def _holds(scene: Scene, particles: Particles, conditions: Sequence[ConditionMod
                 path,
                 (
                     "holds no particle at rest, and in the reference frame it holds only what it holds at rest: "
-                    f"move it onto the body, remove it, or {WAY_OUT}"
+                    f"move it onto the body, make it `friction` or `separate`, which bodies touch, or {WAY_OUT}"
                 ),
             )
 

@@ -7,6 +7,10 @@ z = (4/3 eta + zeta) / (rho c dx), explicit integration is stable up to
 
 which is the Courant limit dx / c without viscosity, and the diffusive limit for z >> 1. Particles: |v| dt < dx / 2.
 For particles that start from rest and are accelerated directly by a, this becomes a dt^2 / 2 < dx / 2.
+
+Contact adds a spring and a dashpot to the nodes at a surface. An oscillator x'' = -w^2 x - r x', whose velocity is
+stepped first, is stable up to w^2 dt^2 + 2 r dt = 4. Its w^2 is that of the fastest wave, (2 / dt_wave)^2, plus that of
+the spring.
 """
 
 from __future__ import annotations
@@ -59,6 +63,18 @@ def motion_limit(part: str, dx: float, v: Array) -> Limit | None:
 def push_limit(part: str, dx: float, acceleration: float) -> Limit | None:
     """Return the bound for an acceleration: in one substep from rest, particles must move less than half a cell."""
     return Limit(part, float(np.sqrt(dx / acceleration))) if acceleration > 0 else None
+
+
+def contact_limit(part: str, wave: Limit, square: float, rate: float) -> Limit:
+    """Return the bound of a body in contact.
+
+    Args:
+        wave: the bound of the body's waves.
+        square: squared frequency of its nodes on the springs of contact [1/s^2].
+        rate: at which dashpots damp it [1/s].
+    """
+    total = (2.0 / wave.dt) ** 2 + square
+    return Limit(part, float(4.0 / (rate + np.sqrt(rate**2 + 4.0 * total))))
 
 
 def auto_substeps(control_step: float, limits: list[Limit]) -> int:

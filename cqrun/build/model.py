@@ -15,6 +15,7 @@ from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_frame import frame_problems
 from cqrun.build.check_grid import grid_warnings
 from cqrun.build.check_units import require_possible_plan, unit_questions
+from cqrun.build.contact import contact_limits, contact_parts
 from cqrun.build.history import fields_of
 from cqrun.build.limits import (
     MOST_SUBSTEPS,
@@ -99,6 +100,7 @@ def build(scene: Scene) -> Built:
     conditions = _conditions(scene)
     if problems := frame_problems(scene, particles, conditions):
         raise SceneError(problems)
+    surface, obstacles, meeting, conditions = contact_parts(scene, particles, assembly, conditions)
     warnings += grid_warnings(scene, particles, conditions)
     model = Model(
         size=np.array(scene.world.size),
@@ -115,6 +117,10 @@ def build(scene: Scene) -> Built:
         real=np.dtype(scene.precision).type,
         memory_budget=scene.memory,
         frame=scene.world.frame,
+        settled=scene.start == "equilibrium",
+        surface=surface,
+        obstacles=obstacles,
+        meeting=meeting,
         n_nodes=count_nodes(particles.layout, particles.x, scene.world.dx) if scene.world.frame == "reference" else 0,
     )
     return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))
@@ -182,8 +188,8 @@ def _groups(scene: Scene, particles: Particles, assembly: Assembly) -> tuple[Gro
         makers = tuple(spec.kernel_term for spec in specs)
         active = dict.fromkeys(part.model.kernel for part in parts if part.spec.body in names)
         history = tuple(tuple(field.name for field in fields_of(spec, scene.dim)) for spec in specs)
-        shear = tuple(spec.shear_modulus for spec in specs)
-        groups.append(GroupModel(tuple(indices), makers, tuple(active), history, shear))
+        shear, wave = tuple(spec.shear_modulus for spec in specs), tuple(spec.wave_modulus for spec in specs)
+        groups.append(GroupModel(tuple(indices), makers, tuple(active), history, shear, wave))
     return tuple(groups)
 
 
@@ -192,7 +198,8 @@ def _conditions(scene: Scene) -> tuple[ConditionModel, ...]:
     for name, chosen in scene.boundaries.items():
         spec: Any = boundary(scene, name)
         planes = conditions_of(name, spec, np.array(scene.world.size), scene.world.dx)
-        if not any(plane.nodes.any() for plane in planes):
+        touched = scene.world.frame == "reference" and spec.is_obstacle
+        if not touched and not any(plane.nodes.any() for plane in planes):
             path = f"boundaries.{name}.{chosen.name}.region"
             message = f"holds no grid node: it is thinner than a cell of {scene.world.dx:g} m, or outside the world"
             raise SceneError([Problem(scene.where(path), path, message)])
@@ -244,7 +251,7 @@ def _limits(scene: Scene, particles: Particles, assembly: Assembly, values: dict
         part = particles.of(name)
         density, modulus, viscosity = assembly.stiffness(name, values)
         limit = wave_limit(f"bodies.{name}.material", scene.world.dx, density, modulus + active[part], viscosity)
-        limits.append(limit)
+        limits += [limit, *contact_limits(scene, particles, assembly, name, density, limit)]
         moving = motion_limit(f"bodies.{name}.velocity", scene.world.dx, assembly.velocities(name, values))
         limits += [moving] if moving else []
         lightest = float(density.min()) * scene.world.dx**scene.dim

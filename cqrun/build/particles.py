@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,7 @@ class Particles:
             `unit_mass`.
         spacing: distance between the particles of each body [m].
         warnings: what a user should know.
+        found: what was found from the particles, and is expensive to find again.
     """
 
     names: tuple[str, ...]
@@ -52,6 +53,7 @@ class Particles:
     room: Array
     spacing: dict[str, float]
     warnings: tuple[Problem, ...]
+    found: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def of(self, body: str) -> slice:
         """Return the slice of a body's particles."""
@@ -109,7 +111,9 @@ def sample(scene: Scene) -> Particles:
     problems = geometry_problems(scene, points)
     if problems:
         raise SceneError(problems)
-    warnings += [*sparse_bodies(scene, volumes), *bodies_too_close(scene, points, volumes)]
+    warnings += sparse_bodies(scene, volumes)
+    if not scene.bodies_meet:  # with nodes of their own they do not stick together
+        warnings += bodies_too_close(scene, points, volumes)
     warnings += [*volume_errors(scene, points, volumes), *walls_outside(scene), *planes_between_nodes(scene)]
     room = {name: np.ones(len(volumes[name])) for name in names}
     for name in names:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.boundaries.condition import BoundaryCondition
+from cqrun.boundaries.solid import Solid
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.geometry.named import Named
 from cqrun.geometry.region import Region
@@ -106,6 +107,9 @@ class _NodeRegion:
     def inside(self, nodes: Array) -> Array:
         return self.region.pick(NodePoints(self.scene, nodes))
 
+    def solids(self) -> list[Solid]:
+        return self.region.solids()
+
 
 def boundary(scene: Scene, name: str) -> BoundaryCondition:
     """Return a boundary whose region, if any, can select nodes: names in it are looked up in the scene.
@@ -115,12 +119,12 @@ def boundary(scene: Scene, name: str) -> BoundaryCondition:
     """
     spec: BoundaryCondition = scene.boundaries[name].value  # type: ignore[assignment]  # by its kind
     region: Chosen[Any] | None = spec.region
-    if region is None or isinstance(region.value, Shape):
-        return spec
-    resolved = _resolved(scene, region)
-    inner: Any = resolved.value if isinstance(resolved.value, Shape) else _NodeRegion(scene, resolved.value)
-    spec = spec.model_copy(update={"region": Chosen(resolved.name, inner)})
-    if spec.lacks_normal:
+    if region is not None and not isinstance(region.value, Shape):
+        resolved = _resolved(scene, region)
+        inner: Any = resolved.value if isinstance(resolved.value, Shape) else _NodeRegion(scene, resolved.value)
+        spec = spec.model_copy(update={"region": Chosen(resolved.name, inner)})
+    touched = scene.world.frame == "reference" and spec.is_obstacle
+    if spec.lacks_normal or (getattr(spec, "only_touched", False) and not touched):
         path = f"boundaries.{name}.{spec.name}"
         raise SceneError([Problem(scene.where(path), path, spec.lack)])
     return spec

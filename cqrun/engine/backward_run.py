@@ -31,7 +31,7 @@ class BackwardRun(ABC):
         self.drive_bar = self._drive_bar()
         zeros = [[np.zeros_like(theta) for theta in group] for group in rollout.inputs.terms]
         self.groups_bar = rollout.kernel_groups(zeros, self.drive_bar)
-        self.coefficient_bar = np.zeros(len(rollout.model.conditions))
+        self.coefficient_bar = np.zeros(rollout.model.n_coefficients)
         self.pairs = tuple(zip(rollout.groups, self.groups_bar, strict=True))
         self.stresses = tuple(zip(rollout.drive.stresses, self.drive_bar.stresses, strict=True))
         self.size_before: dict[int, float] = {}

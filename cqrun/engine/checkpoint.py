@@ -32,6 +32,7 @@ class Plan:
     snapshots: int  # states kept at the start of chunks
     states: int  # largest number of kept states
     recompute: float  # forward substeps of a gradient divided by the substeps of the rollout
+    backwards: bool = False  # whether a gradient runs the motion backwards, and keeps states to start again from only
 
 
 def repetitions(n: int, snapshots: int) -> int:

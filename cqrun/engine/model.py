@@ -17,6 +17,7 @@ from scipy import sparse
 from cqrun.boundaries.condition import BoundaryCondition, NodeNormals, Normal
 from cqrun.engine.probe import make_probe
 from cqrun.engine.setting import Drive, Probe, Stresses, grid_shape, node_positions
+from cqrun.engine.surface import MeetingModel, ObstacleModel, SurfaceModel, count_springs
 from cqrun.forces.force import Kind, Levels, is_force, make_forces
 from cqrun.forces.pulled import make_pulled
 from cqrun.forces.steady import is_steady, make_steady, starts_of
@@ -31,7 +32,8 @@ class GroupModel:
 
     `kernel_terms` make each term's kernel view from its packed parameters theta. `active` are the kinds of active
     stress, terms whose parameters the activations fill. `history` has each term's fields of the state, or is empty.
-    `shear` returns each term's part of the shear modulus (n,) [Pa] from theta (rows, n), or is empty.
+    `shear` and `wave` return each term's part of the shear modulus and of the stiffness of a pressure wave (n,) [Pa]
+    from theta (rows, n), or are empty.
     """
 
     bodies: tuple[int, ...]
@@ -39,6 +41,7 @@ class GroupModel:
     active: tuple[type, ...] = ()
     history: tuple[tuple[str, ...], ...] = ()
     shear: tuple[Callable[[Array], Array], ...] = ()
+    wave: tuple[Callable[[Array], Array], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,10 @@ class Model:
     forces: tuple[ActuatorModel, ...] = ()  # parts of forces without an activation
     frame: str = "updated"  # of the engine (`frames.py`)
     n_nodes: int = 0  # of all bodies, in the reference frame
+    settled: bool = False  # whether the motion starts at equilibrium
+    surface: SurfaceModel | None = None  # of the bodies, in the reference frame
+    obstacles: tuple[ObstacleModel, ...] = ()  # in the reference frame
+    meeting: MeetingModel | None = None  # of bodies with each other, in the reference frame
     spare: list[Array] = field(default_factory=list, repr=False, compare=False)  # free memory for states
     at_rest: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)  # what a frame knows of the rest
 
@@ -101,9 +108,20 @@ class Model:
 
     @property
     def state_bytes(self) -> int:
-        """Bytes of one kept state: of the particles, or in the reference frame u and v of the nodes, 4 numbers each."""
-        numbers = 8 * self.n_nodes if self.frame == "reference" else self.layout.table.n_rows * self.layout.n
+        """Bytes of one kept state: of the particles, or in the reference frame 4 numbers of each node and spring."""
+        rows = self.n_nodes + -(-self.n_springs // 2)
+        numbers = 8 * rows if self.frame == "reference" else self.layout.table.n_rows * self.layout.n
         return int(numbers * np.dtype(self.real).itemsize)
+
+    @property
+    def n_coefficients(self) -> int:
+        """Number of coefficients of friction: of the planes of boundaries, and of bodies that meet."""
+        return len(self.conditions) + (self.meeting is not None)
+
+    @property
+    def n_springs(self) -> int:
+        """Number of tangential springs of contact, which are part of the state."""
+        return count_springs(self.surface, self.obstacles, self.meeting)
 
     @property
     def n_steps(self) -> int:
@@ -191,15 +209,16 @@ class Inputs:
     terms: list[list[Array]]  # [g][k]: parameters (rows, N_g) of term k of group g
     activation: Array  # (T, A) one row per control step
     strength: Array  # of each of `Model.parts`, in its own unit
-    coefficients: Array = field(default_factory=lambda: np.zeros(0))  # of each plane of a boundary condition
+    coefficients: Array = field(default_factory=lambda: np.zeros(0))  # of planes of boundaries, then between bodies
     weights: Array = field(default_factory=lambda: np.zeros(0))  # of each particle of each actuator; all 1 if empty
     rest: Array = field(default_factory=lambda: np.zeros(0))  # length at rest of each part [m]; all 0 if empty
+    moves: Array = field(default_factory=lambda: np.zeros(0))  # (planes, D + 1 or 6) displacement and rotation
 
     @classmethod
     def zeros_like(cls, other: Inputs) -> Inputs:
         """Return a zero cotangent."""
         terms = [[np.zeros_like(theta) for theta in group] for group in other.terms]
-        numbers = (other.activation, other.strength, other.coefficients, other.weights, other.rest)
+        numbers = (other.activation, other.strength, other.coefficients, other.weights, other.rest, other.moves)
         fields = ParticleFields.zeros(*other.state.x.shape)
         return cls(other.state.zeros_like(), fields, terms, *map(np.zeros_like, numbers))
 

@@ -25,10 +25,13 @@ class Rollout(ForwardRun):
 
     Attributes:
         plan: how the last gradient kept its states; None before the first.
+        kept_because: why gradients keep states although the frame could run backwards; empty if they do not.
         growth_at: after gradients with a policy, the control step where one grew most; -1 if no loss depends on the
             motion.
         parameters_bar: after `gradient` with a policy, the cotangent of the policy's parameters.
     """
+
+    kept_because: str = ""
 
     def __init__(
         self, model: Model, inputs: Inputs, *, threads: int = 1, adjoint: bool = False, policy: Policy | None = None
@@ -41,6 +44,14 @@ class Rollout(ForwardRun):
     @abstractmethod
     def backward(self, loss_bar: LossBar) -> BackwardRun:
         """Return the backward run from the cotangents of the results."""
+
+    def remarks(self) -> list[str]:
+        """Return sentences about what a user should know of the motion so far."""
+        return []
+
+    def expected_plan(self) -> Plan:
+        """Return how a gradient would keep its states; raise RunError if it does not fit the memory."""
+        return make_plan(self.model.n_steps, self.state_bytes, self.model.memory_budget)
 
     def gradient(self, loss_bar: Callable[[Records, State], LossBar]) -> tuple[Records, Inputs]:
         """Run forward and backward; return the records and the cotangent of the inputs.
@@ -61,7 +72,7 @@ class Rollout(ForwardRun):
             loss_bars: returns each function's cotangents for the records and the final state; may be an iterator.
         """
         model = self.model
-        plan = self.plan = make_plan(model.n_steps, self.state_bytes, model.memory_budget)
+        plan = self.plan = self.expected_plan()
         with borrowed(model.spare, (plan.states, *self.start.shape), model.real) as states:
             records, sweeps = self._sweep(plan, states, loss_bars)
         self.growth_at = max((sweep.growth for sweep in sweeps), default=(0.0, -1))[1]

@@ -84,6 +84,13 @@ def farthest_frame(frames: Frames) -> int:
 # --- drawing ------------------------------------------------------------------------------------------------
 
 
+def title_of(run: RunData, shot: Snapshot) -> str:
+    """Return the time of a frame in words; a path of equilibria has points in place of times."""
+    if run.job != "rest":
+        return f"t = {shot.time:.4g} s"
+    return "rest shape" if shot.time == 0 else f"point {shot.time:.0f}"
+
+
 def draw_bodies(run: RunData) -> Figure:
     """Return the picture: a column for each frame, a row for each view."""
     with run.frames() as frames:
@@ -103,7 +110,7 @@ def draw_bodies(run: RunData) -> Figure:
             if axes is not panels[row, 0]:
                 axes.set_ylabel("")
             if row == 0:
-                axes.set_title(f"t = {shot.time:.4g} s")
+                axes.set_title(title_of(run, shot))
     colours = figure.colorbar(dots, ax=panels, shrink=0.85, pad=0.015, aspect=28)
     colours.set_label(f"displacement ({unit.name})")
     colours.outline.set_visible(False)

@@ -67,7 +67,7 @@ def _record_effort(run: RunDirectory, problem: FitProblem) -> None:
     if effort.recompute:  # 0 if a resumed run has computed no gradient
         run.log(
             f"gradients: {effort.recompute:.3g} forward substeps for each substep of the rollout, "
-            f"at most {format_bytes(effort.peak)} of kept states"
+            f"at most {format_bytes(effort.peak)} of kept states{effort.way}"
         )
         run.add_facts(gradient={"recompute_factor": effort.recompute, "peak_bytes": effort.peak})
 

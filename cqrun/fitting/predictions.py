@@ -51,7 +51,7 @@ def write_predictions(
     if first is not None:
         interrupt()
         provenance = as_found(values) | first.comparisons[0].wanted()
-        first.runner.write(run.path / "trajectory.h5", first.own_values(values), threads, provenance)
+        result.findings += first.runner.write(run.path / "trajectory.h5", first.own_values(values), threads, provenance)
     return records
 
 

@@ -19,6 +19,7 @@ from cqrun.errors import NoRestError
 from cqrun.explain import listed
 from cqrun.plugin.contract import Array
 from cqrun.running.cost import about
+from cqrun.running.drift import drift_findings
 from cqrun.running.rest_table import rest_frames, write_frame
 from cqrun.running.side_by_side import Effort
 from cqrun.running.trajectories import write_trajectory
@@ -53,8 +54,8 @@ class Runner(Protocol):
         """
         ...
 
-    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> None:
-        """Write a trajectory."""
+    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> list[str]:
+        """Write a trajectory; return sentences about what is notable in it."""
         ...
 
 
@@ -82,10 +83,17 @@ class InMotion:
         _, bar = rollout.gradient(lambda records, final: LossBar(loss_bar(records)))
         return built.assembly.gradient(values, bar), Effort.of(rollout)
 
-    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> None:
-        """Write the trajectory."""
+    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> list[str]:
+        """Write the trajectory; return what is notable of the substep, and of positions that drift."""
         rollout = make_rollout(self.built.model, self.built.assembly.inputs(values), threads=threads)
-        write_trajectory(path, self.built, rollout, provenance=provenance)
+        last = rollout.inputs.state
+
+        def keep(_: int, state: State) -> None:
+            nonlocal last
+            last = state
+
+        write_trajectory(path, self.built, rollout, provenance=provenance, progress=keep)
+        return [*rollout.remarks(), *drift_findings(self.built, last)]
 
 
 @dataclass(frozen=True)
@@ -125,7 +133,7 @@ class AtRest:
                 total[key] += part
         return total, Effort()
 
-    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> None:
+    def write(self, path: Path, values: Values, threads: int, provenance: Mapping[str, Any]) -> list[str]:
         """Write a trajectory with the rest shape and a frame for every point."""
         with rest_frames(path, self.built, len(self.points), provenance) as writer:
 
@@ -133,6 +141,7 @@ class AtRest:
                 write_frame(writer, state, number)
 
             self._find(values, threads, note)
+        return []
 
     def path(self, values: Values, threads: int = 1) -> RestPath:
         """Return the path, without any point yet."""

@@ -6,6 +6,7 @@ from typing import Self
 
 import numpy as np
 
+from cqrun.boundaries.solid import CAPSULE, Solid
 from cqrun.geometry.shape import SLACK, Shape
 from cqrun.plugin.contract import Array, quantity, vector
 from cqrun.plugin.registry import plugin
@@ -30,6 +31,10 @@ class Ball(Shape):
         stretch = to.radius / self.radius
         moved = np.array(to.center) + (points - np.array(self.center)) * stretch
         return moved, np.full(len(points), stretch ** len(self.center))
+
+    def solids(self) -> list[Solid]:
+        ends = np.tile(np.array(self.center, float), (2, 1))
+        return [Solid(CAPSULE, ends, np.zeros((0, ends.shape[1])), np.array([self.radius]))]
 
     def volume(self) -> float:
         return np.pi * self.radius**2 * (1.0 if len(self.center) == 2 else 4 / 3 * self.radius)

@@ -7,6 +7,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field
 
+from cqrun.boundaries.solid import BOX, Solid
 from cqrun.geometry.shape import SLACK, Shape
 from cqrun.plugin.contract import Array, vector
 from cqrun.plugin.registry import plugin
@@ -32,6 +33,10 @@ class Box(Shape):
         stretch = np.array(to.size) / np.array(self.size)
         moved = np.array(to.corner) + (points - np.array(self.corner)) * stretch
         return moved, np.full(len(points), np.prod(stretch))
+
+    def solids(self) -> list[Solid]:
+        half = 0.5 * np.array(self.size)
+        return [Solid(BOX, (np.array(self.corner) + half)[None], np.eye(len(half)), half)]
 
     def volume(self) -> float:
         return float(np.prod(self.size))

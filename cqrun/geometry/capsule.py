@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cqrun.boundaries.solid import CAPSULE, Solid
 from cqrun.geometry.segment import SegmentShape
 from cqrun.geometry.shape import SLACK
 from cqrun.plugin.contract import Array
@@ -21,6 +22,9 @@ class Capsule(SegmentShape):
     def bounds(self) -> tuple[Array, Array]:
         ends = np.array([self.start, self.end])
         return ends.min(axis=0) - self.radius, ends.max(axis=0) + self.radius
+
+    def solids(self) -> list[Solid]:
+        return [self.solid(CAPSULE)]
 
     def volume(self) -> float:
         r, length = self.radius, self.length()

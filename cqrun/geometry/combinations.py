@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
+from cqrun.boundaries.solid import Solid
 from cqrun.geometry.region import ChosenRegion, Points, Region
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
@@ -22,6 +23,9 @@ class RegionUnion(Region):
 
     def pick(self, points: Points) -> Array:
         return np.any([region.value.pick(points) for region in self.shapes], axis=0)
+
+    def solids(self) -> list[Solid]:
+        return [solid for region in self.shapes for solid in region.value.solids()]
 
 
 @plugin("region", "difference")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cqrun.boundaries.solid import CYLINDER, Solid
 from cqrun.explain import Loc
 from cqrun.geometry.segment import SegmentShape
 from cqrun.geometry.shape import SLACK
@@ -32,6 +33,9 @@ class Cylinder(SegmentShape):
         # a disc across `direction` reaches r sqrt(1 - d_i^2) along axis i
         reach = self.radius * np.sqrt(np.maximum(1 - direction**2, 0))
         return ends.min(axis=0) - reach, ends.max(axis=0) + reach
+
+    def solids(self) -> list[Solid]:
+        return [self.solid(CYLINDER)]
 
     def volume(self) -> float:
         return np.pi * self.radius**2 * self.length()

@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator
 
+from cqrun.boundaries.solid import PLANE, Solid
 from cqrun.geometry.shape import Shape, slack_at
 from cqrun.plugin.contract import Array, vector
 from cqrun.plugin.registry import plugin
@@ -39,6 +40,9 @@ class HalfSpace(Shape):
             axis = along[0]
             (upper if self.normal[axis] > 0 else lower)[axis] = self.point[axis]
         return lower, upper
+
+    def solids(self) -> list[Solid]:
+        return [Solid(PLANE, np.array([self.point], float), np.array([self.normal], float), np.zeros(0))]
 
     def volume(self) -> float:
         return float("inf")

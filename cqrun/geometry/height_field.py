@@ -7,6 +7,8 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from cqrun.boundaries.solid import HILLS, POLYGON, TERRAIN, Solid
+from cqrun.errors import UsageError
 from cqrun.explain import Loc, complaint, finding
 from cqrun.geometry.shape import Shape, slack_at
 from cqrun.plugin.contract import Array, Spec, quantity
@@ -93,6 +95,25 @@ class HeightField(Shape):
             lower[self._axis] = self.bottom
         upper[self._axis] = self._highest()
         return lower, upper
+
+    def solids(self) -> list[Solid]:
+        axes = np.eye(2 if self.up is None else 3)
+        origin, plane = np.zeros((1, len(axes))), axes[[0, self._axis]]
+        if self.points is None:
+            if self.span is not None or self.bottom is not None:
+                raise UsageError("the distance from a sinusoid with `span` or `bottom` is not known; give `points`")
+            hills = self._hills
+            wave = [hills.amplitude, hills.wavelength, hills.base, np.deg2rad(hills.phase)]
+            return [Solid(HILLS, origin, plane, np.array(wave))]
+        if self.span is None and self.bottom is None:
+            return [Solid(TERRAIN, origin, plane, np.array(self.points, float).ravel())]
+        if self.span is None or self.bottom is None:
+            raise UsageError("the distance from a height field is known with both of `span` and `bottom`, or neither")
+        x = np.array(self.points, float)[:, 0]
+        x = np.concatenate([self.span[:1], x[(x > self.span[0]) & (x < self.span[1])], self.span[1:]])
+        top = np.stack([x, self.height(x)], axis=1)
+        below = [[self.span[1], self.bottom], [self.span[0], self.bottom]]
+        return [Solid(POLYGON, origin, plane, np.concatenate([top, below]).ravel())]
 
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
         """Stretch every vertical column between the bottom and the height."""

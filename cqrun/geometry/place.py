@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cqrun.boundaries.solid import Solid
 from cqrun.explain import Loc
 from cqrun.plugin.contract import Array, Spec, quantity, vector
 
@@ -64,6 +65,11 @@ class Place(Spec):
         ends = [np.multiply(R, end, out=np.zeros_like(R), where=R != 0) for end in (lower, upper)]
         low, high = np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
         return self._origin() + self.scale * low, self._origin() + self.scale * high
+
+    def solid_to_world(self, solid: Solid) -> Solid:
+        """Return a solid of local coordinates in those of the world."""
+        dim = solid.points.shape[1]
+        return solid.placed(self.scale, self.matrix(dim), np.zeros(dim) + self._origin())
 
     def _turned(self, points: Array, R: Array) -> Array:
         """Return R x of points (N, D); without a rotation they are returned unchanged."""

@@ -12,6 +12,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field
 
+from cqrun.boundaries.solid import POLYGON, Solid
 from cqrun.errors import MissingExtra, UsageError
 from cqrun.explain import Loc
 from cqrun.geometry.shape import SLACK, Shape
@@ -59,6 +60,9 @@ class Polygon(Shape):
         growth = cross(b_to - a_to, c_to - a_to) / cross(b - a, c - a)
         corners_to = np.stack([a_to, b_to, c_to], axis=1)[chosen]
         return np.einsum("nk,nkd->nd", weights[np.arange(len(points)), chosen], corners_to), growth[chosen]
+
+    def solids(self) -> list[Solid]:
+        return [Solid(POLYGON, np.zeros((1, 2)), np.eye(2), np.array(self.points, float).ravel())]
 
     def _triangles(self) -> Array:
         """Return the corners' indices (T, 3) of triangles that fill the polygon.

@@ -9,6 +9,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Annotated, ClassVar, Protocol
 
+from cqrun.boundaries.solid import Solid
+from cqrun.errors import UsageError
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.contract import Array, Plugin
 
@@ -36,6 +38,14 @@ class Region(Plugin):
 
     of_particles: ClassVar[bool] = False
     """Whether it is defined for particles only, and not for grid nodes."""
+
+    def solids(self) -> list[Solid]:
+        """Return the solids with a signed distance whose union is the region: what bodies of the reference frame touch.
+
+        Raises:
+            UsageError: a signed distance is not known.
+        """
+        raise UsageError(f"the distance from the surface of '{self.name}' is not known")
 
     @abstractmethod
     def pick(self, points: Points) -> Array:

@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 from pydantic import model_validator
 
+from cqrun.boundaries.solid import Solid
 from cqrun.explain import complaint, finding
 from cqrun.geometry.shape import Shape
 from cqrun.plugin.contract import Array, quantity, vector
@@ -48,6 +49,11 @@ class SegmentShape(Shape):
         scale, dim = to.radius / self.radius, len(self.start)
         growth = np.where(core == fraction, length_to / length, scale) * scale ** (dim - 1)
         return start + core[:, None] * axis_to + scale * turned, growth
+
+    def solid(self, kind: int) -> Solid:
+        """Return it as a solid of a kind."""
+        ends = np.array([self.start, self.end], float)
+        return Solid(kind, ends, np.zeros((0, ends.shape[1])), np.array([self.radius]))
 
     def along(self, points: Array) -> tuple[Array, Array]:
         """Return the projections (N,) of points (N, D) on the axis, 0 at start and 1 at end, and the axis (D,)."""

@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 from pydantic import Field
 
+from cqrun.boundaries.solid import Solid
 from cqrun.geometry.place import Place
 from cqrun.geometry.shape import ChosenShape, Shape
 from cqrun.plugin.contract import Array
@@ -42,6 +43,9 @@ class Transformed(Place, Shape):
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
         local, growth = self.shape.value.carried(self.to_local(points), to.shape.value)
         return to.to_world(local), growth * (to.scale / self.scale) ** points.shape[1]
+
+    def solids(self) -> list[Solid]:
+        return [self.solid_to_world(solid) for solid in self.shape.value.solids()]
 
     def volume(self) -> float:
         dim = len(self.shape.value.bounds()[0])

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from cqrun.boundaries.solid import Solid
 from cqrun.geometry.shape import ChosenShape, Shape, coloured_parts
 from cqrun.plugin.contract import Array, quantity, vector
 from cqrun.plugin.registry import plugin
@@ -59,6 +60,11 @@ class Union(Shape):
         back = np.argsort(np.concatenate(order))
         moved, growth = (np.concatenate(each)[back] for each in zip(*carried, strict=True))
         return to._origin() + to.scale * moved, growth * (to.scale / self.scale) ** points.shape[1]
+
+    def solids(self) -> list[Solid]:
+        solids = [solid for part in self.shapes for solid in part.value.solids()]
+        dim = len(self.bounds()[0])
+        return [solid.placed(self.scale, np.eye(dim), np.zeros(dim) + self._origin()) for solid in solids]
 
     def _owners(self, local: Array) -> Array:
         """Return the index of the shape that moves each point (N,): the first that contains it.

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.build.check_frame import touched
 from cqrun.build.load_path import inputs_of, points_of
 from cqrun.build.model import Built
 from cqrun.engine.statics.equilibrium import Equilibrium
@@ -135,6 +136,10 @@ def _needs_time(scene: Scene) -> Iterator[tuple[str, str]]:
     """Yield what has no meaning at rest."""
     if scene.world.frame != "reference":
         yield "world.frame", "a body rests in the reference frame: set `world.frame: reference`"
+    for path, kind in touched(scene):
+        yield path, f"an equilibrium does not feel `{kind}` boundaries yet: remove it, or make it `sticky` or `slip`"
+    if scene.bodies_meet:
+        yield "bodies", "bodies do not feel each other in an equilibrium yet: find that of one body alone"
     if scene.controller is not None:
         yield "controller", "a controller acts in time: remove it, and give activations in `path`"
 

@@ -31,6 +31,7 @@ from cqrun.learning.replay import IDENTIFIED
 from cqrun.plugin.contract import Array
 from cqrun.running.bodies import report_bodies
 from cqrun.running.cost import about
+from cqrun.running.drift import drift_findings
 from cqrun.running.kernels import compile_kernels
 from cqrun.running.observables import Observables
 from cqrun.running.reporter import Reporter, Silent
@@ -90,11 +91,12 @@ class Simulate(Job[Simulation, SimulateResult]):
         time, model = built.scene.time, built.model
         lasts = about(model, each="in all")
         talk.phase(f"simulating {model.layout.n_particles} particles, {model.n_steps} substeps, {lasts}")
-        reached = 0.0
+        reached, last = 0.0, rollout.inputs.state
         with Observables(run.path / "observables.csv", built, rollout.inputs) as watch:
 
             def observe(control: int, state: State) -> None:
-                nonlocal reached
+                nonlocal reached, last
+                last = state
                 reached = control * time.control_step
                 watch.record(control, state)
                 talk.advance(control, model.n_controls, f"t = {reached:.4g} of {time.duration:.4g} s")
@@ -119,6 +121,7 @@ class Simulate(Job[Simulation, SimulateResult]):
             result.findings.append(UNTRAINED)
         if agent is not None:
             _add_episode(result, run, agent, rollout, records)
+        result.findings += [*rollout.remarks(), *drift_findings(built, last)]
         for sentence in result.findings:
             talk.warn(sentence)
             run.log(sentence)

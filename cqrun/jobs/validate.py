@@ -9,6 +9,7 @@ from typing import Any
 
 from cqrun.build.check_grid import nearest_nodes
 from cqrun.build.model import Built, build
+from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import ConditionModel
 from cqrun.errors import SceneError
 from cqrun.explain import listed
@@ -93,7 +94,12 @@ def _world(built: Built) -> Iterator[str]:
 
 
 def _held(built: Built, condition: ConditionModel) -> str:
-    """Return the number of nodes of a boundary, and of particles with one of them as their nearest node, as text."""
+    """Return the number of nodes of a boundary, and of particles with one of them as their nearest node, as text.
+
+    In the reference frame, an obstacle holds no nodes: points of the bodies' surfaces touch it.
+    """
+    if built.model.surface is not None and condition.spec.is_obstacle:
+        return f"touched by {len(built.model.surface.x):,} points of surfaces"
     nearest = nearest_nodes(built.particles.x, built.model.grid_shape, built.model.dx)
     nodes, particles = int(condition.nodes.sum()), int(condition.nodes[nearest].sum())
     return f"{nodes:,} nodes" + (f", {particles:,} particle{'s' * (particles != 1)}" if particles else "")
@@ -191,7 +197,10 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     size, budget = model.state_bytes, format_bytes(model.memory_budget)
     forward = forward_seconds(model)
     try:
-        plan = gradient_plan(built)
+        plan, because = gradient_plan(built), ""
+        if model.frame == "reference":
+            rollout = make_rollout(model, built.assembly.inputs({}), adjoint=True)
+            plan, because = rollout.expected_plan(), rollout.kept_because
     except SceneError as error:  # the scene can still be run forward
         yield f"warning: no gradients: {error}"
         yield line("cost", f"an estimate, for one core: {duration(forward)} forward")
@@ -199,8 +208,9 @@ def _cost(built: Built, learned: EpisodeProblem | None) -> Iterator[str]:
     again = "no substep runs twice" if plan.recompute == 1 else f"{plan.recompute:.2f} forward substeps for each"
     yield line(
         "memory",
-        f"a gradient keeps {plan.states:,} states of {format_bytes(size)}, {format_bytes(plan.states * size)} "
-        f"of a budget of {budget}: {again}",
+        f"a gradient {'runs the motion backwards and ' if plan.backwards else ''}keeps {plan.states:,} states of "
+        f"{format_bytes(size)}, {format_bytes(plan.states * size)} of a budget of {budget}"
+        f"{f', because {because}' if because else ''}: {again}",
     )
     backward = gradient_seconds(model)
     yield line(

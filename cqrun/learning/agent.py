@@ -298,7 +298,7 @@ class Agent:
             The episode, and the gradients by path.
         """
         rollout = self.rollout(values, goals, threads, adjoint=True)
-        rollout.model = replace(self.model, memory_budget=budget)
+        rollout.model = replace(rollout.model, memory_budget=budget)
         attempts: list[Attempt] = []
         functions: list[tuple[bool, Array | None]] = []  # of each: whether it has a sweep, and the design's cotangent
 

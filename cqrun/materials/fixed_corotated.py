@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, NamedTuple
 
+from numba.extending import register_jitable
+
 from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus, shear_modulus
 from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
 from cqrun.numerics.polar import polar, polar_vjp
@@ -63,9 +65,16 @@ def stress(term: Any, theta: Any, F: Any, C: Any) -> Any:
 
 def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
     """Return (theta_bar, F_bar, C_bar)."""
+    return both(term, theta, F, C, tau_bar)[1:]
+
+
+@register_jitable
+def both(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
+    """Return (tau, theta_bar, F_bar, C_bar); stress and adjoint share the rotation, which costs most."""
     mu, lam = lame(theta[0], theta[1])
     J, R = det(F), polar(F)
     stretch, tr = sub(F, R), trace(tau_bar)
+    tau = plus_diagonal(scale(mul_bt(stretch, F), 2.0 * mu), lam * (J - 1.0) * J)
     mu_bar = 2.0 * inner(tau_bar, mul_bt(stretch, F))
     lam_bar = tr * (J - 1.0) * J
     # tau = 2 mu (F F^T - R F^T) + ...: through both F, through R, and through J
@@ -73,7 +82,7 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
     through_R = polar_vjp(F, R, scale(mul(tau_bar, F), -1.0))
     F_bar = scale(add(direct, through_R), 2.0 * mu)
     F_bar = add(F_bar, scale(cofactor(F), lam * (2.0 * J - 1.0) * tr))
-    return lame_vjp(theta[0], theta[1], mu_bar, lam_bar), F_bar, zeros_like_rows(F)
+    return tau, lame_vjp(theta[0], theta[1], mu_bar, lam_bar), F_bar, zeros_like_rows(F)
 
 
-register(FixedCorotatedKernel, stress, stress_vjp, rate=False)
+register(FixedCorotatedKernel, stress, stress_vjp, rate=False, both=both)

@@ -7,7 +7,7 @@ from typing import Any
 from numba.extending import overload, register_jitable
 
 from cqrun.materials.history import accumulate_history, load_history
-from cqrun.materials.term import accumulate_rows, kirchhoff, kirchhoff_vjp, load_rows
+from cqrun.materials.term import accumulate_rows, kirchhoff, kirchhoff_both, kirchhoff_vjp, load_rows
 from cqrun.numerics.tensor import add
 from cqrun.plugin.contract import Array
 
@@ -59,6 +59,36 @@ def _total_kirchhoff_vjp(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
         F_bar, C_bar = one_of(terms, terms_bar, q, q_bar, i, F, C, tau_bar)
         F_more, C_more = total_kirchhoff_vjp(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
         return add(F_bar, F_more), add(C_bar, C_more)
+
+    one_of = register_jitable(one)
+    return several if len(terms) > 1 else one
+
+
+def total_kirchhoff_both(
+    terms: Any, terms_bar: Any, q: Array, q_bar: Array, i: int, F: Any, C: Any, tau_bar: Any
+) -> Any:
+    """Return (tau, F_bar, C_bar) of terms without history: `total_kirchhoff` and its adjoint in one."""
+    theta = load_rows(terms[0].theta, terms[0].rows, i)
+    tau, theta_bar, F_bar, C_bar = kirchhoff_both(terms[0], theta, F, C, (), tau_bar)
+    accumulate_rows(terms_bar[0].theta, terms[0].rows, i, theta_bar)
+    if len(terms) == 1:
+        return tau, F_bar, C_bar
+    more = total_kirchhoff_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+    return add(tau, more[0]), add(F_bar, more[1]), add(C_bar, more[2])
+
+
+@overload(total_kirchhoff_both)
+def _total_kirchhoff_both(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
+    def one(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
+        theta = load_rows(terms[0].theta, terms[0].rows, i)
+        tau, theta_bar, F_bar, C_bar = kirchhoff_both(terms[0], theta, F, C, (), tau_bar)
+        accumulate_rows(terms_bar[0].theta, terms[0].rows, i, theta_bar)
+        return tau, F_bar, C_bar
+
+    def several(terms, terms_bar, q, q_bar, i, F, C, tau_bar):
+        tau, F_bar, C_bar = one_of(terms, terms_bar, q, q_bar, i, F, C, tau_bar)
+        more = total_kirchhoff_both(terms[1:], terms_bar[1:], q, q_bar, i, F, C, tau_bar)
+        return add(tau, more[0]), add(F_bar, more[1]), add(C_bar, more[2])
 
     one_of = register_jitable(one)
     return several if len(terms) > 1 else one

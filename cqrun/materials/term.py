@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 from numba.core import types
-from numba.extending import overload
+from numba.extending import overload, register_jitable
 
 from cqrun.numerics.compile import written
 from cqrun.numerics.dispatch import ByClass
@@ -36,10 +36,13 @@ from cqrun.state import StateField
 
 _STRESS = ByClass("kirchhoff", "term, theta, F, C, h")
 _STRESS_VJP = ByClass("kirchhoff_vjp", "term, theta, F, C, h, tau_bar")
+_BOTH = ByClass("kirchhoff_both", "term, theta, F, C, h, tau_bar")
 _UPDATE = ByClass("update", "term, theta, F, F_next, h, dt")
 _UPDATE_VJP = ByClass("update_vjp", "term, theta, F, F_next, h, dt, h_next_bar")
 _RATES: set[type] = set()
-kirchhoff, kirchhoff_vjp, update, update_vjp = (f.call for f in (_STRESS, _STRESS_VJP, _UPDATE, _UPDATE_VJP))
+kirchhoff, kirchhoff_vjp, kirchhoff_both, update, update_vjp = (
+    f.call for f in (_STRESS, _STRESS_VJP, _BOTH, _UPDATE, _UPDATE_VJP)
+)
 
 
 class MaterialTerm(Plugin):
@@ -77,11 +80,18 @@ class MaterialTerm(Plugin):
 
 
 def register(
-    kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any], *, rate: bool = True
-) -> None:
-    """Register the functions of a kernel class without history; `rate`: whether its stress depends on C."""
+    kernel_class: type, stress: Callable[..., Any], stress_vjp: Callable[..., Any], *, rate: bool = True,
+    both: Callable[..., Any] | None = None,
+) -> None:  # fmt: skip
+    """Register the functions of a kernel class without history.
+
+    Args:
+        rate: whether the stress depends on C.
+        both: returns (tau, *stress_vjp(...)), where that saves work; made from the other two if not given.
+    """
     _STRESS.register(kernel_class, stress, "term, theta, F, C")
     _STRESS_VJP.register(kernel_class, stress_vjp, "term, theta, F, C, tau_bar")
+    _BOTH.register(kernel_class, both or one_after_the_other(stress, stress_vjp), "term, theta, F, C, tau_bar")
     _RATES.update([kernel_class] if rate else [])
 
 
@@ -93,6 +103,17 @@ def register_with_history(
     for table, body in ((_STRESS, stress), (_STRESS_VJP, stress_vjp), (_UPDATE, update), (_UPDATE_VJP, update_vjp)):
         table.register(kernel_class, body)
     _RATES.add(kernel_class)
+
+
+def one_after_the_other(stress: Callable[..., Any], stress_vjp: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function that gives the stress and the cotangents, from one for each."""
+    first, second = (f if hasattr(f, "py_func") else register_jitable(f) for f in (stress, stress_vjp))
+
+    def both(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
+        bars = second(term, theta, F, C, tau_bar)
+        return first(term, theta, F, C), bars[0], bars[1], bars[2]
+
+    return both
 
 
 def needs_rate(kernel_class: type) -> bool:

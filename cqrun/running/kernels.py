@@ -37,7 +37,11 @@ def composition(built: Built, *, adjoint: bool) -> str:
         active = [_kind(kind) for kind in group.active]
         groups.append(" + ".join([material.elastic.name, *material.terms, *active]))
     groups += [_kind(kind) for kind in (*steady, *forces)]
-    planes = [condition.spec.name for condition in model.conditions]
+    planes = (
+        [condition.spec.name for condition in model.conditions]
+        + ["contact"] * bool(model.obstacles)
+        + ["meeting bodies"] * (model.meeting is not None)
+    )
     kind = "forward and backward" if adjoint else "forward"
     return f"{model.dim}D {scene.precision}, {'; '.join(groups)}, {', '.join(planes) or 'no boundaries'}, {kind}"
 

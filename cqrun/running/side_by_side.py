@@ -37,20 +37,37 @@ def side_by_side(tasks: Sequence[Callable[[int], T]], threads: int, at_once: int
 
 @dataclass
 class Effort:
-    """The cost of gradients: the largest recompute factor, and the largest size of the kept states [bytes]."""
+    """The cost of gradients: the largest recompute factor, and the largest size of the kept states [bytes].
+
+    `backwards` says whether all of them ran the motion backwards, and `kept_because` why one of them did not, in a
+    frame that can.
+    """
 
     recompute: float = 0.0
     peak: int = 0
+    backwards: bool = True
+    kept_because: str = ""
 
     @classmethod
     def of(cls, rollout: Rollout) -> Effort:
         """Return the cost of a rollout's gradients."""
         plan = rollout.plan
-        return cls() if plan is None else cls(plan.recompute, plan.states * rollout.state_bytes)
+        return cls() if plan is None else cls(
+            plan.recompute, plan.states * rollout.state_bytes, plan.backwards, rollout.kept_because
+        )  # fmt: skip
+
+    @property
+    def way(self) -> str:
+        """How the gradients were found, as the end of a sentence; empty where there is only one way."""
+        if self.backwards:
+            return "; they ran the motion backwards"
+        return f", because {self.kept_because}" if self.kept_because else ""
 
     def add(self, other: Effort) -> None:
         """Include the cost of other gradients."""
         self.recompute, self.peak = max(self.recompute, other.recompute), max(self.peak, other.peak)
+        self.backwards = self.backwards and other.backwards
+        self.kept_because = self.kept_because or other.kept_because
 
 
 @contextmanager

@@ -78,6 +78,10 @@ class Sections(Spec):
     constraints: dict[Name, Constraint] = Field(
         description="Name -> constraint, for an optimizer that handles constraints", default_factory=dict
     )
+    start: Literal["rest_shape", "equilibrium"] = Field(
+        description="Where a motion starts: in the rest shape, or at rest under the first loads and activations",
+        default="rest_shape", exclude_if=lambda start: start == "rest_shape",
+    )  # fmt: skip
     time: Time = Field(description="Duration and steps")
     data: Data | None = Field(description="Data that the run is fitted to", default=None)
     unknowns: dict[str, Unknown] = Field(
@@ -86,6 +90,11 @@ class Sections(Spec):
     optimizer: Annotated[Chosen[Plugin], Choice("optimizer")] | None = Field(
         description="Method that finds the unknowns", default=None
     )
+
+    @property
+    def bodies_meet(self) -> bool:
+        """Whether bodies touch each other with their surfaces: several do, in the reference frame."""
+        return self.world.frame == "reference" and len(self.bodies) > 1
 
     @property
     def dim(self) -> int:

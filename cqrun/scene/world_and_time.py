@@ -15,6 +15,17 @@ ON_CONTROL_STEP = 1e-9
 """Largest relative difference between a duration and a whole number of control steps."""
 
 
+class BodyContact(Spec):
+    """How bodies of the reference frame meet each other; without it they slide without friction."""
+
+    coefficient: float = quantity(
+        "1", "Coulomb friction coefficient between bodies", differentiable=True, ge=0, default=0.0
+    )
+    dashpot: float = quantity(
+        "1", "Damping of contact along the normal, as a part of the materials' wave impedance", ge=0, default=0.1
+    )
+
+
 class World(Spec):
     """The box that contains everything, with its lower corner at the origin, and its grid."""
 
@@ -22,9 +33,10 @@ class World(Spec):
     dx: float = quantity("m", "Edge of a grid cell", gt=0)
     frame: Literal["updated", "reference"] = Field(
         description="Frame of the engine: `reference` follows the rest shape and keeps elastic bodies exact; `updated` "
-        "is that of the papers, in which bodies may tear, merge and meet",
+        "is that of the papers, in which bodies may tear and merge",
         default="updated",
     )
+    contact: BodyContact | None = Field(description="How bodies meet each other in the reference frame", default=None)
     gravity: Annotated[list[float], FilledIn("zero vector")] = vector(
         "m/s^2", "Gravity; zero if absent", differentiable=True
     )

@@ -32,7 +32,7 @@ def read_point(run: Path, number: int) -> tuple[Array, dict[str, Any]] | None:
     if not file.is_file():
         return None
     try:
-        with np.load(file, allow_pickle=False) as saved:
+        with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as saved:
             facts = {name: saved[name].item() for name in saved.files if name != "u"}
             return saved["u"], facts
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError):

@@ -37,14 +37,53 @@ def test_a_clamped_body_is_accepted():
     assert built.model.state_bytes == built.model.n_nodes * 8 * 8
 
 
+SLAB = {"box": {"corner": [0, 0], "size": [1, 0.1]}}
+HOLE = {"ball": {"center": [0.5, 0.1], "radius": 0.05}}
 FLOOR = {"face": "y_min", "thickness": 0.06}
-REFUSED = {
-    "two bodies": (
-        {"bodies": {"a": BODY, "b": BODY | {"place": {"offset": [0, 0.3]}}}}, "pass through each other",
+MOVES = {"sticky": CLAMP["sticky"] | {"displacement": [0.01, 0]}}
+WORLD = {"size": [1, 1], "dx": 0.02, "frame": "updated"}
+ELSEWHERE = {
+    "a clamp that moves": (
+        {"boundaries": {"clamp": MOVES}},
+        "boundaries.clamp.sticky: moves in the reference frame alone",
     ),
-    "a floor with friction": (
-        {"boundaries": {"clamp": CLAMP, "floor": {"friction": FLOOR | {"coefficient": 0.3}}}},
-        "boundaries.floor.friction: bodies do not meet boundaries",
+    "a start at rest": ({"start": "equilibrium"}, "start: is found in the reference frame alone"),
+}
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_what_the_other_frame_cannot_do_is_refused(name):
+    changes, message = ELSEWHERE[name]
+    build(load_scene(scene(**changes)))
+    with pytest.raises(SceneError, match=r"set `world\.frame: reference`") as raised:
+        build(load_scene(scene(**changes, world=WORLD)))
+    assert message in str(raised.value)
+
+
+UNCLEAR = {
+    "rotation": ({"rotation": [0.1, 0, 0]}, "must have 1 entries in this 2D world, has 3"),
+    "center": ({"displacement": [0.1, 0], "center": [0, 0]}, "has no effect without `rotation`"),
+    "over": ({"over": 1.0}, "has no effect without `displacement or rotation`"),
+}
+
+
+@pytest.mark.parametrize("name", UNCLEAR)
+def test_a_clamp_says_which_of_its_fields_do_not_fit(name):
+    fields, message = UNCLEAR[name]
+    with pytest.raises(SceneError) as raised:
+        load_scene(scene(boundaries={"clamp": {"sticky": CLAMP["sticky"] | fields}}))
+    assert message in str(raised.value)
+
+
+def test_a_body_that_starts_at_rest_has_no_velocity():
+    with pytest.raises(SceneError, match=r"bodies\.a\.velocity: has no effect with `start: equilibrium`"):
+        build(load_scene(scene(start="equilibrium", bodies={"a": BODY | {"velocity": [1, 0]}})))
+
+
+REFUSED = {
+    "a floor whose distance is not known": (
+        {"boundaries": {"floor": {"separate": {"region": {"difference": [SLAB, HOLE]}, "normal": [0, 1]}}}},
+        "boundaries.floor.separate.region: the distance from the surface of 'difference' is not known",
     ),
     "a floor that slips, which the body would fall on": (
         {"boundaries": {"clamp": CLAMP, "floor": {"slip": FLOOR}}}, "boundaries.floor.slip: holds no particle at rest",

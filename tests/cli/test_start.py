@@ -197,6 +197,9 @@ def test_a_signal_while_libraries_are_imported_is_answered(tmp_path, number, cod
     process.send_signal(number)
     out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, out) == (code, ""), err
-    assert err.splitlines()[-1].startswith("error: stopped before it ")
+    # a fast machine may have begun the run by then
+    assert err.splitlines()[-1].startswith(
+        ("error: stopped before it ", "error: stopped before its results were written")
+    )
     assert "Traceback" not in err
     assert not list(tmp_path.glob("results/*/*/run.json"))

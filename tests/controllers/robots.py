@@ -98,6 +98,7 @@ def limits_of(*, slow: bool) -> Limits:
     low[ACTUATORS["pressure"]] = low[ACTUATORS["cable"]] = 0.0
     low[ACTUATORS["tension"]] = -0.8  # a controller whose neurons are silent gives the middle: 0 would be a kink
     neutral[ACTUATORS["cable"]] = 0.45
+    low[ACTUATORS["tension"]] = -0.9  # so that the middle, where a silent network is, is not 0, where a cable slackens
     if slow:
         change[[0, 2, 4, 6, 8, 10]] = (0.05, 0.02, 0.03, 10.0, 0.1, 0.04)
     return Limits(low, np.ones(11), change, neutral)

@@ -71,10 +71,7 @@ class Shuffler:
         bound = {"parts": observers[0].bind(matter), "clock": observers[1].bind(matter)}
         self.observation = Observation(bound, len(self.x))
         self.model = self.with_probe(self.model)
-        low, change = (
-            np.array([-1.0, -1.0, 0.0, 0.0, -1.0, -1.0]),
-            np.array([0.15, np.inf, np.inf, 0.2, np.inf, np.inf]),
-        )
+        low, change = np.array([-1.0, -1.0, 0.0, 0.0, -1.0, 0.0]), np.array([0.15, np.inf, np.inf, 0.2, np.inf, np.inf])
         self.limits = Limits(low, np.ones(6), change, np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]))
         self.controller = LinearTanh(spread=0.3)
         self.parameters = {

@@ -22,7 +22,7 @@ class Steep:
         self.kind = kind
 
     def act(self, control: int, record: np.ndarray, memory: np.ndarray, state: Any) -> tuple[np.ndarray, np.ndarray]:
-        return np.zeros(4), memory
+        return np.zeros(5), memory
 
     def act_vjp(
         self, control: int, record: np.ndarray, memory: np.ndarray, state: Any, activation_bar: np.ndarray,

@@ -10,13 +10,16 @@ import pytest
 import total_lagrangian
 from little_worlds import STRESSES, TERMS, needs_jit, world
 from rich_scene import KINDS, arrays, direction, moved, parts, product, random_records, random_state, rebuilt, rich
+from scipy.spatial.transform import Rotation
 
 from cqrun.boundaries.slip import Slip
 from cqrun.boundaries.sticky import Sticky
 from cqrun.engine.frames import make_rollout
 from cqrun.engine.model import GroupModel, LossBar, Records
 from cqrun.engine.reference.ghost import THIRD
+from cqrun.engine.reference.moves import rotation_matrix
 from cqrun.errors import RolloutError
+from cqrun.materials.fixed_corotated import FixedCorotated
 from cqrun.materials.lame import shear_modulus
 from cqrun.materials.term import MaterialTerm
 
@@ -229,7 +232,7 @@ def test_a_free_block_keeps_its_angular_momentum_to_rounding(dim):
 
 
 def test_a_bar_that_turns_keeps_its_length():
-    """In the other frame, positions creep away from F: the same bar grows by 16 % in one turn."""
+    """In the other frame, positions creep away from F (tests/running/test_drift.py)."""
     model, inputs = free_block(2, turn=2 * np.pi, seconds=2.0)
     records = make_rollout(model, inputs).run()
     pairs = np.abs(inputs.state.x[:, 0] - inputs.state.x[:, 0].min()) < 1e-9
@@ -268,3 +271,106 @@ def test_a_motion_that_blows_up_is_reported():
     with pytest.raises(RolloutError, match="not finite") as raised, np.errstate(all="ignore"):
         make_rollout(model, inputs).run()
     assert raised.value.body == "body 0"
+
+
+# --- boundaries that move ---------------------------------------------------------------------------------------------
+
+
+def carried(dim, viscous=False, over=None):
+    """Return a rich model whose clamp moves and turns, and its inputs."""
+    model, inputs = held(dim, viscous=viscous)
+    turns = 1 if dim == 2 else 3
+    spec = Sticky(face="x_min", displacement=[0.0] * dim, rotation=[0.0] * turns, over=over)
+    conditions = [
+        replace(c, spec=spec) if isinstance(c.spec, Sticky) and c.nodes.any() else c for c in model.conditions
+    ]
+    rng = np.random.default_rng(5)
+    inputs.moves = np.zeros((len(conditions), dim + turns))
+    k = next(k for k, c in enumerate(conditions) if c.spec is spec)
+    inputs.moves[k] = 0.02 * rng.normal(size=dim + turns)
+    return replace(model, conditions=tuple(conditions)), inputs, k
+
+
+@pytest.mark.parametrize("viscous", [True, False], ids=["viscous", "reversed"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_clamp_that_moves_takes_its_particles_along(dim, viscous):
+    """After the run, the nodes are where displacement and rotation put them; the momentum it gives has a gradient."""
+    model, inputs, k = carried(dim, viscous)
+    rng = np.random.default_rng(8)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
+    given = compiled(model, inputs, viscous)
+    rollout = make_rollout(*given, adjoint=True)
+    _, bar = rollout.gradient(lambda records, state: LossBar(records_bar))
+    (moves,) = rollout.moves
+    d, theta = inputs.moves[k, :dim], inputs.moves[k, dim:]
+    R = Rotation.from_rotvec(np.append([0.0, 0.0], theta) if dim == 2 else theta).as_matrix()[:dim, :dim]
+    there = d + moves.arm @ (R - np.eye(dim)).T
+    np.testing.assert_allclose(rollout.final[0][moves.nodes, :dim], there, rtol=0, atol=1e-15)
+    for axis in range(inputs.moves.shape[1]):
+        ends = []
+        for sign in (-2, -1, 1, 2):
+            moved_inputs = copy.copy(given[1])
+            moved_inputs.moves = inputs.moves.copy()
+            moved_inputs.moves[k, axis] += sign * 1e-4
+            ends.append(product(make_rollout(model if viscous else given[0], moved_inputs).run(), records_bar))
+        difference = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / 12e-4
+        assert bar.moves[k, axis] == pytest.approx(difference, rel=1e-7)
+    assert not bar.moves[np.arange(len(bar.moves)) != k].any()
+
+
+@pytest.mark.parametrize("kind", ["mass", "fixed_corotated.E", "damping", "force"])
+def test_other_gradients_hold_beside_a_clamp_that_moves(kind, rng):
+    """By differences, because the equations in plain NumPy know no clamp that moves; both ways of going back."""
+    model, inputs, _ = carried(2, over=0.02)
+    records_bar = random_records(Records.zeros(model.n_controls, 3, 2), np.random.default_rng(8))
+    change = direction(inputs, kind, rng)
+    for reverses in (True, False):
+        rollout = make_rollout(*compiled(model, inputs, False), adjoint=True)
+        rollout.reversible = reverses
+        _, bar = rollout.gradient(lambda records, state: LossBar(records_bar))
+        slope = (arrays(completed(bar, False))[KINDS.index(kind)] * change).sum()
+        near = [moved(inputs, kind, h * 1e-4 * change) for h in (-2, -1, 1, 2)]
+        ends = [product(make_rollout(*compiled(model, there, False)).run(), records_bar) for there in near]
+        assert slope == pytest.approx((ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / 12e-4, rel=1e-7)
+
+
+def test_a_rotation_and_its_slope(rng):
+    for theta in (np.zeros(3), 1e-5 * rng.normal(size=3), rng.normal(size=3)):
+        R = np.eye(3) + rotation_matrix(theta)
+        np.testing.assert_allclose(R, Rotation.from_rotvec(theta).as_matrix(), rtol=0, atol=1e-14)
+        slope = np.imag(rotation_matrix(theta + 1e-30j * np.array([0, 1, 0]))) / 1e-30
+        ends = [Rotation.from_rotvec(theta + h * np.array([0, 1, 0])).as_matrix() for h in (-1e-5, 1e-5)]
+        np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 2e-5, rtol=0, atol=1e-9)
+
+
+# --- the substep as bodies stretch ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_least_principal_stretch_is_noted(dim):
+    model, inputs = free_block(dim, turn=1.0, seconds=0.1, controls=20)
+    inputs.state.v[:, 0] -= 8.0 * (inputs.state.x[:, 0] - inputs.state.x[:, 0].mean())
+    inputs.state.C[:, 0, 0] -= 8.0
+    seen = []
+    rollout = make_rollout(model, inputs)
+    rollout.run(observe=lambda k, state: seen.append(np.linalg.svd(state.F, compute_uv=False).min()))
+    assert min(seen) < 0.9
+    assert rollout.bundle.least[0] == pytest.approx(min(seen), rel=1e-9)
+    assert rollout.bundle.least[2] == model.substeps * int(np.argmin(seen))
+    assert rollout.remarks() == []  # the substep is short enough
+
+
+def test_a_substep_that_is_too_long_for_a_squeezed_body_is_reported():
+    """The remark names the body, the time, and the substeps that would do."""
+    model, inputs = free_block(2, turn=1.0, seconds=0.1, dt=1e-3, controls=20)
+    wave = (FixedCorotated.wave_modulus,)
+    model = replace(model, groups=(replace(model.groups[0], wave=wave),))
+    c = np.sqrt(FixedCorotated.wave_modulus(np.array([[1e5], [0.3]]))[0] / 1000)
+    rollout = make_rollout(replace(model, dt=0.55 * model.dx / c), inputs)
+    rollout.run()
+    assert rollout.remarks() == []
+    rollout.bundle.least[:] = 0.5, 3, 40
+    (remark,) = rollout.remarks()
+    assert remark.startswith("body 0 was squeezed to 0.50 of its length at t = ")
+    needed = int(np.ceil(model.substeps * 0.55 / (0.8 * 0.5)))
+    assert remark.endswith(f"set time.substeps={needed}")

@@ -12,11 +12,13 @@ from test_reference_frame import ELASTIC, SHEAR
 
 from cqrun.actuators import cable, tension
 from cqrun.boundaries.sticky import Sticky
-from cqrun.engine.model import GroupModel, Records
+from cqrun.engine.frames import make_rollout
+from cqrun.engine.model import GroupModel, LossBar, Records
 from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.krylov import conjugate_gradients, dot
 from cqrun.engine.statics.path import RestPath
+from cqrun.errors import RunError
 from cqrun.state import State
 
 DX = 0.1
@@ -236,3 +238,82 @@ def test_a_load_without_an_equilibrium_says_how_far_it_got():
     assert not point.rest.converged
     assert point.halvings == 6
     assert 0.0 < point.reached < 0.5
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_clamp_that_moves_has_a_gradient_at_rest(dim, rng):
+    model, inputs = cantilever(dim)
+    turns = 1 if dim == 2 else 3
+    spec = Sticky(face="x_min", displacement=[0.0] * dim, rotation=[0.0] * turns, center=[0.2] * dim)
+    k = next(k for k, c in enumerate(model.conditions) if c.nodes.any())
+    model = replace(
+        model, conditions=tuple(replace(c, spec=spec) if j == k else c for j, c in enumerate(model.conditions))
+    )
+    inputs.moves = np.zeros((len(model.conditions), dim + turns))
+    inputs.moves[k] = 0.03 * rng.normal(size=dim + turns)
+    equilibrium = Equilibrium(model, inputs)
+    rest = equilibrium.solve(tolerance=1e-12)
+    assert rest.converged
+    bar, _ = equilibrium.gradient(rest.u, record_bar=loss_of(equilibrium, rest.u)[1], tolerance=1e-13)
+    for axis in range(dim + turns):
+        losses = []
+        for sign in (-2, -1, 1, 2):
+            there = copy.copy(inputs)
+            there.moves = inputs.moves.copy()
+            there.moves[k, axis] += sign * 1e-4
+            moved = Equilibrium(model, there)
+            losses.append(loss_of(moved, moved.solve(rest.u, tolerance=1e-13).u)[0])
+        assert bar.moves[k, axis] == pytest.approx(
+            (losses[0] - 8 * losses[1] + 8 * losses[2] - losses[3]) / 12e-4, rel=1e-7
+        )
+
+
+def test_a_clamp_that_turns_far_is_followed():
+    """By a quarter turn in one step: the free nodes follow to first order, and the way is halved where that fails."""
+    model, inputs = cantilever(2, gravity=0.0)
+    spec = Sticky(face="x_min", displacement=[0.0, 0.0], rotation=[0.0])
+    model = replace(model, conditions=tuple(replace(c, spec=spec) if c.nodes.any() else c for c in model.conditions))
+    inputs.strength[:] = 0.0
+    inputs.fields.force[:] = 0.0
+    inputs.moves = np.zeros((len(model.conditions), 3))
+    inputs.moves[:, 2] = np.pi / 2
+    path = RestPath(model, [inputs])
+    with np.errstate(all="ignore"):
+        records = path.run()
+    assert path.points[0].rest.converged
+    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
+    np.testing.assert_allclose(records.F[1], quarter @ records.F[0], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("reverses", [True, False])
+def test_a_motion_from_equilibrium_stays_there_and_has_its_gradient(reverses, rng):
+    model, inputs = cantilever(2)
+    model = replace(model, settled=True, n_controls=2, substeps=10, dt=2e-3)
+    inputs.activation = np.repeat(inputs.activation, 2, axis=0)
+    still = make_rollout(model, inputs).run()
+    np.testing.assert_allclose(still.x[-1], still.x[0], rtol=0, atol=1e-9)
+    assert np.abs(still.x[0] - make_rollout(replace(model, settled=False), inputs).run().x[0]).max() > 1e-3
+    inputs.activation[1] += 0.05  # and then it moves
+    records_bar = Records.zeros(2, 2, 2)
+    records_bar.x[:], records_bar.F[:] = rng.normal(size=records_bar.x.shape), rng.normal(size=records_bar.F.shape)
+    rollout = make_rollout(model, inputs, adjoint=True)
+    rollout.reversible = reverses
+    _, bar = rollout.gradient(lambda records, state: LossBar(records_bar))
+    for kind in ("E", "force", "activation", "strength"):
+        value = KINDS[kind](inputs)
+        change = rng.normal(size=value.shape) * np.abs(value)
+        ends = []
+        for k in (-2, -1, 1, 2):
+            there = copy.deepcopy(inputs)
+            KINDS[kind](there)[...] += k * 1e-4 * change
+            records = make_rollout(model, there).run()
+            ends.append((records.x * records_bar.x).sum() + (records.F * records_bar.F).sum())
+        difference = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / 12e-4
+        assert (KINDS[kind](bar) * change).sum() == pytest.approx(difference, rel=2e-6)
+
+
+def test_a_motion_of_a_body_that_nothing_holds_has_no_equilibrium_to_start_from():
+    model, inputs = cantilever(2)
+    free = [replace(c, nodes=np.zeros_like(c.nodes)) for c in model.conditions]
+    with pytest.raises(RunError, match="nothing holds body 0"):
+        make_rollout(replace(model, conditions=tuple(free), settled=True), inputs)

@@ -9,11 +9,12 @@ with A = 4 / dx^2. Stresses and forces are those of `reference.py`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import reference
 from reference import Array, Moving, t
+from touching import Meeting, Touching
 
 from cqrun.engine.model import Inputs, Model, Records
 
@@ -94,8 +95,8 @@ def mean_shear_modulus(model: Model, inputs: Inputs) -> Array:
     return np.array([(mu[part] * V[part]).sum() / V[part].sum() for part in model.layout.slices()])
 
 
-def rollout(model: Model, inputs: Inputs) -> tuple[Records, Moving]:
-    """Return the probe's records and the last state."""
+def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *contact: None) -> tuple[Records, Moving]:
+    """Return the probe's records and the last state; `watch` gets what touches obstacles, and what meets."""
     X, fields, dt, A = inputs.state.x.real, inputs.fields, model.dt, 4 / model.dx**2
     stencils = list(stencil(model, X))
     n_nodes = len(model.layout.counts) * int(np.prod(model.grid_shape))
@@ -104,6 +105,12 @@ def rollout(model: Model, inputs: Inputs) -> tuple[Records, Moving]:
     v = scattered(stencils, n_nodes, fields.mass[:, None] * inputs.state.v, fields.mass[:, None, None] * inputs.state.C)
     v[present] /= m[present, None]
     v, u = held(model, v, present), np.zeros_like(v)
+    touching = Touching(model, inputs.coefficients, stencils, X) if model.surface is not None else None
+    meeting = None
+    if model.meeting is not None:
+        body = np.repeat(np.arange(len(model.layout.counts)), model.layout.counts)[model.surface.particle]
+        meeting = Meeting(model, inputs.coefficients[len(model.conditions)], touching, body)
+    watch(touching, meeting)
     runs, mu = ghost_runs(model, stencils, fields.volume), mean_shear_modulus(model, inputs)
     W, rows = model.probe.toarray(), []
     for step in range(model.n_steps):
@@ -113,6 +120,10 @@ def rollout(model: Model, inputs: Inputs) -> tuple[Records, Moving]:
         pushed, _ = reference.active_force(model, inputs, s, step)
         P = reference.kirchhoff(model, inputs, s, step) @ t(np.linalg.inv(s.F))
         f = scattered(stencils, n_nodes, fields.force + pushed, -A * fields.volume[:, None, None] * P)
+        if touching is not None:
+            f = f + touching.forces(u, v)
+        if meeting is not None:
+            f = f + meeting.forces(u, v)
         f = f + ghost_force(model, runs, mu, u)
         after = np.zeros_like(f)
         after[present] = ((kept[:, None] * v + dt * f)[present]) / m[present, None]

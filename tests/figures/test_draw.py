@@ -165,7 +165,7 @@ def test_a_job_without_pictures_cannot_be_drawn(copy):
     assert job_of(copy).pictures
     set_record(copy, job="gradcheck")
     assert not job_of(copy).pictures
-    message = "'gradcheck' has no pictures; runs of sysid, control, codesign and simulate have them"
+    message = "'gradcheck' has no pictures; runs of sysid, control, codesign, simulate and rest have them"
     with pytest.raises(UsageError, match=message):
         draw_run(copy)
 

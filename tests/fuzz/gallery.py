@@ -67,3 +67,8 @@ def _write_files(folder: Path) -> None:
         for k in range(20):
             table.writerow([0.01 * k, "tip", 0.119, 0.065 - 0.0001 * k])
             table.writerow([0.01 * k, "mid", 0.08, 0.065])
+    with (folder / "poses.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["pose", "upper_N", "note", "marker", "x", "y"])
+        table.writerow(["hanging", 0.0, "a", "tip", 0.1387, 0.0575])
+        table.writerow(["up", 60.0, "b", "tip", 0.1381, 0.0622])

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from cqrun.boundaries.solid import make_solids, signed_distance
+from cqrun.errors import UsageError
 from cqrun.geometry.shape import Shape
 from cqrun.plugin.choice import Choice, Chosen
 from cqrun.plugin.registry import plugins
@@ -185,3 +187,38 @@ def test_dimension_errors_name_the_field() -> None:
     assert shape(CASES["cylinder"][1]).dim_problems(3) == []
     assert "needs a 2D world" in shape(CASES["polygon"][1]).dim_problems(3)[0][1]
     assert shape(CASES["polygon"][1]).dim_problems(2) == []
+
+
+WITHOUT_A_DISTANCE = ("hills", "valley", "difference", "intersection")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_solids_hold_the_same_points(name, rng):
+    """The signed distance of the nearest solid is negative inside, or it is not known."""
+    dim, data = CASES[name]
+    one = shape(data)
+    if name in WITHOUT_A_DISTANCE:
+        with pytest.raises(UsageError, match="distance"):
+            one.solids()
+        return
+    lower, upper = one.bounds()
+    points = rng.uniform(lower - 0.1, upper + 0.1, (1000, dim))
+    assert (distance(one, points) <= 0).tolist() == one.inside(points).tolist()
+
+
+@pytest.mark.parametrize("data", [
+    {"half_space": {"point": [0.1, 0.2], "normal": [3, 4]}},
+    {"height_field": {"sinusoid": HILLS}},
+    {"height_field": {"points": [[0, 1], [1, 2], [3, 0.5]]}},
+])  # fmt: skip
+def test_solids_without_bounds_hold_the_same_points(data, rng):
+    points = rng.uniform(-1, 4, (1000, 2))
+    assert (distance(shape(data), points) <= 0).tolist() == shape(data).inside(points).tolist()
+
+
+def distance(one: Shape, points: np.ndarray) -> np.ndarray:
+    """Return the distance to the surface of the nearest solid, negative inside."""
+    table = make_solids(one.solids())
+    places = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+    each = [[signed_distance(table, k, tuple(x))[0] for k in range(len(table.kind))] for x in places]
+    return np.min(each, axis=1)

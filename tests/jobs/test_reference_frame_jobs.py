@@ -6,10 +6,13 @@ import json
 
 import pytest
 from small_beam import BEAM, E_PATH, FIT, SHEAR_PATH, Listener, result_of
+from small_finger import DESIGN, FINGER, written
 
+from cqrun.jobs.control import run_codesign, run_control
 from cqrun.jobs.gradcheck import run_gradcheck
 from cqrun.jobs.simulate import run_simulate
 from cqrun.jobs.sysid import run_sysid
+from cqrun.jobs.validate import validate
 from cqrun.store.trajectory import read_trajectory
 
 REFERENCE = BEAM.replace("dx: 0.01,", "dx: 0.01, frame: reference,")
@@ -50,3 +53,38 @@ def test_a_run_forward_writes_its_trajectory(scenes):
     assert len(x) == 11
     assert x[-1, :, 1].mean() < x[0, :, 1].mean() - 1e-4
     assert json.loads((run / "result.json").read_text())["status"] == "done"
+
+
+@pytest.mark.parametrize(
+    ("scene", "way"),
+    [("elastic", "they ran the motion backwards"), ("fit", "because stresses or forces depend on velocities")],
+)
+def test_a_fit_says_how_its_gradients_kept_their_states(scenes, scene, way):
+    run = run_sysid(scenes / f"{scene}.yaml", ["optimizer={lbfgs: {max_iterations: 2}}"], scenes / "out")
+    assert way in (run / "log.txt").read_text()
+
+
+def test_validate_says_how_a_gradient_keeps_its_states(scenes):
+    elastic, viscous = ("\n".join(validate(scenes / f"{name}.yaml")) for name in ("elastic", "fit"))
+    assert "a gradient runs the motion backwards and keeps 3 states of" in elastic
+    assert "because stresses or forces depend on velocities" in viscous
+
+
+LEARNS = ["world.frame=reference", "bodies.finger.sampling.lattice.count=6", "world.dx=0.08", "time.substeps=8"]
+
+
+@pytest.mark.parametrize(("job", "text"), [(run_control, FINGER), (run_codesign, DESIGN)], ids=["control", "codesign"])
+def test_a_robot_learns_and_its_gradients_agree(tmp_path, job, text):
+    """With a policy, several gradients of one rollout, and unknowns per particle."""
+    scene = written(tmp_path, text)
+    overrides = [*LEARNS, "optimizer={adam: {max_iterations: 4}}", *(["constraints={}"] if text is DESIGN else [])]
+    run = job(scene, overrides, tmp_path / "out", threads=2)
+    result = result_of(run)
+    assert result["loss"] < result["start"]["loss"]
+    _, agrees = run_gradcheck(scene, overrides, tmp_path / "out", reporter=Listener())
+    assert agrees
+
+
+def test_constraints_have_gradients_of_their_own(tmp_path):
+    run = run_codesign(written(tmp_path, DESIGN), LEARNS, tmp_path / "out")
+    assert set(result_of(run)["constraints"]) == {"tip", "up"}

@@ -111,6 +111,7 @@ def test_marks_change_nothing_that_an_editor_is_told():
 PLAIN_TEXT = {
     ("image", "colours"), ("image", "background"), ("colour", "colour"),
     ("nearest_marker", "markers"), ("nearest_marker", "marker"),
+    ("poses", "markers"), ("poses", "loads"), ("poses", "ignore"),
 }  # fmt: skip
 """Fields of plug-ins of the package that hold text and refer to no other part of the scene, and to no file."""
 

@@ -23,6 +23,7 @@ def model(states: int, *, steps: int = 800, particles: int = 84384):
     """Return the parts of a model that a gradient plan needs; its memory budget is a number of states."""
     layout = SimpleNamespace(n=particles, n_particles=particles, table=state_table(3))
     made = SimpleNamespace(n_steps=steps, dim=3, layout=layout, real=np.float64, substeps=4, memory_budget=0)
+    made.state_bytes = state_table(3).n_rows * particles * np.dtype(np.float64).itemsize
     made.memory_budget = states * made.state_bytes
     return made
 

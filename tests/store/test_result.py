@@ -138,7 +138,10 @@ def changed(**changes: Any) -> dict[str, Any]:
         ("{", "unreadable (EOF while parsing an object at line 1 column 1)"),
         ([], "is not a result: it must be a mapping with the key `job`"),
         ({"loss": 1.0}, "is not a result: it must be a mapping with the key `job`"),
-        (changed(job="fit"), "job: must be one of 'sysid', 'control', 'codesign', 'simulate', 'gradcheck', is 'fit'"),
+        (
+            changed(job="fit"),
+            "job: must be one of 'sysid', 'control', 'codesign', 'simulate', 'rest', 'gradcheck', is 'fit'",
+        ),
         (changed(iterations=2.5), "iterations: must be a whole number, is 2.5"),
         (changed(los=1.0), "los: unknown key"),
         (changed(unknowns={E: {"initial": 1.0}}), f"unknowns.{E}.value: is missing"),

@@ -10,7 +10,9 @@ from cqrun.boundaries.condition import project_all_vjp
 from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.model import Inputs, LossBar
 from cqrun.engine.probe import record_vjp
+from cqrun.engine.reference.contacts import add_friction_bars, with_own_bars
 from cqrun.engine.reference.ghost import GAMMA, mean_modulus, mean_modulus_vjp
+from cqrun.engine.reference.moves import poses_vjp
 from cqrun.engine.reference.setting import NodeBars
 from cqrun.engine.reference.step import reverse, see_vjp
 from cqrun.engine.setting import Crew
@@ -45,6 +47,8 @@ class ReferenceBackward(BackwardRun):
             aligned(run.q.shape, real), np.zeros_like(run.push), r.model.no_push(r.drive.steady), self.coefficient_bar,
         )  # fmt: skip
         self.parts = tuple((pair, first, last) for pair, (_, first, last) in zip(self.pairs, r.parts, strict=True))
+        self.moves = tuple((moves, np.zeros_like(moves.pose)) for moves in r.moves)
+        self.contacts = with_own_bars(r.contacts)
         self.finished = False
 
     def _from(self, states: Array, k: int) -> Array:
@@ -71,9 +75,9 @@ class ReferenceBackward(BackwardRun):
 
         def body(thread: int, from_: int = begin, n: int = r.threads) -> None:
             reverse(
-                self.parts, r.conditions, r.loads, r.ghosts, r.drive, self.stresses, self.drive_bar.levels, r.bundle,
-                self.bundle, r.rest.patches.colours, states, from_, end, self.reverses, r.probe, self.records_bar,
-                Crew(thread, n),
+                self.parts, r.conditions, r.loads, r.ghosts, self.moves, self.contacts, r.drive, self.stresses,
+                self.drive_bar.levels, r.bundle, self.bundle, r.rest.patches.colours, states, from_, end,
+                self.reverses, r.probe, self.records_bar, Crew(thread, n),
             )  # fmt: skip
 
         if r.threads > 1:
@@ -85,6 +89,8 @@ class ReferenceBackward(BackwardRun):
         bar, r = super().inputs_bar(), self.rollout
         if r.ghosts:
             self._add_ghost_bar(bar)
+        for _, pose_bar in self.moves:
+            bar.moves += poses_vjp(r.model, r.inputs.moves, r.shares, pose_bar)
         return bar
 
     def _add_ghost_bar(self, bar: Inputs) -> None:
@@ -105,7 +111,7 @@ class ReferenceBackward(BackwardRun):
         v_bar[active] = self.q_bar[1][active, :dim]
         mass_bar = self.bundle.mass.copy()
         mass_bar[active] -= (
-            np.einsum("nd,nd->n", v_bar, self.rollout.start[1][:, :dim])[active] / run.nodes.mass[active]
+            np.einsum("nd,nd->n", v_bar, self.rollout.start[1][: len(v_bar), :dim])[active] / run.nodes.mass[active]
         )
         for n in active[run.nodes.bits[active] != 0]:
             free, bits = tuple(self.rollout.free_start[n]), int(run.nodes.bits[n])
@@ -116,6 +122,7 @@ class ReferenceBackward(BackwardRun):
         bar.v[:], bar.C[:] = m[:, None] * value, m[:, None, None] * moment * model.dx
         momentum = np.einsum("nd,nd->n", value, start.v) + model.dx * np.einsum("nde,nde->n", moment, start.C)
         if not self.finished:
+            add_friction_bars(self.contacts, self.rollout.model, self.coefficient_bar)
             self._finish_masses(mass_bar, momentum)
         return bar
 

@@ -98,25 +98,34 @@ class RestGeometry:
 
     def points(self, columns: Array) -> Points:
         """Return the points at the particles in these kernel columns (P,)."""
-        node, weight = self.weights(columns)
-        flat, shares = node.reshape(-1), weight.reshape(-1)
-        order = np.lexsort((np.arange(len(flat)), flat))
-        nodes, begin = np.unique(flat[order], return_index=True)
-        return Points(
-            columns.astype(np.int64), node, weight, nodes.astype(np.int64),
-            np.append(begin, len(flat)).astype(np.int64), (order // node.shape[1]).astype(np.int64), shares[order],
-        )  # fmt: skip
+        return make_points(columns, *self.weights(columns))
 
     def weights(self, columns: Array) -> tuple[Array, Array]:
         """Return the nodes of the stencils of kernel columns, and their weights, (P, 3^D) each."""
-        f, strides, dim = self.patches.f[columns], self.patches.strides, self.patches.f.shape[1]
-        each = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)  # (P, D, 3)
-        node, weight = self.patches.first[columns][:, None], np.ones((len(columns), 1))
-        for axis in range(dim):
-            steps = np.arange(3) * strides[axis + 3 - dim]
-            node = (node[:, :, None] + steps).reshape(len(columns), 3 ** (axis + 1))
-            weight = (weight[:, :, None] * each[:, axis, None, :]).reshape(len(columns), 3 ** (axis + 1))
-        return node.astype(np.int64), weight
+        return stencil_weights(self.patches, columns)
+
+
+def stencil_weights(patches: Patches, columns: Array) -> tuple[Array, Array]:
+    """Return the nodes of the stencils of kernel columns, and their weights, (P, 3^D) each."""
+    f, strides, dim = patches.f[columns], patches.strides, patches.f.shape[1]
+    each = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)  # (P, D, 3)
+    node, weight = patches.first[columns][:, None], np.ones((len(columns), 1))
+    for axis in range(dim):
+        steps = np.arange(3) * strides[axis + 3 - dim]
+        node = (node[:, :, None] + steps).reshape(len(columns), 3 ** (axis + 1))
+        weight = (weight[:, :, None] * each[:, axis, None, :]).reshape(len(columns), 3 ** (axis + 1))
+    return node.astype(np.int64), weight
+
+
+def make_points(columns: Array, node: Array, weight: Array) -> Points:
+    """Return points from the particles' columns (P,), and the nodes and weights (P, 3^D) of the points."""
+    flat, shares = node.reshape(-1), weight.reshape(-1)
+    order = np.lexsort((np.arange(len(flat)), flat))
+    nodes, begin = np.unique(flat[order], return_index=True)
+    return Points(
+        columns.astype(np.int64), node, weight, nodes.astype(np.int64),
+        np.append(begin, len(flat)).astype(np.int64), (order // node.shape[1]).astype(np.int64), shares[order],
+    )  # fmt: skip
 
 
 def rest_geometry(model: Model, x: Array) -> RestGeometry:

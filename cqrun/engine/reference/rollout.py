@@ -17,11 +17,14 @@ from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.checkpoint import Plan
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.reference.backward import ReferenceBackward
+from cqrun.engine.reference.contacts import clear_slid, has_slid, make_contacts
 from cqrun.engine.reference.ghost import GAMMA, Ghost, kernel_ghost, mean_modulus
 from cqrun.engine.reference.look import look
+from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, progress
 from cqrun.engine.reference.rest import rest_geometry
 from cqrun.engine.reference.setting import TILE, NodeRun, Nodes, NodeSetting, Tiles
 from cqrun.engine.reference.step import advance, note
+from cqrun.engine.reference.stretch import LIMIT
 from cqrun.engine.rollout import Rollout
 from cqrun.engine.setting import Crew
 from cqrun.forces.force import needs_velocity
@@ -35,6 +38,9 @@ MOST_GROWTH = 15.0
 
 SNAPSHOTS = 64 << 20
 """Bytes of the states that a reversed run keeps to start again from; without a bound it would keep every state."""
+
+FEWEST_STEPS = 200
+"""Substeps that a reversed run covers from one kept state, even if there is memory for more states."""
 
 FLOAT32_STEPS = 64
 """Substeps after which a reversed run in float32 starts again, because its rounding is coarse."""
@@ -61,14 +67,17 @@ class ReferenceRollout(Rollout):
         self.conditions = self.rest.conditions(model, inputs.coefficients)
         self.probe = model.kernel_probe()
         self.loads = tuple((self.rest.points(pulled.columns), pulled) for pulled in self.drive.pulled)
+        self.contacts = make_contacts(model, self.rest, inputs.coefficients, self.threads)
         self.parts = tuple(
             (kernel, group.bodies[0], group.bodies[-1] + 1)
             for kernel, group in zip(self.groups, model.groups, strict=True)
         )
         self.ghosts = self._make_ghosts()
         self.bundle = self._make_run()
+        self.moves = self._make_moves()
         self.start = self._make_start()
-        self.reversible = self._runs_backwards()
+        self.kept_because = self._why_kept()
+        self.reversible = not self.kept_because
 
     def _make_ghosts(self) -> tuple[Ghost, ...]:
         """Return the ghost penalty, with the mean shear modulus of each body, or none."""
@@ -99,13 +108,26 @@ class ReferenceRollout(Rollout):
         force, outside = aligned((n_nodes, 4), real), aligned((n_nodes, 4), real)
         return NodeRun(
             setting, nodes, self.rest.stencils, patches.units, self.rest.rest, self.fields, push, force, outside, q,
-            tiles, np.full(1, -1), self.team.arrivals,
+            tiles, np.array([1.0, -1.0, 0.0]), np.full(1, -1), self.team.arrivals,
         )  # fmt: skip
 
+    def _make_moves(self) -> tuple[Moves, ...]:
+        """Return the nodes of boundaries that move, or none."""
+        model, patches = self.model, self.rest.patches
+        self.shares = [progress(model, over) for _, over in parts_of(model)]
+        if not self.shares:
+            return ()
+        nodes, plane, arm = moving_nodes(model, self.bundle.nodes.bits, patches.positions(model.dx))
+        return (Moves(nodes, plane, arm, poses(model, self.inputs.moves, self.shares)),)
+
     def _make_start(self) -> Array:
-        """Return the state (2, M, 4) at the start: no displacement, and the particles' momentum on the nodes."""
+        """Return the state at the start: no displacement, the particles' momentum on the nodes, and relaxed springs.
+
+        It is (2, M + E, 4); M nodes are followed by E rows of springs.
+        """
         state, m, dim = self.inputs.state, self.inputs.fields.mass, self.model.dim
-        start = aligned((2, self.rest.patches.n_nodes, 4), self.model.real)
+        n_nodes = self.rest.patches.n_nodes
+        start = aligned((2, n_nodes + -(-self.model.n_springs // 2), 4), self.model.real)
         momentum = self.rest.to_nodes(m[:, None] * state.v, m[:, None, None] * state.C * self.model.dx)
         active = self.bundle.nodes.active
         v = np.zeros_like(momentum)
@@ -113,20 +135,22 @@ class ReferenceRollout(Rollout):
         self.free_start = v.copy()
         for n in active[self.bundle.nodes.bits[active] != 0]:
             v[n] = project_all(self.conditions, n, int(self.bundle.nodes.bits[n]), tuple(v[n]))
-        start[1, :, :dim] = v
+        start[1, :n_nodes, :dim] = v
         return start
 
-    def _runs_backwards(self) -> bool:
-        """Return whether the state before a substep follows from the one after it."""
-        if self.bundle.setting.rates or self._refresh() < 1:
-            return False
+    def _why_kept(self) -> str:
+        """Return why the state before a substep does not follow from the one after it; empty if it does."""
+        if self.bundle.setting.rates:
+            return "stresses or forces depend on velocities"
+        if self._refresh() < 1:
+            return "its damping is too strong to run backwards in this memory"
         for bits, n in zip(*np.unique(self.bundle.nodes.bits, return_index=True), strict=True):
             # several planes at a node that do not stand at right angles: the last one undoes the first
             axes = [project_all(self.conditions, n, int(bits), tuple(axis)) for axis in np.eye(self.model.dim)]
             P = np.array(axes)
             if np.abs(P @ P - P).max() > 1e-12 or np.abs(P - P.T).max() > 1e-12:
-                return False
-        return True
+                return "planes of slip stand at acute angles"
+        return ""
 
     def _refresh(self) -> int:
         """Return after how many substeps a reversed run starts again from a kept state; 0 if memory does not allow."""
@@ -136,22 +160,26 @@ class ReferenceRollout(Rollout):
             longest = min(longest, FLOAT32_STEPS)
         count = max(1, min(SNAPSHOTS, model.memory_budget) // self.start.nbytes - 2)
         every = -(-model.n_steps // count)
-        return 0 if every > longest else max(1, min(every, model.n_steps))
+        return 0 if every > longest else max(1, min(max(every, FEWEST_STEPS), longest, model.n_steps))
 
     def gradients(self, loss_bars: Callable[[Records, State], Iterable[LossBar]]) -> tuple[Records, list[BackwardRun]]:
         """Run forward once, and backward once for each of several functions; see `Rollout.gradients`."""
         if not self.reversible:
             return super().gradients(loss_bars)
-        n_steps, every = self.model.n_steps, self._refresh()
+        n_steps, every, self.kept_because = self.model.n_steps, self._refresh(), ""
         current, snapshots = self.start[None].copy(), []
+        clear_slid(self.contacts)
         for begin in range(0, n_steps, every):
             snapshots.append(current[0].copy())
             self.advance(begin, min(begin + every, n_steps), current, keep=False)
-        self.plan = Plan(every, len(snapshots), len(snapshots), len(snapshots) + 1, 1.0)
+            if has_slid(self.contacts):
+                self.kept_because = "bodies slide on obstacles"
+                return super().gradients(loss_bars)
+        self.plan = self._backwards_plan()
         self.final = current[0]
         records = Records.from_rows(self.records.copy(), self.model.layout.table)
         final = self.unpack(self.final, self.model.n_controls)
-        sweeps: list[BackwardRun] = [ReferenceBackward(self, bar, reverses=True) for bar in loss_bars(records, final)]
+        sweeps = [self._reversed_backward(bar) for bar in loss_bars(records, final)]
         for sweep in sweeps:
             state = self.final[None].copy()
             for k in reversed(range(len(snapshots))):
@@ -160,9 +188,22 @@ class ReferenceRollout(Rollout):
         self.growth_at = max((sweep.growth for sweep in sweeps), default=(0.0, -1))[1]
         return records, sweeps
 
+    def _backwards_plan(self) -> Plan:
+        every = self._refresh()
+        snapshots = -(-self.model.n_steps // every)
+        return Plan(every, snapshots, snapshots, snapshots + 1, 1.0, backwards=True)
+
+    def expected_plan(self) -> Plan:
+        """Return how a gradient would keep its states; raise RunError if it does not fit the memory."""
+        return self._backwards_plan() if self.reversible and not self.kept_because else super().expected_plan()
+
     def backward(self, loss_bar: LossBar) -> BackwardRun:
         """Return the backward run, from kept states, of the cotangents of the results."""
         return ReferenceBackward(self, loss_bar, reverses=False)
+
+    def _reversed_backward(self, loss_bar: LossBar) -> BackwardRun:
+        """Return the backward run that finds each state from the next."""
+        return ReferenceBackward(self, loss_bar, reverses=True)
 
     def _record_start(self) -> None:
         crew = Crew(0, 1)
@@ -179,8 +220,8 @@ class ReferenceRollout(Rollout):
 
         def body(thread: int, to: int = end, n: int = self.threads) -> int:
             reached: int = advance(
-                self.parts, self.conditions, self.loads, self.ghosts, self.drive, self.bundle, colours, states, begin,
-                to, keep, self.probe, self.records, Crew(thread, n),
+                self.parts, self.conditions, self.loads, self.ghosts, self.moves, self.contacts, self.drive,
+                self.bundle, colours, states, begin, to, keep, self.probe, self.records, Crew(thread, n),
             )  # fmt: skip
             return reached
 
@@ -189,6 +230,35 @@ class ReferenceRollout(Rollout):
         reached = self.team.run(body)
         if self.bundle.stray[0] >= 0:
             self._fail(reached, states[reached - begin if keep else 0])
+
+    def remarks(self) -> list[str]:
+        """Return sentences about a substep that is too long for the least principal stretch that was reached."""
+        least, column, step = self.bundle.least
+        if column < 0:
+            return []
+        particle = int(self.model.layout.sources()[int(column)])
+        body = next(k for k, part in enumerate(self.model.layout.slices()) if particle < part.stop)
+        limit = LIMIT * float(least) * self._crossing_time(body)
+        if not 0.0 < limit < self.model.dt:
+            return []
+        substeps, time = int(np.ceil(self.model.substeps * self.model.dt / limit)), step * self.model.dt
+        return [
+            f"{self.model.body_names[body]} was squeezed to {least:.2f} of its length at t = {time:.4g} s,"
+            f" where the substep is too long to be sure of the motion: set time.substeps={substeps}"
+        ]
+
+    def _crossing_time(self, body: int) -> float:
+        """Return the time in which a pressure wave crosses a cell of a body at rest [s]; infinite if unknown."""
+        part, fields = self.model.layout.slices()[body], self.inputs.fields
+        group = next(g for g, each in enumerate(self.model.groups) if body in each.bodies)
+        own = slice(
+            part.start - self.model.group_slices()[group].start, part.stop - self.model.group_slices()[group].start
+        )
+        waves = zip(self.model.groups[group].wave, self.inputs.terms[group], strict=False)
+        modulus = sum((wave(theta[:, own]) for wave, theta in waves), np.zeros(part.stop - part.start))
+        if not modulus.max(initial=0.0) > 0.0:
+            return float("inf")
+        return float(np.min(self.model.dx / np.sqrt(modulus * fields.volume[part] / fields.mass[part])))
 
     def _fail(self, step: int, q: Array) -> None:
         look(self.bundle, q[0], q[1], Crew(0, 1))

@@ -71,6 +71,7 @@ class NodeRun(NamedTuple):
     outside: Array  # (M, 4) external forces, which are constant in a control step [N]
     q: Array  # (rows, n) the particles' state at the end of a control step, packed
     tiles: Tiles
+    least: Array  # (3,) least principal stretch of a particle so far, its column, and the substep
     stray: Array  # (1,) first node that is not finite, else -1
     arrivals: Array  # of the barrier (`team.py`)
 

@@ -13,12 +13,15 @@ import numpy as np
 
 from cqrun.engine.drive import activate, activate_vjp
 from cqrun.engine.probe import record, record_vjp
+from cqrun.engine.reference.contacts import Contacts, touch_all, touch_all_vjp, touch_rates_all_vjp
 from cqrun.engine.reference.forces import pull_each, pull_each_vjp
 from cqrun.engine.reference.ghost import haunt_each, haunt_each_vjp
 from cqrun.engine.reference.look import look, look_vjp
+from cqrun.engine.reference.moves import bring_back_pairs, carry_each, carry_each_vjp
 from cqrun.engine.reference.nodes import begin_vjp, end_vjp, kick
 from cqrun.engine.reference.outside import spread_forces, spread_forces_vjp
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
+from cqrun.engine.reference.stretch import watch_stretch
 from cqrun.engine.reference.sweep import press_each, press_each_vjp
 from cqrun.engine.setting import Crew, Drive, Probe
 from cqrun.forces.force import Levels
@@ -48,19 +51,21 @@ def find_stray(run: NodeRun, u: Array, crew: Crew) -> None:
 
 @kernel
 def advance(
-    parts: Any, conditions: Any, loads: Any, ghosts: Any, drive: Drive, run: NodeRun, colours: Array, states: Array,
-    begin: int, end: int, keep: bool, probe: Probe, records: Array, crew: Crew,
+    parts: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Contacts, drive: Drive, run: NodeRun,
+    colours: Array, states: Array, begin: int, end: int, keep: bool, probe: Probe, records: Array, crew: Crew,
 ) -> int:  # fmt: skip
     """Run substeps begin .. end from states[0]; return the substep reached.
 
-    With `keep`, states[k] becomes the state after k substeps; otherwise states[0] is overwritten. A state (2, M, 4) has
-    the displacements and the velocities of the nodes. Record at the end of every control step, and stop there if a node
-    is not finite (`run.stray`).
+    With `keep`, states[k] becomes the state after k substeps; otherwise states[0] is overwritten. A state has the
+    displacements and the velocities of the nodes, and after them the springs of contact, (2, M + E, 4). Record at the
+    end of every control step, and stop there if a node is not finite (`run.stray`).
 
     Args:
         parts: groups with their first and last bodies.
         loads: forces on points, as in `forces.py`.
         ghosts: the ghost penalty, or none.
+        moves: the nodes of boundaries that move, or none.
+        contacts: what bodies touch.
     """
     substeps = run.setting.substeps
     for step in range(begin, end):
@@ -74,24 +79,27 @@ def advance(
         press_each(parts, run, u, v, colours, crew)
         pull_each(loads, drive, run, at, crew)
         haunt_each(ghosts, run, u, crew)
+        touch_all(contacts, run, at, states[after, 0], keep, crew)
         kick(conditions, run, at, states[after, 0], crew)
         barrier(run.arrivals, crew.n_threads)
+        carry_each(moves, run, u, states[after, 0], states[after, 1], step, crew)
         if (step + 1) % substeps == 0:
             find_stray(run, states[after, 0], crew)
             if run.stray[0] >= 0:
                 return step + 1
             note(run, states[after, 0], states[after, 1], probe, records[control + 1], crew)
+            if crew.thread == 0:
+                watch_stretch(run, 0, run.stencils.f.shape[0], step + 1)
     return end
 
 
 @kernel
 def note(run: NodeRun, u: Array, v: Array, probe: Probe, row: Array, crew: Crew) -> None:
     """Record a state of the nodes."""
-    if row.shape[1] > 0:
-        look(run, u, v, crew)
-        if crew.thread == 0:
-            record(probe, run.q, row)
-        barrier(run.arrivals, crew.n_threads)
+    look(run, u, v, crew)
+    if crew.thread == 0:
+        record(probe, run.q, row)
+    barrier(run.arrivals, crew.n_threads)
 
 
 @kernel
@@ -138,9 +146,9 @@ def see_vjp(
 
 @kernel
 def reverse(
-    pairs: Any, conditions: Any, loads: Any, ghosts: Any, drive: Drive, stresses: Any, levels_bar: Levels, run: NodeRun,
-    bars: NodeBars, colours: Array, states: Array, begin: int, end: int, reversed_: bool, probe: Probe,
-    records_bar: Array, crew: Crew,
+    pairs: Any, conditions: Any, loads: Any, ghosts: Any, moves: Any, contacts: Contacts, drive: Drive, stresses: Any,
+    levels_bar: Levels, run: NodeRun, bars: NodeBars, colours: Array, states: Array, begin: int, end: int,
+    reversed_: bool, probe: Probe, records_bar: Array, crew: Crew,
 ) -> None:  # fmt: skip
     """Run the adjoints of substeps end - 1 .. begin.
 
@@ -158,13 +166,18 @@ def reverse(
         if (step + 1) % substeps == 0 or step == end - 1:
             begin_control(drive, run, colours, control, crew)
         at = NodeStep(control, states[here, 0], states[here, 1], states[after, 1])
+        carry_each_vjp(moves, run, bars, step, crew)
         begin_vjp(conditions, run, bars, at, states[after, 0], reversed_, crew)
         barrier(run.arrivals, crew.n_threads)
         press_each_vjp(pairs, run, bars, at.v, colours, crew)
         pull_each_vjp(loads, drive, levels_bar, run, bars, at, crew)
         haunt_each_vjp(ghosts, run, bars, crew)
+        touch_all_vjp(contacts, run, bars, at, crew)
         end_vjp(conditions, run, bars, at, reversed_, crew)
         barrier(run.arrivals, crew.n_threads)
+        if reversed_:
+            bring_back_pairs(moves, run, at.v, step, crew)
+        touch_rates_all_vjp(contacts, run, bars, crew)
         if step % substeps == 0 or step == begin:
             spread_forces_vjp(run, bars, crew)
             if crew.thread == 0:

@@ -19,7 +19,7 @@ from cqrun.engine.reference.fields import put_linear
 from cqrun.engine.reference.setting import TILE, NodeBars, NodeRun
 from cqrun.engine.setting import Crew, Group
 from cqrun.engine.transfer import gather, gather_both, scatter_tile
-from cqrun.materials.stress import total_kirchhoff, total_kirchhoff_vjp
+from cqrun.materials.stress import total_kirchhoff, total_kirchhoff_both
 from cqrun.materials.term import zeros_like_rows
 from cqrun.numerics.compile import barrier, for_each, kernel, share
 from cqrun.numerics.lanes import LANE_BYTES
@@ -114,8 +114,7 @@ def press_unit_vjp(
             if setting.rates:
                 C = mul_bt(scale(get_columns(moment_3, TILE, i - tile, dims), factor), Gt)
             vol, H = load(fields, VOLUME, i), mul_bt(Q, Gt)  # H = Q F^-1
-            tau = total_kirchhoff(group.terms, run.q, i, F, C)
-            F_bar, C_bar = total_kirchhoff_vjp(
+            tau, F_bar, C_bar = total_kirchhoff_both(
                 group.terms, group_bar.terms, run.q, bars.q, i, F, C, scale(H, vol * -1.0)
             )
             accumulate(bars.fields, VOLUME, i, inner(tau, H) * -1.0)

@@ -17,7 +17,7 @@ where P projects on the free directions, and (df/du)^T g is a product with the m
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from cqrun.engine.model import Inputs, LossBar, Model
 from cqrun.engine.probe import record
 from cqrun.engine.reference.backward import ReferenceBackward
 from cqrun.engine.reference.look import look
+from cqrun.engine.reference.moves import poses, poses_vjp
 from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.reference.step import begin_control
 from cqrun.engine.setting import Crew
@@ -38,6 +39,9 @@ from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import aligned
 from cqrun.plugin.contract import Array
 from cqrun.state import State
+
+TINY_STRAIN = 1e-4
+"""Strain whose forces are the measure of the residual of a body without loads."""
 
 LEAST_BLOCK = 1e-3
 """Least eigenvalue of a node's block of the preconditioner, as a part of the block's largest."""
@@ -60,7 +64,8 @@ class Equilibrium:
     """
 
     def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0) -> None:
-        self.rollout = ReferenceRollout(model, inputs, threads=threads, adjoint=True)
+        alone = replace(model, surface=None, obstacles=())  # contact is not felt at rest
+        self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
         self.control, self.run = control, self.rollout.bundle
         self.dim, self.n_nodes = model.dim, len(self.run.nodes.mass)
         patches, real = self.rollout.rest.patches, model.real
@@ -70,6 +75,8 @@ class Equilibrium:
         self.push = np.zeros_like(self.run.push)
         self.still = aligned((self.n_nodes, 4), real)
         self.held, self.free = self._projections()
+        self.one = [np.ones(1) for _ in self.rollout.shares]
+        self.carried = self._carried()
         self._each(lambda crew: begin_control(self.rollout.drive, self.run, self.colours, control, crew))
         self.outside = self.run.outside.copy()
         self.inverse = np.zeros((0, self.dim, self.dim))
@@ -107,13 +114,28 @@ class Equilibrium:
         """Return where the model rests, from a first guess of the displacements (M, 4), or from the rest shape."""
         start = aligned((self.n_nodes, 4), self.run.force.dtype)
         if u is not None:
-            start[...] = self._freed(u)
-        return find_rest(self, start, self.load(), tolerance)
+            start[...] = u
+        change = self.carried - (start - self._freed(start))
+        if change.any():
+            start += change + self._follow(start, change)
+        load = self.load()
+        if change.any():
+            load = max(load, float(np.linalg.norm(self.net(start))))
+        return find_rest(self, start, load, tolerance)
 
     def load(self) -> float:
-        """Return the size of all loads [N]: external forces, and those of active stresses and cables at the rest."""
+        """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
+
+        A body without any load has its residual measured by the forces of a strain of TINY_STRAIN. (Boundaries that
+        carry their nodes load a body, too: `solve` adds what the first guess lacks.)
+        """
         inner = self.net(np.zeros_like(self.outside)) - self._freed(self.outside)
-        return float(np.sqrt((self._freed(self.outside) ** 2).sum() + (inner**2).sum()))
+        load = float(np.sqrt((self._freed(self.outside) ** 2).sum() + (inner**2).sum()))
+        if load > 0.0:
+            return load
+        self.linearise(np.zeros_like(self.outside))
+        stiffness = 1.0 / np.linalg.norm(self.inverse, axis=(1, 2))
+        return float(TINY_STRAIN * self.rollout.model.dx * np.linalg.norm(stiffness))
 
     def state(self, u: Array) -> State:
         """Return the state of the particles at a displacement, at rest."""
@@ -160,24 +182,42 @@ class Equilibrium:
         back = ReferenceBackward(self.rollout, LossBar(final=state_bar), reverses=False)
         if record_bar is not None:
             back._add_record(back.q_bar, record_bar)
-        loss_bar, f_bar = back.q_bar[0].copy(), np.zeros_like(u)
-        back.q_bar[...] = 0.0
+        u_bar, f_bar = back.q_bar[0].copy(), np.zeros_like(u)
         if held_bar:
-            f_bar = self._add_held_bar(u, held_bar, loss_bar)
+            f_bar = self._add_held_bar(u, held_bar, u_bar)
+        return self.gradient_of_nodes(u, u_bar, f_bar, tolerance=tolerance)
+
+    def gradient_of_nodes(
+        self, u: Array, u_bar: Array, f_bar: Array | None = None, *, tolerance: float = 1e-10
+    ) -> tuple[Inputs, AdjointSolve]:
+        """Return the cotangent of the inputs at an equilibrium, from those of displacements and net forces (M, 4)."""
+        self.rollout.final = np.stack([u, self.still])
+        back = ReferenceBackward(self.rollout, LossBar(), reverses=False)
+        loss_bar = u_bar.copy()
         self.linearise(u)
-        if held_bar:
+        if f_bar is not None:
             loss_bar += self._change(f_bar)
-        found = conjugate_gradients(
-            self.product, self._freed(loss_bar), self.precondition, tolerance, 10 * MOST_PRODUCTS
-        )
+        loss_bar = self._freed(loss_bar)
+        found = conjugate_gradients(self.product, loss_bar, self.precondition, tolerance, 10 * MOST_PRODUCTS)
+        adjoint = found.x if f_bar is None else found.x + f_bar
         r = self.rollout
         self._each(
             lambda crew: find_bars(
                 back.parts, r.loads, r.ghosts, r.drive, back.stresses, back.drive_bar.levels, self.run, back.bundle,
-                self.colours, u, self.still, found.x + f_bar, self.control, crew,
+                self.colours, u, self.still, adjoint, self.control, crew,
             )
         )  # fmt: skip
-        return back.inputs_bar(), AdjointSolve(found.iterations, found.converged)
+        bar = back.inputs_bar()
+        held_bar = (u_bar + back.bundle.sums[::2])[:, : self.dim]  # of held nodes, directly and through forces
+        for moves in r.moves:
+            there_bar = held_bar[moves.nodes]
+            pose_bar = np.zeros((len(self.one), 1, self.dim + self.dim**2))
+            rows = np.concatenate(
+                [there_bar, np.einsum("hi,hj->hij", there_bar, moves.arm).reshape(len(there_bar), -1)], axis=1
+            )
+            np.add.at(pose_bar[:, 0], moves.plane, rows)
+            bar.moves[...] = poses_vjp(r.model, r.inputs.moves, self.one, pose_bar)
+        return bar, AdjointSolve(found.iterations, found.converged)
 
     def _add_held_bar(self, u: Array, held_bar: Mapping[str, tuple[Array, Array]], u_bar: Array) -> Array:
         """Add to the cotangent of u, and return that of the net forces (M, 4), from those of `held_by`."""
@@ -212,6 +252,21 @@ class Equilibrium:
         """Run a pass on all threads."""
         n = self.rollout.threads
         self.rollout.team.run(lambda thread: body(Crew(thread, n)))
+
+    def _carried(self) -> Array:
+        """Return where boundaries carry their nodes: the displacement of held nodes (M, 4), zero elsewhere."""
+        out = np.zeros((self.n_nodes, 4))
+        for moves in self.rollout.moves:
+            pose = poses(self.rollout.model, self.rollout.inputs.moves, self.one)[moves.plane, 0]
+            R = pose[:, self.dim :].reshape(-1, self.dim, self.dim)
+            out[moves.nodes, : self.dim] = pose[:, : self.dim] + np.einsum("hij,hj->hi", R, moves.arm)
+        return out
+
+    def _follow(self, u: Array, change: Array) -> Array:
+        """Return how the free nodes follow a change of the held ones, to first order: a good guess for the search."""
+        self.linearise(u)
+        pull = -self.product(change)
+        return conjugate_gradients(self.product, pull, self.precondition, 1e-2, MOST_PRODUCTS).x
 
     def _change(self, p: Array) -> Array:
         """Return the change of the forces on all nodes (M, 4) with a displacement p, at the state of `linearise`.

@@ -159,6 +159,10 @@ class RestPath:
         return out
 
 
+MIXED = ("activation", "strength", "rest", "weights", "moves")
+"""The inputs that change on the way, beside fields and terms."""
+
+
 def between(a: Inputs, b: Inputs, s: float) -> Inputs:
     """Return inputs on the straight way from a (s = 0) to b (s = 1)."""
 
@@ -170,14 +174,13 @@ def between(a: Inputs, b: Inputs, s: float) -> Inputs:
         **{name: mixed(getattr(a.fields, name), getattr(b.fields, name)) for name in ("mass", "volume", "force")},
     )
     terms = [[mixed(*pair) for pair in zip(*groups, strict=True)] for groups in zip(a.terms, b.terms, strict=True)]
-    changed = {
-        name: mixed(getattr(a, name), getattr(b, name)) for name in ("activation", "strength", "rest", "weights")
-    }
+    changed = {name: mixed(getattr(a, name), getattr(b, name)) for name in MIXED}
     return replace(b, fields=fields, terms=terms, **changed)
 
 
 def _unloaded(inputs: Inputs) -> Inputs:
     """Return the inputs without loads and actuation."""
     return replace(
-        inputs, fields=replace(inputs.fields, force=inputs.fields.force * 0.0), strength=inputs.strength * 0.0
-    )
+        inputs, fields=replace(inputs.fields, force=inputs.fields.force * 0.0), strength=inputs.strength * 0.0,
+        moves=inputs.moves * 0.0,
+    )  # fmt: skip

@@ -1,0 +1,158 @@
+"""The arguments of the kernels of contact: surface points, obstacles, and which points are near them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import svds
+
+from cqrun.boundaries.solid import Solids, make_solids
+from cqrun.engine.model import Model
+from cqrun.engine.reference.patches import Patches, make_patches
+from cqrun.engine.reference.rest import RestGeometry, make_points, stencil_weights
+from cqrun.engine.reference.rub import ONSET
+from cqrun.engine.reference.setting import Points
+from cqrun.numerics.compile import own_symbols
+from cqrun.numerics.packed import aligned
+from cqrun.plugin.contract import Array
+from cqrun.state import Layout
+
+MARGIN = 0.5
+"""How far nodes may move until points near obstacles are looked for again [cells]."""
+
+
+CHUNK = 100_000
+"""Number of particles whose stencils are in memory at a time."""
+
+
+class Surface(NamedTuple):
+    """Points of the surfaces. Vectors have 3 entries, also in 2D."""
+
+    points: Points
+    rest: Array  # (S, 3) [m]
+    stiffness: Array  # (S,) [N/m]
+    impedance: Array  # (S,) [N s/m]
+    onset: float  # depth at which half of a dashpot acts [m]
+
+
+class Obstacles(NamedTuple):
+    """Obstacles, each a union of solids."""
+
+    solids: Solids
+    begin: Array  # (O + 1,) where the solids of an obstacle begin
+    coefficient: Array  # (O,) of friction
+    dashpot: Array  # (O,)
+    rubs: Array  # (O,) whether it has friction
+    springs: int  # 1 if one of them has, and so each point a tangential spring, else 0
+
+
+class Near(NamedTuple):
+    """Points near obstacles. It is found again when a node has moved too far."""
+
+    points: Array  # (S,) the first count[0] are near, in increasing order
+    nodes: Array  # (K,) places in `Points.nodes` of the first count[1] nodes that move one of them
+    count: Array  # (2,)
+    flag: Array  # (S,) whether a point is near
+    mark: Array  # (K, 3) displacements of the nodes when it was found
+    moved: Array  # (threads,) largest square of a node's way since
+    margin: float  # of the distance of points [m]
+    reach: float  # way of nodes that may move a point by the margin [m]
+
+
+class Contact(NamedTuple):
+    """All of contact with obstacles, and arrays for the numbers of a point in a substep."""
+
+    surface: Surface
+    obstacles: Obstacles
+    near: Near
+    slid: Array  # (threads,) whether a force depended on a velocity or a spring, since it was last cleared
+    force: Array  # (S, 3) on each point; in the adjoint, too [N]
+    u_bar: Array  # (S, 3) cotangents of a point's position and velocity
+    v_bar: Array
+    friction_bar: Array  # (S, O) of the coefficients, summed over substeps
+
+
+for _class in (Surface, Obstacles, Near, Contact):
+    own_symbols(_class)
+
+
+def in_3d(x: Array) -> Array:
+    """Return vectors (n, D) with 3 entries."""
+    return np.ascontiguousarray(np.pad(np.asarray(x, np.float64), ((0, 0), (0, 3 - x.shape[1]))))
+
+
+def surface_points(patches: Patches, X: Array, particle: Array, x: Array, dx: float) -> Points:
+    """Return points at rest at x (S, D) [m], each of which moves with the affine motion of its particle.
+
+    w_sn = w_pn + grad w_pn . (X_s - X_p) = w_pn (1 + 4 / dx^2 d_pn . (X_s - X_p)), so that no other nodes are reached
+    than those of the particle, which have mass. X (N, D) are the rest positions of particles.
+    """
+    columns = patches.layout.columns()[particle]
+    node, weight = stencil_weights(patches, columns)
+    f = patches.f[columns]
+    offsets = np.stack(np.meshgrid(*[np.arange(3)] * f.shape[1], indexing="ij"), axis=-1).reshape(-1, f.shape[1])
+    arm = offsets[None] - f[:, None]  # [cells]
+    return make_points(columns, node, weight * (1.0 + 4.0 * np.einsum("skd,sd->sk", arm, x - X[particle]) / dx))
+
+
+def make_surface(model: Model, rest: RestGeometry) -> Surface:
+    """Return the kernels' view of a model's surface."""
+    surface = model.surface
+    assert surface is not None
+    constants = np.array(surface.stiffness, np.float64), np.array(surface.impedance, np.float64)
+    points = surface_points(rest.patches, rest.x, surface.particle, surface.x, model.dx)
+    return Surface(points, in_3d(surface.x), *constants, ONSET * model.dx)
+
+
+def make_contact(model: Model, surface: Surface, coefficients: Array, n_threads: int) -> tuple[Contact, ...]:
+    """Return one entry, or none if there are no obstacles."""
+    if not model.obstacles:
+        return ()
+    n, k = len(surface.rest), len(surface.points.nodes)
+    solids = [solid for obstacle in model.obstacles for solid in obstacle.solids]
+    begin = np.cumsum([0, *(len(obstacle.solids) for obstacle in model.obstacles)]).astype(np.int64)
+    friction = np.array([coefficients[obstacle.condition] for obstacle in model.obstacles], np.float64)
+    dashpot = np.array([obstacle.dashpot for obstacle in model.obstacles], np.float64)
+    rubs, margin = np.array([obstacle.rubs for obstacle in model.obstacles], np.bool_), MARGIN * model.dx
+    near = Near(
+        np.zeros(n, np.int64), np.zeros(k, np.int64), np.zeros(2, np.int64), np.zeros(n, np.bool_),
+        np.full((k, 3), np.inf), np.zeros(n_threads), margin, margin / growth_of(surface.points),
+    )  # fmt: skip
+    force, u_bar, v_bar = (aligned((n, 3), np.float64) for _ in range(3))
+    return (
+        Contact(
+            surface, Obstacles(make_solids(solids), begin, friction, dashpot, rubs, int(rubs.any())), near,
+            np.zeros(n_threads, np.int64), force, u_bar, v_bar, np.zeros((n, len(model.obstacles))),
+        ),
+    )  # fmt: skip
+
+
+def growth_of(points: Points) -> float:
+    """Return the largest sum of |w| of a point: how much farther than its nodes it may move."""
+    return float(np.abs(points.weight).sum(axis=1).max(initial=1.0))
+
+
+def contact_square(
+    layout: Layout, X: Array, mass: Array, particle: Array, x: Array, stiffness: Array, dx: float
+) -> float:
+    """Return the largest squared frequency that nodes have on the springs of their points alone [1/s^2].
+
+    Args:
+        layout: of the particles at rest at X (N, D) [m], with their masses (N,) [kg].
+        particle, x, stiffness: of the points (S,), as in `SurfaceModel`.
+    """
+    patches = make_patches(layout, X, dx)
+    columns, node_mass = patches.layout.columns(), np.zeros(patches.n_nodes)
+    for begin in range(0, len(X), CHUNK):
+        node, weight = stencil_weights(patches, columns[begin : begin + CHUNK])
+        share = weight * mass[begin : begin + CHUNK, None]
+        node_mass += np.bincount(node.ravel(), share.ravel(), patches.n_nodes)
+    points = surface_points(patches, X, particle, x, dx)
+    place, root = np.searchsorted(points.nodes, points.node), np.sqrt(stiffness)
+    value = root[:, None] * points.weight / np.sqrt(node_mass[points.node])
+    row = np.repeat(np.arange(len(x)), points.node.shape[1])
+    matrix = sparse.csr_array((value.ravel(), (row, place.ravel())), (len(x), len(points.nodes)))
+    start = np.ones(min(matrix.shape))
+    return float(svds(matrix, k=1, v0=start, tol=1e-4, return_singular_vectors=False)[0] ** 2)

@@ -1,0 +1,285 @@
+"""Contact of surface points with obstacles in a substep, and its adjoint.
+
+Threads share the points near obstacles, then the nodes that move one of them; each node adds the forces of its points
+in a fixed order. The tangential springs are rows of the state after those of the nodes: spring j is in row M + j // 2
+of u, or of v if j is odd.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cqrun.boundaries.solid import ZERO, signed_distance
+from cqrun.engine.reference.contact import Contact, Obstacles, Surface
+from cqrun.engine.reference.rub import push, push_vjp, rub, rub_vjp
+from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
+from cqrun.engine.setting import Crew
+from cqrun.numerics.compile import barrier, for_each, kernel, share
+from cqrun.numerics.tensor import add, dot, scale, sub
+from cqrun.plugin.contract import Array
+
+FAR = 1e300
+
+
+@kernel
+def place(surface: Surface, s: int, u: Array, stride: int, first: int) -> Any:
+    """Return sum_n w_sn u_n of a point; node n has row n * stride + first."""
+    points, a, b, c = surface.points, 0.0, 0.0, 0.0
+    for k in range(points.node.shape[1]):
+        w, n = points.weight[s, k], points.node[s, k] * stride + first
+        a, b, c = a + w * u[n, 0], b + w * u[n, 1], c + w * u[n, 2]
+    return a, b, c
+
+
+@kernel
+def at_rest(surface: Surface, s: int) -> Any:
+    """Return a point's position at rest."""
+    return surface.rest[s, 0], surface.rest[s, 1], surface.rest[s, 2]
+
+
+@kernel
+def put(a: Array, s: int, value: Any) -> None:
+    """Write a vector."""
+    a[s, 0], a[s, 1], a[s, 2] = value
+
+
+@kernel
+def load_spring(u: Array, v: Array, row: int, s: int) -> Any:
+    """Return the spring of a point, whose rows begin at `row`."""
+    i = row + s // 2
+    if s % 2 == 0:
+        return float(u[i, 0]), float(u[i, 1]), float(u[i, 2])
+    return float(v[i, 0]), float(v[i, 1]), float(v[i, 2])
+
+
+@kernel
+def store_spring(u: Array, v: Array, row: int, s: int, value: Any) -> None:
+    """Write the spring of a point."""
+    if s % 2 == 0:
+        put(u, row + s // 2, value)
+    else:
+        put(v, row + s // 2, value)
+
+
+@kernel
+def to_surface(obstacles: Obstacles, o: int, x: Any) -> Any:
+    """Return (d, n, alpha, t) of an obstacle at x: of the solid in which x is deepest."""
+    found = signed_distance(obstacles.solids, obstacles.begin[o], x)
+    for k in range(obstacles.begin[o] + 1, obstacles.begin[o + 1]):
+        other = signed_distance(obstacles.solids, k, x)
+        if other[0] < found[0]:
+            found = other
+    return found
+
+
+@kernel
+def watch(contact: Contact, run: NodeRun, u: Array, crew: Crew) -> bool:
+    """Find the points near obstacles again if nodes have moved too far; return whether that was done."""
+    near, points = contact.near, contact.surface.points
+    lo, hi = share(len(points.nodes), crew.thread, crew.n_threads)
+    most = 0.0
+    for k in range(lo, hi):
+        n, square = points.nodes[k], 0.0
+        for d in range(3):
+            square += (u[n, d] - near.mark[k, d]) ** 2
+        most = max(most, square)
+    near.moved[crew.thread] = most
+    barrier(run.arrivals, crew.n_threads)
+    for thread in range(crew.n_threads):
+        most = max(most, near.moved[thread])
+    if not most > near.reach**2:
+        return False
+    for k in range(lo, hi):
+        for d in range(3):
+            near.mark[k, d] = u[points.nodes[k], d]
+    lo, hi = share(len(near.flag), crew.thread, crew.n_threads)
+    for s in range(lo, hi):
+        x, least = add(at_rest(contact.surface, s), place(contact.surface, s, u, 1, 0)), FAR
+        for o in range(len(contact.obstacles.dashpot)):
+            least = min(least, to_surface(contact.obstacles, o, x)[0])
+        near.flag[s] = least < near.margin
+    barrier(run.arrivals, crew.n_threads)
+    if crew.thread == 0:
+        list_near(contact)
+    barrier(run.arrivals, crew.n_threads)
+    return True
+
+
+@kernel
+def list_near(contact: Contact) -> None:
+    """List the points that are near, and the nodes that move them."""
+    near, points = contact.near, contact.surface.points
+    count = 0
+    for s in range(len(near.flag)):
+        if near.flag[s]:
+            near.points[count] = s
+            count += 1
+    near.count[0], count = count, 0
+    for k in range(len(points.nodes)):
+        for index in range(points.begin[k], points.begin[k + 1]):
+            if near.flag[points.point[index]]:
+                near.nodes[count] = k
+                count += 1
+                break
+    near.count[1] = count
+
+
+@kernel
+def press_point(contact: Contact, s: int, x: Any, v: Any, spring: Any, dt: float) -> Any:
+    """Return the force on a point, its spring after the substep, and whether more than x matters."""
+    surface, obstacles = contact.surface, contact.obstacles
+    K, Z, h0 = surface.stiffness[s], surface.impedance[s], surface.onset
+    force, after, slid, deepest, normal, pressed, mu = ZERO, ZERO, False, 0.0, ZERO, 0.0, 0.0
+    for o in range(len(obstacles.dashpot)):
+        d, n, _, _ = to_surface(obstacles, o, x)
+        if d < 0.0:
+            C = Z * obstacles.dashpot[o]
+            N = push(K, C, h0, -d, -dot(n, v))
+            if N > 0.0:
+                force = add(force, scale(n, N))
+                slid = slid or C > 0.0
+                if obstacles.rubs[o] and -d > deepest:
+                    deepest, normal, pressed, mu = -d, n, N, obstacles.coefficient[o]
+    if deepest > 0.0:
+        after = rub(K, mu, pressed, dt, normal, v, spring)
+        force = sub(force, scale(after, K))
+        slid = True
+    return force, after, slid
+
+
+@kernel
+def touch(contact: Contact, run: NodeRun, at: NodeStep, u_next: Array, keep: bool, crew: Crew) -> None:
+    """Add the forces of obstacles to `run.force`, and write the springs after the substep."""
+    surface, obstacles, near, row = contact.surface, contact.obstacles, contact.near, len(run.nodes.mass)
+    changed = watch(contact, run, at.u, crew)
+    if keep or changed:
+        relax_others(contact, row, u_next, at.v_next, crew)
+    if near.count[0] == 0:
+        return
+    lo, hi = share(near.count[0], crew.thread, crew.n_threads)
+    for index in range(lo, hi):
+        s, spring = near.points[index], ZERO
+        x, v = add(at_rest(surface, s), place(surface, s, at.u, 1, 0)), place(surface, s, at.v, 1, 0)
+        if obstacles.springs > 0:
+            spring = load_spring(at.u, at.v, row, s)
+        force, after, slid = press_point(contact, s, x, v, spring, run.setting.dt)
+        put(contact.force, s, force)
+        if obstacles.springs > 0:
+            store_spring(u_next, at.v_next, row, s, after)
+        if slid:
+            contact.slid[crew.thread] = 1
+    barrier(run.arrivals, crew.n_threads)
+    share_out(contact, contact.force, run.force, 1, 0, crew)
+    barrier(run.arrivals, crew.n_threads)
+
+
+@kernel
+def relax_others(contact: Contact, row: int, u: Array, v: Array, crew: Crew) -> None:
+    """Set the springs of all points that are not near to zero."""
+    if contact.obstacles.springs > 0:
+        lo, hi = share(len(contact.near.flag), crew.thread, crew.n_threads)
+        for s in range(lo, hi):
+            if not contact.near.flag[s]:
+                store_spring(u, v, row, s, ZERO)
+
+
+@kernel
+def share_out(contact: Contact, value: Array, out: Array, stride: int, first: int, crew: Crew) -> None:
+    """Add the near points' numbers (S, 3) to the nodes: node n has row n * stride + first of `out`."""
+    near, points = contact.near, contact.surface.points
+    lo, hi = share(near.count[1], crew.thread, crew.n_threads)
+    for place_ in range(lo, hi):
+        k = near.nodes[place_]
+        n, a, b, c = points.nodes[k] * stride + first, 0.0, 0.0, 0.0
+        for index in range(points.begin[k], points.begin[k + 1]):
+            s = points.point[index]
+            if near.flag[s]:
+                w = points.share[index]
+                a, b, c = a + w * value[s, 0], b + w * value[s, 1], c + w * value[s, 2]
+        out[n, 0] += a
+        out[n, 1] += b
+        out[n, 2] += c
+
+
+@kernel
+def press_point_vjp(
+    contact: Contact, s: int, x: Any, v: Any, spring: Any, dt: float, force_bar: Any, after_bar: Any
+) -> Any:
+    """Return (x_bar, v_bar, spring_bar), and add to the cotangents of the coefficients of friction."""
+    surface, obstacles = contact.surface, contact.obstacles
+    K, Z, h0 = surface.stiffness[s], surface.impedance[s], surface.onset
+    x_bar, v_bar, spring_bar, deepest, rubs, pressed = ZERO, ZERO, ZERO, 0.0, -1, 0.0
+    for o in range(len(obstacles.dashpot)):
+        d, n, _, _ = to_surface(obstacles, o, x)
+        if obstacles.rubs[o] and d < 0.0 and -d > deepest:
+            N = push(K, Z * obstacles.dashpot[o], h0, -d, -dot(n, v))
+            if N > 0.0:
+                deepest, rubs, pressed = -d, o, N
+    for o in range(len(obstacles.dashpot)):
+        d, n, alpha, t = to_surface(obstacles, o, x)
+        if not d < 0.0:
+            continue
+        C, rate = Z * obstacles.dashpot[o], -dot(n, v)
+        if not push(K, C, h0, -d, rate) > 0.0:
+            continue
+        N_bar, n_bar = 0.0, ZERO
+        if o == rubs:
+            mu = obstacles.coefficient[o]
+            out_bar = sub(after_bar, scale(force_bar, K))
+            mu_bar, N_bar, n_bar, more, spring_bar = rub_vjp(K, mu, pressed, dt, n, v, spring, out_bar)
+            contact.friction_bar[s, o] += mu_bar
+            v_bar = add(v_bar, more)
+        N = push(K, C, h0, -d, rate)
+        N_bar += dot(n, force_bar)
+        n_bar = add(n_bar, scale(force_bar, N))
+        h_bar, rate_bar = push_vjp(K, C, h0, -d, rate, N_bar)
+        v_bar = sub(v_bar, scale(n, rate_bar))
+        n_bar = sub(n_bar, scale(v, rate_bar))
+        turned = sub(sub(n_bar, scale(n, dot(n, n_bar))), scale(t, dot(t, n_bar)))
+        x_bar = add(x_bar, sub(scale(turned, alpha), scale(n, h_bar)))
+    return x_bar, v_bar, spring_bar
+
+
+@kernel
+def touch_vjp(contact: Contact, run: NodeRun, bars: NodeBars, at: NodeStep, crew: Crew) -> None:
+    """Run the adjoint at bars.pairs: add to the cotangents of displacements in `bars.sums`, and to those of springs.
+
+    As in `press_unit_vjp`, the forces are added to the second record of a node if nothing depends on rates. The
+    cotangents of velocities wait for `touch_rates_vjp`.
+    """
+    surface, obstacles, near, row = contact.surface, contact.obstacles, contact.near, len(run.nodes.mass)
+    if watch(contact, run, at.u, crew):
+        relax_others(contact, row, bars.u, bars.v, crew)
+    if near.count[0] == 0:
+        return
+    lo, hi = share(near.count[0], crew.thread, crew.n_threads)
+    for index in range(lo, hi):
+        s, spring, after_bar = near.points[index], ZERO, ZERO
+        x, v = add(at_rest(surface, s), place(surface, s, at.u, 1, 0)), place(surface, s, at.v, 1, 0)
+        force_bar = place(surface, s, bars.pairs, 2, 1)
+        if obstacles.springs > 0:
+            spring, after_bar = load_spring(at.u, at.v, row, s), load_spring(bars.u, bars.v, row, s)
+        force, _, _ = press_point(contact, s, x, v, spring, run.setting.dt)
+        x_bar, v_bar, spring_bar = press_point_vjp(contact, s, x, v, spring, run.setting.dt, force_bar, after_bar)
+        put(contact.force, s, force)
+        put(contact.u_bar, s, x_bar)
+        put(contact.v_bar, s, v_bar)
+        if obstacles.springs > 0:
+            store_spring(bars.u, bars.v, row, s, spring_bar)
+    barrier(run.arrivals, crew.n_threads)
+    share_out(contact, contact.u_bar, bars.sums, 2, 0, crew)
+    if not run.setting.rates:
+        share_out(contact, contact.force, bars.sums, 2, 1, crew)
+    barrier(run.arrivals, crew.n_threads)
+
+
+@kernel
+def touch_rates_vjp(contact: Contact, run: NodeRun, bars: NodeBars, crew: Crew) -> None:
+    """Add the cotangents of velocities, which `touch_vjp` has found."""
+    share_out(contact, contact.v_bar, bars.v, 1, 0, crew)
+    barrier(run.arrivals, crew.n_threads)
+
+
+touch_each = for_each(touch)
+touch_each_vjp = for_each(touch_vjp)
+touch_rates_each_vjp = for_each(touch_rates_vjp)

@@ -1,0 +1,193 @@
+"""Contact of the reference frame in plain NumPy, for complex steps: surface points against solids and facets.
+
+A point s moves with the affine motion of its particle, w_sn = w_pn (1 + 4 / dx^2 d_pn . (X_s - X_p)). At depth h > 0
+it feels N = max(0, K h + C h' h / (h + h0)) along the normal, and -K s' along the surface, where s' is the tangential
+part of s + dt v, shortened to mu N / K: of all obstacles with friction, in the one in which it is deepest.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cqrun.boundaries.solid import CAPSULE, PLANE, Solid
+from cqrun.engine.model import Model
+from cqrun.engine.reference.meeting import REACH
+from cqrun.engine.reference.rub import ONSET
+
+Array = np.ndarray
+
+
+def distance(solid: Solid, x: Array) -> tuple[Array, Array]:
+    """Return the signed distance and the normal at a position."""
+    if solid.kind == PLANE:
+        return (x - solid.points[0]) @ solid.directions[0], solid.directions[0].astype(x.dtype)
+    assert solid.kind == CAPSULE
+    assert (solid.points[0] == solid.points[1]).all()
+    arm = x - solid.points[0]
+    r = np.sqrt((arm * arm).sum())
+    return r - solid.lengths[0], arm / r
+
+
+@dataclass
+class Touching:
+    """The surface of a model, with the springs of its points.
+
+    `stencils` are (node, weight, arm) of every particle, one node at a time. `branches` are those taken so far: the
+    obstacle, and whether the point sticks, slides, or only presses.
+    """
+
+    model: Model
+    coefficients: Array
+    stencils: Sequence[tuple[Array, Array, Array]]
+    X: Array
+    springs: Array = field(init=False)
+    branches: list[set[tuple[int, str]]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        surface = self.model.surface
+        self.springs = np.zeros(surface.x.shape, complex)
+        p, A = surface.particle, 4 / self.model.dx**2
+        offset = surface.x - self.X[p]
+        self.node = np.stack([node[p] for node, _, _ in self.stencils], axis=1)
+        self.weight = np.stack(
+            [weight[p] * (1 + A * (arm[p] * offset).sum(axis=1)) for _, weight, arm in self.stencils], axis=1
+        )
+
+    def forces(self, u: Array, v: Array) -> Array:
+        """Return the forces on the nodes, and move the springs on by a substep."""
+        x = self.model.surface.x + np.einsum("sk,skd->sd", self.weight, u[self.node])
+        speed = np.einsum("sk,skd->sd", self.weight, v[self.node])
+        taken: set[tuple[int, str]] = set()
+        force = np.array([self._on_point(s, x[s], speed[s], taken) for s in range(len(x))])
+        self.branches.append(taken)
+        out = np.zeros(u.shape, np.result_type(u, force))
+        np.add.at(out, self.node, self.weight[:, :, None] * force[:, None, :])
+        return out
+
+    def _on_point(self, s: int, x: Array, v: Array, taken: set[tuple[int, str]]) -> Array:
+        model, surface = self.model, self.model.surface
+        K, Z, h0 = surface.stiffness[s], surface.impedance[s], ONSET * model.dx
+        force, deepest, after = np.zeros(len(x), complex), None, np.zeros(len(x), complex)
+        for o, obstacle in enumerate(model.obstacles):
+            d, n = min((distance(solid, x) for solid in obstacle.solids), key=lambda found: found[0].real)
+            N = K * -d + Z * obstacle.dashpot * -(v @ n) * d / (d - h0)
+            if d.real < 0 and N.real <= 0:
+                taken.add((o, "leaves"))
+            if d.real < 0 < N.real:
+                force = force + N * n
+                taken.add((o, "presses"))
+                if obstacle.rubs and (deepest is None or -d.real > deepest[0]):
+                    deepest = -d.real, n, N, self.coefficients[obstacle.condition], o
+        if deepest is not None:
+            _, n, N, mu, o = deepest
+            a = self.springs[s] + model.dt * v
+            after = a - n * (n @ a)
+            length = np.sqrt((after * after).sum())
+            slides = (K * length).real >= (mu * N).real
+            taken.add((o, "slides" if slides else "sticks"))
+            if slides:
+                after = after * mu * N / (K * length)
+            force = force - K * after
+        self.springs[s] = after
+        return force
+
+
+# --- bodies ----------------------------------------------------------------------------------------------------------
+
+
+def nearest(x: Array, corner: Array) -> tuple[Array, float, float]:
+    """Return the weights of a facet's corners (D, D) in its point nearest to x, the distance and the height.
+
+    Each set of corners spans a plane, a line or a point; the nearest point of one of them with weights that are not
+    negative is that of the facet.
+    """
+    dim, found = len(x), []
+    for size in range(1, dim + 1):
+        for chosen in itertools.combinations(range(dim), size):
+            base, edges = corner[chosen[0]], corner[list(chosen[1:])] - corner[chosen[0]]
+            inner = np.linalg.solve(edges @ edges.T, edges @ (x - base)) if size > 1 else np.zeros(0, x.dtype)
+            weights = np.zeros(dim, x.dtype)
+            weights[list(chosen)] = np.append(1 - inner.sum(), inner)
+            if (weights.real >= 0).all():
+                g = x - weights @ corner
+                found.append((np.sqrt((g.real**2).sum()), size, weights))
+    distance_, _, weights = min(found, key=lambda each: (each[0], -each[1]))
+    edge = (corner[1:] - corner[0]).real
+    n = np.array([edge[0, 1], -edge[0, 0]]) if dim == 2 else np.cross(*edge)
+    return weights, distance_, (x - corner[0]).real @ n / np.linalg.norm(n)
+
+
+@dataclass
+class Meeting:
+    """The surfaces of bodies that meet; see `Touching`. `branches` counts what happened."""
+
+    model: Model
+    mu: complex
+    points: Touching
+    body: Array
+    springs: Array = field(init=False)
+    branches: Counter[str] = field(default_factory=Counter)
+
+    def __post_init__(self) -> None:
+        self.springs = np.zeros(self.model.surface.x.shape, complex)
+
+    def forces(self, u: Array, v: Array) -> Array:
+        """Return the forces on the nodes, and move the springs on by a substep."""
+        node, weight = self.points.node, self.points.weight
+        x = self.model.surface.x + np.einsum("sk,skd->sd", weight, u[node])
+        speed = np.einsum("sk,skd->sd", weight, v[node])
+        force = np.zeros(x.shape, complex)
+        for s in range(len(x)):
+            f, weights = self._around(s, x)
+            if f is None:
+                self.springs[s] = 0
+                continue
+            corner = self.model.surface.facets[f]
+            push = self._push(s, f, x[s] - weights @ x[corner], speed[s] - weights @ speed[corner])
+            force[s] += push
+            force[corner] -= weights[:, None] * push
+            self.branches[f"{int((weights.real > 0).sum())} corners"] += 1
+        out = np.zeros(u.shape, np.result_type(u, force))
+        np.add.at(out, node, weight[:, :, None] * force[:, None, :])
+        return out
+
+    def _around(self, s: int, x: Array) -> tuple[int | None, Array]:
+        facets, best = self.model.surface.facets, (np.inf, None, np.zeros(0))
+        for body in np.unique(self.body):
+            if body == self.body[s]:
+                continue
+            own = [f for f, corner in enumerate(facets) if self.body[corner[0]] == body]
+            found = [(f, *nearest(x[s], x[facets[f]])) for f in own]
+            least = min(each[2] for each in found)
+            f, weights, distance_, height = max(
+                (each for each in found if each[2] <= least * (1 + 1e-9)), key=lambda each: abs(each[3])
+            )
+            if height < 0 and distance_ < min(best[0], 0.5 * REACH * self.model.dx):
+                best = distance_, f, weights
+        return best[1], best[2]
+
+    def _push(self, s: int, f: int, g: Array, v: Array) -> Array:
+        model, surface, corner = self.model, self.model.surface, self.model.surface.facets[f]
+        area, h = surface.area, np.sqrt((g * g).sum())
+        k, z = surface.stiffness / area, surface.impedance / area
+        K, C = (area[s] / (1 / a[s] + 1 / a[corner].mean()) for a in (k, z))
+        n, h0 = -g / h, ONSET * model.dx
+        N = K * h - C * model.meeting.dashpot * (v @ n) * h / (h + h0)
+        a = self.springs[s] + model.dt * v
+        after = a - n * (n @ a)
+        length = np.sqrt((after * after).sum())
+        if N.real <= 0:
+            self.branches["leaves"] += 1
+            self.springs[s] = 0
+            return 0 * g
+        slides = (K * length).real >= (self.mu * N).real
+        self.branches["slides" if slides else "sticks"] += 1
+        if slides:
+            after = after * self.mu * N / (K * length)
+        self.springs[s] = after
+        return N * n - K * after
