@@ -135,9 +135,7 @@ def test_the_smallest_eigenvalue_falls_to_zero_at_the_buckling_load(monkeypatch)
     euler = np.pi**2 * E / (1 - nu**2) * h**3 / 12 / (4 * L**2)
     seen = {}
     for part in (0.3, 0.8, 1.2):
-        monkeypatch.setattr(
-            statics, "FEW", 10**9
-        )  # so that Newton stays on the straight branch
+        monkeypatch.setattr(statics, "FEW", 10**9)  # so that Newton stays on the straight branch
         model, inputs = rod(60, push=part * euler)
         straight = Equilibrium(model, inputs).solve(tolerance=1e-7)
         assert straight.converged
