@@ -146,7 +146,7 @@ class AtRest:
     def path(self, values: Values, threads: int = 1) -> RestPath:
         """Return the path, without any point yet."""
         inputs = [inputs_of(self.built, point, values) for point in self.points]
-        return RestPath(self.built.model, inputs, threads=threads, tolerance=TOLERANCE)
+        return RestPath(self.built.model, inputs, threads=threads, tolerance=TOLERANCE, apart=True)
 
     def _find(self, values: Values, threads: int, observe: Observe | None) -> tuple[RestPath, RestRecords]:
         path = self.path(values, threads)

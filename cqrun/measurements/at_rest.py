@@ -1,7 +1,8 @@
 """Base of measurements at rest: what a body does under stated loads, one equilibrium after another.
 
 The file is a table with a column for each load; `loads` says which number of the scene each column is. The model finds
-the equilibrium of every line, in the order of the file (`engine/statics/path.py`).
+the equilibrium of every line, from that of the line before or from the rest shape, whichever is nearer to it
+(`engine/statics/path.py`).
 
 Row 0 of the records is the rest shape without loads, row k the k-th point. The error of a channel at a point is the
 model's value minus the measured one, and the loss the mean squared length of the errors.

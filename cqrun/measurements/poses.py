@@ -38,7 +38,8 @@ class Poses(RestMeasurement):
 
     Positions are in the axes of the scene; `offset` is added to them. A marker off the body stands on a rigid stem. The
     model is at rest in every pose, so speeds, viscosity and time have no part. The scene needs `world.frame: reference`
-    and a boundary that holds the body. Poses are found in the order of the file, each from the one before it.
+    and a boundary that holds the body. Each pose is found from the one before it or from the rest shape, whichever is
+    nearer; the order of the poses matters only where a body has several places of rest.
     """
 
     quantity: ClassVar[str] = "position"

@@ -30,6 +30,7 @@ from cqrun.engine.reference.moves import poses, poses_vjp
 from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.reference.step import begin_control
 from cqrun.engine.setting import Crew
+from cqrun.engine.statics.coarse import CoarseSpace, pulled_points
 from cqrun.engine.statics.krylov import conjugate_gradients
 from cqrun.engine.statics.newton import MOST_PRODUCTS, Rest, find_rest
 from cqrun.engine.statics.passes import find_bars, find_change, find_net, find_slopes
@@ -42,6 +43,12 @@ from cqrun.state import State
 
 TINY_STRAIN = 1e-4
 """Strain whose forces are the measure of the residual of a body without loads."""
+
+FEW, MANY = 400, 60_000
+"""With fewer nodes conjugate gradients need no coarse space; with more, its direct solve would take too long."""
+
+REFRESH = 80
+"""Products after which the coarse space is made anew: it is as dear as they are."""
 
 LEAST_BLOCK = 1e-3
 """Least eigenvalue of a node's block of the preconditioner, as a part of the block's largest."""
@@ -80,6 +87,8 @@ class Equilibrium:
         self._each(lambda crew: begin_control(self.rollout.drive, self.run, self.colours, control, crew))
         self.outside = self.run.outside.copy()
         self.inverse = np.zeros((0, self.dim, self.dim))
+        self.coarse: CoarseSpace | None = None
+        self.since = 0  # products since the coarse space was made
 
     # --- the system (`newton.System`) -----------------------------------------------------------------------------
 
@@ -97,16 +106,22 @@ class Equilibrium:
         """Prepare the tangent and its preconditioner at a displacement."""
         self._each(lambda crew: find_slopes(self.rollout.parts, self.run, self.A, u, self.still, crew))
         self._invert_blocks()
+        if self._is_coarse() and (self.coarse is None or self.since > REFRESH):
+            self._make_coarse()
 
     def product(self, p: Array) -> Array:
         """Return the stiffness matrix times a displacement (M, 4)."""
+        self.since += 1
         return self._freed(-self._change(p))
 
     def precondition(self, r: Array) -> Array:
-        """Return the forces (M, 4) times the inverse of each node's block."""
+        """Return the forces (M, 4) times the inverse of each node's block, and of the coarse space."""
         z, active = np.zeros_like(r), self.run.nodes.active
         z[active, : self.dim] = np.einsum("nij,nj->ni", self.inverse, r[active, : self.dim])
-        return self._freed(z)
+        z = self._freed(z)
+        if self.coarse is not None and self.coarse.ready:
+            z += self.coarse.solve(r)
+        return z
 
     # --- what a user asks ---------------------------------------------------------------------------------------------
 
@@ -121,7 +136,8 @@ class Equilibrium:
         load = self.load()
         if change.any():
             load = max(load, float(np.linalg.norm(self.net(start))))
-        return find_rest(self, start, load, tolerance)
+        rest = find_rest(self, start, load, tolerance)
+        return self._judged(rest) if rest.converged and self._is_coarse() else rest
 
     def load(self) -> float:
         """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
@@ -252,6 +268,30 @@ class Equilibrium:
         """Run a pass on all threads."""
         n = self.rollout.threads
         self.rollout.team.run(lambda thread: body(Crew(thread, n)))
+
+    def _is_coarse(self) -> bool:
+        """Return whether conjugate gradients use a coarse space."""
+        return FEW <= len(self.run.nodes.active) <= MANY
+
+    def _make_coarse(self) -> bool:
+        """Make the coarse space at the state of `linearise`; return whether the stiffness there is positive."""
+        if self.coarse is None:
+            free = np.ones(self.n_nodes, bool)
+            free[self.held] = False
+            self.coarse = CoarseSpace(self.run, self.rollout.rest.patches, free)
+        self.since = 0
+        r = self.rollout
+        pulled = pulled_points(self.run, r.loads, r.drive, self.push, self.control)
+        return self.coarse.prepare(self.A, r.ghosts, pulled)
+
+    def _judged(self, rest: Rest) -> Rest:
+        """Return a rest with the smallest eigenvalue there, and whether one is negative, in the coarse space."""
+        self.linearise(rest.u)
+        if not self._make_coarse():
+            return replace(rest, negative=True)
+        assert self.coarse is not None
+        smallest = self.coarse.smallest(np.linalg.inv(self.inverse), self.run.nodes.active)
+        return replace(rest, smallest=smallest)
 
     def _carried(self) -> Array:
         """Return where boundaries carry their nodes: the displacement of held nodes (M, 4), zero elsewhere."""

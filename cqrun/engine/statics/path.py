@@ -72,6 +72,8 @@ class RestPath:
         inputs: inputs of each point; only their last control step acts.
         threads: number of threads at most. The results do not depend on it.
         tolerance: net force divided by the loads at which a point counts as found.
+        apart: whether the points have nothing to do with each other: then a point starts from the rest shape if the net
+            force is smaller there than at the last point. Otherwise a path stays on its branch.
 
     Attributes:
         points: the points found so far.
@@ -79,10 +81,12 @@ class RestPath:
         rows: the probe's sums (rows, K) at the rest shape and at every point.
     """
 
-    def __init__(self, model: Model, inputs: Sequence[Inputs], *, threads: int = 1, tolerance: float = 1e-8) -> None:
+    def __init__(
+        self, model: Model, inputs: Sequence[Inputs], *, threads: int = 1, tolerance: float = 1e-8, apart: bool = False
+    ) -> None:
         self.model = replace(model, n_controls=1, substeps=1)
         self.inputs = [replace(each, activation=each.activation[-1:]) for each in inputs]
-        self.threads, self.tolerance = threads, tolerance
+        self.threads, self.tolerance, self.apart = threads, tolerance, apart
         self.points: list[Point] = []
         unloaded = self.equilibrium(_unloaded(self.inputs[0]))
         self.loose = unloaded.loose_bodies()
@@ -115,6 +119,8 @@ class RestPath:
                 raise StopAsked
             here = self.equilibrium(inputs)
             point = known(number) if known is not None else None
+            if self.apart and point is None and _net(here, self.rest_shape) < _net(here, u):
+                before, u = _unloaded(self.inputs[0]), self.rest_shape
             point = self._reach(here, before, inputs, u) if point is None else point
             self.points.append(point)
             if observe is not None:
@@ -161,6 +167,13 @@ class RestPath:
 
 MIXED = ("activation", "strength", "rest", "weights", "moves")
 """The inputs that change on the way, beside fields and terms."""
+
+
+def _net(here: Equilibrium, u: Array) -> float:
+    """Return the size of the net force at a displacement [N]; infinite where it is not finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = float(np.linalg.norm(here.net(u)))
+    return size if np.isfinite(size) else np.inf
 
 
 def between(a: Inputs, b: Inputs, s: float) -> Inputs:
