@@ -134,6 +134,7 @@ class Assembly:
         return Inputs(
             state, fields, self._terms(values), drive.activations(self.sequence, values), drive.strengths(values),
             self._coefficients(values), drive.weights(values), drive.rest_lengths(x), self._moves(values),
+            self.geometry.surface_at_rest(values),
         )  # fmt: skip
 
     def gradient(self, values: Values, bar: Inputs) -> dict[str, Array]:
@@ -149,6 +150,7 @@ class Assembly:
         self.actuation.weights_vjp(bar.weights, out)
         self._coefficients_vjp(values, bar, out)
         self._moves_vjp(bar, out)
+        self.geometry.surface_at_rest_vjp(values, bar.surface, out)
         return out
 
     # --- masses and loads -------------------------------------------------------------------------------------

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cqrun.boundaries.condition import BoundaryCondition
 from cqrun.boundaries.solid import PLANE, Solid, make_solids, signed_distance
@@ -19,85 +18,22 @@ from cqrun.build.assembly import Assembly
 from cqrun.build.limits import Limit, contact_limit
 from cqrun.build.particles import Particles
 from cqrun.build.regions import boundary
+from cqrun.build.surfaces import BodySurface, is_obstacle, surface_of, touches
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.reference.contact import contact_square
 from cqrun.engine.surface import MeetingModel, ObstacleModel, SurfaceModel
 from cqrun.errors import Problem, SceneError, UsageError
-from cqrun.geometry.place import Place
-from cqrun.geometry.shape import finite_bounds
-from cqrun.geometry.skin import make_skin
 from cqrun.plugin.contract import Array
+from cqrun.scene.paths import shapes_a_body
 from cqrun.scene.schema import Scene
 from cqrun.scene.world_and_time import BodyContact
 from cqrun.state import Layout
 
-PER_CELL = 2
-"""Points of a surface in a cell, along each direction of the surface."""
-
 PENALTY = 5.0
-"""Of contact, in E / dx. Twice as much halves the depth at rest, and shortens the substep by a fifth."""
+"""Of contact, in E / dx. Twice as much halves the depth at rest, and shortens the substep by a quarter."""
 
 DEEP = 0.1
 """Depth inside an obstacle with which a body must not start [cells]: it would be thrown out."""
-
-
-class BodySurface(NamedTuple):
-    """The surfaces of all bodies at rest, in the order of the particles' bodies.
-
-    Attributes:
-        x, area: points (S, D) [m] and their areas (S,) [m^(D-1)].
-        particle: nearest particle of the same body, in user order (S,).
-        facets: (T, D) the points of each segment or triangle.
-        begin: (B + 1,) where the points of a body begin.
-    """
-
-    x: Array
-    area: Array
-    particle: Array
-    facets: Array
-    begin: Array
-
-
-def touches(scene: Scene) -> bool:
-    """Return whether bodies can touch something."""
-    obstacles = scene.world.frame == "reference" and any(_obstacle(scene, name) for name in scene.boundaries)
-    return obstacles or scene.bodies_meet
-
-
-def _obstacle(scene: Scene, name: str) -> bool:
-    spec: Any = scene.boundaries[name].value
-    return bool(spec.is_obstacle)
-
-
-def surface_of(scene: Scene, particles: Particles) -> BodySurface:
-    """Return the surfaces of all bodies; they are found once."""
-    known: BodySurface | None = particles.found.get("surface")
-    if known is None:
-        known = particles.found["surface"] = _find_surface(scene, particles)
-    return known
-
-
-def _find_surface(scene: Scene, particles: Particles) -> BodySurface:
-    x, area, particle, facets, begin = [], [], [], [], [0]
-    for name in particles.names:
-        body, part = scene.bodies[name], particles.of(name)
-        place, pieces = body.place or Place(), list(body.pieces.values())
-
-        def inside(points: Array, pieces: list[Any] = pieces) -> Array:
-            return np.any([piece.inside(points) for piece in pieces], axis=0)
-
-        bounds = [finite_bounds(piece) for piece in pieces]
-        lower, upper = np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
-        skin = make_skin(inside, lower, upper, scene.world.dx / PER_CELL / place.scale)
-        x.append(skin.x if body.place is None else place.to_world(skin.x))
-        area.append(skin.area * place.scale ** (scene.dim - 1))
-        particle.append(part.start + cKDTree(particles.x[part]).query(x[-1])[1])
-        facets.append(skin.facets + begin[-1])
-        begin.append(begin[-1] + len(skin.x))
-    ends = np.array(begin)
-    return BodySurface(
-        np.concatenate(x), np.concatenate(area), np.concatenate(particle), np.concatenate(facets), ends
-    )  # fmt: skip
 
 
 class ContactParts(NamedTuple):
@@ -138,7 +74,8 @@ def surface_model(scene: Scene, particles: Particles, assembly: Assembly) -> Sur
     """Return the surfaces with the constants of their contact."""
     surface = surface_of(scene, particles)
     stiffness, impedance = _constants(particles, assembly, surface, scene.world.dx)
-    return SurfaceModel(surface.x, surface.particle, stiffness, impedance, surface.area, surface.facets)
+    shaped = any(shapes_a_body(path) for path in scene.unknowns)
+    return SurfaceModel(surface.x, surface.particle, stiffness, impedance, surface.area, surface.facets, shaped)
 
 
 def _constants(particles: Particles, assembly: Assembly, surface: BodySurface, dx: float) -> tuple[Array, Array]:
@@ -247,7 +184,7 @@ def contact_limits(
         particles.found[key] = _fastest(particles, assembly, body, base, scene.world.dx)
     square, slowest = particles.found[key]
     square *= float((base / density).max())
-    limits, names = [], [name for name in scene.boundaries if _obstacle(scene, name)]
+    limits, names = [], [name for name in scene.boundaries if is_obstacle(scene, name)]
     if names:
         dashpot = max(getattr(scene.boundaries[name].value, "dashpot", 0.0) for name in names)
         part = f"boundaries.{names[0]}.{scene.boundaries[names[0]].name}"

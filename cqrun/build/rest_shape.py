@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.build.particles import Particles
+from cqrun.build.surfaces import BodySurface, surface_of, touches
 from cqrun.geometry.place import Place
 from cqrun.plugin.choice import Chosen
 from cqrun.plugin.contract import Array, Spec
@@ -42,7 +43,8 @@ class Geometry:
         x, volume = self.particles.x.copy(), self.particles.volume.copy()
         for body, numbers in self._by_body(values).items():
             part = self.particles.of(body)
-            x[part], growth = self._carried(body, numbers)
+            points = self.particles.points[body]
+            x[part], growth = self._carried(body, numbers, points.local, points.piece)
             volume[part] *= growth
         return x, volume
 
@@ -58,9 +60,37 @@ class Geometry:
             part = self.particles.of(body)
             volume_bar_b = volume_bar[part] * self.particles.volume[part]
             for path, value in numbers.items():
-                moved, growth = self._carried(body, {**numbers, path: value + STEP * 1j})
+                points = self.particles.points[body]
+                moved, growth = self._carried(body, {**numbers, path: value + STEP * 1j}, points.local, points.piece)
                 slope = np.einsum("nd,nd->", x_bar[part], np.imag(moved)) + volume_bar_b @ np.imag(growth)
                 out[path] += slope / STEP
+
+    def surface_at_rest(self, values: Mapping[str, Array]) -> Array:
+        """Return the positions of the surfaces' points at rest (S, D) [m]; empty if nothing moves or touches them."""
+        moved = self._by_body(values)
+        if not moved or not touches(self.scene):
+            return np.zeros((0, self.scene.dim))
+        surface = surface_of(self.scene, self.particles)
+        x = surface.x.copy()
+        for body, numbers in moved.items():
+            own, local, piece = self._of_surface(surface, body)
+            x[own] = self._carried(body, numbers, local, piece)[0]
+        return x
+
+    def surface_at_rest_vjp(self, values: Mapping[str, Array], x_bar: Array, out: dict[str, Array]) -> None:
+        """Add the cotangents of the geometric values to the gradients in `out`, from that of the points (S, D)."""
+        for body, numbers in self._by_body(values).items() if len(x_bar) else ():
+            own, local, piece = self._of_surface(surface_of(self.scene, self.particles), body)
+            for path, value in numbers.items():
+                moved, _ = self._carried(body, {**numbers, path: value + STEP * 1j}, local, piece)
+                out[path] += np.einsum("nd,nd->", x_bar[own], np.imag(moved)) / STEP
+
+    def _of_surface(self, surface: BodySurface, body: str) -> tuple[slice, Array, Array]:
+        """Return a body's points: their slice, their local coordinates, and the pieces of their nearest particles."""
+        k = self.particles.names.index(body)
+        own = slice(int(surface.begin[k]), int(surface.begin[k + 1]))
+        piece = self.particles.points[body].piece[surface.particle[own] - self.particles.of(body).start]
+        return own, surface.local[own], piece
 
     def _by_body(self, values: Mapping[str, Array]) -> dict[str, dict[str, Any]]:
         """Return the geometric values of each body that has any."""
@@ -70,23 +100,28 @@ class Geometry:
                 by_body.setdefault(path.split(".")[1], {})[path] = float(np.asarray(value).reshape(-1)[0])
         return by_body
 
-    def _carried(self, body: str, numbers: Mapping[str, Any]) -> tuple[Array, Array]:
-        """Return positions (N_b, D) and volume ratios (N_b,) of a body's particles; complex if a number is complex."""
-        points, before = self.particles.points[body], self.scene.bodies[body]
+    def _carried(self, body: str, numbers: Mapping[str, Any], local: Array, piece: Array) -> tuple[Array, Array]:
+        """Return positions (n, D) and volume ratios (n,) of a body's points; complex if a number is complex.
+
+        Args:
+            local: their positions (n, D) in the body's own coordinates.
+            piece: the body's piece with which each moves (n,).
+        """
+        before = self.scene.bodies[body]
         after: Body = before
         for path, value in numbers.items():
             after = replaced(after, path.split(".")[2:], value)
         order, carried = [], []
         for k, (shape, shape_to) in enumerate(zip(before.pieces.values(), after.pieces.values(), strict=True)):
-            indices = np.flatnonzero(points.piece == k)
+            indices = np.flatnonzero(piece == k)
             order.append(indices)
-            carried.append(shape.carried(points.local[indices], shape_to))
+            carried.append(shape.carried(local[indices], shape_to))
         back = np.argsort(np.concatenate(order))
-        local, growth = (np.concatenate(each)[back] for each in zip(*carried, strict=True))
+        moved, growth = (np.concatenate(each)[back] for each in zip(*carried, strict=True))
         if before.place is None:
-            return local, growth
+            return moved, growth
         place, place_to = before.place, after.place or Place()
-        return place_to.to_world(local), growth * (place_to.scale / place.scale) ** self.scene.dim
+        return place_to.to_world(moved), growth * (place_to.scale / place.scale) ** self.scene.dim
 
 
 def replaced(node: Any, keys: Sequence[str], value: Any) -> Any:

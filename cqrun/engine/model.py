@@ -213,12 +213,21 @@ class Inputs:
     weights: Array = field(default_factory=lambda: np.zeros(0))  # of each particle of each actuator; all 1 if empty
     rest: Array = field(default_factory=lambda: np.zeros(0))  # length at rest of each part [m]; all 0 if empty
     moves: Array = field(default_factory=lambda: np.zeros(0))  # (planes, D + 1 or 6) displacement and rotation
+    surface: Array = field(default_factory=lambda: np.zeros(0))  # points at rest (S, D) [m]; the model's if empty
 
     @classmethod
     def zeros_like(cls, other: Inputs) -> Inputs:
         """Return a zero cotangent."""
         terms = [[np.zeros_like(theta) for theta in group] for group in other.terms]
-        numbers = (other.activation, other.strength, other.coefficients, other.weights, other.rest, other.moves)
+        numbers = (
+            other.activation,
+            other.strength,
+            other.coefficients,
+            other.weights,
+            other.rest,
+            other.moves,
+            other.surface,
+        )
         fields = ParticleFields.zeros(*other.state.x.shape)
         return cls(other.state.zeros_like(), fields, terms, *map(np.zeros_like, numbers))
 

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from cqrun.boundaries.solid import BOX, CAPSULE, PLANE, POLYGON
+from cqrun.build.assembly import Assembly
 from cqrun.build.model import build
+from cqrun.build.particles import sample
+from cqrun.build.rest_shape import Geometry
 from cqrun.engine.model import Inputs
 from cqrun.errors import SceneError
 from cqrun.scene.load import load_scene
@@ -174,3 +177,35 @@ def test_contact_between_bodies_belongs_to_the_reference_frame():
     world = {"size": [1, 1], "dx": DX, "contact": {"coefficient": 0.2}}
     with pytest.raises(SceneError, match=r"world\.contact: acts in the reference frame alone"):
         build(load_scene(scene(world=world)))
+
+
+# --- a surface that follows the shape --------------------------------------------------------------------------------
+
+TURNED = BODY | {"place": {"offset": [0.1, 0.2], "angle": 20.0, "scale": 1.1}}
+NUMBERS = {"shape.box.size.0": 0.46, "shape.box.corner.1": 0.37, "place.angle": 35.0, "place.offset.0": 0.16}
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_points_follow_the_shape(name):
+    """They lie on the surface of the changed body, like the particles inside it."""
+    path, value = f"bodies.bar.{name}", NUMBERS[name]
+    before, after = (load_scene(scene(bodies={"bar": TURNED}), overrides) for overrides in ([], [f"{path}={value}"]))
+    x = Geometry(before, sample(before)).surface_at_rest({path: np.array(value)})
+    whole, centre = after.bodies["bar"].whole(), x.mean(axis=0)
+    assert whole.inside(centre + (1 - 1e-6) * (x - centre)).all()
+    assert not whole.inside(centre + (1 + 1e-6) * (x - centre)).any()
+    assert len(Geometry(before, sample(before)).surface_at_rest({})) == 0
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_dot_product_of_points_that_follow_the_shape(name, rng):
+    path, value = f"bodies.bar.{name}", NUMBERS[name]
+    one = load_scene(scene(bodies={"bar": TURNED}))
+    assembly = Assembly(one, sample(one))
+    values = {path: np.array(value)}
+    bar = Inputs.zeros_like(assembly.inputs(values))
+    bar.surface[:] = rng.normal(size=bar.surface.shape)
+    step = 1e-4 * abs(value)
+    ahead, behind = (assembly.inputs({path: np.array(value + sign * step)}).surface for sign in (1, -1))
+    differences = ((ahead - behind) * bar.surface).sum() / (2 * step)
+    assert assembly.gradient(values, bar)[path] == pytest.approx(differences, rel=1e-6)

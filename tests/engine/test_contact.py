@@ -140,6 +140,28 @@ def test_dot_product(case, kind, rng):
     assert backward == pytest.approx(forward, rel=DOT_PRODUCT)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_dot_product_of_positions_at_rest(dim, rng):
+    """Those of the surface's points, and of the particles with which they move, as far as contact depends on them."""
+    model, inputs = touched(dim, viscous=False, seed={2: 0, 3: 2}[dim])
+    model, inputs.surface = replace(model, surface=replace(model.surface, moves=True)), model.surface.x.copy()
+    records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
+    rollout = make_rollout(*compiled(model, inputs, viscous=False), adjoint=True)
+    _, bar = rollout.gradient(lambda records, state: LossBar(records_bar))
+    change = 0.1 * DX * rng.normal(size=inputs.surface.shape)
+    shifted = moved(inputs, "v", 0j * inputs.state.v)
+    shifted.surface = inputs.surface + 1j * TINY * change
+    other = 0.1 * DX * rng.normal(size=inputs.state.x.shape)
+    for slope, given in (
+        ((bar.surface * change).sum(), shifted),
+        ((bar.state.x * other).sum(), moved(inputs, "x", 1j * TINY * other)),
+    ):
+        records, _ = total_lagrangian.rollout(model, given)
+        forward = product(records, records_bar).imag / TINY
+        assert abs(forward) > 0
+        assert slope == pytest.approx(forward, rel=DOT_PRODUCT)
+
+
 @needs_jit
 @pytest.mark.parametrize("precision", [np.float64, np.float32])
 def test_any_number_of_threads_gives_the_same_bits(precision):

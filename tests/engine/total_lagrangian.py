@@ -105,7 +105,9 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
     v = scattered(stencils, n_nodes, fields.mass[:, None] * inputs.state.v, fields.mass[:, None, None] * inputs.state.C)
     v[present] /= m[present, None]
     v, u = held(model, v, present), np.zeros_like(v)
-    touching = Touching(model, inputs.coefficients, stencils, X) if model.surface is not None else None
+    touching = None
+    if model.surface is not None:  # which follows rest positions that are complex, too
+        touching = Touching(model, inputs, list(stencil(model, inputs.state.x)))
     meeting = None
     if model.meeting is not None:
         body = np.repeat(np.arange(len(model.layout.counts)), model.layout.counts)[model.surface.particle]

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cqrun.boundaries.solid import CAPSULE, PLANE, Solid
-from cqrun.engine.model import Model
+from cqrun.engine.model import Inputs, Model
 from cqrun.engine.reference.meeting import REACH
 from cqrun.engine.reference.rub import ONSET
 
@@ -42,17 +42,17 @@ class Touching:
     """
 
     model: Model
-    coefficients: Array
+    inputs: Inputs
     stencils: Sequence[tuple[Array, Array, Array]]
-    X: Array
     springs: Array = field(init=False)
     branches: list[set[tuple[int, str]]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         surface = self.model.surface
+        self.x = self.inputs.surface if len(self.inputs.surface) else surface.x
         self.springs = np.zeros(surface.x.shape, complex)
         p, A = surface.particle, 4 / self.model.dx**2
-        offset = surface.x - self.X[p]
+        offset = self.x - self.inputs.state.x[p]
         self.node = np.stack([node[p] for node, _, _ in self.stencils], axis=1)
         self.weight = np.stack(
             [weight[p] * (1 + A * (arm[p] * offset).sum(axis=1)) for _, weight, arm in self.stencils], axis=1
@@ -60,7 +60,7 @@ class Touching:
 
     def forces(self, u: Array, v: Array) -> Array:
         """Return the forces on the nodes, and move the springs on by a substep."""
-        x = self.model.surface.x + np.einsum("sk,skd->sd", self.weight, u[self.node])
+        x = self.x + np.einsum("sk,skd->sd", self.weight, u[self.node])
         speed = np.einsum("sk,skd->sd", self.weight, v[self.node])
         taken: set[tuple[int, str]] = set()
         force = np.array([self._on_point(s, x[s], speed[s], taken) for s in range(len(x))])
@@ -82,7 +82,7 @@ class Touching:
                 force = force + N * n
                 taken.add((o, "presses"))
                 if obstacle.rubs and (deepest is None or -d.real > deepest[0]):
-                    deepest = -d.real, n, N, self.coefficients[obstacle.condition], o
+                    deepest = -d.real, n, N, self.inputs.coefficients[obstacle.condition], o
         if deepest is not None:
             _, n, N, mu, o = deepest
             a = self.springs[s] + model.dt * v
@@ -139,7 +139,7 @@ class Meeting:
     def forces(self, u: Array, v: Array) -> Array:
         """Return the forces on the nodes, and move the springs on by a substep."""
         node, weight = self.points.node, self.points.weight
-        x = self.model.surface.x + np.einsum("sk,skd->sd", weight, u[node])
+        x = self.points.x + np.einsum("sk,skd->sd", weight, u[node])
         speed = np.einsum("sk,skd->sd", weight, v[node])
         force = np.zeros(x.shape, complex)
         for s in range(len(x)):

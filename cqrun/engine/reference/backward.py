@@ -10,7 +10,7 @@ from cqrun.boundaries.condition import project_all_vjp
 from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.model import Inputs, LossBar
 from cqrun.engine.probe import record_vjp
-from cqrun.engine.reference.contacts import add_friction_bars, with_own_bars
+from cqrun.engine.reference.contacts import add_friction_bars, rest_bars, with_own_bars
 from cqrun.engine.reference.ghost import GAMMA, mean_modulus, mean_modulus_vjp
 from cqrun.engine.reference.moves import poses_vjp
 from cqrun.engine.reference.setting import NodeBars
@@ -48,7 +48,7 @@ class ReferenceBackward(BackwardRun):
         )  # fmt: skip
         self.parts = tuple((pair, first, last) for pair, (_, first, last) in zip(self.pairs, r.parts, strict=True))
         self.moves = tuple((moves, np.zeros_like(moves.pose)) for moves in r.moves)
-        self.contacts = with_own_bars(r.contacts)
+        self.contacts = with_own_bars(r.contacts, r.model)
         self.finished = False
 
     def _from(self, states: Array, k: int) -> Array:
@@ -91,6 +91,10 @@ class ReferenceBackward(BackwardRun):
             self._add_ghost_bar(bar)
         for _, pose_bar in self.moves:
             bar.moves += poses_vjp(r.model, r.inputs.moves, r.shares, pose_bar)
+        surface_bar, x_bar = rest_bars(self.contacts, r.model, r.rest)
+        bar.state.x += x_bar
+        if len(bar.surface):
+            bar.surface += surface_bar
         return bar
 
     def _add_ghost_bar(self, bar: Inputs) -> None:
@@ -103,7 +107,7 @@ class ReferenceBackward(BackwardRun):
         bar.fields.volume += r.rest.to_particles(volume_bar[:, None])[0][:, 0]
 
     def _state_bar(self) -> State:
-        """Return the cotangent of the start; that of the rest positions is not known in this frame, and is zero."""
+        """Return the cotangent of the start; that of the rest positions is zero: it is known of contact alone."""
         start, run, model = self.rollout.inputs.state, self.rollout.bundle, self.rollout.model
         bar, dim, active = start.zeros_like(), model.dim, run.nodes.active
         bar.memory[:] = self.memory_bar

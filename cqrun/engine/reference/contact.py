@@ -10,7 +10,7 @@ from scipy.sparse.linalg import svds
 
 from cqrun.boundaries.solid import Solids, make_solids
 from cqrun.engine.model import Model
-from cqrun.engine.reference.movers import Movers, make_movers
+from cqrun.engine.reference.movers import Movers, SurfaceBars, make_movers, zero_bars
 from cqrun.engine.reference.patches import Patches, make_patches
 from cqrun.engine.reference.rest import RestGeometry, make_points, stencil_weights
 from cqrun.engine.reference.rub import ONSET
@@ -73,6 +73,7 @@ class Contact(NamedTuple):
     u_bar: Array  # (S, 3) cotangents of a point's position and velocity
     v_bar: Array
     friction_bar: Array  # (S, O) of the coefficients, summed over substeps
+    bars: SurfaceBars
 
 
 for _class in (Surface, Obstacles, Near, Contact):
@@ -93,18 +94,49 @@ def surface_points(patches: Patches, X: Array, particle: Array, x: Array, dx: fl
     columns = patches.layout.columns()[particle]
     node, weight = stencil_weights(patches, columns)
     f = patches.f[columns]
+    share = 1.0 + 4.0 * np.einsum("skd,sd->sk", _arms(f), x - X[particle]) / dx
+    return make_points(columns, node, weight * share)
+
+
+def _arms(f: Array) -> Array:
+    """Return X_n - X_p of the nodes of stencils [cells] (S, 3^D, D), for the places f (S, D) of particles in them."""
     offsets = np.stack(np.meshgrid(*[np.arange(3)] * f.shape[1], indexing="ij"), axis=-1).reshape(-1, f.shape[1])
-    arm = offsets[None] - f[:, None]  # [cells]
-    return make_points(columns, node, weight * (1.0 + 4.0 * np.einsum("skd,sd->sk", arm, x - X[particle]) / dx))
+    return np.asarray(offsets[None] - f[:, None])
 
 
-def make_surface(model: Model, rest: RestGeometry) -> Surface:
-    """Return the kernels' view of a model's surface."""
+def surface_points_vjp(
+    patches: Patches, X: Array, particle: Array, x: Array, dx: float, weight_bar: Array
+) -> tuple[Array, Array]:
+    """Return the cotangents of x (S, D) and of X (N, D) from those of the weights (S, 3^D)."""
+    columns = patches.layout.columns()[particle]
+    f, offset = patches.f[columns], x - X[particle]
+    _, weight = stencil_weights(patches, columns)
+    arm, dim = _arms(f), f.shape[1]
+    share = 1.0 + 4.0 * np.einsum("skd,sd->sk", arm, offset) / dx
+    x_bar = 4.0 / dx * np.einsum("sk,sk,skd->sd", weight_bar, weight, arm)
+    # by the particle's position: its weights, the arms, and the offset
+    each = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)
+    slope = np.stack([f - 1.5, 2.0 - 2.0 * f, f - 0.5], axis=-1)
+    step = np.indices((3,) * dim).reshape(dim, -1)
+    turned = np.ones((*weight.shape, dim))  # slope of a weight along each axis
+    for axis in range(dim):
+        for other in range(dim):
+            turned[:, :, axis] *= (slope if other == axis else each)[:, other, step[other]]
+    own_bar = np.einsum("sk,sk,skd->sd", weight_bar, share, turned) / dx
+    own_bar -= 4.0 / dx**2 * (weight_bar * weight).sum(axis=1)[:, None] * offset + x_bar
+    X_bar = np.zeros(X.shape)
+    np.add.at(X_bar, particle, own_bar)
+    return x_bar, X_bar
+
+
+def make_surface(model: Model, rest: RestGeometry, x: Array) -> Surface:
+    """Return the kernels' view of a model's surface at rest at x (S, D) [m]; an empty x stands for the model's."""
     surface = model.surface
     assert surface is not None
+    x = x if len(x) else surface.x
     constants = np.array(surface.stiffness, np.float64), np.array(surface.impedance, np.float64)
-    points = surface_points(rest.patches, rest.x, surface.particle, surface.x, model.dx)
-    return Surface(points, in_3d(surface.x), *constants, ONSET * model.dx)
+    points = surface_points(rest.patches, rest.x, surface.particle, x, model.dx)
+    return Surface(points, in_3d(x), *constants, ONSET * model.dx)
 
 
 def make_contact(model: Model, surface: Surface, coefficients: Array, n_threads: int) -> tuple[Contact, ...]:
@@ -126,6 +158,7 @@ def make_contact(model: Model, surface: Surface, coefficients: Array, n_threads:
         Contact(
             surface, Obstacles(make_solids(solids), begin, friction, dashpot, rubs, int(rubs.any())), near,
             np.zeros(n_threads, np.int64), force, u_bar, v_bar, np.zeros((n, len(model.obstacles))),
+            zero_bars(surface.points, False),
         ),
     )  # fmt: skip
 

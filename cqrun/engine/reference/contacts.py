@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cqrun.engine.model import Model
-from cqrun.engine.reference.contact import Contact, make_contact, make_surface
+from cqrun.engine.model import Inputs, Model
+from cqrun.engine.reference.contact import Contact, make_contact, make_surface, surface_points_vjp
 from cqrun.engine.reference.meet import encounter_each, encounter_each_vjp, encounter_rates_each_vjp
 from cqrun.engine.reference.meeting import Meeting, make_meeting
+from cqrun.engine.reference.movers import zero_bars
 from cqrun.engine.reference.rest import RestGeometry
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
 from cqrun.engine.reference.touch import touch_each, touch_each_vjp, touch_rates_each_vjp
@@ -28,21 +29,40 @@ class Contacts(NamedTuple):
 own_symbols(Contacts)
 
 
-def make_contacts(model: Model, rest: RestGeometry, coefficients: Array, n_threads: int) -> Contacts:
+def make_contacts(model: Model, rest: RestGeometry, inputs: Inputs, n_threads: int) -> Contacts:
     """Return the kernels' view of all contact of a model."""
     if model.surface is None:
         return Contacts((), ())
-    surface = make_surface(model, rest)
+    surface, coefficients = make_surface(model, rest, inputs.surface), inputs.coefficients
     return Contacts(
         make_contact(model, surface, coefficients, n_threads), make_meeting(model, surface, coefficients, n_threads)
     )
 
 
-def with_own_bars(contacts: Contacts) -> Contacts:
-    """Return contacts with cotangents of friction of their own, zero."""
-    return Contacts(
-        *(tuple(each._replace(friction_bar=np.zeros_like(each.friction_bar)) for each in kind) for kind in contacts)
-    )
+def with_own_bars(contacts: Contacts, model: Model) -> Contacts:
+    """Return contacts with cotangents of friction and of the points at rest of their own, zero."""
+    shaped = model.surface is not None and model.surface.moves
+
+    def renewed(each: Any) -> Any:
+        bars = zero_bars(each.surface.points, shaped)
+        return each._replace(friction_bar=np.zeros_like(each.friction_bar), bars=bars)
+
+    return Contacts(*(tuple(renewed(each) for each in kind) for kind in contacts))
+
+
+def rest_bars(contacts: Contacts, model: Model, rest: RestGeometry) -> tuple[Array, Array]:
+    """Return the cotangents of the surface's points (S, D) and of the particles (N, D) at rest, of contact alone."""
+    surface = model.surface
+    if surface is None:
+        return np.zeros((0, model.dim)), np.zeros(rest.x.shape)
+    surface_bar, x_bar = np.zeros(surface.x.shape), np.zeros(rest.x.shape)
+    for each in (*contacts.obstacles, *contacts.bodies):
+        if surface.moves:
+            x = each.surface.rest[:, : model.dim]
+            found = surface_points_vjp(rest.patches, rest.x, surface.particle, x, model.dx, each.bars.weight)
+            surface_bar += found[0] + each.bars.rest[:, : model.dim]
+            x_bar += found[1]
+    return surface_bar, x_bar
 
 
 def add_friction_bars(contacts: Contacts, model: Model, coefficient_bar: Array) -> None:

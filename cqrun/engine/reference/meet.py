@@ -17,7 +17,7 @@ import numpy as np
 from cqrun.boundaries.solid import ZERO
 from cqrun.engine.reference.facet import SAME, above, mean_of, nearest_on, nearest_vjp, row
 from cqrun.engine.reference.meeting import Meeting
-from cqrun.engine.reference.movers import load_spring, place, places, put, share_out, store_spring
+from cqrun.engine.reference.movers import add_weight_bars, load_spring, place, places, put, share_out, store_spring
 from cqrun.engine.reference.neighbours import watch_pairs
 from cqrun.engine.reference.rub import meet, meet_vjp
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep
@@ -255,8 +255,17 @@ def encounter_vjp(meeting: Meeting, run: NodeRun, bars: NodeBars, at: NodeStep, 
             store_spring(bars.u, bars.v, begin, meeting.first + s, spring_bar)
     barrier(run.arrivals, crew.n_threads)
     sum_cotangents(meeting, crew)
-    if reversed_:
+    shaped = len(meeting.bars.rest) > 0
+    if reversed_ or shaped:
         sum_forces(meeting, crew)
+    if shaped:  # of the active points that are this thread's, as in both sums
+        lo, hi = share(pairs.count[1], crew.thread, crew.n_threads)
+        for index in range(lo, hi):
+            s = pairs.active[index]
+            add_weight_bars(
+                meeting.surface.points, meeting.bars, s, at, bars.pairs, row(meeting.u_sum, s), row(meeting.v_sum, s),
+                row(meeting.force, s),
+            )  # fmt: skip
     barrier(run.arrivals, crew.n_threads)
     share_out(meeting.pairs.movers, meeting.u_sum, bars.sums, 2, 0, crew)
     if reversed_:

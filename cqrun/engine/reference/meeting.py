@@ -8,7 +8,7 @@ import numpy as np
 
 from cqrun.engine.model import Model
 from cqrun.engine.reference.contact import Surface, growth_of
-from cqrun.engine.reference.movers import Movers, make_movers
+from cqrun.engine.reference.movers import Movers, SurfaceBars, make_movers, zero_bars
 from cqrun.numerics.compile import own_symbols
 from cqrun.plugin.contract import Array
 
@@ -85,6 +85,7 @@ class Meeting(NamedTuple):
     u_sum: Array  # (S, 3) sums of the cotangents of each point's position and velocity
     v_sum: Array
     friction_bar: Array  # (S,) summed over substeps
+    bars: SurfaceBars
 
 
 for _class in (Facets, Hash, Pairs, Meeting):
@@ -122,5 +123,6 @@ def make_meeting(model: Model, surface: Surface, coefficients: Array, n_threads:
             surface, facets, lists, pairs, np.zeros(n_threads, np.int64), float(coefficients[len(model.conditions)]),
             model.meeting.dashpot, int(model.meeting.rubs), model.n_springs - s, np.full(s, -1), *vectors,
             np.zeros((s, 4, 3)), np.zeros((s, 3)), np.zeros((s, 3)), np.zeros((s, 3)), np.zeros(s),
+            zero_bars(surface.points, False),
         ),
     )  # fmt: skip

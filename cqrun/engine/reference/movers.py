@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cqrun.engine.reference.setting import Points
+from cqrun.engine.reference.setting import NodeStep, Points
 from cqrun.engine.setting import Crew
 from cqrun.numerics.compile import kernel, own_symbols, share
 from cqrun.plugin.contract import Array
@@ -25,7 +25,21 @@ class Movers(NamedTuple):
     count: Array  # (1,)
 
 
+class SurfaceBars(NamedTuple):
+    """Cotangents of points at rest: positions (S, 3) and weights (S, 3^D); without rows if they are not wanted."""
+
+    rest: Array
+    weight: Array
+
+
 own_symbols(Movers)
+own_symbols(SurfaceBars)
+
+
+def zero_bars(points: Points, wanted: bool) -> SurfaceBars:
+    """Return zero cotangents."""
+    n = len(points.node) if wanted else 0
+    return SurfaceBars(np.zeros((n, 3)), np.zeros((n, points.node.shape[1])))
 
 
 def make_movers(points: Points) -> Movers:
@@ -85,6 +99,24 @@ def places(points: Points, rest: Array, s: int, u: Array, v: Array) -> Any:
         x, y, z = x + w * u[n, 0], y + w * u[n, 1], z + w * u[n, 2]
         a, b, c = a + w * v[n, 0], b + w * v[n, 1], c + w * v[n, 2]
     return (x, y, z), (a, b, c)
+
+
+@kernel
+def add_weight_bars(
+    points: Points, bars: SurfaceBars, s: int, at: NodeStep, pairs: Array, x_bar: Any, v_bar: Any, force: Any
+) -> None:
+    """Add the cotangents of a point's rest position and weights in a substep.
+
+    x = X + sum w u,  v = sum w v_n,  f_n = w f: those of a weight are x_bar . u_n + v_bar . v_n + f . p_n, with the
+    cotangent p_n of the force on a node, the second record in `pairs`.
+    """
+    for d in range(3):
+        bars.rest[s, d] += x_bar[d]
+    for k in range(points.node.shape[1]):
+        n, total = points.node[s, k], 0.0
+        for d in range(3):
+            total += x_bar[d] * at.u[n, d] + v_bar[d] * at.v[n, d] + force[d] * pairs[2 * n + 1, d]
+        bars.weight[s, k] += total
 
 
 @kernel

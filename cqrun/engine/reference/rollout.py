@@ -71,7 +71,7 @@ class ReferenceRollout(Rollout):
         self.conditions = self.rest.conditions(model, inputs.coefficients)
         self.probe = model.kernel_probe()
         self.loads = tuple((self.rest.points(pulled.columns), pulled) for pulled in self.drive.pulled)
-        self.contacts = make_contacts(model, self.rest, inputs.coefficients, self.threads)
+        self.contacts = make_contacts(model, self.rest, inputs, self.threads)
         self.parts = tuple(
             (kernel, group.bodies[0], group.bodies[-1] + 1)
             for kernel, group in zip(self.groups, model.groups, strict=True)

@@ -13,6 +13,7 @@ from cqrun.boundaries.solid import ZERO, signed_distance
 from cqrun.engine.reference.contact import Contact, Obstacles
 from cqrun.engine.reference.facet import row
 from cqrun.engine.reference.movers import (
+    add_weight_bars,
     farthest,
     list_movers,
     load_spring,
@@ -195,6 +196,9 @@ def touch_vjp(contact: Contact, run: NodeRun, bars: NodeBars, at: NodeStep, reve
         if reversed_:
             put(contact.force, s, press_point(contact, s, x, v, spring, run.setting.dt)[0])
         x_bar, v_bar, spring_bar = press_point_vjp(contact, s, x, v, spring, run.setting.dt, force_bar, after_bar)
+        if len(contact.bars.rest) > 0:
+            force = press_point(contact, s, x, v, spring, run.setting.dt)[0]
+            add_weight_bars(surface.points, contact.bars, s, at, bars.pairs, x_bar, v_bar, force)
         put(contact.u_bar, s, x_bar)
         put(contact.v_bar, s, v_bar)
         if obstacles.springs > 0:
