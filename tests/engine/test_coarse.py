@@ -21,8 +21,8 @@ from cqrun.engine.statics.krylov import conjugate_gradients, dot
 
 @pytest.fixture
 def always(monkeypatch):
-    """Use a coarse space for bodies of any size."""
-    monkeypatch.setattr(statics, "FEW", 1)
+    """Use a coarse space from the first product on."""
+    monkeypatch.setattr(statics, "REFRESH", -1)
 
 
 def rod(length, *, push=0.0, gravity=0.0, E=4e4):
@@ -89,15 +89,15 @@ def test_the_preconditioner_is_symmetric_and_positive(always, dim, rng):
 def test_a_slender_rod_needs_few_products_and_rests_in_the_same_place(monkeypatch):
     model, inputs = rod(120, gravity=-0.8)
     found = {}
-    for few in (1, 10**9):
-        monkeypatch.setattr(statics, "FEW", few)
+    for refresh in (50, 10**9):
+        monkeypatch.setattr(statics, "REFRESH", refresh)
         equilibrium = Equilibrium(model, inputs)
         rest = equilibrium.solve(tolerance=1e-9)
         assert rest.converged
         equilibrium.linearise(rest.u)
         b = equilibrium._freed(equilibrium.outside)
         solved = conjugate_gradients(equilibrium.product, b, equilibrium.precondition, 1e-8, 5000)
-        found[few] = rest, solved
+        found[refresh] = rest, solved
     (fast, fast_cg), (slow, slow_cg) = found.values()
     assert np.abs(fast.u).max() > 0.3
     np.testing.assert_allclose(fast.u, slow.u, rtol=0, atol=1e-7 * np.abs(slow.u).max())
@@ -135,11 +135,11 @@ def test_the_smallest_eigenvalue_falls_to_zero_at_the_buckling_load(monkeypatch)
     euler = np.pi**2 * E / (1 - nu**2) * h**3 / 12 / (4 * L**2)
     seen = {}
     for part in (0.3, 0.8, 1.2):
-        monkeypatch.setattr(statics, "FEW", 10**9)  # so that Newton stays on the straight branch
+        monkeypatch.setattr(statics, "REFRESH", 10**9)  # so that Newton stays on the straight branch
         model, inputs = rod(60, push=part * euler)
         straight = Equilibrium(model, inputs).solve(tolerance=1e-7)
         assert straight.converged
-        monkeypatch.setattr(statics, "FEW", 1)
+        monkeypatch.setattr(statics, "REFRESH", -1)
         seen[part] = Equilibrium(model, inputs)._judged(straight)
     assert [seen[part].negative for part in seen] == [False, False, True]
     assert seen[0.8].smallest / seen[0.3].smallest == pytest.approx(0.2 / 0.7, rel=0.1)

@@ -31,7 +31,7 @@ from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.reference.step import begin_control
 from cqrun.engine.setting import Crew
 from cqrun.engine.statics.coarse import CoarseSpace, pulled_points
-from cqrun.engine.statics.krylov import conjugate_gradients
+from cqrun.engine.statics.krylov import Solution, conjugate_gradients
 from cqrun.engine.statics.newton import MOST_PRODUCTS, Rest, find_rest
 from cqrun.engine.statics.passes import find_bars, find_change, find_net, find_slopes
 from cqrun.engine.statics.reactions import Holder, holders, resultant, resultant_vjp, turns
@@ -44,11 +44,11 @@ from cqrun.state import State
 TINY_STRAIN = 1e-4
 """Strain whose forces are the measure of the residual of a body without loads."""
 
-FEW, MANY = 400, 60_000
-"""With fewer nodes conjugate gradients need no coarse space; with more, its direct solve would take too long."""
+MANY = 60_000
+"""With more nodes the direct solve of the coarse space would take too long."""
 
-REFRESH = 80
-"""Products after which the coarse space is made anew: it is as dear as they are."""
+REFRESH = 200
+"""Products after which the coarse space is made, or made anew: it is about as dear as they are."""
 
 LEAST_BLOCK = 1e-3
 """Least eigenvalue of a node's block of the preconditioner, as a part of the block's largest."""
@@ -88,7 +88,7 @@ class Equilibrium:
         self.outside = self.run.outside.copy()
         self.inverse = np.zeros((0, self.dim, self.dim))
         self.coarse: CoarseSpace | None = None
-        self.since = 0  # products since the coarse space was made
+        self.since = 0  # products since the coarse space was made; before, since the beginning
 
     # --- the system (`newton.System`) -----------------------------------------------------------------------------
 
@@ -106,7 +106,7 @@ class Equilibrium:
         """Prepare the tangent and its preconditioner at a displacement."""
         self._each(lambda crew: find_slopes(self.rollout.parts, self.run, self.A, u, self.still, crew))
         self._invert_blocks()
-        if self._is_coarse() and (self.coarse is None or self.since > REFRESH):
+        if self.since > REFRESH:
             self._make_coarse()
 
     def product(self, p: Array) -> Array:
@@ -137,7 +137,7 @@ class Equilibrium:
         if change.any():
             load = max(load, float(np.linalg.norm(self.net(start))))
         rest = find_rest(self, start, load, tolerance)
-        return self._judged(rest) if rest.converged and self._is_coarse() else rest
+        return self._judged(rest) if rest.converged and self.coarse is not None else rest
 
     def load(self) -> float:
         """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
@@ -214,7 +214,7 @@ class Equilibrium:
         if f_bar is not None:
             loss_bar += self._change(f_bar)
         loss_bar = self._freed(loss_bar)
-        found = conjugate_gradients(self.product, loss_bar, self.precondition, tolerance, 10 * MOST_PRODUCTS)
+        found = self._solve(loss_bar, tolerance)
         adjoint = found.x if f_bar is None else found.x + f_bar
         r = self.rollout
         self._each(
@@ -269,12 +269,21 @@ class Equilibrium:
         n = self.rollout.threads
         self.rollout.team.run(lambda thread: body(Crew(thread, n)))
 
-    def _is_coarse(self) -> bool:
-        """Return whether conjugate gradients use a coarse space."""
-        return FEW <= len(self.run.nodes.active) <= MANY
+    def _solve(self, b: Array, tolerance: float) -> Solution:
+        """Return the solution of the linear system at the state of `linearise`; a long search gets a coarse space."""
+        first = conjugate_gradients(self.product, b, self.precondition, tolerance, REFRESH)
+        if first.converged or first.negative:
+            return first
+        self._make_coarse()
+        left = b - self.product(first.x)
+        relative = tolerance * float(np.linalg.norm(b) / np.linalg.norm(left))
+        second = conjugate_gradients(self.product, left, self.precondition, relative, 10 * MOST_PRODUCTS)
+        return second._replace(x=first.x + second.x, iterations=first.iterations + second.iterations)
 
     def _make_coarse(self) -> bool:
         """Make the coarse space at the state of `linearise`; return whether the stiffness there is positive."""
+        if len(self.run.nodes.active) > MANY:
+            return True
         if self.coarse is None:
             free = np.ones(self.n_nodes, bool)
             free[self.held] = False
