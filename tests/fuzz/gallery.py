@@ -75,3 +75,5 @@ def _write_files(folder: Path) -> None:
         table.writerow(["pose", "upper_N", "note", "marker", "x", "y"])
         table.writerow(["hanging", 0.0, "a", "tip", 0.1387, 0.0575])
         table.writerow(["up", 60.0, "b", "tip", 0.1381, 0.0622])
+    (folder / "force.csv").write_text("travel_mm,force_mN,note\n0,0,a\n1,20,b\n2,-30,c\n")
+    (folder / "moment.csv").write_text("upper_N,moment_Nmm\n0,900\n60,1200\n")

@@ -148,6 +148,26 @@ def test_poses_and_forces_in_one_fit(folder):
     assert set(result["recordings"]) == {"arm", "clamp"}
 
 
+def test_a_grip_that_moves_measures_the_modulus(tmp_path):
+    """The force on a grip against its travel, which is a load of the model: it is in proportion to the modulus."""
+    grip = "  grip: {sticky: {region: {box: {corner: [0.13, 0], size: [0.07, 0.12]}}, displacement: [0, 0]}}\nloads:\n"
+    gripped = ARM.replace("loads:\n", grip).replace("gravity: [0, -9.81]", "gravity: [0, 0]")
+    travel, path = (-2.0, -1.0, 1.0, 2.0, 4.0), "boundaries.grip.sticky.displacement.1"
+    _, records, _ = rested([f"{E}=1.4e5", f"{LOWER}=10"], [{path: 1e-3 * mm} for mm in travel], gripped)
+    force = records.held["grip"][1:, 1]
+    assert (force * np.array(travel) > 0).all()
+    lines = "\n".join(f"{mm},{1e3 * f}" for mm, f in zip(travel, force.tolist(), strict=True))
+    (tmp_path / "grip.csv").write_text(f"travel_mm,grip_mN\n{lines}\n")
+    recording = (
+        "    grip: {file: grip.csv, force: {boundary: grip, component: y, column: grip_mN, "
+        f"loads: {{travel_mm: {{path: {path}, factor: 0.001}}}}}}}}\n"
+    )
+    scene = scene_of(tmp_path, recording, f"  {E}: {{bounds: [5.0e4, 4.0e5], scale: log}}\n", gripped)
+    result = result_of(run_sysid(scene, [], tmp_path / "out", threads=1))
+    assert result["unknowns"][E]["value"] == pytest.approx(1.4e5, rel=1e-5)
+    assert result["recordings"]["grip"]["rmse_N"] < 1e-6
+
+
 # --- gradients --------------------------------------------------------------------------------------------------------
 
 
