@@ -6,6 +6,7 @@ import json
 import re
 import runpy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,6 +73,7 @@ def standing(body: str, *at: float) -> str:
 SMALLER = {
     "real_beam": ["world.dx=0.01"],
     "real_beam_rest": ["world.dx=0.01"],
+    "tentacle": ["world.dx=0.012", "bodies.arm.spacing=0.006"],
     "collision": ["bodies.a.shape.ball.center=[0.3, 0.4416]"],  # the balls touch from the start
     "finger_material": ["activation.random.sequences=2", "data.synthetic.copies=2"],
     "finger": ["bodies.finger.sampling.lattice.count=10"],
@@ -139,6 +141,9 @@ def recorded(scene: Scene, folder: Path) -> list[str]:
     rng = np.random.default_rng(0)
     overrides = []
     for name, spec in ((scene.data and scene.data.recordings) or {}).items():
+        if spec.measurement.at_rest:
+            overrides.append(f"data.recordings.{name}.file={_poses(spec, folder / f'{name}.csv')}")
+            continue
         end = spec.start + scene.time.duration + 1.0
         time = np.arange(round(end * RATE)) / RATE
         markers = spec.measurement.rest
@@ -148,6 +153,18 @@ def recorded(scene: Scene, folder: Path) -> list[str]:
         write_csv(Recording(time, tuple(markers), positions, name), folder / f"{name}.csv")
         overrides.append(f"data.recordings.{name}.file={folder / f'{name}.csv'}")
     return overrides
+
+
+def _poses(spec: Any, file: Path) -> Path:
+    """Write two poses near the rest shape, one under small loads, and return their file."""
+    loads, markers = list(spec.measurement.loads), spec.measurement.rest
+    lines = [",".join(["pose", *loads, "marker", "x", "y", "z"])]
+    for pose, size in enumerate((0.0, 0.1)):
+        for marker, place in markers.items():
+            numbers = [*[size] * len(loads), marker, *(place - np.array(spec.offset) - 0.01 * size).tolist()]
+            lines.append(",".join(map(str, [pose, *numbers])))
+    file.write_text("\n".join(lines) + "\n")
+    return file
 
 
 def shortened(path: Path, folder: Path, *, steps: int = 2) -> list[str]:
@@ -209,7 +226,7 @@ def test_the_error_of_missing_recordings_says_where_to_get_them(path, tmp_path):
         assert "there is no file" in problem.message
         assert "the scene's header says where to download the recordings" in problem.message
     head = path.read_text().partition("\ncqrun: 1")[0]
-    assert "srl-ethz/diffPD_sim2real" in head or "see real_beam.yaml" in head
+    assert re.search("public repository (srl-ethz/diffPD_sim2real|tud-phi/soromox)|see real_beam.yaml", head)
 
 
 @pytest.mark.parametrize("name", PAPERS)

@@ -11,7 +11,7 @@ from cqrun.build.model import Built
 from cqrun.engine.setting import MARGIN, grid_shape
 from cqrun.engine.statics.path import RestPath
 from cqrun.errors import DataError, NoRestError, Problem, SceneError
-from cqrun.explain import listed, suggest
+from cqrun.explain import listed
 from cqrun.fitting.case import Case
 from cqrun.fitting.runners import AtRest
 from cqrun.measurements.at_rest import RestComparison
@@ -47,10 +47,6 @@ def rest_points(scene: Scene, name: str, built: Built, comparison: RestCompariso
         if message := _fitted(scene, name, long[key]) or _idle(built, long[key]):
             raise SceneError([Problem(scene.where(where), where, message)])
     points = tuple({long[key]: value for key, value in point.items()} for point in comparison.points)
-    if comparison.boundary and comparison.boundary not in built.scene.boundaries:
-        path, known = f"data.recordings.{name}.{comparison.spec.name}.boundary", built.scene.boundaries
-        message = f"there is no boundary '{comparison.boundary}'{suggest(comparison.boundary, known)}; "
-        raise SceneError([Problem(scene.where(path), path, f"{message}the scene has {listed(known)}")])
     _require_free(built, comparison)
     _require_held(built, points)
     return points

@@ -110,10 +110,7 @@ class RestComparison(Comparison):
         seen: (P, M, D) of bool.
         names: M channels.
         count: number of pairs of a point and a channel that was measured.
-        boundary: the boundary that is measured; empty for others.
     """
-
-    boundary: str = ""
 
     def __init__(
         self, spec: RestMeasurement, recorded: Recorded, rows: csr_array, names: Sequence[str],

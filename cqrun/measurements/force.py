@@ -18,6 +18,7 @@ from cqrun.measurements.load_table import LoadTable, factor_of, read_table
 from cqrun.measurements.measurement import Recorded
 from cqrun.observers.matter import Matter
 from cqrun.plugin.contract import Array
+from cqrun.plugin.reference import BoundaryName
 from cqrun.plugin.registry import plugin
 from cqrun.units import Unit
 
@@ -35,7 +36,7 @@ class Reaction(RestMeasurement):
     channel: ClassVar[str] = "boundary"
     units: ClassVar[Mapping[str, float]]
 
-    boundary: str = Field(description="Boundary that is measured, by name", min_length=1)
+    boundary: BoundaryName = Field(description="Boundary that is measured")
     column: str = Field(description="Column with what was measured; its name may end in a unit, such as force_mN")
     on: Literal["body", "boundary"] = Field(
         description="On what the measured force acts: on the body, or on the boundary, as a load cell behind it shows",

@@ -1,4 +1,4 @@
-"""Types that mark what a field means: the name of a body, group, goal, actuator or file, or a position in the world.
+"""Types that mark what a field means: the name of a body, group, goal, actuator, boundary or file, or a position.
 
     carrier: BodyName = Field(description="Body that carries the sensor")
     hold: GroupName = Field(description="Group of that body")
@@ -65,6 +65,11 @@ class NamesActuator:
 
 
 @dataclass(frozen=True)
+class NamesBoundary:
+    """Mark of the name of one of the scene's boundaries."""
+
+
+@dataclass(frozen=True)
 class NamesFile:
     """Mark of the name of a file, relative to the scene's folder. `Spec.path_of` returns its path."""
 
@@ -103,6 +108,7 @@ GroupName = Annotated[str, NamesGroup()]
 RegionName = Annotated[str, NamesRegion()]
 GoalName = Annotated[str, NamesGoal()]
 ActuatorName = Annotated[str, NamesActuator()]
+BoundaryName = Annotated[str, NamesBoundary()]
 FileName = Annotated[str, NamesFile()]
 Position = Annotated[list[float], InWorld()]
 Face = Annotated[Literal["x_min", "x_max", "y_min", "y_max", "z_min", "z_max", "all"], NamesFace()]

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic_core import InitErrorDetails
 
 from cqrun.explain import KEY, VALUE, Loc, finding, listed
-from cqrun.plugin.reference import InWorld, NamesActuator, NamesBody, NamesFace, NamesGoal
+from cqrun.plugin.reference import InWorld, NamesActuator, NamesBody, NamesBoundary, NamesFace, NamesGoal
 from cqrun.scene.activation import Activation
 from cqrun.scene.region_names import findings_of_regions, unknown
 from cqrun.scene.sections import Sections
@@ -38,11 +38,12 @@ def _faces(scene: Sections) -> Iterator[InitErrorDetails]:
 
 
 def _names(scene: Sections) -> Iterator[InitErrorDetails]:
-    """Yield every name of a body, a goal or an actuator that the scene does not have."""
+    """Yield every name of a body, a goal, an actuator or a boundary that the scene does not have."""
     kinds: dict[str, tuple[type[Any], Mapping[str, Any]]] = {
         "body": (NamesBody, scene.bodies),
         "goal": (NamesGoal, scene.goals),
         "actuator": (NamesActuator, scene.actuators),
+        "boundary": (NamesBoundary, scene.boundaries),
     }
     for kind, (mark, legal) in kinds.items():
         for found in marked(scene, mark):

@@ -228,7 +228,7 @@ def test_a_force_with_the_wrong_sign_is_asked_about(folder):
 SCENES: dict[str, tuple[str, str, str]] = {
     "no such boundary": (
         "boundary: prop", "boundary: porp",
-        "data.recordings.prop.force.boundary: there is no boundary 'porp' (did you mean 'prop'?); the scene has clamp",
+        "data.recordings.prop.force.boundary: there is no boundary 'porp' (did you mean 'prop'?)",
     ),
     "no such column": ("column: force_N", "column: forces", "prop.csv: the force 'forces' is not a column (did you"),
     "no loads": (LOADS, "ignore: [pull_N]", "prop.csv: has 8 poses, but `loads` names no column"),

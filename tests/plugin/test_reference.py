@@ -111,9 +111,8 @@ def test_marks_change_nothing_that_an_editor_is_told():
 PLAIN_TEXT = {
     ("image", "colours"), ("image", "background"), ("colour", "colour"),
     ("nearest_marker", "markers"), ("nearest_marker", "marker"),
-    ("poses", "markers"), ("poses", "loads"), ("poses", "ignore"),
-    ("force", "boundary"), ("force", "column"), ("force", "loads"), ("force", "ignore"),
-    ("moment", "boundary"), ("moment", "column"), ("moment", "loads"), ("moment", "ignore"),
+    ("poses", "markers"), *((kind, field) for kind in ("poses", "force", "moment") for field in ("loads", "ignore")),
+    ("force", "column"), ("moment", "column"),
 }  # fmt: skip
 """Fields of plug-ins of the package that hold text and refer to no other part of the scene, and to no file."""
 
