@@ -13,7 +13,7 @@ BEAM = """\
 # yaml-language-server: $schema=../cqrun.schema.json
 cqrun: 1
 title: a small cantilever
-world: {size: [0.16, 0.12], dx: 0.01, gravity: [0, -9.81]}
+world: {size: [0.16, 0.12], dx: 0.01, gravity: [0, -9.81], frame: updated}
 bodies:
   beam:
     shape: {box: {corner: [0.02, 0.06], size: [0.1, 0.01]}}

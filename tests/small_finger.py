@@ -8,7 +8,7 @@ FINGER = """\
 cqrun: 1
 title: a small finger
 job: control
-world: {size: [1, 1], dx: 0.1}
+world: {size: [1, 1], dx: 0.1, frame: updated}
 bodies:
   finger:
     parts:

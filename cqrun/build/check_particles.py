@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping
 from itertools import combinations, islice
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cqrun.boundaries.condition import BoundaryCondition
 from cqrun.build.regions import BodyPoints, boundary
@@ -30,9 +29,6 @@ from cqrun.scene.walk import marked, parts
 
 ROUNDING, FLOAT32 = 1e-9, 1e-6
 """Relative difference up to which a length, or one from a file, counts as a multiple of another."""
-
-TOO_CLOSE = 1.5
-"""Bodies that start closer than this stick together [cells]."""
 
 Points = Mapping[str, BodyPoints]
 
@@ -347,32 +343,6 @@ def planes_between_nodes(scene: Scene) -> Iterator[Problem]:
                 f"a dx of which {place:.6g} m is a multiple"
             )
             yield _problem(scene, f"boundaries.{name}.{chosen.name}.region", message)
-
-
-def bodies_too_close(scene: Scene, points: Points, volumes: Mapping[str, Array]) -> Iterator[Problem]:
-    """Yield warnings for pairs of bodies that start so close to each other that they stick together.
-
-    On the nodes that both share, the gap between them counts as unstretched material: they stick together until they
-    are torn apart (tests/engine/test_engine_clinging.py). Bodies that meet later stay a cell apart and separate again.
-
-    Args:
-        scene: the scene.
-        points: particles by body.
-        volumes: particle volumes (N,) [m^3; 2D: m^2] by body, before any `unit_mass`.
-    """
-    dx = scene.world.dx
-    for first, second in combinations((name for name in points if len(volumes[name])), 2):
-        # a surface is half a spacing beyond its particles
-        inside = sum(0.5 * float(volumes[name].mean()) ** (1 / scene.dim) for name in (first, second))
-        near = TOO_CLOSE * dx * (1 - 1e-9) + inside
-        gaps, _ = cKDTree(points[first].world).query(points[second].world, distance_upper_bound=near)
-        if np.isfinite(gaps).any():
-            gap = max(0.0, float(gaps.min()) - inside) / dx
-            message = (
-                f"starts {gap:.1f} cells from the body '{first}': bodies that start so close stick together as if "
-                f"glued; if they should separate, leave {TOO_CLOSE * dx:.3g} m between them"
-            )
-            yield _problem(scene, _placement_path(scene, second), message)
 
 
 def points_to_track(scene: Scene, points: Points) -> Iterator[Problem]:

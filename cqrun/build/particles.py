@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.build.check_gaps import bodies_too_close
 from cqrun.build.check_memory import require_memory
 from cqrun.build.check_particles import (
-    bodies_too_close,
     file_problems,
     geometry_problems,
     planes_between_nodes,
@@ -112,8 +112,7 @@ def sample(scene: Scene) -> Particles:
     if problems:
         raise SceneError(problems)
     warnings += sparse_bodies(scene, volumes)
-    if not scene.bodies_meet:  # with nodes of their own they do not stick together
-        warnings += bodies_too_close(scene, points, volumes)
+    warnings += bodies_too_close(scene, points, volumes)
     warnings += [*volume_errors(scene, points, volumes), *walls_outside(scene), *planes_between_nodes(scene)]
     room = {name: np.ones(len(volumes[name])) for name in names}
     for name in names:

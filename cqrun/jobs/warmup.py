@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ def warmup(scenes: Sequence[Path] = (), *, reporter: Reporter | None = None) -> 
 
     Args:
         scenes: scene files; if empty, bodies of both elastic laws with and without viscosity, clamped or on a floor, in
-            2D and 3D.
+            2D and 3D and both frames.
 
     Raises:
         SceneError: a scene cannot be run.
@@ -34,22 +35,22 @@ def warmup(scenes: Sequence[Path] = (), *, reporter: Reporter | None = None) -> 
 
 def common_scenes() -> Iterator[Scene]:
     """Yield small scenes that together need the kernels of most scenes."""
-    for dim in (2, 3):
-        for law in ("fixed_corotated", "neo_hookean"):
-            for viscosity in ({}, {"viscosity": {"shear": 1.0}}):
-                for boundary in (_clamp(dim), {"friction": {"face": "y_min", "coefficient": 0.3}}):
-                    material = {"density": 1000.0, "elastic": {law: ELASTIC}, **viscosity}
-                    yield load_scene(_scene(dim, material, boundary))
+    viscosities: tuple[dict[str, Any], ...] = ({}, {"viscosity": {"shear": 1.0}})
+    floor = {"friction": {"face": "y_min", "coefficient": 0.3}}
+    for frame, dim in product(("reference", "updated"), (2, 3)):
+        for law, viscosity, boundary in product(("fixed_corotated", "neo_hookean"), viscosities, (_clamp(dim), floor)):
+            material = {"density": 1000.0, "elastic": {law: ELASTIC}, **viscosity}
+            yield load_scene(_scene(frame, dim, material, boundary))
 
 
 def _clamp(dim: int) -> dict[str, Any]:
     return {"sticky": {"region": {"box": {"corner": [0.0] * dim, "size": [0.02] + [0.1] * (dim - 1)}}}}
 
 
-def _scene(dim: int, material: dict[str, Any], boundary: dict[str, Any]) -> dict[str, Any]:
+def _scene(frame: str, dim: int, material: dict[str, Any], boundary: dict[str, Any]) -> dict[str, Any]:
     return {
         "cqrun": 1,
-        "world": {"size": [0.1] * dim, "dx": 0.01},
+        "world": {"size": [0.1] * dim, "dx": 0.01, "frame": frame},
         "bodies": {
             "block": {
                 "shape": {"box": {"corner": [0.02] * dim, "size": [0.04] * dim}},

@@ -90,7 +90,9 @@ def test_the_first_substep_keeps_the_motion_of_a_body_that_turns(dim, rng):
     body = {"shape": {"ball": {"center": [1.0] * dim, "radius": 0.2}}, "sampling": {"random": {"count": 40}}}
     body |= {"velocity": rng.normal(size=dim).tolist(), "spin": spin, "material": material}
     time = {"duration": 0.01, "control_step": 0.01}
-    scene = load_scene({"cqrun": 1, "world": {"size": [2.0] * dim, "dx": DX}, "bodies": {"a": body}, "time": time})
+    scene = load_scene(
+        {"cqrun": 1, "world": {"size": [2.0] * dim, "dx": DX, "frame": "updated"}, "bodies": {"a": body}, "time": time}
+    )
     start = Assembly(scene, sample(scene)).inputs({}).state
     model, inputs = world(start.x, size=[2.0] * dim, dx=DX, dt=1e-3, substeps=1, controls=1)
     after, _ = reference.substep(model, inputs, reference.Moving(start.x, start.v, start.C, start.F), 0)

@@ -17,7 +17,7 @@ from cqrun.store.result import SysidResult, require_result
 TRUTH = {"youngs_modulus": 4.0e4, "poissons_ratio": 0.3, "density": 1000.0}
 TWIN = """
 cqrun: 1
-world: {size: [0.24, 0.16], dx: 0.01, gravity: [0, -9.81]}
+world: {size: [0.24, 0.16], dx: 0.01, gravity: [0, -9.81], frame: updated}
 bodies:
   beam:
     shape: {box: {corner: [0.03, 0.07], size: [0.13, 0.03]}}

@@ -42,7 +42,7 @@ def everything(dim: int) -> dict[str, Any]:
     }
     return {
         "cqrun": 1,
-        "world": {"size": [0.8] * dim, "dx": 0.05, "gravity": [0.2, *ends[1:], -9.0]},
+        "world": {"size": [0.8] * dim, "dx": 0.05, "gravity": [0.2, *ends[1:], -9.0], "frame": "updated"},
         "bodies": {"a": body},
         "boundaries": {"floor": {"friction": {"face": "y_min", "coefficient": 0.4}}},
         "loads": {

@@ -30,7 +30,7 @@ def scene(body: dict[str, Any], *overrides: str, **more: Any) -> Scene:
     spacing = {} if "sampling" in body else {"spacing": 0.05}
     data = {
         "cqrun": 1,
-        "world": {"size": [1.0, 1.0], "dx": 0.1},
+        "world": {"size": [1.0, 1.0], "dx": 0.1, "frame": "updated"},
         "bodies": {"b": {"material": material, **spacing, **body}},
         "time": {"duration": 0.1, "control_step": 0.1},
         **more,

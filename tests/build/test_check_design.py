@@ -32,7 +32,7 @@ def data(unknowns: dict[str, Any], **more: Any) -> dict[str, Any]:
     """Return a scene with two bodies next to each other."""
     return {
         "cqrun": 1,
-        "world": {"size": [1, 1], "dx": 0.0625, "gravity": [0, -1]},
+        "world": {"size": [1, 1], "dx": 0.0625, "gravity": [0, -1], "frame": "updated"},
         "bodies": {"a": box(0.125), "b": box(0.625)},
         "unknowns": unknowns,
         "time": {"duration": 0.02, "control_step": 0.01},
@@ -208,7 +208,12 @@ def test_the_length_of_a_cable_follows_its_body(dim, tmp_path):
     bar = {"box": {"corner": [0.3, 0.2, *ends], "size": [0.2, 0.4, *ends]}}
     scene = {
         "cqrun": 1,
-        "world": {"size": [1] * dim, "dx": 0.0625 if dim == 2 else 0.08, "gravity": [0, -1, *[0] * (dim - 2)]},
+        "world": {
+            "size": [1] * dim,
+            "dx": 0.0625 if dim == 2 else 0.08,
+            "gravity": [0, -1, *[0] * (dim - 2)],
+            "frame": "updated",
+        },
         "bodies": {
             "a": {
                 "shape": bar, "place": {turned.partition(".")[0]: angle}, "particles_per_cell": 3**dim,
@@ -269,7 +274,12 @@ def test_gradients_by_geometry_through_a_rollout(dim, tmp_path):
     }  # fmt: skip
     scene = {
         "cqrun": 1,
-        "world": {"size": [1] * dim, "dx": 0.0625 if dim == 2 else 0.08, "gravity": [0, -3, *[0] * (dim - 2)]},
+        "world": {
+            "size": [1] * dim,
+            "dx": 0.0625 if dim == 2 else 0.08,
+            "gravity": [0, -3, *[0] * (dim - 2)],
+            "frame": "updated",
+        },
         "bodies": bodies,
         "boundaries": {"floor": {"friction": {"face": "y_min", "coefficient": 0.4}}},
         "unknowns": unknowns,

@@ -24,7 +24,7 @@ def warnings(boundaries: dict[str, Any] | None = None, **body: Any) -> list[str]
     """Return the warnings on a world of 50 by 50 cells with one body."""
     scene = {
         "cqrun": 1,
-        "world": {"size": [1, 1], "dx": DX},
+        "world": {"size": [1, 1], "dx": DX, "frame": "updated"},
         "bodies": {"a": {**BODY, **body}},
         "boundaries": boundaries or {},
         "time": {"duration": 0.1, "control_step": 0.1},

@@ -40,7 +40,9 @@ def test_the_affine_matrix_is_the_gradient_of_the_velocity():
     material = {"density": 1.0, "elastic": {"neo_hookean": {"youngs_modulus": 1.0, "poissons_ratio": 0.3}}}
     body = {"shape": box, "spacing": 0.05, "material": material, "spin": [1.0, -2.0, 3.0], "velocity": [0.1, 0.2, 0.3]}
     time = {"duration": 0.01, "control_step": 0.01}
-    scene = load_scene({"cqrun": 1, "world": {"size": [1.0] * 3, "dx": 0.1}, "bodies": {"a": body}, "time": time})
+    scene = load_scene(
+        {"cqrun": 1, "world": {"size": [1.0] * 3, "dx": 0.1, "frame": "updated"}, "bodies": {"a": body}, "time": time}
+    )
     start = Assembly(scene, sample(scene)).inputs({}).state
     arms = start.x - start.x.mean(axis=0)
     np.testing.assert_allclose(start.v, np.cross([1.0, -2.0, 3.0], arms) + 0.1 * np.arange(1, 4), rtol=0, atol=1e-15)

@@ -13,7 +13,7 @@ from cqrun.scene.unknowns import truths
 
 SCENE = {
     "cqrun": 1,
-    "world": {"size": [1, 1], "dx": 0.1},
+    "world": {"size": [1, 1], "dx": 0.1, "frame": "updated"},
     "bodies": {
         "a": {
             "shape": {"box": {"corner": [0.2, 0.2], "size": [0.3, 0.3]}},

@@ -27,7 +27,7 @@ def scene(**more: Any) -> Scene:
     """Return a scene with a body of a leg (16 particles) and an arm (32); `more` replaces its sections."""
     data = {
         "cqrun": 1,
-        "world": {"size": [1.0, 1.0], "dx": 0.1},
+        "world": {"size": [1.0, 1.0], "dx": 0.1, "frame": "updated"},
         "bodies": {"b": {"parts": PARTS, "spacing": 0.05, "material": MATERIAL}},
         "time": {"duration": 0.1, "control_step": 0.1},
         **more,

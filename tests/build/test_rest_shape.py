@@ -47,7 +47,7 @@ def scene_of(name: str, **more: Any) -> Scene:
     material = {"density": 900.0, "elastic": {"neo_hookean": {"youngs_modulus": 1.0e4, "poissons_ratio": 0.3}}}
     body = {"place": {"scale": 0.2, "offset": [0.7] * dim}, "spacing": 0.04, "material": material, **body}
     body |= {"spin": [3.0] * (1 if dim == 2 else 3)}
-    world = {"size": [1.6] * dim, "dx": 0.08}
+    world = {"size": [1.6] * dim, "dx": 0.08, "frame": "updated"}
     time = {"duration": 0.01, "control_step": 0.01}
     return load_scene({"cqrun": 1, "world": world, "bodies": {"a": body}, "time": time, **more})
 

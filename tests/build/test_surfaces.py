@@ -174,7 +174,7 @@ def test_bodies_that_meet_get_shorter_substeps_than_a_floor_asks_for():
 
 
 def test_contact_between_bodies_belongs_to_the_reference_frame():
-    world = {"size": [1, 1], "dx": DX, "contact": {"coefficient": 0.2}}
+    world = {"size": [1, 1], "dx": DX, "frame": "updated", "contact": {"coefficient": 0.2}}
     with pytest.raises(SceneError, match=r"world\.contact: acts in the reference frame alone"):
         build(load_scene(scene(world=world)))
 

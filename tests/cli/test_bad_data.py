@@ -15,7 +15,7 @@ REST = {"a": [0.11, 0.02, 0.03], "b": [0.11, 0.04, 0.03], "c": [0.05, 0.02, 0.03
 
 BEAM_3D = """\
 cqrun: 1
-world: {size: [0.14, 0.06, 0.06], dx: 0.01, gravity: [0, 0, -9.81]}
+world: {size: [0.14, 0.06, 0.06], dx: 0.01, gravity: [0, 0, -9.81], frame: updated}
 bodies:
   beam:
     shape: {box: {corner: [0.02, 0.02, 0.02], size: [0.1, 0.03, 0.03]}}

@@ -15,7 +15,7 @@ DX = 0.015625
 SCENE = f"""\
 cqrun: 1
 title: a block on ground of particles is pulled up
-world: {{size: [0.6, 4], dx: {DX}, gravity: [0, -2]}}
+world: {{size: [0.6, 4], dx: {DX}, gravity: [0, -2], frame: updated}}
 bodies:
   block:
     shape: {{box: {{corner: [0.25, 0.1], size: [0.1, 0.1]}}}}

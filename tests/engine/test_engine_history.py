@@ -35,7 +35,7 @@ STRAIN = "relaxation.strain"
 SCENE = f"""\
 cqrun: 1
 plugins: ["{FILE}"]
-world: {{size: [0.4, 0.3], dx: 0.02, gravity: [0, -9.81]}}
+world: {{size: [0.4, 0.3], dx: 0.02, gravity: [0, -9.81], frame: updated}}
 bodies:
   beam:
     shape: {{box: {{corner: [0.02, 0.16], size: [0.2, 0.04]}}}}

@@ -13,7 +13,7 @@ from cqrun.state import State
 
 SCENE = """
 cqrun: 1
-world: {{size: [1.2, 0.8], dx: 0.05}}
+world: {{size: [1.2, 0.8], dx: 0.05, frame: updated}}
 bodies:
   one: {{shape: {{box: {{corner: [0.2, 0.3], size: [0.2, 0.2]}}}}, particles_per_cell: 4, spin: [12.0],
     material: {{density: 1.0, elastic: {{{one}: {{youngs_modulus: 10, poissons_ratio: 0.3}}}}}}}}

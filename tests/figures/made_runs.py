@@ -39,7 +39,7 @@ def plane_scene(unknowns: dict, truth: dict | None = None, **more: object) -> di
     scene = {
         "cqrun": 1,
         "job": "sysid",
-        "world": {"size": [0.2, 0.1], "dx": 0.01, "gravity": [0.0, -9.81]},
+        "world": {"size": [0.2, 0.1], "dx": 0.01, "gravity": [0.0, -9.81], "frame": "updated"},
         "bodies": {"a": body([0.02, 0.05], groups=groups), "b": body([0.1, 0.05])},
         "boundaries": {"clamp": {"sticky": {"region": {"box": {"corner": [0.0, 0.0], "size": [0.03, 0.1]}}}}},
         "time": {"duration": DURATION, "control_step": 0.01, "substeps": 10},

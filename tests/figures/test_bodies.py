@@ -27,7 +27,14 @@ def solid_scene(**world):
     cube = {"box": {"corner": [0.02] * 3, "size": [0.04] * 3}}
     bodies = {"a": {"shape": cube, "particles_per_cell": 8, "material": material}}
     time = {"duration": DURATION, "control_step": 0.01, "substeps": 10}
-    return load_scene({"cqrun": 1, "world": {"size": [0.1] * 3, "dx": 0.01} | world, "bodies": bodies, "time": time})
+    return load_scene(
+        {
+            "cqrun": 1,
+            "world": {"size": [0.1] * 3, "dx": 0.01, "frame": "updated"} | world,
+            "bodies": bodies,
+            "time": time,
+        }
+    )
 
 
 def falling(out: Path, depths: Sequence[int], points: np.ndarray) -> Frames:

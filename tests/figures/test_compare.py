@@ -51,7 +51,10 @@ def test_labels_contain_the_differences(tmp_path):
 
 
 def test_runs_with_many_differences_are_labelled_by_their_hash(tmp_path):
-    other = {"world": {"size": [0.3, 0.2], "dx": 0.005}, "time": {"duration": 1.0, "control_step": 0.02, "substeps": 9}}
+    other = {
+        "world": {"size": [0.3, 0.2], "dx": 0.005, "frame": "updated"},
+        "time": {"duration": 1.0, "control_step": 0.02, "substeps": 9},
+    }
     labels = [group.label for group in groups([make_run(tmp_path, "a" * 12), make_run(tmp_path, "b" * 12, **other)])]
     assert labels == ["twin " + "a" * 12, "twin " + "b" * 12]
 

@@ -66,7 +66,7 @@ def block(**more):
     cube = {"box": {"corner": [0.02, 0.02, 0.0], "size": [0.03, 0.02, 0.02]}}
     return {
         "cqrun": 1,
-        "world": {"size": [0.1] * 3, "dx": 0.01, "gravity": [0, 0, -9.81]},
+        "world": {"size": [0.1] * 3, "dx": 0.01, "gravity": [0, 0, -9.81], "frame": "updated"},
         "bodies": {"a": {"shape": cube, "particles_per_cell": 8, "material": material}},
         "boundaries": {"floor": {"sticky": {"face": "z_min"}}},
         "time": {"duration": DURATION, "control_step": 0.01, "substeps": 10},

@@ -26,7 +26,7 @@ REST = np.array(
 BEAM = """\
 cqrun: 1
 job: sysid
-world: {size: [0.17, 0.09, 0.16], dx: 0.01, gravity: [0, 0, -9.81]}
+world: {size: [0.17, 0.09, 0.16], dx: 0.01, gravity: [0, 0, -9.81], frame: updated}
 bodies:
   beam:
     shape: {box: {corner: [0.03, 0.03, 0.09], size: [0.11, 0.03, 0.03]}}

@@ -40,7 +40,7 @@ def test_scene_that_names_a_pipe_is_refused(tmp_path: Path) -> None:
     scene.write_text(
         """
 cqrun: 1
-world: {size: [1, 1], dx: 0.1}
+world: {size: [1, 1], dx: 0.1, frame: updated}
 bodies:
   a:
     shape: {image: {file: pipe.png, height: 1}}

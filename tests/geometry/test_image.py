@@ -310,7 +310,11 @@ MATERIAL = {"density": 1.0, "elastic": {"neo_hookean": {"youngs_modulus": 1.0, "
 def sampled(body: dict[str, Any]) -> Particles:
     body = {"spacing": 0.02, "material": MATERIAL, **body}
     time = {"duration": 0.1, "control_step": 0.1}
-    return sample(load_scene({"cqrun": 1, "world": {"size": [1, 1], "dx": 0.05}, "bodies": {"a": body}, "time": time}))
+    return sample(
+        load_scene(
+            {"cqrun": 1, "world": {"size": [1, 1], "dx": 0.05, "frame": "updated"}, "bodies": {"a": body}, "time": time}
+        )
+    )
 
 
 def test_parts_may_be_images_with_different_colours(flag: str, leaf: str) -> None:

@@ -13,7 +13,7 @@ from cqrun.scene.load import load_scene
 BEAM = """\
 cqrun: 1
 title: a beam
-world: {size: [0.2, 0.1], dx: 0.005, gravity: [0, -9.81]}
+world: {size: [0.2, 0.1], dx: 0.005, gravity: [0, -9.81], frame: updated}
 memory: 64MiB
 bodies:
   beam:

@@ -19,7 +19,7 @@ MARKERS = {"tip": [0.119, 0.065]}
 
 BEAM: dict[str, Any] = {
     "cqrun": 1,
-    "world": {"size": [0.16, 0.12], "dx": 0.01, "gravity": [0, -9.81]},
+    "world": {"size": [0.16, 0.12], "dx": 0.01, "gravity": [0, -9.81], "frame": "updated"},
     "bodies": {
         "beam": {
             "shape": {"box": {"corner": [0.02, 0.06], "size": [0.1, 0.01]}},

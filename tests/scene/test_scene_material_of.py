@@ -31,7 +31,7 @@ def scene(others: dict[str, Any], *overrides: str, **more: Any) -> Scene:
     material = {"density": 2.0, "elastic": LAW, "viscosity": {"shear": 1.0}, "incompressibility": {"power": 2}}
     data = {
         "cqrun": 1,
-        "world": {"size": [1.0, 1.0], "dx": 0.1},
+        "world": {"size": [1.0, 1.0], "dx": 0.1, "frame": "updated"},
         "regions": {"low": LOW},
         "bodies": {"b": {"parts": PARTS, "spacing": 0.05, "material": material, "material_of": others}},
         "time": {"duration": 0.1, "control_step": 0.1},

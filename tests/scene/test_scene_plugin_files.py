@@ -17,7 +17,7 @@ from cqrun.scene.plugin_files import load_plugin_files, plugins_allowed
 SCENE = """\
 cqrun: 1
 plugins: [disc.py]
-world: {size: [0.2, 0.1], dx: 0.005}
+world: {size: [0.2, 0.1], dx: 0.005, frame: updated}
 bodies:
   ball:
     shape: {disc: {middle: [0.1, 0.05], radius: 0.02}}

@@ -335,7 +335,7 @@ def _plain() -> dict[str, Any]:
     body = {"shape": {"ball": {"center": [0.5, 0.5], "radius": 0.1}}, "spacing": 0.01, "material": material}
     return {
         "cqrun": 1,
-        "world": {"size": [1, 1], "dx": 0.02},
+        "world": {"size": [1, 1], "dx": 0.02, "frame": "updated"},
         "bodies": {"beam": body},
         "time": {"duration": 1.5, "control_step": 0.1},
     }
