@@ -14,7 +14,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from cqrun.boundaries.sticky import Sticky
-from cqrun.build.check_particles import TOO_CLOSE
+from cqrun.build.check_gaps import TOO_CLOSE
 from cqrun.build.particles import Particles
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.setting import MARGIN, grid_shape
