@@ -95,7 +95,7 @@ def _predict(
     """Return every case's records with some values, None if a held-out one blows up; report fractures."""
     records: list[Records | None] = []
     whose = "the scene's" if all(case.holdout for case in cases) else "the identified"
-    most = {name: 0 for case in cases for name in case.built.particles.names}
+    most: dict[str, int] = {}
     for case in cases:
         fracture = fracture_of(case.built)
 
@@ -111,7 +111,7 @@ def _predict(
             records.append(None)
             fails = "has no place of rest" if isinstance(error, NoRestError) else "blows up"
             result.findings.append(f"{case.name}: held out, and it {fails} with {whose} values: {error}")
-        most |= {name: max(most[name], number) for name, number in fracture.most.items()}
+        most |= {name: max(most.get(name, 0), number) for name, number in fracture.most.items()}
         result.findings += [f"{case.name}: {sentence}" for sentence in fracture.findings()]
     result.fracture = most
     return records

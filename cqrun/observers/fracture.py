@@ -64,7 +64,7 @@ class Fracture:
         return [
             f"numerical fracture: {number} of {len(self.pairs[name])} neighbouring particles of the body '{name}' "
             "came so far apart that they shared no grid node, so the body tears there whatever its material; "
-            "use more particles per cell, or a softer load"
+            "use more particles per cell, a softer load, or `world.frame: reference`, in which no body tears"
             for name, number in self.most.items()
             if number
         ]

@@ -5,7 +5,8 @@ time                          [s]
 <body>.kinetic_energy         sum of m |v|^2 / 2 [J; 2D: J/m]
 <body>.least_volume_ratio     smallest det F of its particles
 <body>.fastest                largest speed of a particle [m/s]
-<body>.fracture               number of neighbours that no longer share a grid node (observers/fracture.py)
+<body>.fracture               number of neighbours that no longer share a grid node (observers/fracture.py); in the
+                              updated frame alone, because bodies of the reference frame cannot tear
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ from cqrun.store.atomic import disk_errors
 
 
 def fracture_of(built: Built) -> Fracture:
-    """Return the pairs of neighbouring particles of a scene, to detect fracture."""
+    """Return the pairs of neighbouring particles of a scene, to detect fracture; none in a frame in which none occurs."""
     p = built.particles
-    return Fracture.of(p.x, {name: p.of(name) for name in p.names}, p.spacing, built.model.dx)
+    may_tear = {name: p.of(name) for name in p.names if built.model.frame == "updated"}
+    return Fracture.of(p.x, may_tear, p.spacing, built.model.dx)
 
 
 class Observables:
@@ -70,7 +72,9 @@ class Observables:
         """
         lost = self.fracture.count(state.x)
         J = np.linalg.det(state.F)
-        self.last = {body: self._row(body, state, J) | {"fracture": lost[body]} for body in self._bodies}
+        self.last = {body: self._row(body, state, J) for body in self._bodies}
+        for body, number in lost.items():
+            self.last[body]["fracture"] = number
         with disk_errors(self.path):
             if control == 0:
                 self._table.writerow(["time", *(f"{b}.{name}" for b, row in self.last.items() for name in row)])

@@ -154,6 +154,17 @@ def test_a_torn_body_is_told(beam, tmp_path):
     assert finding in (run / "log.txt").read_text()
 
 
+def test_a_body_of_the_reference_frame_stretches_and_does_not_tear(beam, tmp_path):
+    changed(beam, "youngs_modulus: 3.0e4", "youngs_modulus: 300")
+    changed(beam, "frame: updated", "frame: reference")
+    changed(beam, "gravity: [0, -9.81]", "gravity: [20, 0]")
+    run = simulate(beam, tmp_path)
+    result, last = result_of(run), read_trajectory(run / "trajectory.h5").x[-1]
+    assert np.ptp(last[:, 0]) > 0.15  # it was 0.1 m long
+    assert result["fracture"] == {} and not any("fracture" in finding for finding in result["findings"])
+    assert "beam.fracture" not in rows(run)[0]
+
+
 def test_the_record_says_where_it_comes_from(beam, tmp_path):
     record = json.loads((simulate(beam, tmp_path, threads=2) / "run.json").read_text())
     assert (record["job"], record["status"], record["threads"]) == ("simulate", "done", 2)
