@@ -27,7 +27,7 @@ from cqrun.store.atomic import disk_errors
 
 
 def fracture_of(built: Built) -> Fracture:
-    """Return the pairs of neighbouring particles of a scene, to detect fracture; none in a frame in which none occurs."""
+    """Return the pairs of neighbouring particles of a scene, to detect fracture; none where a body cannot tear."""
     p = built.particles
     may_tear = {name: p.of(name) for name in p.names if built.model.frame == "updated"}
     return Fracture.of(p.x, may_tear, p.spacing, built.model.dx)
