@@ -15,11 +15,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.convergence import block_tests, cantilever_swing, turning_bar
+from benchmarks.convergence import block_tests, cantilever_sag, cantilever_swing, turning_bar
 from benchmarks.convergence.plots import draw
 from benchmarks.convergence.points import Point, Test
 from benchmarks.convergence.table import Table
-from benchmarks.convergence.worlds import frames_of_this_version
+from benchmarks.convergence.worlds import FRAMES, frames_of_this_version
 from cqrun.errors import RolloutError, SceneError
 from cqrun.fingerprint import engine_hash
 from cqrun.optimizers.base import one_blas_thread
@@ -27,9 +27,9 @@ from cqrun.optimizers.base import one_blas_thread
 ROOT = Path(__file__).parents[2]
 OUT, PICTURES = ROOT / "benchmarks" / "measured" / "convergence.csv", ROOT / "docs" / "convergence"
 TESTS: tuple[Test, ...] = (
-    cantilever_swing.TEST, turning_bar.TEST, block_tests.BOUNCE, block_tests.REST, block_tests.INCLINE,
+    cantilever_swing.TEST, cantilever_sag.TEST, turning_bar.TEST,
+    block_tests.BOUNCE, block_tests.REST, block_tests.INCLINE,
 )  # fmt: skip
-FRAMES = ("updated", "reference")
 
 
 def known_frames(wanted: list[str]) -> Iterator[str]:

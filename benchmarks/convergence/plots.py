@@ -36,7 +36,7 @@ def draw(test: Test, table: Table, folder: Path, dim: int) -> Path | None:
     rows = [row for row in rows if not row["note"]]
     if not rows:
         return None
-    shown = [name for name in test.columns if name != "misfit"]
+    shown = [name for name in test.columns if name not in test.hidden]
     across = min(len(shown), MOST_COLUMNS)
     down = -(-len(shown) // across)
     with styled():

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.convergence.points import Measured, Point, Test, references
-from benchmarks.convergence.worlds import DENSITY, YOUNGS_MODULUS, Block, Matter, observe, scene, with_time
+from benchmarks.convergence.worlds import DENSITY, YOUNGS_MODULUS, Block, Matter, Nodes, observe_nodes, scene, with_time
 from cqrun.plugin.contract import Array
 from cqrun.state import State
 
@@ -44,13 +44,13 @@ def measure(point: Point) -> Measured:
     matter = Matter.of(built, point)
     arm = matter.X[:, 0] - matter.centre(matter.X)[0]
 
-    def see(state: State) -> Array:
+    def see(state: State, nodes: Nodes | None) -> Array:
         along = arm @ (state.x - matter.centre(state.x)) / (arm @ arm)  # image of the bar's axis
         of_F = matter.centre(np.linalg.norm(state.F[:, :, 0], axis=1))
-        energy = matter.kinetic_energy(state) + matter.elastic_energy(state)
-        return np.array([np.linalg.norm(along), of_F, matter.angular_momentum(state), energy])
+        energy = matter.kinetic_energy(state, nodes) + matter.elastic_energy(state)
+        return np.array([np.linalg.norm(along), of_F, matter.angular_momentum(state, nodes), energy])
 
-    found = observe(built, see)
+    found = observe_nodes(built, see)
     half = FRAMES_A_TURN // 2
     steady = references()["references"][f"{dim}D {point.law} nu {point.poissons_ratio:g} turning_bar"]
     first = found[half : FRAMES_A_TURN + 1].mean(0)
