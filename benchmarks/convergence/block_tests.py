@@ -151,4 +151,5 @@ INCLINE = Test(
     ideal={"acceleration": 1.0, "creep": 0.0},
     variants=((*LAW, "slides", 1), (*LAW, "sticks", 1)),
     measure=incline,
+    decades=("creep",),
 )

@@ -75,4 +75,5 @@ TEST = Test(
     ideal={"stretch_1": 1.0, "stretch_6": 1.0, "stretch_of_F_6": 1.0, "angular_momentum_6": 1.0, "energy_6": 1.0},
     variants=tuple(("fixed_corotated", 0.3, "", factor) for factor in (1, 16)),
     measure=measure,
+    hidden=("angular_momentum_6",),
 )
