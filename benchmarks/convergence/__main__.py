@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.convergence import block_tests, cantilever_sag, cantilever_swing, slender, turning_bar
+from benchmarks.convergence import block_tests, cantilever_sag, cantilever_swing, disc, slender, turning_bar
 from benchmarks.convergence.plots import draw
 from benchmarks.convergence.points import Point, Test
 from benchmarks.convergence.table import Table
@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[2]
 OUT, PICTURES = ROOT / "benchmarks" / "measured" / "convergence.csv", ROOT / "docs" / "convergence"
 TESTS: tuple[Test, ...] = (
     cantilever_swing.TEST, cantilever_sag.TEST, slender.ELASTICA, slender.COLUMN, turning_bar.TEST,
-    block_tests.BOUNCE, block_tests.REST, block_tests.INCLINE,
+    block_tests.BOUNCE, block_tests.REST, disc.TEST, block_tests.INCLINE,
 )  # fmt: skip
 
 

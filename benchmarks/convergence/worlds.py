@@ -50,7 +50,12 @@ def _has(key: str, value: str) -> bool:
 
 
 def scene(point: Point, block: Block, world: Mapping[str, Any], **sections: Any) -> dict[str, Any]:
-    """Return a scene of one body `block`, without its time.
+    """Return a scene of one body `block` that is a box, without its time; see `scene_of`."""
+    return scene_of(point, {"box": {"corner": list(block.corner), "size": list(block.size)}}, world, **sections)
+
+
+def scene_of(point: Point, shape: Mapping[str, Any], world: Mapping[str, Any], **sections: Any) -> dict[str, Any]:
+    """Return a scene of one body `block` of any shape, without its time.
 
     Args:
         world: section `world`, without the keys of the frame.
@@ -58,7 +63,7 @@ def scene(point: Point, block: Block, world: Mapping[str, Any], **sections: Any)
     """
     elastic = {point.law: {"youngs_modulus": YOUNGS_MODULUS, "poissons_ratio": point.poissons_ratio}}
     body = {
-        "shape": {"box": {"corner": list(block.corner), "size": list(block.size)}},
+        "shape": shape,
         "particles_per_cell": float(PER_AXIS**point.dim),
         "material": {"density": DENSITY, "elastic": elastic},
         **sections.pop("body", {}),
@@ -82,11 +87,17 @@ def with_time(data: Mapping[str, Any], point: Point, control_step: float, count:
 
 @dataclass(frozen=True)
 class Nodes:
-    """The nodes of the reference frame: mass (M,) [kg], places (M, D) [m], velocities (M, D) [m/s]."""
+    """The nodes of the reference frame, and the points of the surface that they move.
+
+    Attributes:
+        mass, x, v: of the nodes: mass (M,) [kg], places (M, D) [m], velocities (M, D) [m/s].
+        surface: places of the points (S, D) [m]; none in a scene without contact.
+    """
 
     mass: Array
     x: Array
     v: Array
+    surface: Array
 
 
 def observe(built: Built, see: Callable[[State], Any]) -> Array:
@@ -115,7 +126,11 @@ def nodes_of(rollout: Rollout, q: Array) -> Nodes | None:
         return None
     mass, dim = rollout.bundle.nodes.mass, rollout.model.dim
     u, v = q[:, : len(mass), :dim]
-    return Nodes(mass, rollout.rest.patches.positions(rollout.model.dx) + u, v.copy())
+    surface = np.zeros((0, dim))
+    if rollout.contacts.obstacles and rollout.model.surface is not None:
+        points = rollout.contacts.obstacles[0].surface.points
+        surface = rollout.model.surface.x + np.einsum("sk,skd->sd", points.weight, u[points.node])
+    return Nodes(mass, rollout.rest.patches.positions(rollout.model.dx) + u, v.copy(), surface)
 
 
 @dataclass(frozen=True)
