@@ -63,7 +63,9 @@ def bounce(point: Point) -> Measured:
 
     def see(state: State, nodes: Nodes | None) -> Array:
         height = matter.centre(state.x - matter.X)[-1]
-        energy = matter.kinetic_energy(state, nodes) + matter.elastic_energy(state) + matter.mass.sum() * GRAVITY * height
+        energy = (
+            matter.kinetic_energy(state, nodes) + matter.elastic_energy(state) + matter.mass.sum() * GRAVITY * height
+        )
         return np.array([matter.centre(state.v)[-1], height, energy + start])
 
     found = observe_nodes(built, see)

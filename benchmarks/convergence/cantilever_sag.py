@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from benchmarks.convergence.cantilever_swing import beam_scene, tip_weights
-from benchmarks.convergence.points import Measured, Point, Test, references
+from benchmarks.convergence.points import Measured, NoReference, Point, Test, references
 from benchmarks.convergence.rests import last_rest
 from benchmarks.convergence.worlds import Matter, with_time
 
@@ -16,7 +16,7 @@ def measure(point: Point) -> Measured:
     name, gravities = GRAVITIES[point.case]
     name = f"{point.dim}D {point.law} nu {point.poissons_ratio:g} {name}"
     if name not in references()["references"]:
-        raise ValueError(f"references.json has no {name}")
+        raise NoReference(f"references.json has no {name}")
     right = references()["references"][name]
     built = with_time(beam_scene(point, gravities), point, 1.0, 1)
     matter = Matter.of(built, point)

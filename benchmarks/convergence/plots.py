@@ -58,7 +58,8 @@ def draw(test: Test, table: Table, folder: Path, dim: int) -> Path | None:
             _lines(panel, rows)
             _axis(panel, test, sorted({int(row["cells"]) for row in rows}))
         figure.suptitle(f"{test.summary} ({dim}D)", x=0.01, ha="left", fontsize=9.5, fontweight="bold", color=INK)
-        handles = {h.get_label(): h for panel in panels for h in panel.ax.get_lines() if h.get_label()[0] != "_"}
+        lines = {str(line.get_label()): line for panel in panels for line in panel.ax.get_lines()}
+        handles = {label: line for label, line in lines.items() if not label.startswith("_")}
         ncols = min(len(panels), MOST_COLUMNS)
         figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=ncols, fontsize=7)
         folder.mkdir(parents=True, exist_ok=True)

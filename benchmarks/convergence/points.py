@@ -22,6 +22,10 @@ def references() -> dict[str, Any]:
     return contents
 
 
+class NoReference(Exception):
+    """references.json lacks the number that a point would be compared with."""
+
+
 @dataclass(frozen=True, order=True)
 class Point:
     """One scene of one test: a row of the table.

@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks.convergence.points import Measured, Point, Test, references
 from benchmarks.convergence.worlds import DENSITY, YOUNGS_MODULUS, Block, Matter, Nodes, observe_nodes, scene, with_time
+from cqrun.build.model import Built
 from cqrun.plugin.contract import Array
 from cqrun.state import State
 
@@ -30,17 +31,22 @@ def stretch_of_a_thin_bar(poissons_ratio: float, dim: int) -> float:
     return 1.0 + DENSITY * SPIN**2 * LENGTH**2 / (10.0 * modulus)
 
 
-def measure(point: Point) -> Measured:
-    """Let the bar turn; the stretches are means over the last half turn, because the bar also vibrates."""
+def build_turning(point: Point, turns: int = TURNS) -> Built:
+    """Build the scene; without turns it lasts one frame."""
     dim, dx = point.dim, HEIGHT / point.cells
     size = (LENGTH, *[HEIGHT] * (dim - 1))
     middle = np.ceil(0.9 * LENGTH / dx) * dx
     world = {"size": [2.0 * middle] * dim, "dx": dx}
     spin = [SPIN] if dim == 2 else [0.0, -SPIN, 0.0]
     block = Block(tuple(middle - 0.5 * edge for edge in size), size)
-    data = scene(point, block, world, body={"spin": spin})
     period = 2.0 * np.pi / SPIN
-    built = with_time(data, point, period / FRAMES_A_TURN, TURNS * FRAMES_A_TURN)
+    data = scene(point, block, world, body={"spin": spin})
+    return with_time(data, point, period / FRAMES_A_TURN, max(1, turns * FRAMES_A_TURN))
+
+
+def measure(point: Point) -> Measured:
+    """Let the bar turn; the stretches are means over the last half turn, because the bar also vibrates."""
+    built, dim = build_turning(point), point.dim
     matter = Matter.of(built, point)
     arm = matter.X[:, 0] - matter.centre(matter.X)[0]
 

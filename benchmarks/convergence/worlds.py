@@ -159,7 +159,7 @@ class Matter:
         return np.asarray(self.mass @ values / self.mass.sum())
 
     def kinetic_energy(self, state: State, nodes: Nodes | None) -> float:
-        """Return the kinetic energy [J]: of the nodes, or of particles with what C has in a cell, (dx^2 / 8) m |C|^2."""
+        """Return the kinetic energy [J] of the nodes, or of the particles with that of C, (dx^2 / 8) m |C|^2."""
         if nodes is not None:
             return float(0.5 * nodes.mass @ (nodes.v**2).sum(1))
         inner = self.dx**2 / 4.0 * (state.C**2).sum((1, 2))
