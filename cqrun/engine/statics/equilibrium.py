@@ -69,9 +69,10 @@ class Equilibrium:
     Args:
         threads: number of threads at most. The results do not depend on it.
         control: the control step whose activations act.
+        slow: whether the coarse space is made at once, because equilibria like this one needed it.
     """
 
-    def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0) -> None:
+    def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0, slow: bool = False) -> None:
         alone = replace(model, surface=None, obstacles=())  # contact is not felt at rest
         self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
         self.control, self.run = control, self.rollout.bundle
@@ -90,7 +91,7 @@ class Equilibrium:
         self.inverse = np.zeros((0, self.dim, self.dim))
         self.volumes = MeanVolumes(self.rollout) if any(self.rollout.means) else None
         self.coarse: CoarseSpace | None = None
-        self.since = 0  # products since the coarse space was made; before, since the beginning
+        self.since = REFRESH + 1 if slow else 0  # products since the coarse space was made; before, since the beginning
 
     # --- the system (`newton.System`) -----------------------------------------------------------------------------
 
