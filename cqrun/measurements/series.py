@@ -1,8 +1,8 @@
 """Compare measured time series with those of a model.
 
-The error of a channel in a frame is the model's value, or its change from the rest shape, minus the measured value. A run
-begins in the rest shape, unless it begins at equilibrium. The loss is the mean squared length of the errors, over all
-frames and channels that were seen. The RMSE is the root of the loss, so loss = RMSE^2 for any number of components.
+The error of a channel in a frame is the model's value, or its change from the rest shape, minus the measured value. A
+run begins in the rest shape, unless it begins at equilibrium. The loss is the mean squared length of the errors, over
+all frames and channels that were seen. The RMSE is the root of the loss, so loss = RMSE^2 for any number of components.
 """
 
 from __future__ import annotations

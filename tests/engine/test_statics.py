@@ -191,6 +191,9 @@ def test_conjugate_gradients_find_the_smallest_eigenvalue_and_negative_curvature
     values[0] = -0.01
     K = (Q * values) @ Q.T
     assert conjugate_gradients(lambda p: K @ p, b, lambda r: r, 1e-12, 200).negative
+    nothing = conjugate_gradients(lambda p: K @ p, 0.0 * b, lambda r: r, 1e-12, 200)
+    assert nothing.converged
+    assert not nothing.x.any()
 
 
 # --- paths ------------------------------------------------------------------------------------------------------------
