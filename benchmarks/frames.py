@@ -1,4 +1,4 @@
-"""Compare the two frames: time of a substep and of a gradient, in one run.
+"""Compare the two frames, and averaged volumes: time of a substep and of a gradient, in one run.
 
     python benchmarks/frames.py [--dim 3] [--edge 40] [--substeps 200] [--turns 7] [--out FILE]
 
@@ -10,6 +10,7 @@ median is given.
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -53,9 +54,10 @@ def main() -> None:
     inputs.state.C[:] += rng.normal(size=inputs.state.C.shape)
     inputs.state.F[:] = np.eye(options.dim)
     models = {name: replace(model, frame=name) for name in FRAMES}
-    rollouts = {name: make_rollout(models[name], inputs, threads=options.threads, adjoint=True) for name in FRAMES}
+    models["averaged"] = replace(models["reference"], averaged=True)
+    rollouts = {name: make_rollout(models[name], inputs, threads=options.threads, adjoint=True) for name in models}
     seconds: dict[tuple[str, str], list[float]]
-    seconds = {(name, what): [] for name in FRAMES for what in ("forward", "gradient")}
+    seconds = {(name, what): [] for name in models for what in ("forward", "gradient")}
     for _ in range(options.turns + 1):
         for name, rollout in rollouts.items():
             for what, run in (("forward", rollout.run), ("gradient", lambda r=rollout: r.gradient(loss_bar))):
@@ -68,9 +70,11 @@ def main() -> None:
     result |= {key: value for key, value in vars(options).items() if key != "out"}
     for name, what in seconds:
         result[f"{name} {what} [ns]"] = round(float(np.median(seconds[name, what][1:])) * per, 1)
-    for what in ("forward", "gradient"):
-        pairs = zip(seconds["reference", what][1:], seconds["updated", what][1:], strict=True)
-        result[f"{what}, reference over updated"] = round(float(np.median([a / b for a, b in pairs])), 3)
+    for what, (one, other) in itertools.product(
+        ("forward", "gradient"), (("reference", "updated"), ("averaged", "reference"))
+    ):
+        pairs = zip(seconds[one, what][1:], seconds[other, what][1:], strict=True)
+        result[f"{what}, {one} over {other}"] = round(float(np.median([a / b for a, b in pairs])), 3)
     print("\n".join(f"{name}: {value}" for name, value in result.items()))
     if options.out:
         write_json(options.out, result)

@@ -13,8 +13,8 @@ class Obstacle(BoundaryCondition):
     """A boundary that bodies may leave.
 
     In the updated frame it is a condition on grid nodes. In the reference frame it is a solid with a surface of its
-    own: bodies touch the faces of the world, half-spaces, height fields, boxes, balls, capsules, cylinders, polygons
-    and unions of them. `normal` then has no use.
+    own: bodies touch the faces of the world, half-spaces, height fields, boxes, balls, capsules, cylinders, cones,
+    polygons and unions of them. `normal` then has no use.
     """
 
     is_obstacle: ClassVar[bool] = True

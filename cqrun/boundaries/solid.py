@@ -22,7 +22,7 @@ from cqrun.numerics.compile import kernel, own_symbols
 from cqrun.numerics.tensor import add, dot, scale, sub
 from cqrun.plugin.contract import Array
 
-PLANE, BOX, CAPSULE, CYLINDER, POLYGON, TERRAIN, HILLS = range(7)
+PLANE, BOX, CAPSULE, CONE, POLYGON, TERRAIN, HILLS = range(7)
 """Kinds of solids."""
 
 FAR = 1e300
@@ -35,7 +35,7 @@ class Solid(NamedTuple):
     PLANE     a point of the plane; its normal
     BOX       the centre; a unit vector along each axis; half the length of each edge
     CAPSULE   both ends of its axis, which may be the same; the radius
-    CYLINDER  both ends of its axis; the radius
+    CONE      both ends of its axis; the radius at each. A cylinder has the same twice.
     POLYGON   the origin of its plane; the plane's two unit vectors; two coordinates of each corner, in order.
               In 3D it is a prism without ends.
     TERRAIN   the same with a profile from left to right; the solid is below it. The ends continue horizontally.
@@ -96,8 +96,8 @@ def signed_distance(solids: Solids, k: int, x: Any) -> Any:
         return of_box(number, i, x)
     if kind == CAPSULE:
         return of_capsule(number, i, x)
-    if kind == CYLINDER:
-        return of_cylinder(number, i, x)
+    if kind == CONE:
+        return of_cone(number, i, x)
     # the others lie in a plane, with coordinates a and b
     offset, e, f = sub(x, vector(number, i)), vector(number, i + 3), vector(number, i + 6)
     a, b = dot(offset, e), dot(offset, f)
@@ -154,20 +154,28 @@ def of_capsule(number: Array, i: int, x: Any) -> Any:
 
 
 @kernel
-def of_cylinder(number: Array, i: int, x: Any) -> Any:
-    """Return those of a cylinder: inside, the nearer of its side and its ends counts."""
-    start, radius = vector(number, i), number[i + 6]
+def of_cone(number: Array, i: int, x: Any) -> Any:
+    """Return those of a truncated cone: inside, the nearer of its side and its ends counts."""
+    start, low, high = vector(number, i), number[i + 6], number[i + 7]
     offset, axis = sub(x, start), sub(vector(number, i + 3), start)
     length = np.sqrt(dot(axis, axis))
     t = scale(axis, 1.0 / length)
     along = dot(offset, t)
     arm = sub(offset, scale(t, along))
     r = np.sqrt(dot(arm, arm))
-    side, end = r - radius, abs(along - 0.5 * length) - 0.5 * length
+    # the side is (taper, 1) in the plane of r and t, and (1, -taper) is its normal
+    taper = (high - low) / length
+    slant = np.sqrt(1.0 + taper * taper)
+    side, end = (r - low - taper * along) / slant, abs(along - 0.5 * length) - 0.5 * length
     if side > 0.0 or end > 0.0:
-        return np.sqrt(max(side, 0.0) ** 2 + max(end, 0.0) ** 2), t, 0.0, ZERO
+        at = min(max((along + taper * (r - low)) / (slant * slant), 0.0), length)
+        to_side = (r - low - taper * at) ** 2 + (along - at) ** 2
+        to_ends = min(max(r - low, 0.0) ** 2 + along**2, max(r - high, 0.0) ** 2 + (along - length) ** 2)
+        return np.sqrt(min(to_side, to_ends)), t, 0.0, ZERO
     if side > end and r > 0.0:
-        return side, scale(arm, 1.0 / r), 1.0 / r, t
+        out = scale(arm, 1.0 / r)
+        n, along_side = sub(out, scale(t, taper)), add(t, scale(out, taper))
+        return side, scale(n, 1.0 / slant), 1.0 / (r * slant), scale(along_side, 1.0 / slant)
     return end, scale(t, 1.0 if along > 0.5 * length else -1.0), 0.0, ZERO
 
 

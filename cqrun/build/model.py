@@ -14,6 +14,7 @@ from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_frame import frame_problems
 from cqrun.build.check_grid import grid_warnings
+from cqrun.build.check_locking import locking_bodies
 from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.contact import contact_limits, contact_parts
 from cqrun.build.history import fields_of
@@ -81,6 +82,7 @@ def build(scene: Scene) -> Built:
         *unit_questions(scene),
         *_unused_episodes(scene),
         *_plugin_warnings(scene),
+        *locking_bodies(scene),
         *design_warnings(scene, particles),
     ]
     warnings += [*_truths_out_of_reach(scene), *_loose_constraints(scene)]
@@ -117,6 +119,7 @@ def build(scene: Scene) -> Built:
         real=np.dtype(scene.precision).type,
         memory_budget=scene.memory,
         frame=scene.world.frame,
+        averaged=scene.world.volume == "averaged",
         settled=scene.start == "equilibrium",
         surface=surface,
         obstacles=obstacles,

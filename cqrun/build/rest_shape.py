@@ -1,8 +1,8 @@
 """Positions and volumes of particles at rest, as functions of the numbers in shapes and places.
 
 Particles are sampled once, at the values in the scene, and then follow the shape. Each piece of a body moves its
-particles by a piecewise affine map (`Shape.carried`), and the body's place puts them into the world. Volumes, and with
-them masses, grow by the determinant of the map. The particles of a region or a marker remain the same.
+particles by a piecewise smooth map (`Shape.carried`), and the body's place puts them into the world. Volumes, and with
+them masses, grow by the determinant of the map's slope. The particles of a region or a marker remain the same.
 
 The derivative by a number p is computed by a complex step, Im f(p + ih) / h with a tiny h, which has no cancellation
 (W. Squire, G. Trapp: Using complex variables to estimate derivatives of real functions, SIAM Review 40 (1998)).

@@ -60,6 +60,10 @@ add_vector = _per_dimension(
     "a, r, i, u, dims", lambda d: _tuple([f"accumulate(a, r + {k}, i, u[{k}])" for k in range(d)])
 )
 
+# matrices in tables of their own
+load_matrix = _per_dimension("a, i, dims", lambda d: _tuple([f"load(a, {k}, i)" for k in range(d * d)]))
+store_matrix = _per_dimension("a, i, A, dims", lambda d: _tuple([f"store(a, {k}, i, A[{k}])" for k in range(d * d)]))
+
 # records of four: a vector has entries 0 .. D - 1 and the extra number entry 3, a place has entries 3 - D .. 2
 components = _per_dimension("a, dims", lambda d: _tuple([f"lane(a, {k})" for k in range(d)]))
 record_of = _per_dimension("extra, like, u", lambda d: f"make4(u[0], u[1], {'u[2]' if d == 3 else '0.0'}, extra, like)")

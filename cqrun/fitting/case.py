@@ -49,7 +49,11 @@ class Case:
     @classmethod
     def probed(cls, name: str, built: Built, comparisons: tuple[Comparison, ...], **rest: Any) -> Case:
         """Return the case whose model records the sums of particles that its comparisons need, the same for all."""
-        return cls(name, replace(built, model=replace(built.model, probe=comparisons[0].rows)), comparisons, **rest)
+        case = cls(name, replace(built, model=replace(built.model, probe=comparisons[0].rows)), comparisons, **rest)
+        if not built.model.settled:
+            return case
+        still = case.runner.still()
+        return replace(case, comparisons=tuple(comparison.from_rest(still) for comparison in comparisons))
 
     # --- values -------------------------------------------------------------------------------------------------
 
@@ -98,10 +102,15 @@ class Case:
         return AtRest(self.built, self.points) if self.points else InMotion(self.built)
 
     def run(
-        self, values: Mapping[str, Array], threads: int = 1, observe: Callable[[int, State], None] | None = None
-    ) -> Records:
-        """Run forward and return the records; call `observe` with the number and the state of each of their rows."""
-        return self.runner.run(self.own_values(values), threads, observe)
+        self, values: Mapping[str, Array], threads: int = 1, observe: Callable[[int, State], None] | None = None,
+        near: Records | None = None,
+    ) -> Records:  # fmt: skip
+        """Run forward and return the records; call `observe` with the number and the state of each of their rows.
+
+        Args:
+            near: records of a run with other values, from whose equilibria a run at rest starts.
+        """
+        return self.runner.run(self.own_values(values), threads, observe, near)
 
     def residuals(self, records: Records, values: Mapping[str, Array]) -> list[Array]:
         """Return the residuals of every comparison."""
@@ -118,8 +127,9 @@ class Case:
         return self.losses(self.runner.still(), {})
 
     def gradient(
-        self, values: Mapping[str, Array], weights: Array, threads: int = 1, budget: int | None = None
-    ) -> tuple[float, dict[str, Array], Effort]:
+        self, values: Mapping[str, Array], weights: Array, threads: int = 1, budget: int | None = None,
+        near: Records | None = None,
+    ) -> tuple[float, dict[str, Array], Effort]:  # fmt: skip
         """Return the sum of weights[k] * loss_k, its gradient by path, and the cost."""
         start, comparisons = self.start_of(values), self.compared(values)
         offset_is_wanted = any(path.startswith(f"{self._offset_path}.") for path in values)
@@ -137,7 +147,7 @@ class Case:
                 total.add(bar)
             return total
 
-        by_own, effort = self.runner.gradient(self.own_values(values), loss_bar, threads, budget)
+        by_own, effort = self.runner.gradient(self.own_values(values), loss_bar, threads, budget, near)
         gradient = self.own_values_vjp(values, by_own)
         collect(self._offset_path, {"": offset_bar}, gradient)
         if self.start_path in gradient:

@@ -5,7 +5,12 @@
 x are the unknowns in scaled coordinates (`design/params.py`), and `unit` is the loss of bodies that do not move. So f
 is of order one, and an optimizer's tolerances mean the same in millimetres and in metres. If recordings have different
 units, each loss_k is divided by its own such loss. The residuals r are those of the measurements, scaled so that
-f = r.r / 2. The rollouts of an evaluation run in parallel and share the threads; the results are bit-for-bit identical
+f = r.r / 2.
+
+Equilibria start from those at the start of the fit, and those of a difference from those beside it. So they are found
+soon, and depend on nothing else that was evaluated before: a resumed fit finds the same.
+
+The rollouts of an evaluation run in parallel and share the threads; the results are bit-for-bit identical
 for any number of threads.
 """
 
@@ -19,7 +24,7 @@ import numpy as np
 from cqrun.build.assembly import Assembly
 from cqrun.design.params import Params
 from cqrun.engine.model import Records
-from cqrun.errors import Problem, SceneError, UsageError
+from cqrun.errors import NoRestError, Problem, SceneError, UsageError
 from cqrun.fitting.case import Case
 from cqrun.fitting.uncertainty import Series
 from cqrun.optimizers.base import TrialFailed
@@ -60,6 +65,8 @@ class FitProblem:
         self.term_names: Sequence[str] = ()
         self.effort = Effort()
         self._kept: dict[tuple[int, bytes], Records] = {}
+        self._at_start: dict[str, Records | None] = {}
+        self._kept_start: dict[tuple[int, bytes], Records] = {}
         self.interrupt = interrupt
         total = sum(o.weight for case in self.cases for o in case.comparisons)
         still = [case.still_losses() for case in self.cases]
@@ -98,6 +105,7 @@ class FitProblem:
     def values_at(self, points: Sequence[Array], batch: tuple[int, ...] | None = None) -> list[float | TrialFailed]:
         """Return f at every point, or its failed trial; the rollouts run in parallel."""
         chosen, share = self._chosen(batch)
+        self._find_starts([self.cases[c] for c in chosen])
 
         def task(x: Array) -> Callable[[int], float | TrialFailed]:
             def run(threads: int) -> float | TrialFailed:
@@ -115,7 +123,7 @@ class FitProblem:
         """Return a case's part of f."""
         values = self.values(x)
         with trial(self.params, x):
-            record = case.run(values, threads)
+            record = case.run(values, threads, near=self._at_start.get(case.name))
         parts = zip(case.residuals(record, values), self._scales(case, weights), strict=True)
         return sum(0.5 * scale**2 * float(np.sum(r**2)) for r, scale in parts)
 
@@ -145,13 +153,15 @@ class FitProblem:
         chosen, share = self._chosen(batch)
         moving = [self.cases[c].built.model for c in chosen if not self.cases[c].points]
         at_once = gradients_at_once(moving, self.threads) if moving else self.threads
+        self._find_starts([self.cases[c] for c in chosen])
 
         def task(case: int) -> Callable[[int], tuple[float, dict[str, Array], Effort]]:
             budget = self.cases[case].built.model.memory_budget // at_once
 
             def run(threads: int) -> tuple[float, dict[str, Array], Effort]:
                 self.interrupt()
-                return self.cases[case].gradient(values, share * self.weights[case], threads, budget)
+                near = self._at_start.get(self.cases[case].name)
+                return self.cases[case].gradient(values, share * self.weights[case], threads, budget, near)
 
             return run
 
@@ -207,20 +217,40 @@ class FitProblem:
             for x, values in zip(points, by_point, strict=True)
             for case in cases
         }
-
-        def task(case: Case, x: Array, values: dict[str, Array]) -> Callable[[int], Records]:
-            def run(threads: int) -> Records:
-                self.interrupt()
-                with trial(self.params, x):
-                    return case.run(values, threads)
-
-            return run
-
-        missing = [key for key in wanted if key not in self._kept]
-        results = side_by_side([task(*wanted[key]) for key in missing], self.threads)
-        known = self._kept | dict(zip(missing, results, strict=True))
-        self._kept = {key: known[key] for key in (self._rollout_key(case, by_point[0]) for case in cases)}
+        self._find_starts(cases)
+        first = {case.name: self._rollout_key(case, by_point[0]) for case in cases}
+        at_rest = [first[case.name] for case in cases if case.points]
+        known = self._kept | self._kept_start
+        for keys in (at_rest, list(wanted)):
+            missing = [key for key in keys if key not in known]
+            near = {case.name: known.get(first[case.name], self._at_start.get(case.name)) for case in cases}
+            tasks = [self._task(*wanted[key], near[wanted[key][0].name]) for key in missing]
+            known |= zip(missing, side_by_side(tasks, self.threads), strict=True)
+        self._kept = {key: known[key] for key in first.values()}
         return known
+
+    def _task(self, case: Case, x: Array, values: dict[str, Array], near: Records | None) -> Callable[[int], Records]:
+        """Return a task that runs a case at a point."""
+
+        def run(threads: int) -> Records:
+            self.interrupt()
+            with trial(self.params, x):
+                return case.run(values, threads, near=near)
+
+        return run
+
+    def _find_starts(self, cases: Sequence[Case]) -> None:
+        """Find the equilibria at the start of the fit of the cases at rest, once; None where there are none."""
+        values = self.values(self.start)
+        for case in cases:
+            if case.points and case.name not in self._at_start:
+                self.interrupt()
+                try:
+                    record = case.run(values, self.threads)
+                except NoRestError:
+                    self._at_start[case.name] = None
+                else:
+                    self._at_start[case.name] = self._kept_start[self._rollout_key(case, values)] = record
 
     def _scales(self, case: Case, weights: Array) -> list[float]:
         """Return the factors of a case's residuals that make f = r.r / 2."""
@@ -256,7 +286,9 @@ class FitProblem:
 
     def _with_cases(self, change: Callable[[Case], Case]) -> FitProblem:
         cases = [change(case) for case in self.cases]
-        return FitProblem(cases, self.params, threads=self.threads, interrupt=self.interrupt)
+        other = FitProblem(cases, self.params, threads=self.threads, interrupt=self.interrupt)
+        other._at_start = dict(self._at_start)
+        return other
 
     def series(self) -> list[Series]:
         """Return the time series among the residuals."""

@@ -35,8 +35,14 @@ TOLERANCE = 1e-10
 class Runner(Protocol):
     """Runs the model of a case with values by path in its scene."""
 
-    def run(self, values: Values, threads: int = 1, observe: Observe | None = None) -> Records:
-        """Return the records; call `observe` with the number and the state of each of their rows."""
+    def run(
+        self, values: Values, threads: int = 1, observe: Observe | None = None, near: Records | None = None
+    ) -> Records:
+        """Return the records; call `observe` with the number and the state of each of their rows.
+
+        Args:
+            near: records of a run with other values. A run at rest starts from its equilibria.
+        """
         ...
 
     def still(self) -> Records:
@@ -44,13 +50,15 @@ class Runner(Protocol):
         ...
 
     def gradient(
-        self, values: Values, loss_bar: Callable[[Records], Records], threads: int = 1, budget: int | None = None
-    ) -> tuple[dict[str, Array], Effort]:
+        self, values: Values, loss_bar: Callable[[Records], Records], threads: int = 1, budget: int | None = None,
+        near: Records | None = None,
+    ) -> tuple[dict[str, Array], Effort]:  # fmt: skip
         """Return the gradient by path, and its cost.
 
         Args:
             loss_bar: returns the cotangent of the records.
             budget: bytes for kept states; those of the model if None.
+            near: as for `run`.
         """
         ...
 
@@ -65,7 +73,9 @@ class InMotion:
 
     built: Built
 
-    def run(self, values: Values, threads: int = 1, observe: Observe | None = None) -> Records:
+    def run(
+        self, values: Values, threads: int = 1, observe: Observe | None = None, near: Records | None = None
+    ) -> Records:
         """Return the records of all control steps."""
         return make_rollout(self.built.model, self.built.assembly.inputs(values), threads=threads).run(observe)
 
@@ -74,8 +84,9 @@ class InMotion:
         return _still(self.built, self.built.model.n_controls + 1)
 
     def gradient(
-        self, values: Values, loss_bar: Callable[[Records], Records], threads: int = 1, budget: int | None = None
-    ) -> tuple[dict[str, Array], Effort]:
+        self, values: Values, loss_bar: Callable[[Records], Records], threads: int = 1, budget: int | None = None,
+        near: Records | None = None,
+    ) -> tuple[dict[str, Array], Effort]:  # fmt: skip
         """Return the gradient by path, and its cost."""
         built = self.built
         model = built.model if budget is None else replace(built.model, memory_budget=budget)
@@ -107,13 +118,15 @@ class AtRest:
     built: Built
     points: tuple[Mapping[str, float], ...]
 
-    def run(self, values: Values, threads: int = 1, observe: Observe | None = None) -> RestRecords:
+    def run(
+        self, values: Values, threads: int = 1, observe: Observe | None = None, near: Records | None = None
+    ) -> RestRecords:
         """Return the records of the rest shape and of all points.
 
         Raises:
             NoRestError: a point has no equilibrium.
         """
-        return self._find(values, threads, observe)[1]
+        return self._find(values, threads, observe, near)[1]
 
     def still(self) -> RestRecords:
         """Return the records of bodies that do not move; no boundary has to hold them."""
@@ -123,10 +136,11 @@ class AtRest:
         return RestRecords.joined(_still(self.built, count), held)
 
     def gradient(
-        self, values: Values, loss_bar: Callable[[Records], Records], threads: int = 1, budget: int | None = None
-    ) -> tuple[dict[str, Array], Effort]:
+        self, values: Values, loss_bar: Callable[[Records], Records], threads: int = 1, budget: int | None = None,
+        near: Records | None = None,
+    ) -> tuple[dict[str, Array], Effort]:  # fmt: skip
         """Return the gradient by path, summed over all points."""
-        path, records = self._find(values, threads, None)
+        path, records = self._find(values, threads, None, near)
         total = {key: np.zeros(np.shape(value)) for key, value in values.items()}
         for point, bar in zip(self.points, path.gradients(loss_bar(records)), strict=True):
             for key, part in gradient_of(self.built, point, values, bar).items():
@@ -143,13 +157,16 @@ class AtRest:
             self._find(values, threads, note)
         return []
 
-    def path(self, values: Values, threads: int = 1) -> RestPath:
+    def path(self, values: Values, threads: int = 1, near: Records | None = None) -> RestPath:
         """Return the path, without any point yet."""
         inputs = [inputs_of(self.built, point, values) for point in self.points]
-        return RestPath(self.built.model, inputs, threads=threads, tolerance=TOLERANCE, apart=True)
+        found = near.found if isinstance(near, RestRecords) else ()
+        return RestPath(self.built.model, inputs, threads=threads, tolerance=TOLERANCE, apart=True, near=found)
 
-    def _find(self, values: Values, threads: int, observe: Observe | None) -> tuple[RestPath, RestRecords]:
-        path = self.path(values, threads)
+    def _find(
+        self, values: Values, threads: int, observe: Observe | None, near: Records | None = None
+    ) -> tuple[RestPath, RestRecords]:
+        path = self.path(values, threads, near)
 
         def note(number: int, here: Equilibrium, point: Point) -> None:
             if observe is not None and point.rest.converged:

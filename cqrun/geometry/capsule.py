@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from cqrun.boundaries.solid import CAPSULE, Solid
-from cqrun.geometry.segment import SegmentShape
+from cqrun.geometry.segment import EvenSegment
 from cqrun.geometry.shape import SLACK
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 
 
 @plugin("shape", "capsule")
-class Capsule(SegmentShape):
+class Capsule(EvenSegment):
     """A cylinder with round ends (2D: a stadium): points within `radius` of the segment start-end."""
 
     def inside(self, points: Array) -> Array:
@@ -24,7 +24,7 @@ class Capsule(SegmentShape):
         return ends.min(axis=0) - self.radius, ends.max(axis=0) + self.radius
 
     def solids(self) -> list[Solid]:
-        return [self.solid(CAPSULE)]
+        return [self.solid(CAPSULE, self.radius)]
 
     def volume(self) -> float:
         r, length = self.radius, self.length()

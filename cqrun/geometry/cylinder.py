@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from cqrun.boundaries.solid import CYLINDER, Solid
+from cqrun.boundaries.solid import CONE, Solid
 from cqrun.explain import Loc
-from cqrun.geometry.segment import SegmentShape
+from cqrun.geometry.segment import EvenSegment
 from cqrun.geometry.shape import SLACK
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
 
 
 @plugin("shape", "cylinder")
-class Cylinder(SegmentShape):
+class Cylinder(EvenSegment):
     """A round bar with flat ends, from `start` to `end` (3D only; in 2D use a polygon)."""
 
     def dim_problems(self, dim: int) -> list[tuple[Loc, str]]:
@@ -35,7 +35,7 @@ class Cylinder(SegmentShape):
         return ends.min(axis=0) - reach, ends.max(axis=0) + reach
 
     def solids(self) -> list[Solid]:
-        return [self.solid(CYLINDER)]
+        return [self.solid(CONE, *self.radii)]
 
     def volume(self) -> float:
         return np.pi * self.radius**2 * self.length()

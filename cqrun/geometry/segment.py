@@ -1,7 +1,8 @@
-"""Base of capsules and cylinders: a segment from start to end, with a radius."""
+"""Base of capsules, cylinders and cones: a segment from start to end, with a radius."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Self
 
 import numpy as np
@@ -14,11 +15,15 @@ from cqrun.plugin.contract import Array, quantity, vector
 
 
 class SegmentShape(Shape):
-    """A shape around the segment from `start` to `end`."""
+    """A shape around the segment from `start` to `end`, whose radius is linear along the segment."""
 
     start: list[float] = vector("m", "First end of the axis", geometric=True)
     end: list[float] = vector("m", "Other end of the axis", geometric=True)
-    radius: float = quantity("m", "Radius", gt=0, geometric=True)
+
+    @property
+    @abstractmethod
+    def radii(self) -> tuple[float, float]:
+        """The radius [m] at the start and at the end."""
 
     @model_validator(mode="after")
     def _has_length(self) -> Self:
@@ -32,8 +37,13 @@ class SegmentShape(Shape):
         """Return the length of the axis [m]."""
         return float(np.linalg.norm(np.subtract(self.end, self.start)))
 
+    def radius_at(self, fraction: Array) -> Array:
+        """Return the radius (N,) [m] at `fraction` (N,) of the axis."""
+        start, end = self.radii
+        return np.asarray(start + (end - start) * fraction)
+
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
-        """Stretch along the axis, rotate with it, and scale distances from the segment with the radius.
+        """Stretch along the axis, rotate with it, and scale distances from the segment with the radius there.
 
         The rotation is the smallest one from the unit axis d to the new d':
         R v = v - (d + d') (d + d').v / (1 + d.d') + 2 d' d.v.
@@ -46,14 +56,14 @@ class SegmentShape(Shape):
         offset = points - np.array(self.start) - core[:, None] * axis
         both = d + d_to
         turned = offset - np.outer(offset @ both / (1.0 + d @ d_to), both) + 2.0 * np.outer(offset @ d, d_to)
-        scale, dim = to.radius / self.radius, len(self.start)
+        scale, dim = to.radius_at(core) / self.radius_at(core), len(self.start)
         growth = np.where(core == fraction, length_to / length, scale) * scale ** (dim - 1)
-        return start + core[:, None] * axis_to + scale * turned, growth
+        return start + core[:, None] * axis_to + scale[:, None] * turned, growth
 
-    def solid(self, kind: int) -> Solid:
-        """Return it as a solid of a kind."""
+    def solid(self, kind: int, *lengths: float) -> Solid:
+        """Return it as a solid of a kind with some lengths [m]."""
         ends = np.array([self.start, self.end], float)
-        return Solid(kind, ends, np.zeros((0, ends.shape[1])), np.array([self.radius]))
+        return Solid(kind, ends, np.zeros((0, ends.shape[1])), np.array(lengths))
 
     def along(self, points: Array) -> tuple[Array, Array]:
         """Return the projections (N,) of points (N, D) on the axis, 0 at start and 1 at end, and the axis (D,)."""
@@ -64,3 +74,14 @@ class SegmentShape(Shape):
         """Return the squared distance (N,) [m^2] of points (N, D) from the axis at `fraction` (N,)."""
         offset = points - np.array(self.start) - fraction[:, None] * axis
         return np.einsum("nd,nd->n", offset, offset)
+
+
+class EvenSegment(SegmentShape):
+    """A shape around a segment with the same radius everywhere."""
+
+    radius: float = quantity("m", "Radius", gt=0, geometric=True)
+
+    @property
+    def radii(self) -> tuple[float, float]:
+        """The radius [m] at the start and at the end."""
+        return self.radius, self.radius

@@ -41,7 +41,7 @@ class Shape(Region):
     def carried(self, points: Array, to: Self) -> tuple[Array, Array]:
         """Return the positions of points (N, D) [m] of this shape as it becomes `to`, and their volumes' growth (N,).
 
-        The map is continuous, piecewise affine, and the identity if nothing changes. `to` is the same kind of shape
+        The map is continuous, piecewise smooth, and the identity if nothing changes. `to` is the same kind of shape
         with other numbers; they may be complex, for a derivative by complex step.
         """
         return points, np.ones(len(points))

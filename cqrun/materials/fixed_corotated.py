@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 from numba.extending import register_jitable
 
 from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus, shear_modulus
-from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
+from cqrun.materials.term import MaterialTerm, register, register_volume, zeros_like_rows
 from cqrun.numerics.polar import polar, polar_vjp
 from cqrun.numerics.tensor import (
     add,
@@ -86,3 +86,17 @@ def both(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
 
 
 register(FixedCorotatedKernel, stress, stress_vjp, rate=False, both=both)
+
+
+def slope(term: Any, theta: Any, J: Any) -> Any:
+    """Return U' of U = lam/2 (J - 1)^2."""
+    return lame(theta[0], theta[1])[1] * (J - 1.0)
+
+
+def slope_vjp(term: Any, theta: Any, J: Any, slope_bar: Any) -> Any:
+    """Return (theta_bar, J_bar)."""
+    theta_bar = lame_vjp(theta[0], theta[1], slope_bar * 0.0, slope_bar * (J - 1.0))
+    return theta_bar, lame(theta[0], theta[1])[1] * slope_bar
+
+
+register_volume(FixedCorotatedKernel, slope, slope_vjp)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field, field_validator
 
-from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
+from cqrun.materials.term import MaterialTerm, register, register_volume, zeros_like_rows
 from cqrun.numerics.tensor import cofactor, det, plus_diagonal, scale, trace
 from cqrun.plugin.contract import Array
 from cqrun.plugin.registry import plugin
@@ -81,3 +81,24 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
 
 
 register(IncompressibilityKernel, stress, stress_vjp, rate=False)
+
+
+def slope(term: Any, theta: Any, J: Any) -> Any:
+    """Return U' of U = kappa/2 (J - 1)^p."""
+    slope = theta[0] / (6.0 - 12.0 * theta[1]) * term.power
+    for _ in range(term.power - 1):
+        slope = slope * (J - 1.0)
+    return slope
+
+
+def slope_vjp(term: Any, theta: Any, J: Any, slope_bar: Any) -> Any:
+    """Return (theta_bar, J_bar)."""
+    weight = 1.0 / (6.0 - 12.0 * theta[1])
+    lower = slope_bar * (weight * term.power)
+    for _ in range(term.power - 2):
+        lower = lower * (J - 1.0)
+    E_bar = lower * (J - 1.0)
+    return (E_bar, theta[0] * E_bar * weight * 12.0), theta[0] * lower * (term.power - 1)
+
+
+register_volume(IncompressibilityKernel, slope, slope_vjp)

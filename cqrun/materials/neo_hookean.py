@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, ClassVar, NamedTuple
 
 from cqrun.materials.lame import lame, lame_vjp, p_wave_modulus, shear_modulus
-from cqrun.materials.term import MaterialTerm, register, zeros_like_rows
+from cqrun.materials.term import MaterialTerm, register, register_volume, zeros_like_rows
 from cqrun.numerics.lanes import log
 from cqrun.numerics.tensor import add, cofactor, det, inner, mul, mul_at, mul_bt, plus_diagonal, scale, trace
 from cqrun.plugin.contract import Array, quantity
@@ -61,3 +61,17 @@ def stress_vjp(term: Any, theta: Any, F: Any, C: Any, tau_bar: Any) -> Any:
 
 
 register(NeoHookeanKernel, stress, stress_vjp, rate=False)
+
+
+def slope(term: Any, theta: Any, J: Any) -> Any:
+    """Return U' of U = lam/2 log(J)^2."""
+    return lame(theta[0], theta[1])[1] * log(J) / J
+
+
+def slope_vjp(term: Any, theta: Any, J: Any, slope_bar: Any) -> Any:
+    """Return (theta_bar, J_bar)."""
+    theta_bar = lame_vjp(theta[0], theta[1], slope_bar * 0.0, slope_bar * log(J) / J)
+    return theta_bar, lame(theta[0], theta[1])[1] * (1.0 - log(J)) / (J * J) * slope_bar
+
+
+register_volume(NeoHookeanKernel, slope, slope_vjp)

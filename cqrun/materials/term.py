@@ -17,6 +17,12 @@ A term with history declares numbers of the state in `MaterialTerm.history`. Its
     stress_vjp(term, theta, F, C, h, tau_bar)                 -> theta_bar, F_bar, C_bar, h_bar
     update(term, theta, F, F_next, h, dt)                     -> h_next, after a substep from F to F_next
     update_vjp(term, theta, F, F_next, h, dt, h_next_bar)     -> theta_bar, F_bar, F_next_bar, h_bar
+
+A term whose energy has a part U(J) of the volume ratio J = det F alone says so with `register_volume`, so that volumes
+can be averaged (engine/reference/volume.py). Its stress holds J U'(J) I. U' is its slope:
+
+    volume_slope(term, theta, J)                  -> U'
+    volume_slope_vjp(term, theta, J, slope_bar)   -> theta_bar, J_bar
 """
 
 from __future__ import annotations
@@ -39,10 +45,13 @@ _STRESS_VJP = ByClass("kirchhoff_vjp", "term, theta, F, C, h, tau_bar")
 _BOTH = ByClass("kirchhoff_both", "term, theta, F, C, h, tau_bar")
 _UPDATE = ByClass("update", "term, theta, F, F_next, h, dt")
 _UPDATE_VJP = ByClass("update_vjp", "term, theta, F, F_next, h, dt, h_next_bar")
+_VOLUME = ByClass("volume_slope", "term, theta, J")
+_VOLUME_VJP = ByClass("volume_slope_vjp", "term, theta, J, slope_bar")
 _RATES: set[type] = set()
 kirchhoff, kirchhoff_vjp, kirchhoff_both, update, update_vjp = (
     f.call for f in (_STRESS, _STRESS_VJP, _BOTH, _UPDATE, _UPDATE_VJP)
 )
+volume_slope, volume_slope_vjp = _VOLUME.call, _VOLUME_VJP.call
 
 
 class MaterialTerm(Plugin):
@@ -105,6 +114,12 @@ def register_with_history(
     _RATES.add(kernel_class)
 
 
+def register_volume(kernel_class: type, slope: Callable[..., Any], slope_vjp: Callable[..., Any]) -> None:
+    """Register the slope of a kernel class's energy of volume, and its adjoint."""
+    _VOLUME.register(kernel_class, slope)
+    _VOLUME_VJP.register(kernel_class, slope_vjp)
+
+
 def one_after_the_other(stress: Callable[..., Any], stress_vjp: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function that gives the stress and the cotangents, from one for each."""
     first, second = (f if hasattr(f, "py_func") else register_jitable(f) for f in (stress, stress_vjp))
@@ -119,6 +134,11 @@ def one_after_the_other(stress: Callable[..., Any], stress_vjp: Callable[..., An
 def needs_rate(kernel_class: type) -> bool:
     """Return whether the stress of a kernel class depends on the velocity gradient C."""
     return kernel_class in _RATES
+
+
+def has_volume(kernel_class: type) -> bool:
+    """Return whether the energy of a kernel class has a part of the volume ratio alone."""
+    return kernel_class in _VOLUME
 
 
 def is_stress(kernel_class: type) -> bool:

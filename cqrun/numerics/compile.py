@@ -203,6 +203,23 @@ def for_each(call: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
+def for_one(call: Callable[..., Any], otherwise: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of (items, ...) that returns call(item, ...) for the one item, or otherwise(...) for none."""
+
+    def run(items: Any, *others: Any) -> Any:
+        return call(items[0], *others) if items else otherwise(*others)
+
+    name = call.__name__
+
+    @overload(run)
+    def _run(items, *others):
+        if len(items) == 0:
+            return named(lambda items, *others: otherwise(*others), f"without_{name}")
+        return named(lambda items, *others: call(items[0], *others), f"with_{name}")
+
+    return run
+
+
 class Pass(NamedTuple):
     """One pass of a list: its name, its function, and the function's arguments: expressions of those of the list.
 

@@ -36,6 +36,11 @@ class World(Spec):
         "grid for elastic bodies that stay whole; `updated` is that of the papers, in which bodies may tear and merge",
         default="reference",
     )
+    volume: Literal["local", "averaged"] = Field(
+        description="Volume changes that a material resists: `local`, those of each particle; `averaged`, means over "
+        "the corners of cells, with which bodies that keep their volume (nu from 0.49) do not lock; reference frame",
+        default="local",
+    )
     contact: BodyContact | None = Field(description="How bodies meet each other in the reference frame", default=None)
     gravity: Annotated[list[float], FilledIn("zero vector")] = vector(
         "m/s^2", "Gravity; zero if absent", differentiable=True

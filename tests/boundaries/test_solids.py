@@ -10,7 +10,7 @@ import pytest
 from cqrun.boundaries.solid import (
     BOX,
     CAPSULE,
-    CYLINDER,
+    CONE,
     HILLS,
     PLANE,
     POLYGON,
@@ -37,7 +37,8 @@ SOLIDS = {
     "box": solid(BOX, [0.1, 0.2, 0], TURNED.T, [0.5, 0.4, 0.3]),
     "capsule": solid(CAPSULE, BAR, [], [0.4]),
     "ball": solid(CAPSULE, BAR[:1] * 2, [], [0.4]),
-    "cylinder": solid(CYLINDER, BAR, [], [0.4]),
+    "cylinder": solid(CONE, BAR, [], [0.4, 0.4]),
+    "cone": solid(CONE, BAR, [], [0.5, 0.2]),
     "polygon": solid(POLYGON, [0, 0, 0], TURNED[:2], ARROW.ravel()),
     "terrain": solid(TERRAIN, [0, 0, 0], TURNED[:2], PROFILE.ravel()),
     "hills": solid(HILLS, [0, 0, 0], TURNED[:2], [0.1, 1.0, 0.05, 0.3]),
@@ -100,3 +101,19 @@ def test_a_solid_moves_with_its_place(rng):
         table = make_solids([one.placed(scale, TURNED, offset)])
         d = np.array([signed_distance(table, 0, tuple(offset + scale * TURNED @ p))[0] for p in x])
         np.testing.assert_allclose(d, scale * at(name, x)[0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("radii", [(0.5, 0.2), (0.2, 0.5), (0.3, 0.3)])
+def test_the_distance_to_a_cone_is_that_of_the_nearest_facet(radii, rng):
+    """In the plane of its axis a cone is a trapezoid."""
+    a, b = radii
+    corners = np.array([[-a, 0.0], [a, 0.0], [b, 0.7], [-b, 0.7]])
+    cone, plate = (
+        solid(CONE, [[0, 0, 0], [0, 0.7, 0]], [], radii),
+        solid(POLYGON, [0, 0, 0], np.eye(3)[:2], corners.ravel()),
+    )
+    table = make_solids([cone, plate])
+    x = rng.uniform(-1, 1.5, (2000, 3)) * [1, 1, 0]
+    d = np.array([[signed_distance(table, k, tuple(p))[0] for k in (0, 1)] for p in x])
+    assert (d[:, 0] < 0).sum() > 50
+    np.testing.assert_allclose(d[:, 0], d[:, 1], rtol=0, atol=1e-14)

@@ -16,6 +16,7 @@ from cqrun.scene.paths import leaf, leaves, shapes_a_body, with_values
 from cqrun.scene.schema import Scene
 
 BAR = {"start": [0, 0, 0], "end": [1, 0.5, 0.2], "radius": 0.3}
+TAPER = {"start": [0, 0, 0], "end": [1, 0.5, 0.2], "start_radius": 0.4, "end_radius": 0.2}
 HILLS = {"amplitude": 0.25, "wavelength": 1.0, "base": 0.5, "phase": 20}
 BOX = {"box": {"corner": [0.2, 0.1], "size": [1, 2]}}
 DISC = {"ball": {"center": [0, 1], "radius": 1}}
@@ -28,6 +29,8 @@ SHAPES: dict[str, tuple[int, dict[str, Any]]] = {
     "stadium": (2, {"shape": {"capsule": {"start": [0, 0], "end": [1, 0.5], "radius": 0.3}}}),
     "capsule": (3, {"shape": {"capsule": BAR}}),
     "cylinder": (3, {"shape": {"cylinder": BAR}}),
+    "cone": (3, {"shape": {"cone": TAPER}}),
+    "trapezoid": (2, {"shape": {"cone": {**TAPER, "start": [0, 0], "end": [1, 0.5]}}}),
     "polygon": (2, {"shape": {"polygon": {"points": [[0, 0], [2.1, 0], [2, 1.05], [1.13, 1], [1, 2], [0, 2.07]]}}}),
     "hills": (2, {"shape": {"height_field": {"sinusoid": HILLS, "span": [0.2, 2.7], "bottom": -1}}}),
     "union": (2, {"shape": {"union": {"shapes": [DISC, BOX], "scale": 1.2, "offset": [0.1, 0.2]}}}),

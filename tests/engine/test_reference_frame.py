@@ -66,13 +66,20 @@ def completed(bar, viscous):
     return bar
 
 
-@pytest.fixture(scope="module", params=[(2, True), (2, False), (3, True), (3, False)],
-                ids=["2D", "2D reversed", "3D", "3D reversed"])  # fmt: skip
+CASES = {
+    "2D": (2, True, False), "2D reversed": (2, False, False), "3D": (3, True, False), "3D reversed": (3, False, False),
+    "2D means": (2, True, True), "2D means, reversed": (2, False, True), "3D means, reversed": (3, False, True),
+}  # fmt: skip
+"""Name -> dimension, whether the material is viscous, and whether volumes are averaged."""
+
+
+@pytest.fixture(scope="module", params=CASES.values(), ids=CASES)
 def case(request):
     """Return a model, its inputs, cotangents, the rollout and its gradient."""
-    dim, viscous = request.param
+    dim, viscous, averaged = request.param
     rng = np.random.default_rng(7)
     model, inputs = held(dim, viscous=viscous)
+    model = replace(model, averaged=averaged)
     records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
     state_bar = random_state(inputs.state, rng)
     rollout = make_rollout(*compiled(model, inputs, viscous), adjoint=True)
@@ -106,8 +113,10 @@ def test_dot_product(case, kind, rng):
 @needs_jit
 @pytest.mark.parametrize("precision", [np.float64, np.float32])
 @pytest.mark.parametrize("viscous", [True, False], ids=["viscous", "elastic"])
-def test_any_number_of_threads_gives_the_same_bits(viscous, precision):
+@pytest.mark.parametrize("averaged", [True, False], ids=["averaged", "local"])
+def test_any_number_of_threads_gives_the_same_bits(averaged, viscous, precision):
     model, inputs = held(2, viscous=viscous, real=precision)
+    model = replace(model, averaged=averaged)
     records_bar = random_records(Records.zeros(model.n_controls, 3, 2), np.random.default_rng(1))
     found = []
     for threads in (1, 2, 3):
@@ -118,9 +127,10 @@ def test_any_number_of_threads_gives_the_same_bits(viscous, precision):
     assert found[0] == found[1] == found[2]
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_a_reversed_gradient_is_that_of_kept_states(dim):
+@pytest.mark.parametrize(("dim", "averaged"), [(2, False), (3, False), (2, True)])
+def test_a_reversed_gradient_is_that_of_kept_states(dim, averaged):
     model, inputs = compiled(*held(dim, viscous=False, substeps=8, controls=3), viscous=False)
+    model = replace(model, averaged=averaged)
     records_bar = random_records(Records.zeros(model.n_controls, 3, dim), np.random.default_rng(2))
     gradients = []
     for reversible in (True, False):
@@ -173,9 +183,11 @@ def loss(records):
 
 
 @pytest.mark.parametrize("kind", ["v", "mass", "fixed_corotated.E", "neo_hookean.nu", "muscle.activation", "force"])
-@pytest.mark.parametrize("viscous", [True, False], ids=["viscous", "elastic"])
-def test_taylor_remainder_is_of_second_order(viscous, kind, rng):
+@pytest.mark.parametrize(("viscous", "averaged"), [(True, False), (False, False), (False, True)],
+                         ids=["viscous", "elastic", "averaged"])  # fmt: skip
+def test_taylor_remainder_is_of_second_order(viscous, averaged, kind, rng):
     model, inputs = held(2, viscous=viscous, substeps=8, controls=3, seed=4)
+    model = replace(model, averaged=averaged)
 
     def loss_bar(records, _):
         return LossBar(rebuilt(records, [np.cos(a) + a for a in parts(records)]))

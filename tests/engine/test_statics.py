@@ -56,10 +56,15 @@ def cantilever(dim, *, gravity=-4.0, real=np.float64):
     return replace(model, frame="reference", groups=(group,)), inputs
 
 
-@pytest.fixture(scope="module", params=[2, 3], ids=["2D", "3D"])
+CASES = {"2D": (2, False), "3D": (3, False), "2D averaged": (2, True), "3D averaged": (3, True)}
+
+
+@pytest.fixture(scope="module", params=CASES.values(), ids=CASES)
 def rested(request):
     """Return a cantilever's model, inputs, equilibrium and rest."""
-    model, inputs = cantilever(request.param)
+    dim, averaged = request.param
+    model, inputs = cantilever(dim)
+    model = replace(model, averaged=averaged)
     equilibrium = Equilibrium(model, inputs)
     return model, inputs, equilibrium, equilibrium.solve(tolerance=1e-12)
 
@@ -186,6 +191,9 @@ def test_conjugate_gradients_find_the_smallest_eigenvalue_and_negative_curvature
     values[0] = -0.01
     K = (Q * values) @ Q.T
     assert conjugate_gradients(lambda p: K @ p, b, lambda r: r, 1e-12, 200).negative
+    nothing = conjugate_gradients(lambda p: K @ p, 0.0 * b, lambda r: r, 1e-12, 200)
+    assert nothing.converged
+    assert not nothing.x.any()
 
 
 # --- paths ------------------------------------------------------------------------------------------------------------

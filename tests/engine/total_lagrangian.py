@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import reference
+from mean_volumes import more_stress
 from reference import Array, Moving, t
 from touching import Meeting, Touching
 
@@ -120,7 +121,10 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
         if step % model.substeps == 0:
             rows.append(reference.seen(W, s))
         pushed, _ = reference.active_force(model, inputs, s, step)
-        P = reference.kirchhoff(model, inputs, s, step) @ t(np.linalg.inv(s.F))
+        tau = reference.kirchhoff(model, inputs, s, step)
+        if model.averaged:
+            tau = tau + more_stress(model, inputs, X, s.F)
+        P = tau @ t(np.linalg.inv(s.F))
         f = scattered(stencils, n_nodes, fields.force + pushed, -A * fields.volume[:, None, None] * P)
         if touching is not None:
             f = f + touching.forces(u, v)

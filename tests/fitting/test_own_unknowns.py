@@ -268,9 +268,9 @@ def test_the_offset_has_an_adjoint_by_dot_product(session: Path, rng: np.random.
 def test_a_value_of_one_recording_takes_no_rollout_of_another(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     problem, ran, run = problem_of(session), [], Case.run
 
-    def counted(self, values, *rest):
+    def counted(self, values, *rest, **near):
         ran.append(self.name)
-        return run(self, values, *rest)
+        return run(self, values, *rest, **near)
 
     monkeypatch.setattr(Case, "run", counted)
     r, J = problem.residuals_and_jacobian(problem.start)

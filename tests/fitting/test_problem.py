@@ -34,9 +34,9 @@ def problem(fit):
 def test_a_start_takes_no_rollout_of_its_own(problem, monkeypatch):
     ran, run = [], Case.run
 
-    def counted(self, values, *rest):
+    def counted(self, values, *rest, **near):
         ran.append(dict(values))
-        return run(self, values, *rest)
+        return run(self, values, *rest, **near)
 
     monkeypatch.setattr(Case, "run", counted)
     x = problem.start
@@ -65,12 +65,12 @@ def test_a_trial_that_blows_up_spoils_no_other(problem, monkeypatch):
     x, bad = problem.start, problem.start + 0.05
     run = Case.run
 
-    def fragile(self, values, *rest):
+    def fragile(self, values, *rest, **near):
         if values.keys() == problem.values(bad).keys() and all(
             np.array_equal(values[path], value) for path, value in problem.values(bad).items()
         ):
             raise RolloutError("left the grid", body="beam", particle=3, time=0.1, advice="use a stiffer one")
-        return run(self, values, *rest)
+        return run(self, values, *rest, **near)
 
     monkeypatch.setattr(Case, "run", fragile)
     failure, value = problem.values_at([bad, x])

@@ -19,6 +19,7 @@ SQUARE = {"box": {"corner": [0, 1], "size": [1, 1]}}
 SPHERE = {"ball": {"center": [0, 0, 0], "radius": 1}}
 BELOW = {"half_space": {"point": [0, 0, 0.25], "normal": [0, 0, 2]}}
 BAR = {"start": [0, 0, 0], "end": [1, 0.5, 0.2], "radius": 0.3}
+TAPER = {"start": [0, 0, 0], "end": [1, 0.5, 0.2], "start_radius": 0.3, "end_radius": 0.1}
 HILLS = {"amplitude": 0.25, "wavelength": 1.0, "base": 0.5}
 CASES: dict[str, tuple[int, dict[str, Any]]] = {
     "box": (3, {"box": {"corner": [0.1, 0, -1], "size": [1, 2, 0.5]}}),
@@ -28,6 +29,8 @@ CASES: dict[str, tuple[int, dict[str, Any]]] = {
     "capsule": (3, {"capsule": BAR}),
     "stadium": (2, {"capsule": {"start": [0, 0], "end": [1, 0.5], "radius": 0.3}}),
     "cylinder": (3, {"cylinder": BAR}),
+    "cone": (3, {"cone": TAPER}),
+    "trapezoid": (2, {"cone": {"start": [0, 0], "end": [1, 0.5], "start_radius": 0.1, "end_radius": 0.3}}),
     "polygon": (2, {"polygon": {"points": [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]}}),
     "union": (2, {"union": [DISC, SQUARE]}),
     "scaled": (2, {"union": {"shapes": [DISC], "scale": 0.2, "offset": [3, 4]}}),
@@ -56,6 +59,7 @@ CASES: dict[str, tuple[int, dict[str, Any]]] = {
 }
 EXACT = {"turned": 4.0, "turned in space": 2.0, "nested": np.pi}
 EXACT |= {"terrain": 1 + 1.5 + 1.625, "hills": 2.5 * 1.5 + 0.25 / (2 * np.pi) * np.cos(0.4 * np.pi) * 2}
+EXACT |= {"cone": np.pi / 3 * 0.13 * np.sqrt(1.29), "trapezoid": 0.4 * np.sqrt(1.25)}
 EXACT |= {"scaled": 0.04 * np.pi, "polygon": 3.0, "difference": 2 - np.pi / 2, "union": 1 + 0.75 * np.pi}
 
 
@@ -109,6 +113,9 @@ LEVEL: dict[str, tuple[int, dict[str, Any]]] = {
     "span": (3, {"height_field": {"points": [[0, 1], [2, 1]], "span": [0.9000000000000001, 2], "up": "z"}}),
     "cylinder": (3, {"cylinder": {"start": [0.9, 0, 0], "end": [0.9, 0, 0.3], "radius": 1}}),
     "side of a cylinder": (3, {"cylinder": {"start": [0, 0, 0], "end": [2, 0, 0], "radius": 0.3}}),
+    "cone": (3, {"cone": {"start": [0.9, 0, 0], "end": [0.9, 0, 0.3], "start_radius": 0.5, "end_radius": 1}}),
+    "side of a cone": (2, {"cone": {"start": [0, 0], "end": [2, 0], "start_radius": 0.4,
+                                    "end_radius": 0.4 - 0.1 / 0.45}}),
     "capsule": (2, {"capsule": {"start": [0, 0], "end": [2, 0], "radius": 0.3}}),
     "ball": (2, {"ball": {"center": [0.9, 0], "radius": 0.3}}),
 }  # fmt: skip

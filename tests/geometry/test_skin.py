@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cqrun.boundaries.solid import make_solids, signed_distance
 from cqrun.geometry.ball import Ball
 from cqrun.geometry.box import Box
 from cqrun.geometry.capsule import Capsule
+from cqrun.geometry.cone import Cone
 from cqrun.geometry.cylinder import Cylinder
 from cqrun.geometry.difference import Difference
 from cqrun.geometry.polygon import Polygon
@@ -31,6 +33,7 @@ SHAPES = {
     "ball": (Ball(center=[0.1, 0.2, 0.3], radius=0.3), 0.36 * np.pi, 0.036 * np.pi),
     "capsule": (Capsule(start=[0, 0, 0], end=[0.3, 0.4, 0.5], radius=0.2), None, None),
     "cylinder": (Cylinder(start=[0, 0, 0], end=[0, 0.4, 0.1], radius=0.2), None, None),
+    "cone": (Cone(start=[0, 0, 0], end=[0, 0.4, 0.1], start_radius=0.22, end_radius=0.18), None, None),
     "polygon": (Polygon(points=[[0, 0], [1, 0.2], [0.8, 0.9], [0.3, 0.5]]), None, 0.435),
     "two boxes": (
         Union(shapes=chosen(Box(corner=[0, 0], size=[0.4, 0.1]), Box(corner=[0.3, 0], size=[0.1, 0.4]))), 1.6, 0.07,
@@ -104,3 +107,11 @@ def test_a_turned_box_keeps_its_corners():
     skin = skin_of(Polygon(points=corners.tolist()))
     for corner in corners:
         assert np.linalg.norm(skin.x - corner, axis=1).min() < 1e-6
+
+
+@pytest.mark.parametrize("radii", [(0.1, 0.25), (0.25, 0.1)])
+def test_points_at_a_sharp_rim_lie_on_the_surface(radii):
+    cone = Cone(start=[0, 0, 0], end=[0, 0.4, 0.1], start_radius=radii[0], end_radius=radii[1])
+    table = make_solids(cone.solids())
+    away = [abs(signed_distance(table, 0, tuple(x))[0]) for x in skin_of(cone).x]
+    assert max(away) < 1e-7 * H

@@ -285,6 +285,31 @@ def test_stopped_and_resumed_it_is_the_same_to_the_bit(folder, optimizer):
     assert_same(run, whole)
 
 
+def test_residuals_do_not_depend_on_what_was_evaluated_before(folder):
+    """Equilibria start from others, but never from those of another trial: else a resumed fit would differ."""
+    scene = scene_of(folder, recording())
+    problem, fresh = problem_of(scene), problem_of(scene)
+    x = problem.start + 0.1
+    problem.residuals_and_jacobian(problem.start)
+    problem.residuals(problem.start + 0.2)
+    assert np.array_equal(problem.residuals(x), fresh.residuals(x))
+    assert np.array_equal(problem.residuals(problem.start), problem_of(scene).residuals(problem.start))
+    assert problem.value(x) == problem_of(scene).value(x)
+
+
+def test_a_difference_starts_from_the_equilibria_beside_it(folder):
+    """It takes a few steps where a start from the rest shape takes many, and ends in the same place."""
+    scene = scene_of(folder, recording())
+    (case,) = problem_of(scene).cases
+    values = {E: np.array(2.0e5)}
+    near = case.run(values)
+    moved = {E: np.array(2.001e5)}
+    path, alone = case.runner.path(moved, near=near), case.runner.path(moved)
+    records, records_alone = path.run(), alone.run()
+    np.testing.assert_allclose(records.x, records_alone.x, rtol=0, atol=1e-9)
+    assert max(point.rest.steps for point in path.points) <= 5 < max(point.rest.steps for point in alone.points)
+
+
 def test_validate_says_what_is_compared(folder):
     lines = list(validate(scene_of(folder, recording(offset="[0.001, 0]"))))
     said = (

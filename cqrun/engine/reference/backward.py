@@ -11,6 +11,7 @@ from cqrun.engine.backward_run import BackwardRun
 from cqrun.engine.model import Inputs, LossBar
 from cqrun.engine.probe import record_vjp
 from cqrun.engine.reference.contacts import add_friction_bars, rest_bars, with_own_bars
+from cqrun.engine.reference.corners import add_means_bar, with_bars
 from cqrun.engine.reference.ghost import GAMMA, mean_modulus, mean_modulus_vjp
 from cqrun.engine.reference.moves import poses_vjp
 from cqrun.engine.reference.setting import NodeBars
@@ -46,7 +47,10 @@ class ReferenceBackward(BackwardRun):
             u_bar, v_bar, pairs, sums, mass_bar, kept_bar, ghost_bar, outside, self.fields_bar,
             aligned(run.q.shape, real), np.zeros_like(run.push), r.model.no_push(r.drive.steady), self.coefficient_bar,
         )  # fmt: skip
-        self.parts = tuple((pair, first, last) for pair, (_, first, last) in zip(self.pairs, r.parts, strict=True))
+        self.means = tuple(with_bars(r, g, bar) for g, bar in enumerate(self.groups_bar))
+        self.parts = tuple(
+            (pair, means, *bodies) for pair, means, (_, _, *bodies) in zip(self.pairs, self.means, r.parts, strict=True)
+        )
         self.moves = tuple((moves, np.zeros_like(moves.pose)) for moves in r.moves)
         self.contacts = with_own_bars(r.contacts, r.model)
         self.finished = False
@@ -91,6 +95,8 @@ class ReferenceBackward(BackwardRun):
             self._add_ghost_bar(bar)
         for _, pose_bar in self.moves:
             bar.moves += poses_vjp(r.model, r.inputs.moves, r.shares, pose_bar)
+        for g, means in enumerate(self.means):
+            add_means_bar(means, r, g, bar)
         surface_bar, x_bar = rest_bars(self.contacts, r.model, r.rest)
         bar.state.x += x_bar
         if len(bar.surface):

@@ -18,6 +18,7 @@ from cqrun.engine.checkpoint import Plan
 from cqrun.engine.model import LossBar, Records
 from cqrun.engine.reference.backward import ReferenceBackward
 from cqrun.engine.reference.contacts import clear_slid, has_slid, make_contacts
+from cqrun.engine.reference.corners import make_means
 from cqrun.engine.reference.ghost import GAMMA, Ghost, kernel_ghost, mean_modulus
 from cqrun.engine.reference.look import look
 from cqrun.engine.reference.moves import Moves, moving_nodes, parts_of, poses, progress
@@ -72,9 +73,10 @@ class ReferenceRollout(Rollout):
         self.probe = model.kernel_probe()
         self.loads = tuple((self.rest.points(pulled.columns), pulled) for pulled in self.drive.pulled)
         self.contacts = make_contacts(model, self.rest, inputs, self.threads)
+        self.means = tuple(make_means(self, g) for g in range(len(model.groups)))
         self.parts = tuple(
-            (kernel, group.bodies[0], group.bodies[-1] + 1)
-            for kernel, group in zip(self.groups, model.groups, strict=True)
+            (kernel, means, group.bodies[0], group.bodies[-1] + 1)
+            for kernel, means, group in zip(self.groups, self.means, model.groups, strict=True)
         )
         self.ghosts = self._make_ghosts()
         self.bundle = self._make_run()

@@ -23,6 +23,7 @@ from cqrun.engine.reference.ghost import THIRD
 from cqrun.engine.reference.patches import Patches
 from cqrun.engine.reference.setting import NodeRun
 from cqrun.engine.setting import Crew, Drive
+from cqrun.engine.statics.volumes import MeanVolumes
 from cqrun.numerics.compile import allocating_kernel
 from cqrun.plugin.contract import Array
 
@@ -70,7 +71,7 @@ class CoarseSpace:
         """Whether there is an inverse."""
         return self.solver is not None
 
-    def prepare(self, A: Array, ghosts: Any, pulled: Sequence[Pulled]) -> bool:
+    def prepare(self, A: Array, ghosts: Any, pulled: Sequence[Pulled], volumes: MeanVolumes | None = None) -> bool:
         """Assemble and factorise the coarse stiffness, and return whether it is positive definite.
 
         If it is not, the last inverse stays: it is still a good preconditioner.
@@ -79,8 +80,11 @@ class CoarseSpace:
             A: the tangents of all particles (`tangent.py`).
             ghosts: the ghost penalty, or none.
             pulled: forces on points.
+            volumes: averaged volumes, or none.
         """
         K = self._stiffness(A, ghosts, pulled)
+        if volumes is not None:
+            K = K + volumes.coarse(self.P)
         diagonal = K.diagonal()
         used = np.flatnonzero(diagonal > NEGLIGIBLE * diagonal.max(initial=0.0))
         K = K[used][:, used] + sparse.diags_array(SHIFT * diagonal[used])

@@ -36,6 +36,7 @@ from cqrun.engine.statics.newton import MOST_PRODUCTS, Rest, find_rest
 from cqrun.engine.statics.passes import find_bars, find_change, find_net, find_slopes
 from cqrun.engine.statics.reactions import Holder, holders, resultant, resultant_vjp, turns
 from cqrun.engine.statics.tangent import add_blocks, rows_of
+from cqrun.engine.statics.volumes import MeanVolumes
 from cqrun.numerics.lanes import lane_width
 from cqrun.numerics.packed import aligned
 from cqrun.plugin.contract import Array
@@ -68,9 +69,10 @@ class Equilibrium:
     Args:
         threads: number of threads at most. The results do not depend on it.
         control: the control step whose activations act.
+        slow: whether the coarse space is made at once, because equilibria like this one needed it.
     """
 
-    def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0) -> None:
+    def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0, slow: bool = False) -> None:
         alone = replace(model, surface=None, obstacles=())  # contact is not felt at rest
         self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
         self.control, self.run = control, self.rollout.bundle
@@ -87,8 +89,9 @@ class Equilibrium:
         self._each(lambda crew: begin_control(self.rollout.drive, self.run, self.colours, control, crew))
         self.outside = self.run.outside.copy()
         self.inverse = np.zeros((0, self.dim, self.dim))
+        self.volumes = MeanVolumes(self.rollout) if any(self.rollout.means) else None
         self.coarse: CoarseSpace | None = None
-        self.since = 0  # products since the coarse space was made; before, since the beginning
+        self.since = REFRESH + 1 if slow else 0  # products since the coarse space was made; before, since the beginning
 
     # --- the system (`newton.System`) -----------------------------------------------------------------------------
 
@@ -104,7 +107,9 @@ class Equilibrium:
 
     def linearise(self, u: Array) -> None:
         """Prepare the tangent and its preconditioner at a displacement."""
-        self._each(lambda crew: find_slopes(self.rollout.parts, self.run, self.A, u, self.still, crew))
+        self._each(lambda crew: find_slopes(self.rollout.parts, self.run, self.A, u, self.still, self.colours, crew))
+        if self.volumes is not None:
+            self.volumes.prepare()
         self._invert_blocks()
         if self.since > REFRESH:
             self._make_coarse()
@@ -291,7 +296,7 @@ class Equilibrium:
         self.since = 0
         r = self.rollout
         pulled = pulled_points(self.run, r.loads, r.drive, self.push, self.control)
-        return self.coarse.prepare(self.A, r.ghosts, pulled)
+        return self.coarse.prepare(self.A, r.ghosts, pulled, self.volumes)
 
     def _judged(self, rest: Rest) -> Rest:
         """Return a rest with the smallest eigenvalue there, and whether one is negative, in the coarse space."""
@@ -328,6 +333,8 @@ class Equilibrium:
                 r.loads, r.ghosts, r.drive, self.run, self.A, self.push, self.colours, p, self.control, crew
             )
         )
+        if self.volumes is not None:
+            self.run.force[:, : self.dim] -= self.volumes.product(p[:, : self.dim])
         return self.run.force
 
     def _places(self) -> Array:
@@ -356,6 +363,8 @@ class Equilibrium:
         dim, active = self.dim, self.run.nodes.active
         blocks = np.zeros((self.n_nodes, dim, dim))
         add_blocks(self.run, self.A, blocks, 0, self.rollout.rest.patches.layout.n)
+        if self.volumes is not None:
+            self.volumes.add_blocks(blocks)
         for ghost in self.rollout.ghosts:
             scale = np.add.reduceat(ghost.factor**2 * ghost.scale[ghost.runs], ghost.begin[:-1])
             blocks[ghost.nodes[:, None], np.arange(dim), np.arange(dim)] += scale[:, None]

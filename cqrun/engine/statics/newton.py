@@ -21,6 +21,13 @@ MOST_STEPS = 60
 MOST_PRODUCTS = 3000
 """Products in one step."""
 
+LOOSEST = 0.1
+"""Relative residual of the linear system of a step, at most."""
+
+FORCING = 0.9
+"""Factor of the square of the last reduction of the net force, to which the next step is found (S. Eisenstat,
+H. Walker: Choosing the forcing terms in an inexact Newton method, SIAM J. Sci. Comput. 17 (1996), choice 2)."""
+
 SHORTEST = 1e-6
 """Part of a step below which no step helps: rounding, or no equilibrium in this direction."""
 
@@ -77,17 +84,19 @@ def find_rest(system: System, u: Array, load: float, tolerance: float) -> Rest:
         tolerance: relative residual at which the search ends.
     """
     r = system.net(u)
-    size = first = _size(r)
+    size, eta = _size(r), LOOSEST
     steps = products = 0
     negative, stuck, smallest = False, False, float("nan")
     while size > tolerance * load and steps < MOST_STEPS and not stuck:
         system.linearise(u)
-        eta = min(0.1, float(np.sqrt(size / first))) if first > 0 else 0.1
+        eta = max(eta, min(LOOSEST, 0.3 * tolerance * load / size))
         found = conjugate_gradients(system.product, r, system.precondition, eta, MOST_PRODUCTS)
         steps, products = steps + 1, products + found.iterations
         negative = found.negative
         smallest = found.smallest if np.isfinite(found.smallest) else smallest
+        before = size
         u, r, size, stuck = _step(system, u, r, size, found.x)
+        eta = min(LOOSEST, FORCING * (size / before) ** 2)
     return Rest(
         u, size / load if load > 0 else size, size <= tolerance * load, steps, products, negative, smallest, stuck
     )

@@ -34,10 +34,10 @@ def find_net(
 
 
 @kernel
-def find_slopes(parts: Any, run: NodeRun, A: Array, u: Array, still: Array, crew: Crew) -> None:
+def find_slopes(parts: Any, run: NodeRun, A: Array, u: Array, still: Array, colours: Array, crew: Crew) -> None:
     """Write the particles' tangents at u to A, and their places to `run.q`."""
     look(run, u, still, crew)
-    find_tangent_each(parts, run, A, crew)
+    find_tangent_each(parts, run, A, u, colours, crew)
     barrier(run.arrivals, crew.n_threads)
 
 

@@ -1,18 +1,20 @@
 """A path of equilibria: each point starts from the last one, and has a gradient of its own.
 
 Where Newton's method does not reach a point, the way to it is halved, at most `HALVINGS` times: all inputs change in
-proportion. The first point is reached from the rest shape without loads.
+proportion. The first point is reached from the rest shape without loads. A path with slightly other inputs can start
+each point from the equilibrium of the same point of an earlier path.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from cqrun.engine.model import Inputs, Model, Records
-from cqrun.engine.statics.equilibrium import Equilibrium
+from cqrun.engine.statics.equilibrium import REFRESH, Equilibrium
 from cqrun.engine.statics.newton import Rest
 from cqrun.errors import StopAsked
 from cqrun.plugin.contract import Array
@@ -38,15 +40,25 @@ class Point:
     products: int
 
 
+class Found(NamedTuple):
+    """An equilibrium: its inputs, the displacement (M, 4) [m], and whether its path needed the coarse space."""
+
+    inputs: Inputs
+    u: Array
+    slow: bool
+
+
 @dataclass
 class RestRecords(Records):
     """What is known of the rest shape and of every point of a path, or the cotangent of it.
 
     Attributes:
         held: (P + 1, D + 1) or (P + 1, 6): force [N] and moment [N m] of every boundary, by its name; zero in row 0.
+        found: the equilibria of all points, from which a path with other inputs can start.
     """
 
     held: dict[str, Array] = field(default_factory=dict)
+    found: list[Found] = field(default_factory=list)
 
     @classmethod
     def joined(cls, records: Records, held: dict[str, Array]) -> RestRecords:
@@ -74,20 +86,25 @@ class RestPath:
         tolerance: net force divided by the loads at which a point counts as found.
         apart: whether the points have nothing to do with each other: then a point starts from the rest shape if the net
             force is smaller there than at the last point. Otherwise a path stays on its branch.
+        near: equilibria of all points for other inputs, from which each point starts. Where that fails, it starts as
+            without them.
 
     Attributes:
         points: the points found so far.
+        slow: whether the points need the coarse space, as the first ones have shown.
         loose: the bodies that nothing holds, by name: in how many ways each can move.
         rows: the probe's sums (rows, K) at the rest shape and at every point.
     """
 
     def __init__(
-        self, model: Model, inputs: Sequence[Inputs], *, threads: int = 1, tolerance: float = 1e-8, apart: bool = False
-    ) -> None:
+        self, model: Model, inputs: Sequence[Inputs], *, threads: int = 1, tolerance: float = 1e-8, apart: bool = False,
+        near: Sequence[Found] = (),
+    ) -> None:  # fmt: skip
         self.model = replace(model, n_controls=1, substeps=1)
         self.inputs = [replace(each, activation=each.activation[-1:]) for each in inputs]
         self.threads, self.tolerance, self.apart = threads, tolerance, apart
         self.points: list[Point] = []
+        self.near, self.slow = near, any(each.slow for each in near)
         unloaded = self.equilibrium(_unloaded(self.inputs[0]))
         self.loose = unloaded.loose_bodies()
         self.rest_shape = np.zeros_like(unloaded.still)
@@ -98,7 +115,7 @@ class RestPath:
 
     def equilibrium(self, inputs: Inputs) -> Equilibrium:
         """Return the equilibrium of the model for some inputs."""
-        return Equilibrium(self.model, inputs, threads=self.threads)
+        return Equilibrium(self.model, inputs, threads=self.threads, slow=self.slow)
 
     def run(
         self,
@@ -119,9 +136,8 @@ class RestPath:
                 raise StopAsked
             here = self.equilibrium(inputs)
             point = known(number) if known is not None else None
-            if self.apart and point is None and _net(here, self.rest_shape) < _net(here, u):
-                before, u = _unloaded(self.inputs[0]), self.rest_shape
-            point = self._reach(here, before, inputs, u) if point is None else point
+            point = self._find(number, here, before, u) if point is None else point
+            self.slow |= point.products > REFRESH
             self.points.append(point)
             if observe is not None:
                 observe(number, here, point)
@@ -132,7 +148,21 @@ class RestPath:
                 self.held[name].append(np.concatenate(parts))
             before, u = inputs, point.rest.u
         records = Records.from_rows(np.array(self.rows), here.rollout.model.layout.table)
-        return RestRecords.joined(records, {name: np.array(rows) for name, rows in self.held.items()})
+        joined = RestRecords.joined(records, {name: np.array(rows) for name, rows in self.held.items()})
+        pairs = zip(self.points, self.inputs, strict=False)
+        joined.found = [Found(inputs, point.rest.u, self.slow) for point, inputs in pairs]
+        return joined
+
+    def _find(self, number: int, here: Equilibrium, before: Inputs, u: Array) -> Point:
+        """Return a point from that of `near`, from the last one, which is given, or from the rest shape."""
+        inputs = self.inputs[number]
+        if self.near:
+            point = self._reach(here, self.near[number].inputs, inputs, self.near[number].u)
+            if point.rest.converged:
+                return point
+        if self.apart and _net(here, self.rest_shape) < _net(here, u):
+            before, u = _unloaded(self.inputs[0]), self.rest_shape
+        return self._reach(here, before, inputs, u)
 
     def _reach(self, here: Equilibrium, before: Inputs, inputs: Inputs, u: Array) -> Point:
         """Return a point reached from the last one."""

@@ -5,6 +5,8 @@ column for a unit Q follows from the adjoint of the stress, because A is symmetr
 
     A : Q = kirchhoff_vjp(F, tau_bar = Q G).F_bar - G^T Q^T P.
 
+With averaged volumes A keeps the mean pressures; what they change by is a matrix of its own (`volumes.py`).
+
 It is the same for every law, so a product costs the same too: gather Q = sum_n w p_n d^T, scatter A : Q.
 """
 
@@ -18,6 +20,7 @@ from numba.extending import overload, register_jitable
 from cqrun.engine.arrays import get_columns, load_F
 from cqrun.engine.reference.fields import put_linear
 from cqrun.engine.reference.setting import TILE, NodeRun
+from cqrun.engine.reference.volume import average_each, collect_pressures, with_mean, with_mean_slope
 from cqrun.engine.setting import Crew, Group
 from cqrun.engine.transfer import gather, scatter_tile
 from cqrun.materials.stress import stress_slope, total_kirchhoff
@@ -85,20 +88,26 @@ def _times(A, i, Q):
 
 
 @kernel
-def find_tangent(part: tuple[Group, int, int], run: NodeRun, A: Array, crew: Crew) -> None:
-    """Write vol0 A of a group's particles; `run.q` has their F."""
-    group = part[0]
+def find_tangent(
+    part: tuple[Group, Any, int, int], run: NodeRun, A: Array, u: Array, colours: Array, crew: Crew
+) -> None:
+    """Write vol0 A of a group's particles, with mean pressures kept; `run.q` has their F."""
+    group, means, first, last = part
+    average_each(means, run, u, first, last, colours, crew)
     dims, width = run.setting.dims, LANE_BYTES // run.fields.itemsize
     lo, hi = share((group.hi - group.lo) // width, crew.thread, crew.n_threads)
     for lane in range(lo, hi):
         i = group.lo + lane * width
         F = load_F(run.q, i, dims)
         none, Gt = zeros_like_rows(F), scale(cofactor(F), 1.0 / det(F))
-        P = mul(total_kirchhoff(group.terms, run.q, i, F, none), Gt)
+        collect_pressures(means, run, i, i + width, crew.thread)
+        P = mul(with_mean(means, total_kirchhoff(group.terms, run.q, i, F, none), F, i, 0, crew.thread), Gt)
         vol = load(run.fields, VOLUME, i)
         for k in range(len(F)):
             Q = unit_like(F, k)
-            F_bar = stress_slope(group.terms, run.q, i, F, none, mul_bt(Q, Gt))
+            tau_bar = mul_bt(Q, Gt)
+            F_bar = stress_slope(group.terms, run.q, i, F, none, tau_bar)
+            F_bar = with_mean_slope(means, F_bar, F, tau_bar, i, 0, crew.thread)
             put_row(A, k, i, scale(sub(F_bar, mul(Gt, mul_at(Q, P))), vol))
 
 
