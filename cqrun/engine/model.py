@@ -96,6 +96,7 @@ class Model:
     n_nodes: int = 0  # of all bodies, in the reference frame
     averaged: bool = False  # whether volumes are means over the corners of cells, in the reference frame
     settled: bool = False  # whether the motion starts at equilibrium
+    shaped: bool = False  # whether gradients reach the rest positions, in the reference frame
     surface: SurfaceModel | None = None  # of the bodies, in the reference frame
     obstacles: tuple[ObstacleModel, ...] = ()  # in the reference frame
     meeting: MeetingModel | None = None  # of bodies with each other, in the reference frame

@@ -25,7 +25,7 @@ from numba.extending import overload
 
 from cqrun.numerics.compile import kernel, own_symbols, written
 from cqrun.numerics.lanes import floor, lane
-from cqrun.numerics.records import load4, whole_lane
+from cqrun.numerics.records import load4, store4, whole_lane
 from cqrun.numerics.wide_records import (
     filled,
     load_each,
@@ -333,3 +333,40 @@ def gather_vjp(
         store_neighbours(moment, n + p - lo, m1 - v * spread(f, 1))
         store_neighbours(moment, 2 * n + p - lo, m2 - v * spread(f, 2))
         store_neighbours(slope, p - lo, sums(x0, x1, x2))
+
+
+@kernel
+def gather_slopes(
+    out: Array, grid: Array, stride: int, first: int, value: Array, affine: Array, place: Stencils, lo: int, hi: int,
+    strides: Any, dims: Any,
+) -> None:  # fmt: skip
+    """Add to the records `out` of particles lo:hi the derivative by f of sum_n w g_n . (a + B (o - f)).
+
+    Through weights and arms, with the fields held that are in tile arrays, as for `scatter_tile`. Node n has record
+    n * stride + first of the grid.
+    """
+    n, in_3d = value.shape[0], len(dims) == 3
+    for p in range(lo, hi):
+        node, f = stencil(place, p, strides)
+        W, S = weights(f), slopes(f)
+        w0, w1, w2 = lane(W[0], 2), lane(W[1], 2), lane(W[2], 2)
+        d0, d1, d2 = lane(S[0], 2), lane(S[1], 2), lane(S[2], 2)
+        a = load4(value, p - lo)
+        b0, b1, b2 = load4(affine, p - lo), load4(affine, n + p - lo), load4(affine, 2 * n + p - lo)
+        v, x0, x1, x2 = a * 0.0, a * 0.0, a * 0.0, a * 0.0
+        for i in range(3 if in_3d else 1):
+            w_i, d_i = (lane(W[i], 0), lane(S[i], 0)) if in_3d else (1.0, 0.0)
+            a_i = a + b0 * i if in_3d else a
+            for j in range(3):
+                w_j, d_j = lane(W[j], 1), lane(S[j], 1)
+                at = (node + i * strides[0] + j * strides[1]) * stride + first
+                g0, g1, g2 = load4(grid, at), load4(grid, at + stride), load4(grid, at + 2 * stride)
+                a_j = a_i + b1 * j
+                t0, t1, t2 = g0 * a_j, g1 * (a_j + b2), g2 * (a_j + b2 + b2)
+                t = t0 * w0 + t1 * w1 + t2 * w2
+                v = v + (g0 * w0 + g1 * w1 + g2 * w2) * (w_i * w_j)
+                x0 = x0 + t * (d_i * w_j)
+                x1 = x1 + t * (w_i * d_j)
+                x2 = x2 + (t0 * d0 + t1 * d1 + t2 * d2) * (w_i * w_j)
+        of_axis_0 = x0 - b0 * v if in_3d else x0
+        store4(out, p, load4(out, p) + sums(of_axis_0, x1 - b1 * v, x2 - b2 * v))

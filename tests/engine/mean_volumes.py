@@ -16,7 +16,7 @@ from cqrun.engine.model import Inputs, Model
 def corners(model: Model, X: Array) -> Iterator[tuple[Array, Array]]:
     """Yield (corner, weight) of every particle; the corners of a body have numbers of their own."""
     body = np.repeat(np.arange(len(model.layout.counts)), model.layout.counts)
-    low = np.floor(X / model.dx - 0.5).astype(int)
+    low = np.floor(X.real / model.dx - 0.5).astype(int)
     place = X / model.dx - 0.5 - low
     shape = np.array(model.grid_shape) + 20
     for which in np.ndindex(*(2,) * model.dim):
@@ -34,7 +34,7 @@ def slopes(parameters: list[Array], J: Array) -> Array:
 def means(found: list[tuple[Array, Array]], a: Array, volume: Array) -> Array:
     """Return for each corner the mean of a number of the particles; zero where no particle is."""
     count = max(int(corner.max()) for corner, _ in found) + 1
-    total, V = (np.zeros(count, np.result_type(a, volume)) for _ in range(2))
+    total, V = (np.zeros(count, np.result_type(a, volume, *(weight for _, weight in found))) for _ in range(2))
     for corner, weight in found:
         np.add.at(total, corner, weight * volume * a)
         np.add.at(V, corner, weight * volume)

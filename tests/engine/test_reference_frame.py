@@ -32,7 +32,7 @@ SHEAR = (shear_modulus, shear_modulus, MaterialTerm.shear_modulus, MaterialTerm.
 """The shear modulus of each of TERMS."""
 
 SLOW = {"viscosity.shear", "viscosity.bulk"}
-UNKNOWN = {"x", "F", "friction"}
+UNKNOWN = {"F", "friction"}
 """What a rollout in this frame has no gradient of."""
 
 
@@ -79,7 +79,7 @@ def case(request):
     dim, viscous, averaged = request.param
     rng = np.random.default_rng(7)
     model, inputs = held(dim, viscous=viscous)
-    model = replace(model, averaged=averaged)
+    model = replace(model, averaged=averaged, shaped=True)
     records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
     state_bar = random_state(inputs.state, rng)
     rollout = make_rollout(*compiled(model, inputs, viscous), adjoint=True)

@@ -44,7 +44,8 @@ def gathered(stencils: list[tuple[Array, Array, Array]], g: Array) -> tuple[Arra
 
 def scattered(stencils: list[tuple[Array, Array, Array]], n_nodes: int, p: Array, G: Array | None = None) -> Array:
     """Return sum_p w (p + G d) of every node."""
-    out = np.zeros((n_nodes, *p.shape[1:]), np.result_type(p, float if G is None else G))
+    weights = (weight for _, weight, _ in stencils)
+    out = np.zeros((n_nodes, *p.shape[1:]), np.result_type(p, float if G is None else G, *weights))
     for node, weight, arm in stencils:
         field = p if G is None else p + np.einsum("pij,pj->pi", G, arm)
         np.add.at(out, node, (weight * field.T).T)
@@ -98,7 +99,7 @@ def mean_shear_modulus(model: Model, inputs: Inputs) -> Array:
 
 def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *contact: None) -> tuple[Records, Moving]:
     """Return the probe's records and the last state; `watch` gets what touches obstacles, and what meets."""
-    X, fields, dt, A = inputs.state.x.real, inputs.fields, model.dt, 4 / model.dx**2
+    X, fields, dt, A = inputs.state.x, inputs.fields, model.dt, 4 / model.dx**2
     stencils = list(stencil(model, X))
     n_nodes = len(model.layout.counts) * int(np.prod(model.grid_shape))
     m, kept = (scattered(stencils, n_nodes, a * fields.mass) for a in (1.0, np.exp(-fields.damping * dt)))
@@ -107,8 +108,8 @@ def rollout(model: Model, inputs: Inputs, watch: Callable[..., None] = lambda *c
     v[present] /= m[present, None]
     v, u = held(model, v, present), np.zeros_like(v)
     touching = None
-    if model.surface is not None:  # which follows rest positions that are complex, too
-        touching = Touching(model, inputs, list(stencil(model, inputs.state.x)))
+    if model.surface is not None:
+        touching = Touching(model, inputs, stencils)
     meeting = None
     if model.meeting is not None:
         body = np.repeat(np.arange(len(model.layout.counts)), model.layout.counts)[model.surface.particle]

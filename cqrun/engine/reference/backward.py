@@ -15,6 +15,7 @@ from cqrun.engine.reference.corners import add_means_bar, with_bars
 from cqrun.engine.reference.ghost import GAMMA, mean_modulus, mean_modulus_vjp
 from cqrun.engine.reference.moves import poses_vjp
 from cqrun.engine.reference.setting import NodeBars
+from cqrun.engine.reference.shape import make_shape_bars, motion_bar
 from cqrun.engine.reference.step import reverse, see_vjp
 from cqrun.engine.setting import Crew
 from cqrun.numerics.packed import aligned, pack, unpack
@@ -45,8 +46,9 @@ class ReferenceBackward(BackwardRun):
         ghost_bar = np.zeros(sum(len(ghost.scale) for ghost in r.ghosts))
         self.bundle = NodeBars(
             u_bar, v_bar, pairs, sums, mass_bar, kept_bar, ghost_bar, outside, self.fields_bar,
-            aligned(run.q.shape, real), np.zeros_like(run.push), r.model.no_push(r.drive.steady), self.coefficient_bar,
+            aligned(run.q.shape, real), np.zeros_like(run.push), r.model.no_push(r.drive.steady), self.coefficient_bar, make_shape_bars(r),
         )  # fmt: skip
+        self.trial = self.bundle._replace(shape=make_shape_bars(r))  # for sums that do not count
         self.means = tuple(with_bars(r, g, bar) for g, bar in enumerate(self.groups_bar))
         self.parts = tuple(
             (pair, means, *bodies) for pair, means, (_, _, *bodies) in zip(self.pairs, self.means, r.parts, strict=True)
@@ -62,7 +64,8 @@ class ReferenceBackward(BackwardRun):
     def _see(self, q_bar: Array) -> None:
         """Add the adjoint of what is seen of the state `here`, at bundle.q, to the cotangent of the nodes' motion."""
         crew, colours = Crew(0, 1), self.rollout.rest.patches.colours
-        see_vjp(self.rollout.bundle, self.bundle, colours, self.here[0], self.here[1], q_bar[0], q_bar[1], crew)
+        bars = self.bundle if q_bar is self.q_bar else self.trial
+        see_vjp(self.rollout.bundle, bars, colours, self.here[0], self.here[1], q_bar[0], q_bar[1], crew)
 
     def _add_state(self, bar: State) -> None:
         layout, real = self.rollout.model.layout, self.rollout.model.real
@@ -111,9 +114,11 @@ class ReferenceBackward(BackwardRun):
         mean_modulus_vjp(r.model, r.inputs, np.bincount(body, scale_bar * runs.fill, len(modulus)), bar)
         volume_bar = np.bincount(runs.lightest, scale_bar * modulus[body] / dx**dim, len(r.bundle.nodes.mass))
         bar.fields.volume += r.rest.to_particles(volume_bar[:, None])[0][:, 0]
+        if r.model.shaped:
+            bar.state.x += r.rest.to_nodes_vjp(volume_bar[:, None], r.inputs.fields.volume[:, None])
 
     def _state_bar(self) -> State:
-        """Return the cotangent of the start; that of the rest positions is zero: it is known of contact alone."""
+        """Return the cotangent of the start; that of the rest positions has all but ghosts, means and contact."""
         start, run, model = self.rollout.inputs.state, self.rollout.bundle, self.rollout.model
         bar, dim, active = start.zeros_like(), model.dim, run.nodes.active
         bar.memory[:] = self.memory_bar
@@ -134,7 +139,26 @@ class ReferenceBackward(BackwardRun):
         if not self.finished:
             add_friction_bars(self.contacts, self.rollout.model, self.coefficient_bar)
             self._finish_masses(mass_bar, momentum)
+        if model.shaped:
+            bar.x[:] = self._rest_bar(mass_bar, v_bar)
         return bar
+
+    def moving_bar(self) -> Array:
+        """Return the cotangent of the rest positions (N, D) that substeps and looks give; none if it is not wanted."""
+        return sum((motion_bar(self.rollout, shape) for shape in self.bundle.shape), np.zeros(self.rollout.rest.x.shape))
+
+    def _rest_bar(self, mass_bar: Array, v_bar: Array) -> Array:
+        """Return that cotangent with what masses and momentum at the start give."""
+        inputs, rest, model = self.rollout.inputs, self.rollout.rest, self.rollout.model
+        m, state = inputs.fields.mass, inputs.state
+        kept = np.exp(-inputs.fields.damping * model.dt) * m
+        bars = np.stack([mass_bar, self.bundle.kept], axis=1)
+        momentum = m[:, None] * state.v, m[:, None, None] * state.C * model.dx
+        return (
+            self.moving_bar()
+            + rest.to_nodes_vjp(bars, np.stack([m, kept], axis=1))
+            + rest.to_nodes_vjp(v_bar, *momentum)
+        )
 
     def _finish_masses(self, mass_bar: Array, momentum: Array) -> None:
         """Add the cotangents of the nodes' masses, and of the momentum at the start, to those of the particles."""

@@ -12,7 +12,7 @@ from cqrun.boundaries.solid import Solids, make_solids
 from cqrun.engine.model import Model
 from cqrun.engine.reference.movers import Movers, SurfaceBars, make_movers, zero_bars
 from cqrun.engine.reference.patches import Patches, make_patches
-from cqrun.engine.reference.rest import RestGeometry, make_points, stencil_weights
+from cqrun.engine.reference.rest import RestGeometry, make_points, stencil_slopes, stencil_weights
 from cqrun.engine.reference.rub import ONSET
 from cqrun.engine.reference.setting import Points
 from cqrun.numerics.compile import own_symbols
@@ -111,18 +111,11 @@ def surface_points_vjp(
     columns = patches.layout.columns()[particle]
     f, offset = patches.f[columns], x - X[particle]
     _, weight = stencil_weights(patches, columns)
-    arm, dim = _arms(f), f.shape[1]
+    arm = _arms(f)
     share = 1.0 + 4.0 * np.einsum("skd,sd->sk", arm, offset) / dx
     x_bar = 4.0 / dx * np.einsum("sk,sk,skd->sd", weight_bar, weight, arm)
     # by the particle's position: its weights, the arms, and the offset
-    each = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)
-    slope = np.stack([f - 1.5, 2.0 - 2.0 * f, f - 0.5], axis=-1)
-    step = np.indices((3,) * dim).reshape(dim, -1)
-    turned = np.ones((*weight.shape, dim))  # slope of a weight along each axis
-    for axis in range(dim):
-        for other in range(dim):
-            turned[:, :, axis] *= (slope if other == axis else each)[:, other, step[other]]
-    own_bar = np.einsum("sk,sk,skd->sd", weight_bar, share, turned) / dx
+    own_bar = np.einsum("sk,sk,skd->sd", weight_bar, share, stencil_slopes(patches, columns)) / dx
     own_bar -= 4.0 / dx**2 * (weight_bar * weight).sum(axis=1)[:, None] * offset + x_bar
     X_bar = np.zeros(X.shape)
     np.add.at(X_bar, particle, own_bar)

@@ -38,6 +38,23 @@ def hats(rest: RestGeometry) -> Any:
     return known
 
 
+def hat_slopes(rest: RestGeometry) -> list[Any]:
+    """Return the derivatives of `hats` by the position along each axis [1/m], (M, N) each; sparse."""
+    patches = rest.patches
+    column = patches.layout.columns()
+    dim, t = patches.f.shape[1], patches.f[column] - 0.5
+    each = np.stack([1.0 - t, t], axis=-1)  # (N, D, 2)
+    step, corner = np.indices((2,) * dim).reshape(dim, -1), patches.first[column][:, None]
+    corner = corner + step.T @ np.array(patches.strides[3 - dim :])
+    particle, found = np.repeat(np.arange(len(column)), 2**dim), []
+    for axis in range(dim):
+        of_axis = each.copy()
+        of_axis[:, axis] = np.array([-1.0, 1.0]) / rest.dx
+        slope = np.prod([of_axis[:, other, step[other]] for other in range(dim)], axis=0)
+        found.append(sparse.csr_array((slope.ravel(), (corner.ravel(), particle)), (patches.n_nodes, len(column))))
+    return found
+
+
 def numbers(count: int, real: Any, threads: int = 0) -> Numbers:
     """Return a row of zeros, or one for each thread."""
     each = aligned((max(1, threads) * count,), real)
@@ -110,7 +127,7 @@ def with_bars(rollout: Any, g: int, group_bar: Group) -> tuple[tuple[Means, Mean
 
 
 def add_means_bar(means: tuple[tuple[Means, MeansBars], ...], rollout: Any, g: int, bar: Inputs) -> None:
-    """Add what the mean parameters give to those of the particles, and to their volumes."""
+    """Add what the mean parameters give to those of the particles, to their volumes, and to their rest positions."""
     for _, bars in means:
         begin, end, _ = _nodes(rollout, g)
         part, (V, theta) = rollout.model.group_slices()[g], mean_parameters(rollout, g)
@@ -124,3 +141,8 @@ def add_means_bar(means: tuple[tuple[Means, MeansBars], ...], rollout: Any, g: i
             # the mean of theta over V: each volume draws it to the particle's own value
             bar.fields.volume[part] += (rollout.inputs.terms[g][k] * at_particles).sum(axis=0)
             bar.fields.volume[part] -= weights.T @ (share * mean).sum(axis=0)
+            if rollout.model.shaped:
+                for axis, slope in enumerate(hat_slopes(rollout.rest)):
+                    own = slope[begin:end, part].T
+                    moved = (rollout.inputs.terms[g][k] * (own @ share.T).T).sum(axis=0)
+                    bar.state.x[part, axis] += volume * (moved - own @ (share * mean).sum(axis=0))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from cqrun.engine.arrays import first_row_of_v
 from cqrun.engine.exert import add_level_bars_of_each, exert_of_each, exert_of_each_vjp
 from cqrun.engine.reference.setting import NodeBars, NodeRun, NodeStep, Points
+from cqrun.engine.reference.shape import place_pulls
 from cqrun.engine.setting import Crew, Drive
 from cqrun.forces.force import Levels
 from cqrun.forces.pulled import Pulled
@@ -81,6 +82,7 @@ def pull_vjp(
     exert_of_each_vjp(drive.forces, drive.levels, at.control, run.q, bars.push, crew)
     barrier(run.arrivals, crew.n_threads)
     shares = pulled.shares
+    place_pulls(bars.shape, points, pulled, run, bars.pairs, at, crew)
     share_out(points, pulled, shares.x_bar, bars.sums, 2, 0, crew)
     if run.setting.rates:
         share_out(points, pulled, shares.v_bar, bars.sums, 2, 1, crew)

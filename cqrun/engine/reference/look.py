@@ -20,6 +20,7 @@ from cqrun.engine.arrays import (
 )
 from cqrun.engine.reference.fields import put_affine
 from cqrun.engine.reference.setting import TILE, NodeBars, NodeRun
+from cqrun.engine.reference.shape import place_looks
 from cqrun.engine.setting import Crew
 from cqrun.engine.transfer import gather, scatter_tile
 from cqrun.numerics.compile import barrier, kernel, share
@@ -93,4 +94,5 @@ def look_unit_vjp(
             F_bar = sub(load_F(q_bar, i, dims), mul_at(mul_bt(rate, Gt), rate_bar))
             put_affine(value, moment, stencils, i, i - tile, scale(F_bar, factor), load_x(q_bar, i, dims), dims)
             put_affine(value_2, moment_2, stencils, i, i - tile, scale(rate_bar, factor), load_v(q_bar, i, dims), dims)
+        place_looks(bars.shape, run, q_bar, u, v, tile, end, thread)
         scatter_tile(pairs_bar, (value, value_2), (moment, moment_2), stencils, tile, end, setting.strides, dims)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from cqrun.engine.arrays import add_vector, get_vector, load_F, load_vector
 from cqrun.engine.reference.fields import put_affine
 from cqrun.engine.reference.setting import TILE, NodeBars, NodeRun
+from cqrun.engine.reference.shape import place_pushes
 from cqrun.engine.setting import Crew
 from cqrun.engine.transfer import gather, scatter_tile
 from cqrun.numerics.compile import barrier, kernel, share
@@ -71,5 +72,6 @@ def spread_forces_vjp(run: NodeRun, bars: NodeBars, crew: Crew) -> None:
                 add_vector(bars.fields, FORCE, i, f_bar, dims)
                 if steady:
                     add_vector(bars.steady, 0, i, f_bar, dims)
+            place_pushes(bars.shape, run, bars.outside, tile, end, thread)
     barrier(run.arrivals, crew.n_threads)
     clear_nodes(bars.outside, run, crew)

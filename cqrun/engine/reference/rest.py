@@ -16,7 +16,7 @@ from cqrun.engine.reference.ghost import Runs, find_runs
 from cqrun.engine.reference.patches import Patches, make_patches
 from cqrun.engine.reference.setting import Points
 from cqrun.engine.setting import MARGIN
-from cqrun.engine.transfer import Stencils, gather, scatter_tile
+from cqrun.engine.transfer import Stencils, gather, gather_slopes, scatter_tile
 from cqrun.numerics.compile import kernel
 from cqrun.numerics.packed import aligned, pack
 from cqrun.plugin.contract import Array
@@ -33,6 +33,7 @@ class RestGeometry:
         rest: rest positions of all columns, packed (D, n) [m].
         kept: what is made when it is first needed.
         world: number of each node in the world's grid (M,); nodes beyond it have that of its nearest node.
+        dx: spacing of the nodes [m].
     """
 
     x: Array
@@ -40,6 +41,7 @@ class RestGeometry:
     stencils: Stencils
     rest: Array
     world: Array
+    dx: float
     kept: dict[str, Any] = field(default_factory=dict)
 
     def to_nodes(self, value: Array, gradient: Array | None = None) -> Array:
@@ -49,6 +51,22 @@ class RestGeometry:
             value: (N, K), at most 3 numbers of each particle.
             gradient: (N, K, D).
         """
+        out = aligned((self.patches.n_nodes, 4), np.float64)
+        dims = (0,) * self.patches.f.shape[1]
+        _scatter_all(out, *self._fields(value, gradient), self.exact, self.patches.strides, dims)
+        return out[:, : value.shape[1]]
+
+    def to_nodes_vjp(self, nodes_bar: Array, value: Array, gradient: Array | None = None) -> Array:
+        """Return the cotangent of the particles' positions (N, D) from that of the result of `to_nodes` (M, K)."""
+        dim, column = self.patches.f.shape[1], self.patches.layout.columns()
+        grid = aligned((len(nodes_bar), 4), np.float64)
+        grid[:, : value.shape[1]] = nodes_bar
+        out = aligned((len(self.stencils.first), 4), np.float64)
+        _slope_all(out, grid, *self._fields(value, gradient), self.exact, self.patches.strides, (0,) * dim)
+        return np.asarray(out[column, 3 - dim : 3] / self.dx)
+
+    def _fields(self, value: Array, gradient: Array | None) -> tuple[Array, Array]:
+        """Return the affine fields of all particles as entries of a tile."""
         n, k, dim = len(self.stencils.first), value.shape[1], self.patches.f.shape[1]
         a, affine = aligned((n, 4), np.float64), aligned((3 * n, 4), np.float64)
         column = self.patches.layout.columns()
@@ -57,9 +75,7 @@ class RestGeometry:
             a[column, :k] -= np.einsum("nkd,nd->nk", gradient, self.patches.f[column])
             for axis in range(dim):
                 affine[(axis + 3 - dim) * n + column, :k] = gradient[:, :, axis]
-        out = aligned((self.patches.n_nodes, 4), np.float64)
-        _scatter_all(out, a, affine, self.exact, self.patches.strides, (0,) * dim)
-        return out[:, :k]
+        return a, affine
 
     def to_particles(self, nodes: Array) -> tuple[Array, Array]:
         """Return sum_n w g_n (N, K), and sum_n w g_n d^T (N, K, D) with d in cells, of numbers of nodes (M, K)."""
@@ -108,13 +124,30 @@ class RestGeometry:
 def stencil_weights(patches: Patches, columns: Array) -> tuple[Array, Array]:
     """Return the nodes of the stencils of kernel columns, and their weights, (P, 3^D) each."""
     f, strides, dim = patches.f[columns], patches.strides, patches.f.shape[1]
-    each = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)  # (P, D, 3)
+    each = _along(f)
     node, weight = patches.first[columns][:, None], np.ones((len(columns), 1))
     for axis in range(dim):
         steps = np.arange(3) * strides[axis + 3 - dim]
         node = (node[:, :, None] + steps).reshape(len(columns), 3 ** (axis + 1))
         weight = (weight[:, :, None] * each[:, axis, None, :]).reshape(len(columns), 3 ** (axis + 1))
     return node.astype(np.int64), weight
+
+
+def _along(f: Array) -> Array:
+    """Return the weights along each axis (P, D, 3) at places f (P, D)."""
+    return np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)
+
+
+def stencil_slopes(patches: Patches, columns: Array) -> Array:
+    """Return the slopes of the weights of kernel columns (P, 3^D, D) [1/cell]."""
+    f, dim = patches.f[columns], patches.f.shape[1]
+    each, slope = _along(f), np.stack([f - 1.5, 2.0 - 2.0 * f, f - 0.5], axis=-1)
+    step = np.indices((3,) * dim).reshape(dim, -1)
+    out = np.ones((len(columns), 3**dim, dim))
+    for axis in range(dim):
+        for other in range(dim):
+            out[:, :, axis] *= (slope if other == axis else each)[:, other, step[other]]
+    return out
 
 
 def make_points(columns: Array, node: Array, weight: Array) -> Points:
@@ -142,7 +175,8 @@ def _make(model: Model, x: Array) -> RestGeometry:
     rest = pack(x[patches.layout.source].T, model.real)
     shape = np.array(model.grid_shape)
     place = np.clip(np.rint(patches.positions(model.dx) / model.dx).astype(int) + MARGIN, 0, shape - 1)
-    return RestGeometry(x.copy(), patches, _stencils(patches, model.real), rest, np.ravel_multi_index(place.T, shape))
+    stencils, world = _stencils(patches, model.real), np.ravel_multi_index(place.T, shape)
+    return RestGeometry(x.copy(), patches, stencils, rest, world, model.dx)
 
 
 def _stencils(patches: Patches, real: Any) -> Stencils:
@@ -161,3 +195,10 @@ def _scatter_all(grid: Array, value: Array, affine: Array, stencils: Stencils, s
 @kernel
 def _gather_all(grid: Array, stencils: Stencils, value: Array, moment: Array, strides: Any, dims: Any) -> None:
     gather(grid, stencils, value, moment, 0, value.shape[0], strides, dims)
+
+
+@kernel
+def _slope_all(
+    out: Array, grid: Array, value: Array, affine: Array, stencils: Stencils, strides: Any, dims: Any
+) -> None:
+    gather_slopes(out, grid, 1, 0, value, affine, stencils, 0, value.shape[0], strides, dims)

@@ -76,6 +76,20 @@ class NodeRun(NamedTuple):
     arrivals: Array  # of the barrier (`team.py`)
 
 
+class ShapeBars(NamedTuple):
+    """Cotangents of the rest positions (`shape.py`), and a tile of forces for each thread."""
+
+    place: Array  # (n, 4) of the particles' places in their stencils [cells], as a record
+    rest: Array  # (D, n) of the positions from which displacements count, packed
+    point_rest: Array  # (P, D) of points that forces pull, and of their weights
+    point_weight: Array  # (P, 3^D)
+    value: Array  # (threads, TILE, 4)
+    affine: Array  # (threads, 3 TILE, 4)
+
+
+own_symbols(ShapeBars)
+
+
 class NodeBars(NamedTuple):
     """Cotangents, and the arrays in which the adjoint of a substep works."""
 
@@ -92,6 +106,7 @@ class NodeBars(NamedTuple):
     push: Array  # (D, n) of the forces on particles in one substep, packed
     steady: Array  # (D, n) of the steady forces, packed
     friction: Array  # (conditions,) of the boundaries' coefficients
+    shape: tuple[ShapeBars, ...]  # one entry if rest positions have a cotangent, else none
 
 
 class NodeStep(NamedTuple):

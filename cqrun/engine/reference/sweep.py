@@ -19,6 +19,7 @@ from typing import Any
 from cqrun.engine.arrays import get_columns
 from cqrun.engine.reference.fields import put_linear
 from cqrun.engine.reference.setting import TILE, NodeBars, NodeRun
+from cqrun.engine.reference.shape import keep_force, place_stress
 from cqrun.engine.reference.volume import (
     average_both_each,
     average_each,
@@ -141,6 +142,7 @@ def press_unit_vjp(
             accumulate(bars.fields, VOLUME, i, inner(tau, H) * -1.0)
             P = mul(tau, Gt)
             F_bar = add(F_bar, scale(mul(Gt, mul_at(Q, P)), vol))
+            keep_force(bars.shape, run, scale(P, vol * -factor), i, i - tile, thread)
             if setting.rates:
                 rate_bar = mul(C_bar, Gt)
                 F_bar = sub(F_bar, mul_at(C, rate_bar))
@@ -148,6 +150,7 @@ def press_unit_vjp(
             else:
                 put_linear(value_2, moment_2, stencils, i, i - tile, scale(P, vol * -factor), dims)
             put_linear(value, moment, stencils, i, i - tile, scale(F_bar, factor), dims)
+        place_stress(bars.shape, means, run, bars.pairs, v, tile, end, thread)
         scatter_tile(bars.sums, (value, value_2), (moment, moment_2), stencils, tile, end, setting.strides, dims)
 
 

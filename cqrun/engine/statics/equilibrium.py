@@ -206,7 +206,9 @@ class Equilibrium:
         u_bar, f_bar = back.q_bar[0].copy(), np.zeros_like(u)
         if held_bar:
             f_bar = self._add_held_bar(u, held_bar, u_bar)
-        return self.gradient_of_nodes(u, u_bar, f_bar, tolerance=tolerance)
+        bar, solve = self.gradient_of_nodes(u, u_bar, f_bar, tolerance=tolerance)
+        bar.state.x += back.moving_bar()
+        return bar, solve
 
     def gradient_of_nodes(
         self, u: Array, u_bar: Array, f_bar: Array | None = None, *, tolerance: float = 1e-10

@@ -79,7 +79,9 @@ def added(a: Inputs, b: Inputs) -> Inputs:
     """Return the sum of two cotangents of inputs, in the first one's arrays."""
     for field in fields(Inputs):
         x, y = getattr(a, field.name), getattr(b, field.name)
-        if isinstance(x, ParticleFields):
+        if isinstance(x, State):
+            _add(x.x, y.x)
+        elif isinstance(x, ParticleFields):
             for part in fields(ParticleFields):
                 _add(getattr(x, part.name), getattr(y, part.name))
         elif isinstance(x, list):
