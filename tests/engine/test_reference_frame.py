@@ -116,7 +116,7 @@ def test_dot_product(case, kind, rng):
 @pytest.mark.parametrize("averaged", [True, False], ids=["averaged", "local"])
 def test_any_number_of_threads_gives_the_same_bits(averaged, viscous, precision):
     model, inputs = held(2, viscous=viscous, real=precision)
-    model = replace(model, averaged=averaged)
+    model = replace(model, averaged=averaged, shaped=averaged)
     records_bar = random_records(Records.zeros(model.n_controls, 3, 2), np.random.default_rng(1))
     found = []
     for threads in (1, 2, 3):
@@ -130,7 +130,7 @@ def test_any_number_of_threads_gives_the_same_bits(averaged, viscous, precision)
 @pytest.mark.parametrize(("dim", "averaged"), [(2, False), (3, False), (2, True)])
 def test_a_reversed_gradient_is_that_of_kept_states(dim, averaged):
     model, inputs = compiled(*held(dim, viscous=False, substeps=8, controls=3), viscous=False)
-    model = replace(model, averaged=averaged)
+    model = replace(model, averaged=averaged, shaped=True)
     records_bar = random_records(Records.zeros(model.n_controls, 3, dim), np.random.default_rng(2))
     gradients = []
     for reversible in (True, False):
@@ -182,12 +182,14 @@ def loss(records):
     return float(sum(np.sin(a).sum() + 0.5 * (a**2).sum() for a in parts(records)))
 
 
-@pytest.mark.parametrize("kind", ["v", "mass", "fixed_corotated.E", "neo_hookean.nu", "muscle.activation", "force"])
+@pytest.mark.parametrize(
+    "kind", ["x", "v", "mass", "fixed_corotated.E", "neo_hookean.nu", "muscle.activation", "force"]
+)
 @pytest.mark.parametrize(("viscous", "averaged"), [(True, False), (False, False), (False, True)],
                          ids=["viscous", "elastic", "averaged"])  # fmt: skip
 def test_taylor_remainder_is_of_second_order(viscous, averaged, kind, rng):
     model, inputs = held(2, viscous=viscous, substeps=8, controls=3, seed=4)
-    model = replace(model, averaged=averaged)
+    model = replace(model, averaged=averaged, shaped=True)
 
     def loss_bar(records, _):
         return LossBar(rebuilt(records, [np.cos(a) + a for a in parts(records)]))

@@ -46,7 +46,8 @@ class ReferenceBackward(BackwardRun):
         ghost_bar = np.zeros(sum(len(ghost.scale) for ghost in r.ghosts))
         self.bundle = NodeBars(
             u_bar, v_bar, pairs, sums, mass_bar, kept_bar, ghost_bar, outside, self.fields_bar,
-            aligned(run.q.shape, real), np.zeros_like(run.push), r.model.no_push(r.drive.steady), self.coefficient_bar, make_shape_bars(r),
+            aligned(run.q.shape, real), np.zeros_like(run.push), r.model.no_push(r.drive.steady), self.coefficient_bar,
+            make_shape_bars(r),
         )  # fmt: skip
         self.trial = self.bundle._replace(shape=make_shape_bars(r))  # for sums that do not count
         self.means = tuple(with_bars(r, g, bar) for g, bar in enumerate(self.groups_bar))
@@ -144,8 +145,9 @@ class ReferenceBackward(BackwardRun):
         return bar
 
     def moving_bar(self) -> Array:
-        """Return the cotangent of the rest positions (N, D) that substeps and looks give; none if it is not wanted."""
-        return sum((motion_bar(self.rollout, shape) for shape in self.bundle.shape), np.zeros(self.rollout.rest.x.shape))
+        """Return the cotangent of the rest positions (N, D) from substeps and looks; zero if it is not wanted."""
+        zero = np.zeros(self.rollout.rest.x.shape)
+        return sum((motion_bar(self.rollout, shape) for shape in self.bundle.shape), zero)
 
     def _rest_bar(self, mass_bar: Array, v_bar: Array) -> Array:
         """Return that cotangent with what masses and momentum at the start give."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cqrun.boundaries.condition import NodeNormals
 from cqrun.engine.model import Model
@@ -185,6 +186,23 @@ def _stencils(patches: Patches, real: Any) -> Stencils:
     f[:, :3] = 1.0
     f[:, 3 - dim : 3] = patches.f
     return Stencils(patches.first.astype(np.int64), f)
+
+
+def nodes_before(model: Model, x_before: Array, patches: Patches) -> Array:
+    """Return for each node (M,) its number when the particles rested at `x_before` (N, D) [m].
+
+    A node that no particle reached has the number of the nearest node of its body that one did.
+    """
+    before = make_patches(model.layout, x_before, model.dx)
+    node, weight = stencil_weights(before, before.layout.columns())
+    reached = np.unique(node[weight > 0.0])
+    X, X_before = patches.positions(model.dx), before.positions(model.dx)[reached]
+    body, body_before = patches.body_of_nodes(), before.body_of_nodes()[reached]
+    out = np.zeros(patches.n_nodes, np.int64)
+    for k in range(len(patches.origin)):
+        own, own_before = body == k, body_before == k
+        out[own] = reached[own_before][cKDTree(X_before[own_before]).query(X[own])[1]]
+    return out
 
 
 @kernel

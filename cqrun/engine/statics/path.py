@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cqrun.engine.model import Inputs, Model, Records
+from cqrun.engine.reference.rest import nodes_before
 from cqrun.engine.statics.equilibrium import REFRESH, Equilibrium
 from cqrun.engine.statics.newton import Rest
 from cqrun.errors import StopAsked
@@ -104,6 +105,7 @@ class RestPath:
         self.inputs = [replace(each, activation=each.activation[-1:]) for each in inputs]
         self.threads, self.tolerance, self.apart = threads, tolerance, apart
         self.points: list[Point] = []
+        self.numbers: Array | None = None  # of the nodes in `near`, if the bodies have other shapes there
         self.near, self.slow = near, any(each.slow for each in near)
         unloaded = self.equilibrium(_unloaded(self.inputs[0]))
         self.loose = unloaded.loose_bodies()
@@ -157,12 +159,21 @@ class RestPath:
         """Return a point from that of `near`, from the last one, which is given, or from the rest shape."""
         inputs = self.inputs[number]
         if self.near:
-            point = self._reach(here, self.near[number].inputs, inputs, self.near[number].u)
+            point = self._reach(here, self.near[number].inputs, inputs, self._near(number, here))
             if point.rest.converged:
                 return point
         if self.apart and _net(here, self.rest_shape) < _net(here, u):
             before, u = _unloaded(self.inputs[0]), self.rest_shape
         return self._reach(here, before, inputs, u)
+
+    def _near(self, number: int, here: Equilibrium) -> Array:
+        """Return the displacement of a point of `near`, on the nodes of this path: its bodies may have other shapes."""
+        found, patches = self.near[number], here.rollout.rest.patches
+        if np.array_equal(found.inputs.state.x, here.rollout.rest.x):
+            return found.u
+        if self.numbers is None:
+            self.numbers = nodes_before(self.model, found.inputs.state.x, patches)
+        return found.u[self.numbers]
 
     def _reach(self, here: Equilibrium, before: Inputs, inputs: Inputs, u: Array) -> Point:
         """Return a point reached from the last one."""
