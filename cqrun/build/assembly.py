@@ -134,7 +134,7 @@ class Assembly:
         return Inputs(
             state, fields, self._terms(values), drive.activations(self.sequence, values), drive.strengths(values),
             self._coefficients(values), drive.weights(values), drive.rest_lengths(x), self._moves(values),
-            self.geometry.surface_at_rest(values),
+            self.geometry.surface_at_rest(values), self.geometry.changes(values),
         )  # fmt: skip
 
     def gradient(self, values: Values, bar: Inputs) -> dict[str, Array]:

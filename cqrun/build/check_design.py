@@ -241,10 +241,11 @@ class _Rest:
     def _sparse(self, body: str, x: Array) -> Iterator[str]:
         """Yield a message if a body's particles are further apart than half a cell, and than at the start."""
         dx, distance = self.scene.world.dx, self._largest_distance(body, x)
+        risk = "nodes would move without resistance" if self.scene.world.frame == "reference" else "it may break apart"
         if distance > max(0.5 * dx * (1 + ROUNDING), self._distance[body] * (1 + ROUNDING)):
             yield (
-                f"bodies.{body} has particles {distance:.4g} m apart, fewer than two in a cell of {dx:g} m, so it may "
-                "break apart: give it more particles"
+                f"bodies.{body} has particles {distance:.4g} m apart, fewer than two in a cell of {dx:g} m, so {risk}: "
+                "give it more particles"
             )
 
     def _largest_distance(self, body: str, x: Array) -> float:

@@ -12,7 +12,6 @@ from cqrun.build.volumes import volume_problems
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.setting import MARGIN, grid_shape
 from cqrun.errors import Problem
-from cqrun.scene.paths import shapes_a_body
 from cqrun.scene.schema import Scene
 
 PER_AXIS = 2
@@ -35,7 +34,6 @@ def frame_problems(scene: Scene, particles: Particles, conditions: Sequence[Cond
         *unknown_surfaces(scene),
         *_holds(scene, particles, conditions),
         *_thin(scene, particles),
-        *_shapes(scene),
         *volume_problems(scene),
         *_at_rest(scene),
     ]
@@ -119,10 +117,3 @@ def _thin(scene: Scene, particles: Particles) -> Iterator[tuple[str, str]]:
     for field in particles.layout.history:
         term = field.name.partition(".")[0]
         yield "world.frame", f"the reference frame does not yet follow the history of the term `{term}`: {WAY_OUT}"
-
-
-def _shapes(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield unknowns that change a shape."""
-    for path in scene.unknowns:
-        if shapes_a_body(path):
-            yield f"unknowns.{path}", f"the reference frame has no gradient by the shape of a body yet: {WAY_OUT}"

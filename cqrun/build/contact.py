@@ -24,7 +24,6 @@ from cqrun.engine.reference.contact import contact_square
 from cqrun.engine.surface import MeetingModel, ObstacleModel, SurfaceModel
 from cqrun.errors import Problem, SceneError, UsageError
 from cqrun.plugin.contract import Array
-from cqrun.scene.paths import shapes_a_body
 from cqrun.scene.schema import Scene
 from cqrun.scene.world_and_time import BodyContact
 from cqrun.state import Layout
@@ -74,8 +73,7 @@ def surface_model(scene: Scene, particles: Particles, assembly: Assembly) -> Sur
     """Return the surfaces with the constants of their contact."""
     surface = surface_of(scene, particles)
     stiffness, impedance = _constants(particles, assembly, surface, scene.world.dx)
-    shaped = any(shapes_a_body(path) for path in scene.unknowns)
-    return SurfaceModel(surface.x, surface.particle, stiffness, impedance, surface.area, surface.facets, shaped)
+    return SurfaceModel(surface.x, surface.particle, stiffness, impedance, surface.area, surface.facets)
 
 
 def _constants(particles: Particles, assembly: Assembly, surface: BodySurface, dx: float) -> tuple[Array, Array]:

@@ -38,6 +38,10 @@ class Geometry:
     def __init__(self, scene: Scene, particles: Particles) -> None:
         self.scene, self.particles = scene, particles
 
+    def changes(self, values: Mapping[str, Array]) -> bool:
+        """Return whether positions at rest depend on one of these values."""
+        return any(map(shapes_a_body, values))
+
     def at_rest(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
         """Return positions (N, D) [m] and volumes (N,) [m^D] at rest."""
         x, volume = self.particles.x.copy(), self.particles.volume.copy()

@@ -96,7 +96,6 @@ class Model:
     n_nodes: int = 0  # of all bodies, in the reference frame
     averaged: bool = False  # whether volumes are means over the corners of cells, in the reference frame
     settled: bool = False  # whether the motion starts at equilibrium
-    shaped: bool = False  # whether gradients reach the rest positions, in the reference frame
     surface: SurfaceModel | None = None  # of the bodies, in the reference frame
     obstacles: tuple[ObstacleModel, ...] = ()  # in the reference frame
     meeting: MeetingModel | None = None  # of bodies with each other, in the reference frame
@@ -216,6 +215,7 @@ class Inputs:
     rest: Array = field(default_factory=lambda: np.zeros(0))  # length at rest of each part [m]; all 0 if empty
     moves: Array = field(default_factory=lambda: np.zeros(0))  # (planes, D + 1 or 6) displacement and rotation
     surface: Array = field(default_factory=lambda: np.zeros(0))  # points at rest (S, D) [m]; the model's if empty
+    shaped: bool = False  # whether gradients by the rest positions are wanted, in the reference frame
 
     @classmethod
     def zeros_like(cls, other: Inputs) -> Inputs:

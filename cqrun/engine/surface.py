@@ -24,7 +24,6 @@ class SurfaceModel:
         impedance: of the material, times that area (S,) [N s/m]: what a dashpot of 1 has.
         area: of a point (S,) [m^(D-1)].
         facets: (T, D) the points of each segment or triangle (`geometry/skin.py`).
-        moves: whether gradients by the positions are wanted, those of points and of their particles.
     """
 
     x: Array
@@ -33,7 +32,6 @@ class SurfaceModel:
     impedance: Array
     area: Array
     facets: Array = field(default_factory=lambda: NO_FACETS)
-    moves: bool = False
 
 
 @dataclass(frozen=True)

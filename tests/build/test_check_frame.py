@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from cqrun.build.check_frame import _shapes, _thin
+from cqrun.build.check_frame import _thin
 from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.scene.load import load_scene
@@ -104,11 +104,21 @@ def test_what_it_cannot_do_is_refused(name):
     assert "world.frame: updated" in str(raised.value)
 
 
-def test_a_shape_as_unknown_is_refused():
-    path = "bodies.a.shape.box.size.0"
-    found = list(_shapes(SimpleNamespace(unknowns={path: None, "bodies.a.material.density": None})))
-    assert found == [(f"unknowns.{path}", "the reference frame has no gradient by the shape of a body yet: use "
-                      "`world.frame: updated`")]  # fmt: skip
+SIZE = "bodies.a.shape.box.size.0"
+
+
+def test_a_shape_as_unknown_reaches_the_rest_positions():
+    built = build(load_scene(scene(unknowns={SIZE: {"bounds": [0.3, 0.4]}})))
+    assert built.assembly.inputs({SIZE: 0.35}).shaped
+    assert not built.assembly.inputs({"world.gravity.1": -9.0}).shaped
+
+
+def test_a_shape_that_grows_keeps_two_particles_in_a_cell():
+    """With fewer, nodes could move in ways that no particle feels."""
+    with pytest.raises(
+        SceneError, match=r"fewer than two in a cell of 0\.02 m, so nodes would move without resistance"
+    ):
+        build(load_scene(scene(unknowns={SIZE: {"bounds": [0.3, 0.5]}})))
 
 
 def test_a_history_is_refused():

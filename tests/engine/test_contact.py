@@ -144,8 +144,7 @@ def test_dot_product(case, kind, rng):
 def test_dot_product_of_positions_at_rest(dim, rng):
     """Those of the surface's points, and of the particles with which they move."""
     model, inputs = touched(dim, viscous=False, seed={2: 0, 3: 2}[dim])
-    model = replace(model, surface=replace(model.surface, moves=True), shaped=True)
-    inputs.surface = model.surface.x.copy()
+    inputs.surface, inputs.shaped = model.surface.x.copy(), True
     records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
     rollout = make_rollout(*compiled(model, inputs, viscous=False), adjoint=True)
     _, bar = rollout.gradient(lambda records, state: LossBar(records_bar))

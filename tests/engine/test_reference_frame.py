@@ -79,7 +79,7 @@ def case(request):
     dim, viscous, averaged = request.param
     rng = np.random.default_rng(7)
     model, inputs = held(dim, viscous=viscous)
-    model = replace(model, averaged=averaged, shaped=True)
+    model, inputs.shaped = replace(model, averaged=averaged), True
     records_bar = random_records(Records.zeros(model.n_controls, 3, dim), rng)
     state_bar = random_state(inputs.state, rng)
     rollout = make_rollout(*compiled(model, inputs, viscous), adjoint=True)
@@ -116,7 +116,7 @@ def test_dot_product(case, kind, rng):
 @pytest.mark.parametrize("averaged", [True, False], ids=["averaged", "local"])
 def test_any_number_of_threads_gives_the_same_bits(averaged, viscous, precision):
     model, inputs = held(2, viscous=viscous, real=precision)
-    model = replace(model, averaged=averaged, shaped=averaged)
+    model, inputs.shaped = replace(model, averaged=averaged), averaged
     records_bar = random_records(Records.zeros(model.n_controls, 3, 2), np.random.default_rng(1))
     found = []
     for threads in (1, 2, 3):
@@ -130,7 +130,7 @@ def test_any_number_of_threads_gives_the_same_bits(averaged, viscous, precision)
 @pytest.mark.parametrize(("dim", "averaged"), [(2, False), (3, False), (2, True)])
 def test_a_reversed_gradient_is_that_of_kept_states(dim, averaged):
     model, inputs = compiled(*held(dim, viscous=False, substeps=8, controls=3), viscous=False)
-    model = replace(model, averaged=averaged, shaped=True)
+    model, inputs.shaped = replace(model, averaged=averaged), True
     records_bar = random_records(Records.zeros(model.n_controls, 3, dim), np.random.default_rng(2))
     gradients = []
     for reversible in (True, False):
@@ -189,7 +189,7 @@ def loss(records):
                          ids=["viscous", "elastic", "averaged"])  # fmt: skip
 def test_taylor_remainder_is_of_second_order(viscous, averaged, kind, rng):
     model, inputs = held(2, viscous=viscous, substeps=8, controls=3, seed=4)
-    model = replace(model, averaged=averaged, shaped=True)
+    model, inputs.shaped = replace(model, averaged=averaged), True
 
     def loss_bar(records, _):
         return LossBar(rebuilt(records, [np.cos(a) + a for a in parts(records)]))

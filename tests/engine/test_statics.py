@@ -128,7 +128,7 @@ PLACES = KINDS | {"x": lambda inputs: inputs.state.x}
 @pytest.mark.parametrize(("dim", "averaged"), CASES.values(), ids=CASES)
 def test_the_gradient_by_rest_positions_is_that_of_differences(dim, averaged, rng):
     model, inputs = cantilever(dim, uneven=0.02)
-    model = replace(model, averaged=averaged, shaped=True)
+    model, inputs.shaped = replace(model, averaged=averaged), True
     equilibrium = Equilibrium(model, inputs)
     rest = equilibrium.solve(tolerance=1e-12)
     _, bar = loss_of(equilibrium, rest.u)
@@ -321,7 +321,8 @@ def test_a_clamp_that_turns_far_is_followed():
 @pytest.mark.parametrize("reverses", [True, False])
 def test_a_motion_from_equilibrium_stays_there_and_has_its_gradient(reverses, rng):
     model, inputs = cantilever(2, uneven=0.02)
-    model = replace(model, settled=True, shaped=True, n_controls=2, substeps=10, dt=2e-3)
+    model = replace(model, settled=True, n_controls=2, substeps=10, dt=2e-3)
+    inputs.shaped = True
     inputs.activation = np.repeat(inputs.activation, 2, axis=0)
     still = make_rollout(model, inputs).run()
     np.testing.assert_allclose(still.x[-1], still.x[0], rtol=0, atol=1e-9)

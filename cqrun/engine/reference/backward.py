@@ -55,7 +55,7 @@ class ReferenceBackward(BackwardRun):
             (pair, means, *bodies) for pair, means, (_, _, *bodies) in zip(self.pairs, self.means, r.parts, strict=True)
         )
         self.moves = tuple((moves, np.zeros_like(moves.pose)) for moves in r.moves)
-        self.contacts = with_own_bars(r.contacts, r.model)
+        self.contacts = with_own_bars(r.contacts, r.inputs)
         self.finished = False
 
     def _from(self, states: Array, k: int) -> Array:
@@ -101,7 +101,7 @@ class ReferenceBackward(BackwardRun):
             bar.moves += poses_vjp(r.model, r.inputs.moves, r.shares, pose_bar)
         for g, means in enumerate(self.means):
             add_means_bar(means, r, g, bar)
-        surface_bar, x_bar = rest_bars(self.contacts, r.model, r.rest)
+        surface_bar, x_bar = rest_bars(self.contacts, r)
         bar.state.x += x_bar
         if len(bar.surface):
             bar.surface += surface_bar
@@ -115,7 +115,7 @@ class ReferenceBackward(BackwardRun):
         mean_modulus_vjp(r.model, r.inputs, np.bincount(body, scale_bar * runs.fill, len(modulus)), bar)
         volume_bar = np.bincount(runs.lightest, scale_bar * modulus[body] / dx**dim, len(r.bundle.nodes.mass))
         bar.fields.volume += r.rest.to_particles(volume_bar[:, None])[0][:, 0]
-        if r.model.shaped:
+        if r.inputs.shaped:
             bar.state.x += r.rest.to_nodes_vjp(volume_bar[:, None], r.inputs.fields.volume[:, None])
 
     def _state_bar(self) -> State:
@@ -140,7 +140,7 @@ class ReferenceBackward(BackwardRun):
         if not self.finished:
             add_friction_bars(self.contacts, self.rollout.model, self.coefficient_bar)
             self._finish_masses(mass_bar, momentum)
-        if model.shaped:
+        if self.rollout.inputs.shaped:
             bar.x[:] = self._rest_bar(mass_bar, v_bar)
         return bar
 

@@ -39,25 +39,24 @@ def make_contacts(model: Model, rest: RestGeometry, inputs: Inputs, n_threads: i
     )
 
 
-def with_own_bars(contacts: Contacts, model: Model) -> Contacts:
+def with_own_bars(contacts: Contacts, inputs: Inputs) -> Contacts:
     """Return contacts with cotangents of friction and of the points at rest of their own, zero."""
-    shaped = model.surface is not None and model.surface.moves
 
     def renewed(each: Any) -> Any:
-        bars = zero_bars(each.surface.points, shaped)
+        bars = zero_bars(each.surface.points, inputs.shaped)
         return each._replace(friction_bar=np.zeros_like(each.friction_bar), bars=bars)
 
     return Contacts(*(tuple(renewed(each) for each in kind) for kind in contacts))
 
 
-def rest_bars(contacts: Contacts, model: Model, rest: RestGeometry) -> tuple[Array, Array]:
+def rest_bars(contacts: Contacts, rollout: Any) -> tuple[Array, Array]:
     """Return the cotangents of the surface's points (S, D) and of the particles (N, D) at rest, of contact alone."""
-    surface = model.surface
+    model, rest, surface = rollout.model, rollout.rest, rollout.model.surface
     if surface is None:
         return np.zeros((0, model.dim)), np.zeros(rest.x.shape)
     surface_bar, x_bar = np.zeros(surface.x.shape), np.zeros(rest.x.shape)
     for each in (*contacts.obstacles, *contacts.bodies):
-        if surface.moves:
+        if rollout.inputs.shaped:
             x = each.surface.rest[:, : model.dim]
             found = surface_points_vjp(rest.patches, rest.x, surface.particle, x, model.dx, each.bars.weight)
             surface_bar += found[0] + each.bars.rest[:, : model.dim]

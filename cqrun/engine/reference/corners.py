@@ -141,7 +141,7 @@ def add_means_bar(means: tuple[tuple[Means, MeansBars], ...], rollout: Any, g: i
             # the mean of theta over V: each volume draws it to the particle's own value
             bar.fields.volume[part] += (rollout.inputs.terms[g][k] * at_particles).sum(axis=0)
             bar.fields.volume[part] -= weights.T @ (share * mean).sum(axis=0)
-            if rollout.model.shaped:
+            if rollout.inputs.shaped:
                 for axis, slope in enumerate(hat_slopes(rollout.rest)):
                     own = slope[begin:end, part].T
                     moved = (rollout.inputs.terms[g][k] * (own @ share.T).T).sum(axis=0)

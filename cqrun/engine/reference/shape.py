@@ -13,8 +13,8 @@ X = dx f + (a node), so X_bar = f_bar / dx, and x_bar is added where a displacem
 cables and springs sum the cotangents of their weights. Quadratic weights have continuous slopes where a particle
 crosses into another cell, hats (`volume.py`) have not: there the gradient is that of the side on which the particle is.
 
-All this costs one more gather for each transfer. It is compiled only for a model whose rest positions are wanted
-(`Model.shaped`): otherwise `NodeBars.shape` is empty.
+All this costs one more gather for each transfer. It is compiled only where this cotangent is wanted (`Inputs.shaped`):
+otherwise `NodeBars.shape` is empty.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from cqrun.state import FORCE, VOLUME
 
 def make_shape_bars(rollout: Any) -> tuple[ShapeBars, ...]:
     """Return zero cotangents of the rest positions of a rollout, or none if they are not wanted."""
-    if not rollout.model.shaped:
+    if not rollout.inputs.shaped:
         return ()
     model, n, real = rollout.model, rollout.model.layout.n, rollout.model.real
     count = sum(len(points.columns) for points, _ in rollout.loads)
