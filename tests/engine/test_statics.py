@@ -246,6 +246,28 @@ def test_a_path_goes_from_point_to_point():
         rest_shape_bar.terms[0][0]).max())  # fmt: skip
 
 
+def test_a_path_starts_from_the_equilibria_of_another_shape():
+    """A cell higher the nodes have other numbers, but the displacements are the same."""
+    model, inputs = cantilever(2)
+    before = RestPath(model, [inputs], tolerance=1e-8)
+    found = before.run().found
+    higher = copy.deepcopy(inputs)
+    higher.state.x[:, 1] += DX
+    higher.state.x[-4:, 0] += 0.8 * DX  # and its end reaches nodes that it did not reach before
+    path = RestPath(model, [higher], tolerance=1e-8, near=found)
+    here = path.equilibrium(higher)
+    assert here.n_nodes > len(found[0].u)
+    u = path._near(0, here)
+    assert u[here.run.nodes.active].any(axis=1).sum() >= np.count_nonzero(found[0].u.any(axis=1))
+    alone = RestPath(model, [higher], tolerance=1e-8)
+    with np.errstate(all="ignore"):
+        path.run()
+        alone.run()
+    assert path.points[0].rest.converged
+    assert path.points[0].products < alone.points[0].products
+    np.testing.assert_allclose(path.points[0].rest.u, alone.points[0].rest.u, rtol=0, atol=1e-6)
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_body_that_nothing_holds_is_found(dim):
     model, inputs = cantilever(dim)

@@ -47,6 +47,34 @@ def test_gradcheck_agrees(scenes, scene):
     assert (run / "gradcheck.json").is_file()
 
 
+SIZE = "bodies.beam.shape.box.size.0"
+"""Its length; two particles in a cell let it be shorter than in the scene."""
+
+
+@pytest.mark.parametrize("scene", ["fit", "elastic"])
+def test_gradcheck_agrees_with_an_unknown_shape(scenes, scene):
+    path = scenes / f"{scene}.yaml"
+    path.write_text(
+        path.read_text().replace("unknowns:", f"unknowns:\n  {SIZE}: {{bounds: [0.08, 0.1], initial: 0.09}}")
+    )
+    run, agrees = run_gradcheck(path, (), scenes / "out", reporter=Listener())
+    found = {row["block"]: row for row in json.loads((run / "gradcheck.json").read_text())["rows"]}
+    assert agrees
+    assert found[SIZE]["adjoint"] != 0.0
+
+
+def test_gradcheck_agrees_with_shapes_that_are_not_unknowns(scenes):
+    """All numbers of a scene that touches a floor, so points of surfaces move as well."""
+    (scenes / "touching.yaml").write_text(
+        ELASTIC.replace("boundaries:", "boundaries:\n  floor: {separate: {region: {box: {corner: [0, 0], "
+                                       "size: [0.16, 0.0601]}}, normal: [0, 1]}}")
+    )  # fmt: skip
+    run, agrees = run_gradcheck(scenes / "touching.yaml", (), scenes / "out", reporter=Listener())
+    found = {row["block"]: row for row in json.loads((run / "gradcheck.json").read_text())["rows"]}
+    assert agrees
+    assert found["bodies.beam.shape.box.corner"]["adjoint"] != 0.0
+
+
 def test_a_run_forward_writes_its_trajectory(scenes):
     run = run_simulate(scenes / "beam.yaml", (), scenes / "out", reporter=Listener())
     x = read_trajectory(run / "trajectory.h5").fields["x"]
