@@ -2,8 +2,8 @@
 
     python benchmarks/tentacle.py --recordings DIR [--only coarse fine ...] [--runs DIR] [--out FILE]
 
-DIR holds the recordings (tud-phi/soromox, MIT licence) as poses.csv, one line for each marker and pose, as the header of
-scenes/sysid/tentacle.yaml says. Each fit is a run of `cqrun sysid` below `--runs`. A stopped fit continues, and a
+DIR holds the recordings (tud-phi/soromox, MIT licence) as poses.csv, one line for each marker and pose, as the header
+of scenes/sysid/tentacle.yaml says. Each fit is a run of `cqrun sysid` below `--runs`. A stopped fit continues, and a
 finished one is read. On one core of a busy machine the coarse grid takes ten minutes, and the fine one half an hour.
 """
 
@@ -32,7 +32,7 @@ FITS: dict[str, list[str]] = {
     "fine": ["world.dx=0.0045", f"{MODULUS}=3.6e5"],
     "free_origin": FREE,
 }
-"""Name -> overrides: two grids, the finer one from near the other's answer; and the origin of the recordings unknown."""
+"""Name -> overrides: two grids, the finer one from near the other's answer; and with an unknown origin of the data."""
 
 ROD_MODEL_MM = 15.8
 """Mean marker error over 22 poses of the rod model that comes with the recordings, fitted to these eight."""
