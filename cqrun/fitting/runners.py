@@ -140,7 +140,7 @@ class AtRest:
         near: Records | None = None,
     ) -> tuple[dict[str, Array], Effort]:  # fmt: skip
         """Return the gradient by path, summed over all points."""
-        path, records = self._find(values, threads, None, near)
+        path, records = self._find(values, threads, None, near, keep=True)
         total = {key: np.zeros(np.shape(value)) for key, value in values.items()}
         for point, bar in zip(self.points, path.gradients(loss_bar(records)), strict=True):
             for key, part in gradient_of(self.built, point, values, bar).items():
@@ -164,7 +164,13 @@ class AtRest:
         return RestPath(self.built.model, inputs, threads=threads, tolerance=TOLERANCE, apart=True, near=found)
 
     def _find(
-        self, values: Values, threads: int, observe: Observe | None, near: Records | None = None
+        self,
+        values: Values,
+        threads: int,
+        observe: Observe | None,
+        near: Records | None = None,
+        *,
+        keep: bool = False,
     ) -> tuple[RestPath, RestRecords]:
         path = self.path(values, threads, near)
 
@@ -174,7 +180,7 @@ class AtRest:
 
         if observe is not None:
             observe(0, path.start.state(path.rest_shape))
-        records = path.run(note)
+        records = path.run(note, keep=keep)
         last = path.points[-1]
         if not last.rest.converged:
             loads = ", ".join(f"{key}={value:.6g}" for key, value in self.points[len(path.points) - 1].items())

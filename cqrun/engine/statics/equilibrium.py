@@ -45,8 +45,8 @@ from cqrun.state import State
 TINY_STRAIN = 1e-4
 """Strain whose forces are the measure of the residual of a body without loads."""
 
-MANY = 60_000
-"""With more nodes the direct solve of the coarse space would take too long."""
+MANY = 200_000
+"""With more nodes the coarse space would take too much memory."""
 
 REFRESH = 200
 """Products after which the coarse space is made, or made anew: it is about as dear as they are."""
@@ -92,6 +92,11 @@ class Equilibrium:
         self.volumes = MeanVolumes(self.rollout) if any(self.rollout.means) else None
         self.coarse: CoarseSpace | None = None
         self.since = REFRESH + 1 if slow else 0  # products since the coarse space was made; before, since the beginning
+
+    @property
+    def size(self) -> int:
+        """Its size in memory, roughly [bytes]."""
+        return 4 * self.A.nbytes + (self.coarse.size if self.coarse is not None else 0)
 
     # --- the system (`newton.System`) -----------------------------------------------------------------------------
 
@@ -276,7 +281,8 @@ class Equilibrium:
 
     def _solve(self, b: Array, tolerance: float) -> Solution:
         """Return the solution of the linear system at the state of `linearise`; a long search gets a coarse space."""
-        first = conjugate_gradients(self.product, b, self.precondition, tolerance, REFRESH)
+        fresh = self.coarse is not None and self.since == 0
+        first = conjugate_gradients(self.product, b, self.precondition, tolerance, MOST_PRODUCTS if fresh else REFRESH)
         if first.converged or first.negative:
             return first
         self._make_coarse()

@@ -19,6 +19,12 @@ from cqrun.engine.statics.newton import Rest
 from cqrun.errors import StopAsked
 from cqrun.plugin.contract import Array
 
+GRADIENT = 1e-8
+"""Relative residual of an adjoint's linear system, at most; exact gradients need exact equilibria, too."""
+
+KEPT = 2**28
+"""Bytes of equilibria that wait for their gradient; it is cheaper with their preconditioner."""
+
 HALVINGS = 6
 """Most halvings of the way to a point."""
 
@@ -105,6 +111,7 @@ class RestPath:
         self.threads, self.tolerance, self.apart = threads, tolerance, apart
         self.points: list[Point] = []
         self.near, self.slow = near, any(each.slow for each in near)
+        self.kept: dict[int, Equilibrium] = {}
         unloaded = self.equilibrium(_unloaded(self.inputs[0]))
         self.loose = unloaded.loose_bodies()
         self.rest_shape = np.zeros_like(unloaded.still)
@@ -122,6 +129,7 @@ class RestPath:
         observe: Callable[[int, Equilibrium, Point], None] | None = None,
         should_stop: Callable[[], bool] | None = None,
         known: Callable[[int], Point | None] | None = None,
+        keep: bool = False,
     ) -> RestRecords:
         """Find all points; stop after one that has no equilibrium, or when asked.
 
@@ -129,6 +137,7 @@ class RestPath:
             observe: called with (number, equilibrium, point) of every point.
             should_stop: called before every point; if it returns True, StopAsked is raised.
             known: returns a point that was found before, by its number, or None.
+            keep: whether `gradients` follows.
         """
         before, u = _unloaded(self.inputs[0]), self.rest_shape
         for number, inputs in enumerate(self.inputs):
@@ -146,6 +155,8 @@ class RestPath:
             self.rows.append(here.record(point.rest.u))
             for name, parts in here.held_by(point.rest.u).items():
                 self.held[name].append(np.concatenate(parts))
+            if keep and here.size + sum(each.size for each in self.kept.values()) <= KEPT:
+                self.kept[number] = here
             before, u = inputs, point.rest.u
         records = Records.from_rows(np.array(self.rows), here.rollout.model.layout.table)
         joined = RestRecords.joined(records, {name: np.array(rows) for name, rows in self.held.items()})
@@ -190,7 +201,10 @@ class RestPath:
         out = []
         for k, (point, inputs) in enumerate(zip(self.points, self.inputs, strict=True), start=1):
             of_point = {name: (rows[k, :dim], rows[k, dim:]) for name, rows in held.items() if rows[k].any()}
-            bar, _ = self.equilibrium(inputs).gradient(point.rest.u, record_bar=bars[k], held_bar=of_point)
+            here = self.kept.pop(k - 1, None) or self.equilibrium(inputs)
+            bar, _ = here.gradient(
+                point.rest.u, record_bar=bars[k], held_bar=of_point, tolerance=min(self.tolerance, GRADIENT)
+            )
             out.append(bar)
         return out
 
