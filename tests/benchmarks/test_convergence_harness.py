@@ -188,9 +188,9 @@ def test_a_block_at_rest_is_measured(tmp_path, monkeypatch):
 def test_a_variant_of_a_frame_is_one_more_line(monkeypatch):
     """It sets keys of section `world`; a version that lacks one of them skips it."""
     monkeypatch.setitem(worlds.FRAMES, "deep", {"frame": "reference", "depth": "averaged"})
-    assert worlds.frames_of_this_version() == ("updated", "reference")
+    assert worlds.frames_of_this_version() == ("updated", "reference", "averaged")
     monkeypatch.setitem(worlds.FRAMES, "other", {"frame": "reference"})
-    assert worlds.frames_of_this_version() == ("updated", "reference", "other")
+    assert worlds.frames_of_this_version() == ("updated", "reference", "averaged", "other")
     built = build_swing(replace(SWING, frame="other"))
     assert built.scene.world.frame == "reference"
 
