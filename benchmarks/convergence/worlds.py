@@ -26,6 +26,7 @@ PER_AXIS = 2
 FRAMES: dict[str, dict[str, Any]] = {
     UPDATED: {"frame": "updated"},
     "reference": {"frame": "reference"},
+    "averaged": {"frame": "reference", "volume": "averaged"},
 }
 """What is compared: name in the tables -> keys of section `world`. One more line is one more column of the tables."""
 

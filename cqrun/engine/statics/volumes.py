@@ -82,10 +82,13 @@ class MeanVolumes:
 
     def add_blocks(self, blocks: Array) -> None:
         """Add to the diagonal blocks of the nodes (M, D, D)."""
-        d = self.dim
-        each = self.rows.data.reshape(-1, d)  # a node that a corner depends on is there with all its directions
-        node = self.rows.indices[::d] // d
-        k = np.repeat(self.stiffness, np.diff(self.rows.indptr) // d)
+        d, rows = self.dim, self.rows
+        corner = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
+        key = corner * self.n_nodes + rows.indices // d  # in order; SciPy's products leave out entries that are 0
+        first = np.flatnonzero(np.diff(key, prepend=-1))
+        each = np.zeros((len(first), d))
+        each[np.repeat(np.arange(len(first)), np.diff(first, append=len(key))), rows.indices % d] = rows.data
+        node, k = rows.indices[first] // d, self.stiffness[corner[first]]
         for i in range(d):
             for j in range(d):
                 blocks[:, i, j] += np.bincount(node, k * each[:, i] * each[:, j], self.n_nodes)
