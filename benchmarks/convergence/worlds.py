@@ -167,7 +167,9 @@ class Matter:
         return float(0.5 * self.mass @ ((state.v**2).sum(1) + inner))
 
     def elastic_energy(self, state: State) -> float:
-        """Return the elastic energy of F [J]."""
+        """Return the elastic energy of F [J]; NaN with averaged volumes, whose energy is not that of the particles."""
+        if FRAMES[self.point.frame].get("volume") == "averaged":
+            return float("nan")
         mu, lam = lame(YOUNGS_MODULUS, self.point.poissons_ratio)
         law = LAWS[self.point.law]
         g = law.volume(np.linalg.det(state.F))[0]
