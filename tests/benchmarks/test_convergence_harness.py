@@ -168,7 +168,9 @@ def test_a_frame_that_is_not_there_is_skipped_with_a_word(tmp_path, monkeypatch,
     command = ["convergence", "--frames", "sideways", "--tests", "rest", "--cells", "2", "--out", str(out)]
     monkeypatch.setattr(sys, "argv", [*command, "--pictures", str(tmp_path)])
     harness.main()
-    assert "frame sideways: skipped, because this version has only updated, reference" in capsys.readouterr().out
+    assert (
+        "frame sideways: skipped, because this version has only updated, reference, averaged" in capsys.readouterr().out
+    )
     assert not out.exists()
 
 
