@@ -25,14 +25,11 @@ from cqrun.store.result import SysidResult, require_result
 ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "scenes" / "sysid" / "tentacle.yaml"
 MODULUS = "bodies.arm.material.elastic.fixed_corotated.youngs_modulus"
-OFFSET = "data.recordings.poses.offset"
-FREE = [f"unknowns.{OFFSET}.{axis}.bounds=[{low}, {low + 0.03}]" for axis, low in enumerate((0.021, 0.021, 0.363))]
 FITS: dict[str, list[str]] = {
     "coarse": [],
     "fine": ["world.dx=0.0045", f"{MODULUS}=3.6e5"],
-    "free_origin": FREE,
 }
-"""Name -> overrides: two grids, the finer one from near the other's answer; and with an unknown origin of the data."""
+"""Name -> overrides: two grids, the finer one from near the other's answer."""
 
 ROD_MODEL_MM = 15.8
 """Mean marker error over 22 poses of the rod model that comes with the recordings, fitted to these eight."""

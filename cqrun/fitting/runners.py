@@ -113,10 +113,12 @@ class AtRest:
 
     Attributes:
         points: the loads of each, by key path in the scene; they replace other values there.
+        names: what each is called in messages.
     """
 
     built: Built
     points: tuple[Mapping[str, float], ...]
+    names: tuple[str, ...] = ()
 
     def run(
         self, values: Values, threads: int = 1, observe: Observe | None = None, near: Records | None = None
@@ -183,9 +185,11 @@ class AtRest:
         records = path.run(note, keep=keep)
         last = path.points[-1]
         if not last.rest.converged:
-            loads = ", ".join(f"{key}={value:.6g}" for key, value in self.points[len(path.points) - 1].items())
+            number = len(path.points)
+            loads = ", ".join(f"{key}={value:.6g}" for key, value in self.points[number - 1].items())
+            named = f", {self.names[number - 1]}" if self.names else ""
             raise NoRestError(
-                f"no equilibrium was found at point {len(path.points)} of {len(self.points)}"
+                f"no equilibrium was found at point {number} of {len(self.points)}{named}"
                 f"{f' ({loads})' if loads else ''}: {100 * last.reached:.0f} % of the way to it was covered",
                 "the body buckles or collapses there: use a stiffer material or smaller loads, or narrower bounds",
             )

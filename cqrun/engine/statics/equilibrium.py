@@ -135,8 +135,13 @@ class Equilibrium:
 
     # --- what a user asks ---------------------------------------------------------------------------------------------
 
-    def solve(self, u: Array | None = None, *, tolerance: float = 1e-8) -> Rest:
-        """Return where the model rests, from a first guess of the displacements (M, 4), or from the rest shape."""
+    def solve(self, u: Array | None = None, *, tolerance: float = 1e-8, judge: bool = False) -> Rest:
+        """Return where the model rests, from a first guess of the displacements (M, 4), or from the rest shape.
+
+        Args:
+            tolerance: net force divided by the loads.
+            judge: whether the smallest eigenvalue at the answer is found in any case, not only if it costs little.
+        """
         start = aligned((self.n_nodes, 4), self.run.force.dtype)
         if u is not None:
             start[...] = u
@@ -147,7 +152,7 @@ class Equilibrium:
         if change.any():
             load = max(load, float(np.linalg.norm(self.net(start))))
         rest = find_rest(self, start, load, tolerance)
-        return self._judged(rest) if rest.converged and self.coarse is not None else rest
+        return self._judged(rest) if rest.converged and (judge or self.coarse is not None) else rest
 
     def load(self) -> float:
         """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
@@ -309,7 +314,8 @@ class Equilibrium:
         self.linearise(rest.u)
         if not self._make_coarse():
             return replace(rest, negative=True)
-        assert self.coarse is not None
+        if self.coarse is None:
+            return rest
         smallest = self.coarse.smallest(np.linalg.inv(self.inverse), self.run.nodes.active)
         return replace(rest, smallest=smallest)
 

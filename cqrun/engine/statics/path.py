@@ -92,6 +92,7 @@ class RestPath:
         tolerance: net force divided by the loads at which a point counts as found.
         apart: whether the points have nothing to do with each other: then a point starts from the rest shape if the net
             force is smaller there than at the last point. Otherwise a path stays on its branch.
+        judge: whether the smallest eigenvalue at every point is found in any case.
         near: equilibria of all points for other inputs, from which each point starts. Where that fails, it starts as
             without them.
 
@@ -104,12 +105,12 @@ class RestPath:
 
     def __init__(
         self, model: Model, inputs: Sequence[Inputs], *, threads: int = 1, tolerance: float = 1e-8, apart: bool = False,
-        near: Sequence[Found] = (),
+        judge: bool = False, near: Sequence[Found] = (),
     ) -> None:  # fmt: skip
         self.model = replace(model, n_controls=1, substeps=1)
         self.inputs = [replace(each, activation=each.activation[-1:]) for each in inputs]
         self.threads, self.tolerance, self.apart = threads, tolerance, apart
-        self.points: list[Point] = []
+        self.judge, self.points = judge, list[Point]()
         self.near, self.slow = near, any(each.slow for each in near)
         self.kept: dict[int, Equilibrium] = {}
         unloaded = self.equilibrium(_unloaded(self.inputs[0]))
@@ -177,14 +178,14 @@ class RestPath:
 
     def _reach(self, here: Equilibrium, before: Inputs, inputs: Inputs, u: Array) -> Point:
         """Return a point reached from the last one."""
-        rest = here.solve(u, tolerance=self.tolerance)
+        rest = here.solve(u, tolerance=self.tolerance, judge=self.judge)
         products, covered, halvings, step = rest.products, 0.0, 0, 0.5
         while not rest.converged and halvings < HALVINGS:
             halvings += 1
             while covered < 1.0:
                 to = min(1.0, covered + step)
                 at = here if to == 1.0 else self.equilibrium(between(before, inputs, to))
-                trial = at.solve(u, tolerance=self.tolerance)
+                trial = at.solve(u, tolerance=self.tolerance, judge=self.judge)
                 products += trial.products
                 if not trial.converged:
                     rest = trial if to == 1.0 else rest
