@@ -63,7 +63,7 @@ def thinner(solid: Array, width: float, depths: Array | None = None) -> Array:
         width: the diameter, in cells.
         depths: `depth` of the solid, if it is known.
     """
-    filled = (depth(solid) if depths is None else depths) >= 0.5 * width
+    filled = (depth(solid) if depths is None else depths) >= 0.5 * width * (1 - 1e-6)  # a width in cells may be rounded
     if not filled.any():
         return solid
     reach = ndimage.distance_transform_edt(~filled)

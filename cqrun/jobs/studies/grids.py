@@ -122,7 +122,8 @@ def _particles(name: str, body: Body, cells: float, factor: float) -> Iterator[s
     if sampling.name == "lattice" and abs(wanted - round(wanted)) > WHOLE * wanted:
         raise UsageError(
             f"--resolution: {path} is {count}, which would have to become {wanted:.4g} with cells of "
-            f"{number(cells)} m: choose grids with which it stays whole, or give the body `particles_per_cell` instead of a count"
+            f"{number(cells)} m: choose grids with which it stays whole, or give the body "
+            "`particles_per_cell` instead of a count"
         )
     yield f"{path}={round(wanted)}"
 
@@ -239,8 +240,9 @@ def _moved_edge(
         ends = np.abs(np.array([x.min(axis=0) - y.min(axis=0), x.max(axis=0) - y.max(axis=0)]))
         if ends.max() > MOVED * first.scene.world.dx and _inside_bodies(first, x, ends):
             yield (
-                f"{path} holds nodes up to {number(float(ends.max()))} m farther on one grid than on the other (cells of "
-                f"{here} and {there} m): put its faces on nodes of both grids, or the free length of a body changes with the grid"
+                f"{path} holds nodes up to {number(float(ends.max()))} m farther on one grid than on the other "
+                f"(cells of {here} and {there} m): put its faces on nodes of both grids, or the free length of a body "
+                "changes with the grid"
             )
 
 
