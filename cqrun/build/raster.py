@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
@@ -24,6 +25,10 @@ THIN = 0.1
 """Share of a body that must be thin to count as its thin part."""
 
 
+LARGE = 0.1
+"""Share of the centres of balls that a part must have, to be joined to the others by a neck."""
+
+
 @dataclass(frozen=True)
 class Raster:
     """Which cells of a fine raster lie in a body.
@@ -38,8 +43,9 @@ class Raster:
     corner: Array
     pitch: float
 
+    @cached_property
     def thickness(self) -> float:
-        """Return the thickness of the thinnest part [m]: a tenth of the body is thinner, or a neck splits it."""
+        """The thickness of the thinnest part [m]: a tenth of the body, or a neck if that is thinner."""
         return thinnest(self.solid) * self.pitch
 
 
@@ -84,23 +90,34 @@ def depth(solid: Array) -> Array:
 
 
 def thinnest(solid: Array) -> float:
-    """Return the thickness of the thinnest part of a solid [cells].
+    """Return the thickness of the thinnest part of a solid [cells]: of a tenth of it, or of a neck if that is thinner.
 
-    That is the width of the largest balls that still fill all but a tenth of the solid and leave no neck between parts.
+    A width is too large for a tenth of the solid if no ball of that diameter fits there.
     """
     depths = depth(solid)
     low, high = 1, int(np.ceil(2.0 * depths.max())) + 1  # no cell is thinner than `low`, and all are than `high`
     middle = high - 1  # the only width to try if the solid is equally thick everywhere
     while high - low > 1:
-        low, high = (low, middle) if _thin_part(solid, middle, depths).any() else (middle, high)
+        too_large = thinner(solid, middle, depths).sum() > THIN * solid.sum()
+        low, high = (low, middle) if too_large else (middle, high)
         middle = (low + high) // 2
-    return across(solid, depths, _thin_part(solid, high, depths))
+    return min(across(solid, depths, thinner(solid, high, depths)), _narrowest(solid, depths))
 
 
-def _thin_part(solid: Array, width: float, depths: Array) -> Array:
-    """Return the cells thinner than a width if they are a tenth of a solid, or else those of necks."""
-    thin = thinner(solid, width, depths)
-    return thin if thin.sum() > THIN * solid.sum() or not thin.any() else neck(solid, width, depths)
+def _narrowest(solid: Array, depths: Array) -> float:
+    """Return the thickness of the narrowest neck between large parts of a solid [cells]; inf without any.
+
+    Centres of balls of a diameter that does not fit through a neck lie in several separate places.
+    """
+    whole, width, last = ndimage.label(solid)[1], 2, 1
+    while width <= 2.0 * depths.max():
+        places, count = ndimage.label(depths >= 0.5 * width)
+        if count > whole:
+            sizes = np.bincount(places.reshape(-1))[1:]
+            if (sizes >= LARGE * sizes.sum()).sum() > whole:
+                return float(last)
+        last, width = width, width + max(1, width // 8)
+    return np.inf
 
 
 def across(solid: Array, depths: Array, part: Array) -> float:

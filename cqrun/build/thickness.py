@@ -10,7 +10,7 @@ def thinnest_parts(built: Built) -> dict[str, Thinnest]:
     """Return thickness, cells and particles across the thinnest part of each body by name."""
     found = {}
     for name, raster in built.rasters.items():
-        thickness = raster.thickness()
-        cells, particles = thickness / built.scene.world.dx, thickness / built.particles.spacing[name]
-        found[name] = Thinnest(thickness=float(thickness), cells=float(cells), particles=float(particles))
+        thickness, dx, spacing = raster.thickness, built.scene.world.dx, built.particles.spacing[name]
+        cells, particles = float(thickness / dx), float(thickness / spacing)
+        found[name] = Thinnest(thickness=float(thickness), cells=cells, particles=particles)
     return found

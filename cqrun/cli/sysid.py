@@ -30,15 +30,9 @@ def sysid(
 
         if resolution is not None:
             study, succeeded = run_resolution(
-                scene,
-                overrides or [],
-                out,
-                job=SYSID,
-                grids=resolution,
-                fresh=fresh,
-                threads=threads,
+                scene, overrides or [], out, job=SYSID, grids=resolution, fresh=fresh, threads=threads,
                 reporter=reporter,
-            )
+            )  # fmt: skip
         else:
             run = SYSID.run(scene, overrides or [], out, fresh=fresh, threads=threads, reporter=reporter)
     if resolution is not None:

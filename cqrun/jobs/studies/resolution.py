@@ -24,13 +24,15 @@ from cqrun.errors import SceneError, Stopped, UsageError
 from cqrun.explain import listed
 from cqrun.jobs.job import Job
 from cqrun.jobs.studies.extrapolation import HIGHEST, LOWEST, SAFETY, extrapolate
-from cqrun.jobs.studies.grids import changes, differences, grid_overrides, grids_of, require_cells
+from cqrun.jobs.studies.grids import AUTO, changes, differences, grid_overrides, grids_of, require_cells
 from cqrun.jobs.studies.quantities import Quantity, quantities_of
+from cqrun.jobs.table import JOBS
 from cqrun.running.bodies import resolved
 from cqrun.running.reporter import Reporter, Silent
 from cqrun.running.runs import run_scene
 from cqrun.running.tables import number, table
 from cqrun.scene.load import load_scene
+from cqrun.scene.plugin_files import plugins_allowed
 from cqrun.scene.schema import Scene
 from cqrun.store.atomic import write_table
 from cqrun.store.folder import make_below
@@ -39,6 +41,9 @@ from cqrun.store.run import read_record
 from cqrun.store.run_scene import stem_of
 from cqrun.store.study import GridRun, OnGrids, Resolution, read_resolution, write_study
 from cqrun.store.thinnest import Thinnest
+
+COMPARED = ("sysid", "rest", "simulate")
+"""Jobs whose results can be compared between grids."""
 
 ROUNDING = 1e-7
 """Changes below this part of the largest quantity of the same unit are rounding."""
@@ -106,6 +111,39 @@ def run_resolution(
     write_study(path, study)
     write_table(path.with_suffix(".csv"), _table(study))
     return path, all(run.status != "failed" for run in runs)
+
+
+def resolution(
+    scene: Path | str, overrides: Sequence[str] = (), grids: Sequence[float] = (), *, job: str | None = None,
+    out: Path | str = "results", fresh: bool = False, threads: int | None = None, allow_plugins: bool = False,
+) -> Resolution:  # fmt: skip
+    """Run a scene file on two or three grids, and extrapolate what it finds to a cell size of zero.
+
+    Args:
+        scene: the scene file.
+        overrides: list of `key.path=value`.
+        grids: cell sizes, finest last [m]; the scene's, and one 1.5 times smaller, if not given.
+        job: sysid, rest or simulate; the scene's own if not given, or simulate if it has none.
+        out: directory of all results; finished runs in it are not repeated.
+        fresh: delete existing runs and start again.
+        threads: largest number of threads; all cores if not given.
+        allow_plugins: whether to run the plug-in files that the scene names.
+
+    Returns:
+        The runs and `quantities`: by name, `values` on the grids, the extrapolated `value` and its `error`.
+
+    Raises:
+        SceneError, UsageError: bad input.
+    """
+    text = ",".join(repr(float(dx)) for dx in grids) or AUTO
+    with plugins_allowed(allow_plugins):
+        name = job or load_scene(scene, overrides).job or "simulate"
+        if name not in COMPARED:
+            raise UsageError(f"resolution: compares the grids of {listed(COMPARED)}, not of {name}")
+        path, _ = run_resolution(
+            scene, overrides, out, job=JOBS[name], grids=text, fresh=fresh, threads=threads
+        )  # fmt: skip
+    return read_resolution(path)
 
 
 def _grid(source: Path, overrides: Sequence[str], scene: Scene, dx: float, job: Job[Any, Any]) -> _Grid:
@@ -207,11 +245,7 @@ def resolution_lines(path: Path) -> list[str]:
     for grid in study.grids:
         lines += [f"cells of {number(grid.dx)} m: {name} has {resolved(part)}" for name, part in grid.thinnest.items()]
     head = ("quantity", "unit", *(f"dx {cell} m" for cell in cells), "extrapolated", "error", "order")
-    rows = [
-        (name, q.unit, *("-" if v is None else number(v) for v in q.values),
-         "-" if q.value is None else number(q.value), "-" if q.error is None else f"{q.error:.2g}", _order(q))
-        for name, q in study.quantities.items()
-    ]  # fmt: skip
+    rows = [(name, *_cells(quantity)) for name, quantity in study.quantities.items()]
     lines += ["", *table(head, rows), "", *_how(study)] if rows else []
     lines += [f"note: {name}: {q.note}" for name, q in study.quantities.items() if q.note]
     lines += [f"note: {sentence}" for sentence in study.notes]
@@ -220,11 +254,13 @@ def resolution_lines(path: Path) -> list[str]:
     return [*lines, f"resolution: {path}"]
 
 
-def _order(quantity: OnGrids) -> str:
-    """Return the order of convergence as text."""
-    if quantity.how == "observed":
-        return f"{quantity.order:.2f}"
-    return {"equal": "same on all", "assumed": "2, assumed", "uneven": "uneven"}.get(str(quantity.how), "-")
+def _cells(quantity: OnGrids) -> Iterator[str]:
+    """Yield a quantity as cells of a table: unit, values, extrapolated value, error with two digits, order."""
+    yield quantity.unit
+    yield from ("-" if value is None else number(value) for value in (*quantity.values, quantity.value))
+    yield "-" if quantity.error is None else number(float(f"{quantity.error:.2g}"))
+    words = {None: "-", "equal": "same on all", "assumed": "2, assumed", "uneven": "uneven"}
+    yield f"{quantity.order:.2f}" if quantity.how == "observed" else words[quantity.how]
 
 
 def _how(study: Resolution) -> Iterator[str]:
