@@ -56,6 +56,8 @@ def rasterised(body: Body, dx: float) -> Raster:
     lower, upper = np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
     volume = float(np.prod(upper - lower)) * scale ** len(lower)
     pitch = max(dx / PER_CELL, (volume / MOST_POINTS) ** (1 / len(lower)))
+    shortest = float(np.min(upper - lower)) * scale
+    pitch = shortest / max(1, round(shortest / pitch))  # so that a bar has its exact thickness
     counts = np.ceil((upper - lower) * scale / pitch * (1 - 1e-9)).astype(int)
     x = cell_centres(lower, np.full(len(lower), pitch / scale), counts)
     return Raster(np.any([piece.inside(x) for piece in pieces], axis=0).reshape(counts), lower * scale, pitch)

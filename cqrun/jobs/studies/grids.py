@@ -54,9 +54,7 @@ def grids_of(text: str, scene: Scene) -> tuple[float, ...]:
         message = f"--resolution {text}: give two or three cell sizes in m, such as {example}; or none, {example}"
         raise UsageError(message) from None
     if not FEWEST <= len(cells) <= MOST:
-        raise UsageError(
-            f"--resolution {text}: is {len(cells)}, and two or three grids are compared, such as {example}"
-        )
+        raise UsageError(f"--resolution {text}: names {len(cells)}; two or three grids are compared, such as {example}")
     if not all(0 < cell < float("inf") for cell in cells):
         raise UsageError(f"--resolution {text}: cell sizes are positive numbers, such as {example}")
     for coarse, fine in pairwise(cells):
@@ -189,13 +187,7 @@ def _differs(
     """Return a sentence on a region that holds other particles on another grid; None if it is the same region."""
     (x, volume), (y, other_volume) = coarse, fine
     here, there = number(first.scene.world.dx), number(other.scene.world.dx)
-    if (len(x) == 0) != (len(y) == 0):
-        filled, empty, count = (here, there, len(x)) if len(x) else (there, here, len(y))
-        return (
-            f"{path} holds {count} particles with cells of {filled} m, and none with cells of {empty} m: make it "
-            "thicker, or a whole number of cells of both grids"
-        )
-    if len(x) == 0:
+    if len(x) == 0 or len(y) == 0:  # a region without particles is refused before
         return None
     ratio = float(other_volume.sum() / volume.sum())
     moved = float(np.linalg.norm(np.average(y, axis=0, weights=other_volume) - np.average(x, axis=0, weights=volume)))

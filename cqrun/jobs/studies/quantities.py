@@ -34,6 +34,7 @@ class Quantity:
         value: the number.
         unit: its unit; empty for a pure number.
         log: whether its logarithm is extrapolated.
+        least: the least value that it can have.
         interval: its 95 % interval, if it has one.
         bound: the bound at which it ended, if it did.
     """
@@ -41,6 +42,7 @@ class Quantity:
     value: float
     unit: str
     log: bool = False
+    least: float = -np.inf
     interval: Interval | None = None
     bound: float | None = None
 
@@ -64,13 +66,13 @@ def _identified(run: Path, built: Built) -> Iterator[tuple[str, Quantity]]:
         unit, (values, intervals, _) = leaf(scene, path).unit, unknown.numbers()
         unit = "" if unit == "1" else unit
         for name, value, interval in zip(unknown.names(path), values, intervals, strict=True):
-            yield name, Quantity(value, unit, spec.scale == "log", interval, _bound(spec, value))
+            yield name, Quantity(value, unit, log=spec.scale == "log", interval=interval, bound=_bound(spec, value))
     for name, error in (result.recordings or {}).items():
         assert scene.data is not None
         measured = scene.data.measurement(name)
         rmse = error.number(measured.error_key("rmse"))
         if rmse is not None:
-            yield f"{name}: RMSE", Quantity(rmse, measured.shown.name, log=True)
+            yield f"{name}: RMSE", Quantity(rmse, measured.shown.name, least=0.0)
     if result.recordings is None and result.loss is not None:
         yield "loss", Quantity(result.loss, scene.loss_unit)
 
@@ -128,8 +130,8 @@ def _in_motion(run: Path, built: Built) -> Iterator[tuple[str, Quantity]]:
     for name, track in tracks.items():
         moved = np.array(track) - track[0]
         size = np.linalg.norm(moved, axis=1)
-        yield f"{name}.deflection", Quantity(float(size[-1]), "m")
-        yield f"{name}.largest_deflection", Quantity(float(size.max()), "m")
+        yield f"{name}.deflection", Quantity(float(size[-1]), "m", least=0.0)
+        yield f"{name}.largest_deflection", Quantity(float(size.max()), "m", least=0.0)
         along = moved[:, int(np.argmax(moved.std(axis=0)))]
         if np.ptp(along) > STILL * built.scene.world.dx and (rate := frequency(time, along)) is not None:
             yield f"{name}.frequency", Quantity(rate, "Hz")

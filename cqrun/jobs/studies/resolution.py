@@ -209,15 +209,13 @@ def _compared(cells: Sequence[float], each: Sequence[Quantity | None], floors: d
         return OnGrids(unit=unit, values=values, value=None, error=None, order=None, how=None, note=why)
     numbers = [quantity.value for quantity in known]
     end = extrapolate(cells, numbers, log=known[0].log, floor=floors[unit])
-    note, interval = None, known[-1].interval
-    if interval is not None and not interval[0] <= end.value <= interval[1]:
+    value, note, interval = max(end.value, known[-1].least), None, known[-1].interval
+    if interval is not None and not interval[0] <= value <= interval[1]:
         note = (
             f"the extrapolated value is outside the 95 % interval on the finest grid, {number(interval[0])} to "
             f"{number(interval[1])}, which covers only the noise of the data"
         )
-    return OnGrids(
-        unit=unit, values=values, value=end.value, error=end.error, order=end.order, how=end.how, note=note
-    )  # fmt: skip
+    return OnGrids(unit=unit, values=values, value=value, error=end.error, order=end.order, how=end.how, note=note)
 
 
 def _table(study: Resolution) -> Iterator[list[object]]:
