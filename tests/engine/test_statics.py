@@ -17,6 +17,7 @@ from cqrun.engine.model import GroupModel, LossBar, Records
 from cqrun.engine.reference.rollout import ReferenceRollout
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.krylov import conjugate_gradients, dot
+from cqrun.engine.statics.newton import find_rest
 from cqrun.engine.statics.path import RestPath
 from cqrun.errors import RunError
 from cqrun.state import State
@@ -194,6 +195,35 @@ def test_a_large_load_is_found_in_one_step():
     assert rest.converged
     assert not rest.negative
     assert np.abs(rest.u).max() > 0.3
+
+
+class Rounded:
+    """A linear system whose forces have rounding errors of a part of the loads."""
+
+    def __init__(self, K, f, part, rng):
+        self.K, self.f, self.unit, self.rng = K, f, part * np.abs(f).max(), rng
+
+    def net(self, u):
+        return self.f - self.K @ u + self.unit * self.rng.uniform(-1, 1, u.shape)
+
+    def linearise(self, u):
+        pass
+
+    def product(self, p):
+        return self.K @ p
+
+    def precondition(self, r):
+        return r
+
+
+@pytest.mark.parametrize(("part", "converged"), [(1e-14, True), (1e-8, True), (1e-4, False)])
+def test_newton_knows_rounding_from_a_lack_of_equilibrium(part, converged, rng):
+    A = rng.normal(size=(12, 12))
+    system = Rounded(A @ A.T + np.eye(12), rng.normal(size=(12, 1)), part, rng)
+    rest = find_rest(system, np.zeros((12, 1)), float(np.linalg.norm(system.f)), 1e-12)
+    assert rest.converged == converged
+    assert rest.steps < 40 or not converged
+    assert rest.residual < 10 * part
 
 
 def test_conjugate_gradients_find_the_smallest_eigenvalue_and_negative_curvature(rng):
