@@ -25,7 +25,8 @@ PER_AXIS = 2
 
 FRAMES: dict[str, dict[str, Any]] = {
     UPDATED: {"frame": "updated"},
-    "reference": {"frame": "reference"},
+    "reference": {"frame": "reference", "volume": "local"},
+    "averaged": {"frame": "reference", "volume": "averaged"},
 }
 """What is compared: name in the tables -> keys of section `world`. One more line is one more column of the tables."""
 

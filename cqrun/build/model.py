@@ -14,7 +14,6 @@ from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_frame import frame_problems
 from cqrun.build.check_grid import grid_warnings
-from cqrun.build.check_locking import locking_bodies
 from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.contact import contact_limits, contact_parts
 from cqrun.build.history import fields_of
@@ -32,6 +31,7 @@ from cqrun.build.limits import (
 from cqrun.build.particles import Particles, sample, stress_key
 from cqrun.build.raster import Raster, rasterised
 from cqrun.build.regions import boundary
+from cqrun.build.volumes import averages, locking_bodies
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
 from cqrun.engine.reference.patches import count_nodes
 from cqrun.errors import Problem, SceneError
@@ -123,7 +123,7 @@ def build(scene: Scene) -> Built:
         real=np.dtype(scene.precision).type,
         memory_budget=scene.memory,
         frame=scene.world.frame,
-        averaged=scene.world.volume == "averaged",
+        averaged=averages(scene),
         settled=scene.start == "equilibrium",
         surface=surface,
         obstacles=obstacles,

@@ -70,7 +70,8 @@ class RestJob(Job[Resting, RestResult]):
         report_bodies(built, run, talk)
         count = f"{len(points)} point{'s' if len(points) > 1 else ''}"
         talk.phase(f"finding the rest of {built.model.layout.n_particles:,} particles: {count}")
-        path = RestPath(built.model, [inputs_of(built, point) for point in points], threads=prepared.threads)
+        inputs = [inputs_of(built, point) for point in points]
+        path = RestPath(built.model, inputs, threads=prepared.threads, judge=True)
         _require_held(built, path)
         found: list[RestPoint] = []
         rows = RestTable(built, points)

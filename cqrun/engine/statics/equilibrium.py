@@ -45,8 +45,8 @@ from cqrun.state import State
 TINY_STRAIN = 1e-4
 """Strain whose forces are the measure of the residual of a body without loads."""
 
-MANY = 60_000
-"""With more nodes the direct solve of the coarse space would take too long."""
+MANY = 200_000
+"""With more nodes the coarse space would take too much memory."""
 
 REFRESH = 200
 """Products after which the coarse space is made, or made anew: it is about as dear as they are."""
@@ -93,6 +93,11 @@ class Equilibrium:
         self.coarse: CoarseSpace | None = None
         self.since = REFRESH + 1 if slow else 0  # products since the coarse space was made; before, since the beginning
 
+    @property
+    def size(self) -> int:
+        """Its size in memory, roughly [bytes]."""
+        return 4 * self.A.nbytes + (self.coarse.size if self.coarse is not None else 0)
+
     # --- the system (`newton.System`) -----------------------------------------------------------------------------
 
     def net(self, u: Array) -> Array:
@@ -130,8 +135,13 @@ class Equilibrium:
 
     # --- what a user asks ---------------------------------------------------------------------------------------------
 
-    def solve(self, u: Array | None = None, *, tolerance: float = 1e-8) -> Rest:
-        """Return where the model rests, from a first guess of the displacements (M, 4), or from the rest shape."""
+    def solve(self, u: Array | None = None, *, tolerance: float = 1e-8, judge: bool = False) -> Rest:
+        """Return where the model rests, from a first guess of the displacements (M, 4), or from the rest shape.
+
+        Args:
+            tolerance: net force divided by the loads.
+            judge: whether the smallest eigenvalue at the answer is found in any case, not only if it costs little.
+        """
         start = aligned((self.n_nodes, 4), self.run.force.dtype)
         if u is not None:
             start[...] = u
@@ -142,7 +152,7 @@ class Equilibrium:
         if change.any():
             load = max(load, float(np.linalg.norm(self.net(start))))
         rest = find_rest(self, start, load, tolerance)
-        return self._judged(rest) if rest.converged and self.coarse is not None else rest
+        return self._judged(rest) if rest.converged and (judge or self.coarse is not None) else rest
 
     def load(self) -> float:
         """Return the size of all loads [N]: external forces, and those of active stresses and cables at rest.
@@ -276,7 +286,8 @@ class Equilibrium:
 
     def _solve(self, b: Array, tolerance: float) -> Solution:
         """Return the solution of the linear system at the state of `linearise`; a long search gets a coarse space."""
-        first = conjugate_gradients(self.product, b, self.precondition, tolerance, REFRESH)
+        fresh = self.coarse is not None and self.since == 0
+        first = conjugate_gradients(self.product, b, self.precondition, tolerance, MOST_PRODUCTS if fresh else REFRESH)
         if first.converged or first.negative:
             return first
         self._make_coarse()
@@ -303,7 +314,8 @@ class Equilibrium:
         self.linearise(rest.u)
         if not self._make_coarse():
             return replace(rest, negative=True)
-        assert self.coarse is not None
+        if self.coarse is None:
+            return rest
         smallest = self.coarse.smallest(np.linalg.inv(self.inverse), self.run.nodes.active)
         return replace(rest, smallest=smallest)
 
