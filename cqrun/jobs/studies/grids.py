@@ -7,6 +7,7 @@ is a `count` of particles. A number of substeps is scaled, too, so that a subste
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
 from itertools import pairwise
 from math import ceil
 
@@ -36,6 +37,10 @@ MASS, MOVED, SIZE = 0.005, 0.1, 0.05
 """Reported differences between grids: of a body's mass relative to it, of a region's centre in cells, of its volume."""
 
 WHOLE = 1e-6
+"""Numbers that differ by this part of them are the same."""
+
+SIMPLE, ROUNDED = 4, 2e-3
+"""A cell size is a rounded fraction of the scene's with a denominator up to 4, if it differs by this part at most."""
 
 
 def grids_of(text: str, scene: Scene) -> tuple[float, ...]:
@@ -49,7 +54,7 @@ def grids_of(text: str, scene: Scene) -> tuple[float, ...]:
         return dx, dx / RATIO
     example = f"--resolution {number(dx)},{number(dx / RATIO)}"
     try:
-        cells = tuple(float(cell) for cell in text.split(","))
+        cells = tuple(_exact(float(cell), dx) for cell in text.split(","))
     except ValueError:
         message = f"--resolution {text}: give two or three cell sizes in m, such as {example}; or none, {example}"
         raise UsageError(message) from None
@@ -65,6 +70,18 @@ def grids_of(text: str, scene: Scene) -> tuple[float, ...]:
                 f"each at least {CLOSE:g} times finer than the one before, such as {example}"
             )
     return cells
+
+
+def _exact(cell: float, dx: float) -> float:
+    """Return a cell size, or the simple fraction of the scene's that it rounds: 0.00667 m is 2/3 of 0.01 m.
+
+    Then nodes of both grids meet at the faces of clamps, and whole numbers of particles fit into the same bodies.
+    """
+    if not 0 < cell < float("inf"):
+        return cell
+    fraction = Fraction(cell / dx).limit_denominator(SIMPLE)
+    exact = dx * fraction.numerator / fraction.denominator
+    return exact if abs(exact - cell) < ROUNDED * cell else cell
 
 
 def require_cells(cells: float, thinnest: Mapping[str, Thinnest]) -> None:

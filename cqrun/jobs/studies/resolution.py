@@ -230,8 +230,8 @@ def _table(study: Resolution) -> Iterator[list[object]]:
 
 
 def runs_of(path: Path) -> list[Path]:
-    """Return the directories of the runs of a study."""
-    return [path_of(grid.run) for grid in read_resolution(path).grids]
+    """Return the directories of the runs of a study that did not fail."""
+    return [path_of(grid.run) for grid in read_resolution(path).grids if grid.status != "failed"]
 
 
 def resolution_lines(path: Path) -> list[str]:

@@ -51,6 +51,8 @@ def on_grids(data, *cells):
         ("auto", (0.01, 0.01 / 1.5)),
         ("0.01,0.005", (0.01, 0.005)),
         ("0.02, 0.01, 5e-3", (0.02, 0.01, 0.005)),
+        ("0.01,0.00667", (0.01, 0.01 * 2 / 3)),  # so that nodes of both grids meet
+        ("0.01,0.0066", (0.01, 0.0066)),
     ],
 )
 def test_two_or_three_grids(text, cells):
