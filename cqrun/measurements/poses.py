@@ -134,8 +134,8 @@ class PoseComparison(RestComparison):
             if off > ELSEWHERE * usual and off > FAR * way:
                 yield (
                     f"{name} ends {MILLI * off:.3g} mm from where it was seen, most others within {MILLI * usual:.3g} "
-                    "mm: the body may rest in several places under these loads, and was in another one, or loads of this "
-                    "pose have another sign or unit; hold the pose out, or correct it"
+                    "mm: the body may rest in several places under these loads, and was in another one, or loads of "
+                    "this pose have another sign or unit; hold the pose out, or correct it"
                 )
 
 
