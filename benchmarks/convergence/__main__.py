@@ -15,11 +15,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.convergence import block_tests, cantilever_swing, turning_bar
+from benchmarks.convergence import block_tests, cantilever_sag, cantilever_swing, disc, slender, turning_bar
 from benchmarks.convergence.plots import draw
-from benchmarks.convergence.points import Point, Test
+from benchmarks.convergence.points import NoReference, Point, Test
 from benchmarks.convergence.table import Table
-from benchmarks.convergence.worlds import frames_of_this_version
+from benchmarks.convergence.worlds import FRAMES, frames_of_this_version
 from cqrun.errors import RolloutError, SceneError
 from cqrun.fingerprint import engine_hash
 from cqrun.optimizers.base import one_blas_thread
@@ -27,9 +27,9 @@ from cqrun.optimizers.base import one_blas_thread
 ROOT = Path(__file__).parents[2]
 OUT, PICTURES = ROOT / "benchmarks" / "measured" / "convergence.csv", ROOT / "docs" / "convergence"
 TESTS: tuple[Test, ...] = (
-    cantilever_swing.TEST, turning_bar.TEST, block_tests.BOUNCE, block_tests.REST, block_tests.INCLINE,
+    cantilever_swing.TEST, cantilever_sag.TEST, slender.ELASTICA, slender.COLUMN, turning_bar.TEST,
+    block_tests.BOUNCE, block_tests.REST, disc.TEST, block_tests.INCLINE,
 )  # fmt: skip
-FRAMES = ("updated", "reference")
 
 
 def known_frames(wanted: list[str]) -> Iterator[str]:
@@ -43,13 +43,17 @@ def known_frames(wanted: list[str]) -> Iterator[str]:
 
 
 def measure(test: Test, point: Point, table: Table) -> None:
-    """Measure a point and add its row; a scene that is refused gets no row, and one that blows up gets a note."""
+    """Measure a point and add its row.
+
+    A scene that is refused, or that has no reference, gets no row; one that blows up, or finds no rest, gets a note.
+    """
     start = time.monotonic()
     try:
         with one_blas_thread():
             values = test.row(test.measure(point))
-    except SceneError as error:
-        print(f"{' '.join(point.key)}: skipped: {error.problems[0]}", flush=True)
+    except (SceneError, NoReference) as error:
+        reason = error.problems[0] if isinstance(error, SceneError) else error
+        print(f"{' '.join(point.key)}: skipped: {reason}", flush=True)
         return
     except (RolloutError, ValueError) as error:
         table.add(point, {}, time.monotonic() - start, engine_hash(), str(error).splitlines()[0])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from benchmarks.convergence.oscillation import fit_oscillation
@@ -29,9 +31,12 @@ def reference(point: Point) -> tuple[float, float]:
     return frequency * factors["frequency"], rest * factors["mean_up"]
 
 
-def build_swing(point: Point) -> Built:
-    """Build the scene: the clamp holds the nodes up to a wall at a node; the beam continues 2 cells or more into it."""
-    beam, frequency = references()["beam"], reference(point)[0]
+def beam_scene(point: Point, gravities: float = 1.0) -> dict[str, Any]:
+    """Return the scene without its time.
+
+    The clamp holds the nodes up to a wall at a node; the beam continues 2 cells or more into it.
+    """
+    beam = references()["beam"]
     length, height, dim = beam["length"], beam["height"], point.dim
     dx = height / point.cells
     spacing = dx / PER_AXIS
@@ -41,10 +46,15 @@ def build_swing(point: Point) -> Built:
     corner = (wall - inside, *across, room)
     size = (inside + length, *[beam["width"]] * (dim - 2), height)
     span = [wall + np.ceil(length / dx) * dx + 4.0 * dx, *[beam["width"] + 8.0 * dx] * (dim - 2), room + height + room]
-    world = {"size": span, "dx": dx, "gravity": [0.0] * (dim - 1) + [-beam["gravity"]]}
+    world = {"size": span, "dx": dx, "gravity": [0.0] * (dim - 1) + [-gravities * beam["gravity"]]}
     clamp = {"sticky": {"region": {"box": {"corner": [0.0] * dim, "size": [wall, *span[1:]]}}}}
-    data = scene(point, Block(corner, size), world, boundaries={"clamp": clamp})
-    return with_time(data, point, 1.0 / (FRAMES_A_PERIOD * frequency), PERIODS * FRAMES_A_PERIOD)
+    return scene(point, Block(corner, size), world, boundaries={"clamp": clamp})
+
+
+def build_swing(point: Point) -> Built:
+    """Build the scene of the swing."""
+    frequency = reference(point)[0]
+    return with_time(beam_scene(point), point, 1.0 / (FRAMES_A_PERIOD * frequency), PERIODS * FRAMES_A_PERIOD)
 
 
 def tip_weights(matter: Matter) -> Array:
@@ -90,4 +100,5 @@ TEST = Test(
     ),
     measure=measure,
     decades=("damping_ratio",),
+    hidden=("misfit",),
 )

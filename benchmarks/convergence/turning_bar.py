@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.convergence.points import Measured, Point, Test, references
-from benchmarks.convergence.worlds import DENSITY, YOUNGS_MODULUS, Block, Matter, observe, scene, with_time
+from benchmarks.convergence.worlds import DENSITY, YOUNGS_MODULUS, Block, Matter, Nodes, observe_nodes, scene, with_time
+from cqrun.build.model import Built
 from cqrun.plugin.contract import Array
 from cqrun.state import State
 
@@ -30,27 +31,32 @@ def stretch_of_a_thin_bar(poissons_ratio: float, dim: int) -> float:
     return 1.0 + DENSITY * SPIN**2 * LENGTH**2 / (10.0 * modulus)
 
 
-def measure(point: Point) -> Measured:
-    """Let the bar turn; the stretches are means over the last half turn, because the bar also vibrates."""
+def build_turning(point: Point, turns: int = TURNS) -> Built:
+    """Build the scene; without turns it lasts one frame."""
     dim, dx = point.dim, HEIGHT / point.cells
     size = (LENGTH, *[HEIGHT] * (dim - 1))
     middle = np.ceil(0.9 * LENGTH / dx) * dx
     world = {"size": [2.0 * middle] * dim, "dx": dx}
     spin = [SPIN] if dim == 2 else [0.0, -SPIN, 0.0]
     block = Block(tuple(middle - 0.5 * edge for edge in size), size)
-    data = scene(point, block, world, body={"spin": spin})
     period = 2.0 * np.pi / SPIN
-    built = with_time(data, point, period / FRAMES_A_TURN, TURNS * FRAMES_A_TURN)
+    data = scene(point, block, world, body={"spin": spin})
+    return with_time(data, point, period / FRAMES_A_TURN, max(1, turns * FRAMES_A_TURN))
+
+
+def measure(point: Point) -> Measured:
+    """Let the bar turn; the stretches are means over the last half turn, because the bar also vibrates."""
+    built, dim = build_turning(point), point.dim
     matter = Matter.of(built, point)
     arm = matter.X[:, 0] - matter.centre(matter.X)[0]
 
-    def see(state: State) -> Array:
+    def see(state: State, nodes: Nodes | None) -> Array:
         along = arm @ (state.x - matter.centre(state.x)) / (arm @ arm)  # image of the bar's axis
         of_F = matter.centre(np.linalg.norm(state.F[:, :, 0], axis=1))
-        energy = matter.kinetic_energy(state) + matter.elastic_energy(state)
-        return np.array([np.linalg.norm(along), of_F, matter.angular_momentum(state), energy])
+        energy = matter.kinetic_energy(state, nodes) + matter.elastic_energy(state)
+        return np.array([np.linalg.norm(along), of_F, matter.angular_momentum(state, nodes), energy])
 
-    found = observe(built, see)
+    found = observe_nodes(built, see)
     half = FRAMES_A_TURN // 2
     steady = references()["references"][f"{dim}D {point.law} nu {point.poissons_ratio:g} turning_bar"]
     first = found[half : FRAMES_A_TURN + 1].mean(0)
@@ -75,4 +81,5 @@ TEST = Test(
     ideal={"stretch_1": 1.0, "stretch_6": 1.0, "stretch_of_F_6": 1.0, "angular_momentum_6": 1.0, "energy_6": 1.0},
     variants=tuple(("fixed_corotated", 0.3, "", factor) for factor in (1, 16)),
     measure=measure,
+    hidden=("angular_momentum_6",),
 )

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
 from cqrun.build.contact import unknown_surfaces
 from cqrun.build.particles import Particles
+from cqrun.build.volumes import volume_problems
 from cqrun.engine.model import ConditionModel
 from cqrun.engine.setting import MARGIN, grid_shape
 from cqrun.errors import Problem
-from cqrun.materials.term import has_volume
 from cqrun.scene.paths import shapes_a_body
 from cqrun.scene.schema import Scene
 
@@ -37,7 +36,7 @@ def frame_problems(scene: Scene, particles: Particles, conditions: Sequence[Cond
         *_holds(scene, particles, conditions),
         *_thin(scene, particles),
         *_shapes(scene),
-        *_volumes(scene),
+        *volume_problems(scene),
         *_at_rest(scene),
     ]
     return [Problem(scene.where(path), path, message) for path, message in found]
@@ -120,19 +119,6 @@ def _thin(scene: Scene, particles: Particles) -> Iterator[tuple[str, str]]:
     for field in particles.layout.history:
         term = field.name.partition(".")[0]
         yield "world.frame", f"the reference frame does not yet follow the history of the term `{term}`: {WAY_OUT}"
-
-
-def _volumes(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield elastic laws whose volumes cannot be averaged."""
-    for name, body in scene.bodies.items() if scene.world.volume == "averaged" else ():
-        law = body.material.elastic
-        spec: Any = law.value
-        if not has_volume(type(spec.kernel_term(np.zeros((len(spec.parameters), 1))))):
-            yield (
-                f"bodies.{name}.material.elastic.{law.name}",
-                "has no energy of the volume alone, so volumes cannot be averaged: register one with "
-                "`register_volume`, or set `world.volume: local`",
-            )
 
 
 def _shapes(scene: Scene) -> Iterator[tuple[str, str]]:

@@ -14,7 +14,6 @@ from cqrun.build.assembly import Assembly
 from cqrun.build.check_design import design_problems, design_warnings
 from cqrun.build.check_frame import frame_problems
 from cqrun.build.check_grid import grid_warnings
-from cqrun.build.check_locking import locking_bodies
 from cqrun.build.check_units import require_possible_plan, unit_questions
 from cqrun.build.contact import contact_limits, contact_parts
 from cqrun.build.history import fields_of
@@ -30,7 +29,9 @@ from cqrun.build.limits import (
     wave_limit,
 )
 from cqrun.build.particles import Particles, sample, stress_key
+from cqrun.build.raster import Raster, rasterised
 from cqrun.build.regions import boundary
+from cqrun.build.volumes import averages, locking_bodies
 from cqrun.engine.model import ConditionModel, GroupModel, Model, conditions_of
 from cqrun.engine.reference.patches import count_nodes
 from cqrun.errors import Problem, SceneError
@@ -56,6 +57,7 @@ class Built:
         assembly: maps values by key path to the engine's inputs, and gradients back.
         limits: bounds on the substep at the stiffest corner of the unknowns' bounds.
         warnings: what a user should know before the run.
+        rasters: the shape of each body by name, to measure its thickness.
     """
 
     scene: Scene
@@ -64,6 +66,7 @@ class Built:
     assembly: Assembly
     limits: tuple[Limit, ...]
     warnings: tuple[Problem, ...]
+    rasters: dict[str, Raster]
 
 
 def build(scene: Scene) -> Built:
@@ -103,7 +106,8 @@ def build(scene: Scene) -> Built:
     if problems := frame_problems(scene, particles, conditions):
         raise SceneError(problems)
     surface, obstacles, meeting, conditions = contact_parts(scene, particles, assembly, conditions)
-    warnings += grid_warnings(scene, particles, conditions)
+    rasters = {name: rasterised(body, scene.world.dx) for name, body in scene.bodies.items()}
+    warnings += grid_warnings(scene, particles, conditions, rasters)
     model = Model(
         size=np.array(scene.world.size),
         dx=scene.world.dx,
@@ -119,14 +123,14 @@ def build(scene: Scene) -> Built:
         real=np.dtype(scene.precision).type,
         memory_budget=scene.memory,
         frame=scene.world.frame,
-        averaged=scene.world.volume == "averaged",
+        averaged=averages(scene),
         settled=scene.start == "equilibrium",
         surface=surface,
         obstacles=obstacles,
         meeting=meeting,
         n_nodes=count_nodes(particles.layout, particles.x, scene.world.dx) if scene.world.frame == "reference" else 0,
     )
-    return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings))
+    return Built(scene, particles, model, assembly, tuple(limits), tuple(warnings), rasters)
 
 
 def _unused_episodes(scene: Scene) -> list[Problem]:

@@ -52,7 +52,11 @@ class Case:
     @classmethod
     def probed(cls, name: str, built: Built, comparisons: tuple[Comparison, ...], **rest: Any) -> Case:
         """Return the case whose model records the sums of particles that its comparisons need, the same for all."""
-        return cls(name, replace(built, model=replace(built.model, probe=comparisons[0].rows)), comparisons, **rest)
+        case = cls(name, replace(built, model=replace(built.model, probe=comparisons[0].rows)), comparisons, **rest)
+        if not built.model.settled:
+            return case
+        still = case.runner.still()
+        return replace(case, comparisons=tuple(comparison.from_rest(still) for comparison in comparisons))
 
     # --- values -------------------------------------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from cqrun.build.thickness import thinnest_parts
 from cqrun.design.params import Params
 from cqrun.engine.model import Records
 from cqrun.errors import NoRestError, RolloutError
@@ -64,7 +65,7 @@ def write_prediction_alone(
     values = params.start_values
     result = SysidResult(
         status="done", message=NOTHING_FITTED, loss=None, iterations=0, substeps=substeps_of(cases),
-        unknowns=identified(params, values),
+        unknowns=identified(params, values), thinnest=thinnest_parts(cases[0].built) if cases else {},
     )  # fmt: skip
     for unknown in result.unknowns.values():
         unknown.reason = NOTHING_FITTED

@@ -17,13 +17,14 @@ import numpy as np
 from cqrun.build.check_frame import touched
 from cqrun.build.load_path import inputs_of, points_of
 from cqrun.build.model import Built
+from cqrun.build.thickness import thinnest_parts
 from cqrun.engine.statics.equilibrium import Equilibrium
 from cqrun.engine.statics.newton import Rest
 from cqrun.engine.statics.path import Point, RestPath
 from cqrun.errors import Problem, SceneError, StopAsked
 from cqrun.fitting.at_rest import held_problem
 from cqrun.jobs.job import NO_FILES, Job
-from cqrun.running.bodies import report_bodies
+from cqrun.running.bodies import report_bodies, resolved_lines
 from cqrun.running.reporter import Reporter
 from cqrun.running.rest_table import RestTable, rest_frames, write_frame
 from cqrun.running.runs import build_and_warn
@@ -107,7 +108,9 @@ class RestJob(Job[Resting, RestResult]):
         for sentence in findings:
             talk.warn(sentence)
             run.log(sentence)
-        write_result(run.path, RestResult(status=status, message=message, points=found, findings=findings))
+        write_result(run.path, RestResult(
+            status=status, message=message, points=found, findings=findings, thinnest=thinnest_parts(built),
+        ))  # fmt: skip
         if lost is None:
             delete_points(run.path)
         run.finish(status, message)
@@ -122,6 +125,7 @@ class RestJob(Job[Resting, RestResult]):
             (str(k), *(number(p.values[key]) for key in keys), f"{p.residual:.1e}", str(p.steps), str(p.products),
              "-" if p.smallest is None else f"{p.smallest:.2e}") for k, p in enumerate(result.points, start=1)
         ])  # fmt: skip
+        yield from resolved_lines(result.thinnest)
         yield from (f"note: {sentence}" for sentence in result.findings)
 
     @property

@@ -73,6 +73,13 @@ class Comparison(ABC):
         """Return the cotangent of the offset (D,) that is added, from that of the loss; 0 if nothing can be moved."""
         return 0.0
 
+    def from_rest(self, records: Records) -> Comparison:
+        """Return the comparison with changes counted from the rest shape, whose records are given.
+
+        A run that begins at equilibrium does not begin there.
+        """
+        return self
+
     @property
     def size(self) -> int:
         """Number of residuals n."""

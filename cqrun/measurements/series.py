@@ -1,8 +1,8 @@
 """Compare measured time series with those of a model.
 
-The error of a channel in a frame is the model's value, or its change since the run began, minus the measured value. The
-loss is the mean squared length of the errors, over all frames and channels that were seen. The RMSE is the root of the
-loss, so loss = RMSE^2 for any number of components.
+The error of a channel in a frame is the model's value, or its change from the rest shape, minus the measured value. A
+run begins in the rest shape, unless it begins at equilibrium. The loss is the mean squared length of the errors, over
+all frames and channels that were seen. The RMSE is the root of the loss, so loss = RMSE^2 for any number of components.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class SeriesComparison(Comparison):
             time: (T,) of the recording [s].
             values: (T, M, D) measured values; NaN where not seen.
             still: (T_s, M, D) values in the still frames, minus the same mean as `values`; NaN where not seen.
-            relative: whether `values` are compared with the model's change since the run began.
+            relative: whether `values` are compared with the model's change from the rest shape.
             remark: what a user should know about how the recording was made.
             doubts: what looks wrong in it, and what is done about it.
 
@@ -79,6 +79,7 @@ class SeriesComparison(Comparison):
         self.seen = ~np.isnan(values[frames]).any(axis=2)
         self.data = np.where(self.seen[..., None], values[frames], 0.0)
         self.still = np.zeros((0, *self.data.shape[1:])) if still is None else still
+        self.origin: Array | None = None  # the channels of the rest shape (M, D), if the run does not begin there
         self.count = int(self.seen.sum())
         if self.count == 0:
             raise DataError(
@@ -140,7 +141,7 @@ class SeriesComparison(Comparison):
         """Return the model's values at `times` (F, M, D), as they are compared with the data."""
         y, w, at = self._observed(records, start)
         model = at(y, w)
-        return model - y[0] if self.relative else model
+        return model - (y[0] if self.origin is None else self.origin) if self.relative else model
 
     def residuals(self, records: Records, start: float) -> Array:
         """Return the errors of the seen channels, frame by frame, (count * D,)."""
@@ -152,7 +153,7 @@ class SeriesComparison(Comparison):
         out_bar = np.zeros_like(self.data)
         out_bar[self.seen] = r_bar.reshape(self.count, -1)
         y_bar, w_bar = at.vjp(out_bar)
-        if self.relative:
+        if self.relative and self.origin is None:
             y_bar[0] -= out_bar.sum(axis=0)
         return self.observe_vjp(records, y_bar, w_bar), -float(np.sum(out_bar * at.slope(y, w)))
 
@@ -163,6 +164,12 @@ class SeriesComparison(Comparison):
     def loss_vjp(self, records: Records, start: float, loss_bar: float = 1.0) -> tuple[Records, float]:
         """Return the cotangents of the records and of `start` from that of the loss."""
         return self.residuals_vjp(records, start, (2.0 * loss_bar / self.count) * self.residuals(records, start))
+
+    def from_rest(self, records: Records) -> SeriesComparison:
+        """Return the comparison with changes counted from the rest shape, whose records are given."""
+        other = copy.copy(self)
+        other.origin = self.observe(records)[0][0]
+        return other
 
     def moved(self, offset: Array) -> SeriesComparison:
         """Return the comparison with an offset (D,) added to every measured value."""

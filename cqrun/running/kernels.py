@@ -43,7 +43,11 @@ def composition(built: Built, *, adjoint: bool) -> str:
         + ["meeting bodies"] * (model.meeting is not None)
     )
     kind = "forward and backward" if adjoint else "forward"
-    return f"{model.dim}D {scene.precision}, {'; '.join(groups)}, {', '.join(planes) or 'no boundaries'}, {kind}"
+    frame = (", reference frame" if model.frame == "reference" else "") + (
+        ", averaged volumes" if model.averaged else ""
+    )
+    words = f"{'; '.join(groups)}, {', '.join(planes) or 'no boundaries'}, {kind}"
+    return f"{model.dim}D {scene.precision}{frame}, {words}"
 
 
 def _kind(kernel_class: type) -> str:

@@ -36,10 +36,11 @@ class World(Spec):
         "grid for elastic bodies that stay whole; `updated` is that of the papers, in which bodies may tear and merge",
         default="reference",
     )
-    volume: Literal["local", "averaged"] = Field(
+    volume: Literal["auto", "local", "averaged"] = Field(
         description="Volume changes that a material resists: `local`, those of each particle; `averaged`, means over "
-        "the corners of cells, with which bodies that keep their volume (nu from 0.49) do not lock; reference frame",
-        default="local",
+        "the corners of cells, with which bodies that keep their volume do not lock; `auto`, averaged in the reference "
+        "frame if a Poisson's ratio may reach 0.49",
+        default="auto",
     )
     contact: BodyContact | None = Field(description="How bodies meet each other in the reference frame", default=None)
     gravity: Annotated[list[float], FilledIn("zero vector")] = vector(

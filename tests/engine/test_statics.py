@@ -69,6 +69,21 @@ def rested(request):
     return model, inputs, equilibrium, equilibrium.solve(tolerance=1e-12)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_blocks_of_averaged_volumes_need_no_entry_of_every_direction(dim):
+    """SciPy leaves out entries of a product that cancel to 0, as those of a regular lattice may."""
+    model, inputs = cantilever(dim)
+    equilibrium = Equilibrium(replace(model, averaged=True), inputs)
+    equilibrium.linearise(equilibrium.still)
+    volumes = equilibrium.volumes
+    volumes.rows.data[7] = 0.0
+    volumes.rows.eliminate_zeros()
+    blocks = np.zeros((equilibrium.n_nodes, dim, dim))
+    volumes.add_blocks(blocks)
+    b = volumes.rows.toarray().reshape(-1, equilibrium.n_nodes, dim)
+    np.testing.assert_allclose(blocks, np.einsum("c,cni,cnj->nij", volumes.stiffness, b, b), rtol=1e-12, atol=1e-9)
+
+
 def test_it_rests_where_its_motion_dies_out(rested):
     """The same forces in motion, with damping."""
     model, inputs, _, rest = rested
@@ -191,6 +206,9 @@ def test_conjugate_gradients_find_the_smallest_eigenvalue_and_negative_curvature
     values[0] = -0.01
     K = (Q * values) @ Q.T
     assert conjugate_gradients(lambda p: K @ p, b, lambda r: r, 1e-12, 200).negative
+    nothing = conjugate_gradients(lambda p: K @ p, 0.0 * b, lambda r: r, 1e-12, 200)
+    assert nothing.converged
+    assert not nothing.x.any()
 
 
 # --- paths ------------------------------------------------------------------------------------------------------------

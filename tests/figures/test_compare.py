@@ -35,7 +35,7 @@ def test_runs_that_differ_only_in_their_seed_are_one_group(tmp_path):
 
 
 def test_labels_contain_the_differences(tmp_path):
-    finer = {"size": [0.2, 0.1], "dx": 0.005, "gravity": [0.0, -9.81]}
+    finer = {"size": [0.2, 0.1], "dx": 0.005, "gravity": [0.0, -9.81], "frame": "updated"}
     runs = [
         make_run(tmp_path, "a" * 12),
         make_run(tmp_path, "b" * 12, world=finer),

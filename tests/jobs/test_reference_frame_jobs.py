@@ -15,7 +15,7 @@ from cqrun.jobs.sysid import run_sysid
 from cqrun.jobs.validate import validate
 from cqrun.store.trajectory import read_trajectory
 
-REFERENCE = BEAM.replace("dx: 0.01,", "dx: 0.01, frame: reference,")
+REFERENCE = BEAM.replace("frame: updated", "frame: reference")
 ELASTIC = REFERENCE.replace("      viscosity: {shear: 3}\n", "")
 
 

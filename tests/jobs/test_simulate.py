@@ -159,7 +159,7 @@ def test_a_body_of_the_reference_frame_stretches_and_does_not_tear(beam, tmp_pat
     changed(beam, "frame: updated", "frame: reference")
     changed(beam, "gravity: [0, -9.81]", "gravity: [20, 0]")
     run = simulate(beam, tmp_path)
-    result, last = result_of(run), read_trajectory(run / "trajectory.h5").x[-1]
+    result, last = result_of(run), read_trajectory(run / "trajectory.h5").fields["x"][-1]
     assert np.ptp(last[:, 0]) > 0.15  # it was 0.1 m long
     assert result["fracture"] == {}
     assert not any("fracture" in finding for finding in result["findings"])

@@ -52,9 +52,9 @@ def test_a_cache_that_cannot_be_written_is_no_trouble(beam, tmp_path, monkeypatc
     assert len(list(warmup([beam]))) == 1
 
 
-def test_the_common_scenes_are_of_sixteen_kinds():
+def test_the_common_scenes_are_of_thirty_two_kinds():
     words = [composition(build(scene), adjoint=True) for scene in common_scenes()]
-    assert len(set(words)) == 16
+    assert len(set(words)) == 32
     assert WORDS in words
     assert "3D float64, neo_hookean, friction, forward and backward" in words
 
@@ -66,6 +66,9 @@ def test_words_tell_kernels_apart(beam):
     assert words() == WORDS.replace(" and backward", "")
     assert words("time.duration=0.02", "world.dx=0.02", "bodies.beam.material.density=900") == words()
     assert words("precision=float32").startswith("2D float32")
+    assert words("world.frame=reference").startswith("2D float64, reference frame, fixed_corotated")
+    averaged = words("world.frame=reference", "world.volume=averaged")
+    assert averaged.startswith("2D float64, reference frame, averaged volumes, fixed_corotated")
     changed(beam, "viscosity: {shear: 3}", "incompressibility: {power: 2}")
     assert "fixed_corotated + incompressibility, sticky" in words()
     box = "{box: {corner: [0.02, 0.06], size: [0.1, 0.01]}}"

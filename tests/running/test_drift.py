@@ -41,7 +41,7 @@ def test_a_bar_that_turns_drifts_in_the_updated_frame_alone():
     reference = bar("reference")
     there = end_of(reference)
     assert list(drift_findings(reference, there)) == []
-    assert drift(fracture_of(reference).pairs["bar"], reference.particles.x, there) < 0.4 * size
+    assert drift(fracture_of(built).pairs["bar"], reference.particles.x, there) < 0.4 * size
 
 
 def test_an_affine_motion_has_no_drift(rng):

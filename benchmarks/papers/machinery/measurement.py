@@ -9,9 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from benchmarks.papers.machinery.task import Task, digest
+from benchmarks.papers.machinery.task import Task, digest, numbers_of
 from cqrun.fingerprint import engine_hash
 from cqrun.store.atomic import write_json
 
@@ -51,7 +49,7 @@ class Measurement(Task):
 def _content(path: Path) -> bytes:
     """Return the content of a file; of a scene without comments and optimizer, which no measurement uses."""
     if path.suffix == ".yaml":
-        scene = {key: value for key, value in yaml.safe_load(path.read_text()).items() if key != "optimizer"}
+        scene = {key: value for key, value in numbers_of(path).items() if key != "optimizer"}
         return json.dumps(scene, sort_keys=True).encode()
     return path.read_bytes()
 

@@ -9,10 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from benchmarks.papers.machinery.process import FAILED, ROOT, STOPPED, USAGE, run_command
-from benchmarks.papers.machinery.task import Task, TaskError, digest, duration
+from benchmarks.papers.machinery.task import Task, TaskError, digest, duration, numbers_of
 from cqrun.errors import CqrunError
 from cqrun.running.threads import cores
 from cqrun.store.run import FINISHED, read_record
@@ -67,7 +65,7 @@ class Runs(Task):
     def fingerprint(self) -> str:
         """Return a hash of the command and the scene, without comments and without what an override replaces."""
         replaced = {override.partition("=")[0] for override in self.overrides}
-        scene = {key: value for key, value in yaml.safe_load(self.path.read_text()).items() if key not in replaced}
+        scene = {key: value for key, value in numbers_of(self.path).items() if key not in replaced}
         content = [self.job, self.scene, self.overrides, self.options, scene]
         files = sorted(_files_in(scene, self.path.parent))
         return digest(json.dumps(content, sort_keys=True).encode(), *(file.read_bytes() for file in files))

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from cqrun.errors import CqrunError
 from cqrun.fingerprint import engine_hash
 from cqrun.jobs.bench import machine
@@ -162,6 +164,17 @@ def duration(minutes: float) -> str:
 def digest(*parts: bytes) -> str:
     """Return a hash of bytes, 12 hex digits."""
     return hashlib.sha256(b"\0".join(parts)).hexdigest()[:12]
+
+
+def numbers_of(scene: Path) -> dict[str, Any]:
+    """Return the content of a scene of the papers, of which fingerprints are made.
+
+    Their frame is left out: it is `updated`, which had no name when most figures were made.
+    """
+    content: dict[str, Any] = yaml.safe_load(scene.read_text())
+    if content.get("world", {}).get("frame") == "updated":
+        content["world"] = {key: value for key, value in content["world"].items() if key != "frame"}
+    return content
 
 
 def _clear(folder: Path) -> None:

@@ -44,6 +44,8 @@ def dot(a: Array, b: Array) -> float:
 def conjugate_gradients(product: Linear, b: Array, precondition: Linear, relative: float, most: int) -> Solution:
     """Solve product(x) = b until the residual is `relative` times |b|, or for `most` products."""
     x, r = np.zeros_like(b), b.copy()
+    if not b.any():
+        return Solution(x, 0, False, float("nan"), True)
     z = precondition(r)
     p, rz, goal = z.copy(), dot(r, z), relative * np.sqrt(dot(b, b))
     alphas: list[float] = []

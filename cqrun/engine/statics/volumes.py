@@ -82,13 +82,10 @@ class MeanVolumes:
 
     def add_blocks(self, blocks: Array) -> None:
         """Add to the diagonal blocks of the nodes (M, D, D)."""
-        d = self.dim
-        each = self.rows.data.reshape(-1, d)  # a node that a corner depends on is there with all its directions
-        node = self.rows.indices[::d] // d
-        k = np.repeat(self.stiffness, np.diff(self.rows.indptr) // d)
-        for i in range(d):
-            for j in range(d):
-                blocks[:, i, j] += np.bincount(node, k * each[:, i] * each[:, j], self.n_nodes)
+        along = [self.rows[:, axis :: self.dim] for axis in range(self.dim)]
+        for i, one in enumerate(along):
+            for j, other in enumerate(along):
+                blocks[:, i, j] += (one * other).T @ self.stiffness
 
     def coarse(self, P: Any) -> Any:
         """Return this part of the stiffness of coarse nodes, for the weights P (M, C) of fine nodes in them; sparse."""

@@ -1,0 +1,76 @@
+"""Bodies that hardly change their volume: what is said before a run, and what averaged volumes ask of a scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from cqrun.build.model import build
+from cqrun.build.volumes import averages, locking_bodies
+from cqrun.errors import SceneError
+from cqrun.scene.load import load_scene
+
+RATIO = "bodies.block.material.elastic.fixed_corotated.poissons_ratio"
+
+
+def scene(ratio: float, bound: float | None = None, law: str = "fixed_corotated", **world: Any) -> Any:
+    """Return the scene of one block on a grid of two cells across it."""
+    spec: dict[str, Any] = {
+        "cqrun": 1,
+        "world": {"size": [1, 1], "dx": 0.1, **world},
+        "bodies": {
+            "block": {
+                "shape": {"box": {"corner": [0.3, 0.3], "size": [0.4, 0.2]}},
+                "particles_per_cell": 4,
+                "material": {"density": 1000, "elastic": {law: {"youngs_modulus": 1e4, "poissons_ratio": ratio}}},
+            }
+        },
+        "time": {"duration": 0.1, "control_step": 0.1},
+    }
+    if bound is not None:
+        data = {"synthetic": {"body": "block", "truth": {RATIO: ratio}, "markers": {"a": [0.35, 0.35]}, "every": 1}}
+        spec |= {"unknowns": {RATIO: {"bounds": [0.1, bound]}}, "data": data, "job": "sysid"}
+    return load_scene(spec)
+
+
+@pytest.mark.parametrize(("ratio", "bound"), [(0.4999, None), (0.49, None), (0.3, 0.495)])
+def test_a_nearly_incompressible_body_is_averaged(ratio, bound):
+    assert averages(scene(ratio, bound))
+    assert build(scene(ratio, bound)).model.averaged
+    assert not list(locking_bodies(scene(ratio, bound)))
+
+
+@pytest.mark.parametrize(("ratio", "bound"), [(0.4999, None), (0.49, None), (0.3, 0.495)])
+def test_it_is_warned_of_where_volumes_stay_local(ratio, bound):
+    for world, way_out in (
+        ({"volume": "local"}, "`world.volume: averaged`"),
+        ({"frame": "updated"}, "`world.frame: ref"),
+    ):
+        (message,) = (str(problem) for problem in locking_bodies(scene(ratio, bound, **world)))
+        assert f"{RATIO}: {bound or ratio:g} is nearly incompressible" in message
+        assert way_out in message
+
+
+@pytest.mark.parametrize(("ratio", "bound"), [(0.48, None), (0.48, 0.485)])
+def test_other_bodies_are_as_they_were(ratio, bound):
+    assert not averages(scene(ratio, bound))
+    assert not list(locking_bodies(scene(ratio, bound)))
+    assert averages(scene(ratio, bound, volume="averaged"))
+
+
+def test_a_beam_of_two_cells_with_a_ratio_of_0_4999_is_warned_of():
+    assert any("nearly incompressible" in str(problem) for problem in build(scene(0.4999, volume="local")).warnings)
+
+
+def test_the_updated_frame_refuses_averaged_volumes():
+    with pytest.raises(SceneError, match=r"world\.volume: volumes are averaged in the reference frame alone"):
+        build(scene(0.4, volume="averaged", frame="updated"))
+
+
+def test_a_law_without_an_energy_of_the_volume_is_refused(monkeypatch):
+    monkeypatch.setattr("cqrun.build.volumes.has_volume", lambda kernel_class: False)
+    with pytest.raises(SceneError, match="fixed_corotated: has no energy of the volume alone"):
+        build(scene(0.4, volume="averaged"))
+    assert not averages(scene(0.499))
+    assert "`register_volume` would mend this" in str(next(locking_bodies(scene(0.499))))
