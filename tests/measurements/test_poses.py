@@ -326,8 +326,6 @@ def test_values_without_an_equilibrium_are_a_failed_trial(folder):
     problem = problem_of(scene_of(folder, recording(), unknowns))
     with pytest.raises(TrialFailed, match=NO_REST), np.errstate(all="ignore"):
         problem.value(np.array([0.0]))
-    with pytest.raises(TrialFailed, match=NO_REST), np.errstate(all="ignore"):
-        problem.value_and_grad(np.array([0.0]))
 
 
 @pytest.mark.parametrize("mirrored", ["up more", "down"])

@@ -169,9 +169,9 @@ class RestPath:
         """Return a point from that of `near`, from the last one, which is given, or from the rest shape."""
         inputs = self.inputs[number]
         if self.near:
-            point = self._reach(here, self.near[number].inputs, inputs, self.near[number].u)
-            if point.rest.converged:
-                return point
+            rest = here.solve(self.near[number].u, tolerance=self.tolerance, judge=self.judge)
+            if rest.converged:
+                return Point(rest, 1.0, 0, rest.products)
         if self.apart and _net(here, self.rest_shape) < _net(here, u):
             before, u = _unloaded(self.inputs[0]), self.rest_shape
         return self._reach(here, before, inputs, u)
