@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from cqrun.build.check_frame import touched
+from cqrun.build.history import remembering
 from cqrun.build.load_path import inputs_of, points_of
 from cqrun.build.model import Built
 from cqrun.build.thickness import thinnest_parts
@@ -143,6 +144,8 @@ def _needs_time(scene: Scene) -> Iterator[tuple[str, str]]:
         yield "world.frame", "a body rests in the reference frame: set `world.frame: reference`"
     for path, kind in touched(scene):
         yield path, f"an equilibrium does not feel `{kind}` boundaries yet: remove it, or make it `sticky` or `slip`"
+    for path, name in remembering(scene):
+        yield path, f"the stress of `{name}` has a history, and so no equilibrium: remove it, or use `cqrun simulate`"
     if scene.bodies_meet:
         yield "bodies", "bodies do not feel each other in an equilibrium yet: find that of one body alone"
     if scene.controller is not None:

@@ -7,11 +7,10 @@ from typing import Any
 
 import pytest
 
-from cqrun.build.check_frame import _shapes, _thin
+from cqrun.build.check_frame import _shapes
 from cqrun.build.model import build
 from cqrun.errors import SceneError
 from cqrun.scene.load import load_scene
-from cqrun.state import StateField
 
 MATERIAL = {"density": 1000, "elastic": {"fixed_corotated": {"youngs_modulus": 1e4, "poissons_ratio": 0.3}}}
 BODY = {"shape": {"box": {"corner": [0.2, 0.4], "size": [0.4, 0.1]}}, "particles_per_cell": 4, "material": MATERIAL}
@@ -108,13 +107,4 @@ def test_a_shape_as_unknown_is_refused():
     path = "bodies.a.shape.box.size.0"
     found = list(_shapes(SimpleNamespace(unknowns={path: None, "bodies.a.material.density": None})))
     assert found == [(f"unknowns.{path}", "the reference frame has no gradient by the shape of a body yet: use "
-                      "`world.frame: updated`")]  # fmt: skip
-
-
-def test_a_history_is_refused():
-    """A term that remembers: the message names it."""
-    layout = SimpleNamespace(history=(StateField("prony.H", (2, 2), (1.0, 0.0, 0.0, 1.0)),))
-    particles = SimpleNamespace(spacing={}, layout=layout)
-    found = list(_thin(load_scene(scene()), particles))
-    assert found == [("world.frame", "the reference frame does not yet follow the history of the term `prony`: use "
                       "`world.frame: updated`")]  # fmt: skip

@@ -73,6 +73,9 @@ class Equilibrium:
     """
 
     def __init__(self, model: Model, inputs: Inputs, *, threads: int = 1, control: int = 0, slow: bool = False) -> None:
+        if model.layout.history:
+            names = ", ".join(field.name for field in model.layout.history)
+            raise ValueError(f"a material with a history ({names}) has no equilibrium of its own")
         alone = replace(model, surface=None, obstacles=())  # contact is not felt at rest
         self.rollout = ReferenceRollout(alone, inputs, threads=threads, adjoint=True)
         self.control, self.run = control, self.rollout.bundle
