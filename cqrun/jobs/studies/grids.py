@@ -245,18 +245,17 @@ def _moved_edge(
             f"{path} holds {particles} particles with cells of {filled} m, and none with cells of {empty} m: let its "
             "region reach farther into the body"
         )
-    elif count:
-        ends = np.abs(np.array([x.min(axis=0) - y.min(axis=0), x.max(axis=0) - y.max(axis=0)]))
-        if ends.max() > MOVED * first.scene.world.dx and _inside_bodies(first, x, ends):
-            yield (
-                f"{path} holds nodes up to {number(float(ends.max()))} m farther on one grid than on the other "
-                f"(cells of {here} and {there} m): put its faces on nodes of both grids, or the free length of a body "
-                "changes with the grid"
-            )
+    elif count and (moved := _moved_inside(first, x, y)) > MOVED * first.scene.world.dx:
+        yield (
+            f"{path} holds nodes up to {number(moved)} m farther on one grid than on the other (cells of {here} and "
+            f"{there} m): put its faces on nodes of both grids, or the free length of a body changes with the grid"
+        )
 
 
-def _inside_bodies(built: Built, held: Array, ends: Array) -> bool:
-    """Return whether the end that moved most lies inside the bodies, and not where they end."""
-    side, axis = np.unravel_index(int(np.argmax(ends)), ends.shape)
-    x, edge = built.particles.x[:, axis], held[:, axis].min() if side == 0 else held[:, axis].max()
-    return bool(x.min() + built.scene.world.dx < edge < x.max() - built.scene.world.dx)
+def _moved_inside(built: Built, held: Array, others: Array) -> float:
+    """Return how far the ends of held nodes (n, D) differ between two grids [m], without ends where bodies end."""
+    x, dx = built.particles.x, built.scene.world.dx
+    ends = np.array([held.min(axis=0), held.max(axis=0)])
+    moved = np.abs(ends - np.array([others.min(axis=0), others.max(axis=0)]))
+    inside = (x.min(axis=0) + dx < ends) & (ends < x.max(axis=0) - dx)
+    return float(np.max(moved, where=inside, initial=0.0))
